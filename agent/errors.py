@@ -1,0 +1,80 @@
+"""What the agent raises.
+
+    AgentError                        exit_code
+    ├── UsageError                    2   the command line
+    ├── ConfigError                   2   the configuration; carries every fault found
+    ├── ModelError                    2   the model cannot be observed or its parameters not told apart
+    ├── RecordingError                2   a recording that cannot be used
+    ├── StoreError                    3   the database: missing, not ours, newer, locked, unknown id
+    └── BusError                      4   a bus that cannot exist or be opened in demo and check --probe
+
+Each prints as `deltak: error: <key path or file:line>: <what>; <what to do>`.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong: where (key path or file:line), what, and what to do about it."""
+
+    path: str
+    message: str
+    advice: str = ""
+
+    def __str__(self) -> str:
+        text = f"{self.path}: {self.message}" if self.path else self.message
+        return f"{text}; {self.advice}" if self.advice else text
+
+
+class AgentError(Exception):
+    """Base of what the agent raises on purpose: one or several faults, shown one a line."""
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+    @classmethod
+    def at(cls, path: str, message: str, advice: str = "") -> "AgentError":
+        """Make the error of a single fault."""
+        return cls([Fault(path, message, advice)])
+
+
+class UsageError(AgentError):
+    """The command line asks for what cannot be done."""
+
+    exit_code = 2
+
+
+class ConfigError(AgentError):
+    """The configuration has faults."""
+
+    exit_code = 2
+
+
+class ModelError(AgentError):
+    """The model is unobservable or some of its parameters cannot be told apart."""
+
+    exit_code = 2
+
+
+class RecordingError(AgentError):
+    """The recording cannot be used."""
+
+    exit_code = 2
+
+
+class StoreError(AgentError):
+    """The database is missing, foreign, newer, locked, or lacks what was asked for."""
+
+    exit_code = 3
+
+
+class BusError(AgentError):
+    """The bus cannot exist here or cannot be opened."""
+
+    exit_code = 4

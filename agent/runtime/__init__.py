@@ -1,0 +1,1 @@
+"""What runs: clock, registry, pipeline, recorder, service, command line."""

@@ -1,0 +1,180 @@
+"""Values that cross a boundary inside the agent. Frozen, SI units unless a unit is named, no behaviour.
+
+Times are integer nanoseconds since the epoch (or since a recording's own start). Arrays are numpy; NaN in `value`,
+`sd`, `lower`, `upper`, `held` means "none" and never goes with status VALID.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+CodeArray = NDArray[np.uint8]
+
+
+class Status(IntEnum):
+    """What an estimate is worth (CONTRACT section 6); the name in lower case is what the database shows."""
+
+    WARMING = 0
+    VALID = 1
+    UNEXCITED = 2
+    INVALID = 3
+
+
+class Reason(IntEnum):
+    """Why an estimate is not valid; NONE shows as NULL."""
+
+    NONE = 0
+    CHANGING = 1
+    MISMATCH = 2
+    SENSOR = 3
+    DIVERGED = 4
+    GAP = 5
+    NO_DATA = 6
+    DRY_FRICTION = 7
+    BIAS = 8
+    NONLINEAR = 9
+    STUCK = 10
+    SATURATED = 11
+    STANDSTILL = 12
+    INSEPARABLE = 13
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Aligned samples of one rig: consecutive indices, SI units.
+
+    Attributes:
+        index: (n,) sample index since the run's first sample, strictly increasing by one; a jump starts a new Samples.
+        t_ns: (n,) time stamps, ns.
+        u: (n, m) model inputs (forces), N.
+        y: (n, p) model outputs, SI.
+        segment: number of the uninterrupted segment these belong to; counts up at each gap.
+    """
+
+    index: IntArray
+    t_ns: IntArray
+    u: FloatArray
+    y: FloatArray
+    segment: int
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateBatch:
+    """The estimates of every parameter at consecutive hops; one row a hop, one column a parameter.
+
+    Attributes:
+        rig: name of the rig.
+        method: "window-ml", "seed" ...
+        parameters, units: (q,) names and units.
+        reference: (q,) what delta is counted from.
+        baseline_id: the baseline that `reference` comes from; None for the nominal.
+        index, t_ns: (N,) the newest sample of each window.
+        value, sd, lower, upper: (N, q) estimate, standard deviation, 95 % interval by Student's t.
+        status: (N, q) codes of Status.
+        reason: (N, q) codes of Reason.
+        held, held_age_s: (N, q) the last valid value and its age while status is UNEXCITED or INVALID.
+        window_s: (N, q) length of the window used.
+        n_used, n_missing: (N,) samples in the window and samples known missing from it.
+        dof: (N,) degrees of freedom of the residual variance (for Student's t).
+    """
+
+    rig: str
+    method: str
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    reference: FloatArray
+    baseline_id: int | None
+    index: IntArray
+    t_ns: IntArray
+    value: FloatArray
+    sd: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    status: CodeArray
+    reason: CodeArray
+    held: FloatArray
+    held_age_s: FloatArray
+    window_s: FloatArray
+    n_used: IntArray
+    n_missing: IntArray
+    dof: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+AlarmKind = Literal["level", "rate", "forecast", "sensor", "source", "mismatch"]
+AlarmState = Literal["NORM", "UNACK", "ACKED", "RTNUN", "SHLVD", "DSUPR", "OOSRV"]
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmTransition:
+    """One step of one alarm's life (ISA-18.2). A new activation has from_state NORM and to_state UNACK.
+
+    parameter is the parameter's name for kind "level", the source's or channel's name for the others; delta, sd,
+    limit_value and probability are None for kinds without a number.
+    """
+
+    rig: str
+    kind: AlarmKind
+    parameter: str
+    priority: str
+    t_ns: int
+    from_state: AlarmState
+    to_state: AlarmState
+    cause: str
+    message: str
+    delta: float | None = None
+    sd: float | None = None
+    limit_value: float | None = None
+    probability: float | None = None
+    by: str | None = None
+    comment: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """Conservation ledger of one source since run start, in sample instants: received = used + rejected + dropped."""
+
+    rig: str
+    source: str
+    t_ns: int
+    received: int
+    used: int
+    rejected: Mapping[str, int]
+    dropped: Mapping[str, int]
+    gaps: int
+    lag_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class HealthEvent:
+    """Something that happened to a source or to the agent, once: cause as a short word, message for people."""
+
+    rig: str
+    source: str
+    t_ns: int
+    cause: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunInfo:
+    """What a run is: provenance of every row written in it."""
+
+    rig: str
+    kind: Literal["live", "replay", "demo"]
+    started_ns: int
+    code_version: str
+    config_sha256: str
+    baseline_id: int | None = None
+    boot_id: str | None = None
+
+
+Record = EstimateBatch | AlarmTransition | Health | HealthEvent

@@ -1,0 +1,139 @@
+"""The interface between a bus and the agent: one block of samples, one driver, one error tree.
+
+    DriverError
+    ├── DriverConfigError    the settings cannot work: do not retry
+    └── DriverIOError        the bus or device failed: may be retried after a while
+
+A driver only listens. The bytes that drivers write are listed in `LISTENER_WRITES`; everything else is a fault.
+"""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LISTENER_WRITES: Mapping[str, str] = {
+    "modbus": "read requests: function codes 1, 2, 3, 4 and 24",
+}
+"""What each protocol may write, in words; the suite traces every write to a bus descriptor against it."""
+
+
+class DriverError(Exception):
+    """Base of what a driver raises."""
+
+
+class DriverConfigError(DriverError):
+    """The settings cannot work (no such field, no such file): retrying does not help."""
+
+
+class DriverIOError(DriverError, OSError):
+    """The bus or the device failed: retrying may help."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """Consecutive samples of one source, in the order in which they arrived.
+
+    Attributes:
+        values: (n, m) one column a requested field, in the field's unit (the field's own scale and offset applied);
+            NaN where the sample lacks that field.
+        arrival_ns: monotonic time at which the block was received, ns.
+        counter: (n,) the device's sample counter as on the wire, still wrapped; None where there is none.
+        t_ns: (n,) the device's or the recording's time stamps, ns; None where there is none.
+    """
+
+    values: FloatArray
+    arrival_ns: int
+    counter: IntArray | None = None
+    t_ns: IntArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@dataclass(slots=True)
+class Counts:
+    """Sample instants that a driver met since it was made; kept over re-opens.
+
+    received counts every instant that reached this process, good or bad; rejected those of them that were thrown
+    away, by reason ("crc", "overrun", "dlc" ...); dropped those lost before this process could read them where the
+    bus tells (kernel queue), by reason.
+    """
+
+    received: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
+    reopened: int = 0
+
+
+class DriverSettings(BaseModel):
+    """Base of a driver's own configuration keys; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True, slots=True)
+class SourceRequest:
+    """What the agent asks of a source.
+
+    Attributes:
+        name: the source's name, for messages.
+        settings: an instance of the driver's `settings_model`.
+        fields: the bus's field names in the order of the columns of `SampleBlock.values`.
+        counter: the name of the counter field, or None.
+        folder: folder of the configuration file; relative paths start there.
+    """
+
+    name: str
+    settings: Any
+    fields: tuple[str, ...]
+    counter: str | None = None
+    folder: Path = Path()
+
+
+class Driver(ABC):
+    """One source of samples. Implementations override `open`, `read`, `close` and `resolution`.
+
+    Vendor libraries are imported in `open`, so that naming a driver costs nothing. One thread owns a driver.
+    """
+
+    settings_model: ClassVar[type[DriverSettings]]
+    counter_modulus: int | None = None
+    """The counter wraps to 0 after counter_modulus - 1; None while unknown or without a counter. Known once open."""
+    finite: ClassVar[bool] = False
+    """True for recordings: `read` raises EOFError at the end."""
+
+    def __init__(self, request: SourceRequest) -> None:
+        self.request = request
+        self.counts = Counts()
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open the bus; raise DriverConfigError or DriverIOError. Opening again after close continues the counts."""
+
+    @abstractmethod
+    def read(self, timeout_s: float) -> SampleBlock:
+        """Return what has arrived, waiting at most timeout_s; an empty block when nothing came.
+
+        Raises DriverIOError when the bus fails; the driver must then be closed and opened again.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the bus; harmless when closed already."""
+
+    @abstractmethod
+    def resolution(self) -> tuple[float, ...]:
+        """Smallest step that the wire can carry, one a requested field, in the field's unit; 0.0 for floats.
+
+        Works before `open`.
+        """

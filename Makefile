@@ -1,0 +1,55 @@
+# Everything a developer or a machine runs. `make demo` and `make test` need python3 (3.11+), make and pip; python3-venv may be absent.
+PYTHON ?= python3
+VENV := .venv
+PIP := $(PYTHON) -m pip --python $(VENV)/bin/python --disable-pip-version-check --quiet
+PYTEST := $(VENV)/bin/python -m pytest
+
+export PIP_ROOT_USER_ACTION := ignore
+# Small matrix products are ten times slower on two BLAS threads than on one.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+
+.PHONY: help $(VENV) demo test lint bench soak clean distclean
+
+help:
+	@echo "make demo | test | lint | bench | soak | .venv | clean | distclean"
+
+$(VENV): $(VENV)/.runtime
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv --without-pip $(VENV)
+
+# The stamps keep a second call quick: pip runs only when pyproject.toml is newer.
+$(VENV)/.runtime: pyproject.toml | $(VENV)/bin/python
+	$(PIP) install --editable '.[plot]'
+	@touch $@
+
+$(VENV)/.develop: pyproject.toml | $(VENV)/bin/python
+	$(PIP) install --editable '.[test,lint]'
+	@touch $@ $(VENV)/.runtime
+
+demo: $(VENV)/.runtime
+	$(VENV)/bin/deltak demo $(ARGS)
+
+test: $(VENV)/.develop
+	sh tests/install_peers.sh
+	$(PYTEST) $(ARGS)
+
+lint: $(VENV)/.develop
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports --no-logo
+
+bench: $(VENV)/.develop
+	$(PYTEST) -m bench --capture=no --timeout=1800 --durations=0 $(ARGS)
+
+soak: $(VENV)/.develop
+	sh tests/install_peers.sh
+	$(PYTEST) -m soak --timeout=14400 $(ARGS)
+
+clean:
+	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find agent drivers sim_bus tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf $(VENV)

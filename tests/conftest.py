@@ -1,0 +1,41 @@
+"""Seeds, profiles and the closing words of every test run."""
+
+import os
+import zlib
+
+# One BLAS thread, before anything imports numpy: small products are ten times slower on two.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import hypothesis
+import numpy as np
+import pytest
+
+from tests import peers
+
+SEED = int(os.environ.get("DELTAK_SEED", "0"))
+
+hypothesis.settings.register_profile("quick", derandomize=True, database=None, deadline=None, max_examples=100)
+hypothesis.settings.register_profile("soak", parent=hypothesis.settings.get_profile("quick"), max_examples=5000)
+hypothesis.settings.load_profile(os.environ.get("DELTAK_HYPOTHESIS", "quick"))
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Numbers that are each test's own and the same in every run; DELTAK_SEED turns to others."""
+    return np.random.default_rng([SEED, zlib.crc32(request.node.nodeid.encode())])
+
+
+def pytest_report_header() -> list[str]:
+    there = "" if peers.data_folder().is_dir() else " (not there)"
+    return [f"DELTAK_SEED={SEED}", f"measured data: {peers.data_folder()}{there}"]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List what was not tested as the last thing before the closing line."""
+    if not peers.NOT_TESTED:
+        return
+    terminalreporter.section("NOT TESTED", sep="!", red=True, bold=True)
+    for text in sorted(set(peers.NOT_TESTED)):
+        count = peers.NOT_TESTED.count(text)
+        terminalreporter.line(f"NOT TESTED: {text}" + (f" ({count} tests)" if count > 1 else ""), red=True)

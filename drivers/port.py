@@ -49,12 +49,15 @@ class SampleBlock:
         arrival_ns: monotonic time at which the block was received, ns.
         counter: (n,) the device's sample counter as on the wire, still wrapped; None where there is none.
         t_ns: (n,) the device's or the recording's time stamps, ns; None where there is none.
+        epoch: counts up by one when the device is known to have begun counting anew (a restart): counters and
+            time stamps of different epochs cannot be compared.
     """
 
     values: FloatArray
     arrival_ns: int
     counter: IntArray | None = None
     t_ns: IntArray | None = None
+    epoch: int = 0
 
     def __len__(self) -> int:
         return len(self.values)
@@ -65,13 +68,15 @@ class Counts:
     """Sample instants that a driver met since it was made; kept over re-opens.
 
     received counts every instant that reached this process, good or bad; rejected those of them that were thrown
-    away, by reason ("crc", "overrun", "dlc" ...); dropped those lost before this process could read them where the
-    bus tells (kernel queue), by reason.
+    away, by reason ("crc", "overrun", "dlc" ...), so that received = delivered + sum(rejected); dropped those lost
+    before this process could read them where the bus tells (kernel queue, overwritten ring), by reason. faults
+    counts, by reason, what went wrong on the line without being a sample: late replies, stray bytes, text in a cell.
     """
 
     received: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
     dropped: Counter[str] = field(default_factory=Counter)
+    faults: Counter[str] = field(default_factory=Counter)
     reopened: int = 0
 
 
@@ -115,6 +120,17 @@ class Driver(ABC):
     def __init__(self, request: SourceRequest) -> None:
         self.request = request
         self.counts = Counts()
+        self._notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        """Keep a remark for the driver's owner, once; at most 100 wait."""
+        if text not in self._notes and len(self._notes) < 100:
+            self._notes.append(text)
+
+    def take_notes(self) -> list[str]:
+        """Return the remarks made since the last call, in words ("the device restarted"), and forget them."""
+        notes, self._notes = self._notes, []
+        return notes
 
     @abstractmethod
     def open(self) -> None:

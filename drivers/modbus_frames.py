@@ -1,0 +1,201 @@
+"""Modbus requests and replies as bytes, over TCP and RTU, each reply held against its request.
+
+pymodbus builds the requests and finds the frames in the stream; every field of a reply is then checked here, since
+the library hands out replies of another function, unit, transaction or length as good ones. Pure: no I/O.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.fields import ByteArray
+
+if TYPE_CHECKING:
+    from pymodbus.framer.base import FramerBase
+    from pymodbus.pdu import DecodePDU, ModbusPDU
+
+MAX_REGISTERS = 125
+FIFO = 24
+FIFO_REGISTERS = 31
+_LONGEST_TCP = 260
+_EXCEPTIONS = {
+    1: "illegal function",
+    2: "illegal data address",
+    3: "illegal data value",
+    4: "device failure",
+    5: "acknowledge, still working",
+    6: "device busy",
+    8: "memory parity error",
+    10: "gateway path unavailable",
+    11: "gateway target does not answer",
+}
+
+
+class ReplyError(Exception):
+    """A reply that is not the answer to its request; `kind` counts it."""
+
+    def __init__(self, kind: str, words: str) -> None:
+        super().__init__(words)
+        self.kind = kind
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A read request: count registers from address; the whole queue at address for function 24."""
+
+    unit: int
+    function: int
+    address: int
+    count: int = 0
+
+    @property
+    def words(self) -> str:
+        """The request in words, for messages."""
+        if self.function == FIFO:
+            return f"function 24, unit {self.unit}, queue {self.address}"
+        last = self.address + self.count - 1
+        return f"function {self.function}, unit {self.unit}, registers {self.address} to {last}"
+
+
+def check_reply(pdu: bytes, request: Request) -> ByteArray:
+    """Return the register bytes of a reply (function code first); raise ReplyError unless it answers the request."""
+    if not pdu:
+        raise ReplyError("reply", "an empty reply")
+    if pdu[0] == request.function | 0x80:
+        raise _exception(pdu, request)
+    if pdu[0] != request.function:
+        raise ReplyError("reply", f"a reply of function {pdu[0]} to {request.words}")
+    return _fifo_bytes(pdu, request) if request.function == FIFO else _register_bytes(pdu, request)
+
+
+def _exception(pdu: bytes, request: Request) -> ReplyError:
+    if len(pdu) != 2:
+        return ReplyError("reply", f"an exception of {len(pdu)} bytes to {request.words}")
+    meaning = _EXCEPTIONS.get(pdu[1], "not a code of the standard")
+    return ReplyError(f"exception {pdu[1]}", f"the device answers exception {pdu[1]} ({meaning}) to {request.words}")
+
+
+def _register_bytes(pdu: bytes, request: Request) -> ByteArray:
+    said, true = pdu[1] if len(pdu) > 1 else -1, len(pdu) - 2
+    if said != 2 * request.count or true != said:
+        raise ReplyError(
+            "reply", f"a reply of {true} bytes that says {said} where {2 * request.count} belong to {request.words}"
+        )
+    return np.frombuffer(pdu, np.uint8, offset=2)
+
+
+def _fifo_bytes(pdu: bytes, request: Request) -> ByteArray:
+    said = int.from_bytes(pdu[1:3], "big")
+    count = int.from_bytes(pdu[3:5], "big")
+    if len(pdu) < 5 or said != len(pdu) - 3 or said != 2 + 2 * count or count > FIFO_REGISTERS:
+        raise ReplyError("reply", f"a reply whose counts ({said} bytes, {count} registers) disagree to {request.words}")
+    return np.frombuffer(pdu, np.uint8, offset=5)
+
+
+class TcpFrames:
+    """Frames with the header of Modbus TCP."""
+
+    protocol = "modbus-tcp"
+
+    def __init__(self) -> None:
+        from pymodbus.framer.socket import FramerSocket
+
+        self._framer: FramerBase = FramerSocket(_decoder())
+        self._transaction = 0
+
+    def request(self, request: Request) -> bytes:
+        """Return the bytes of a request with a transaction number of its own."""
+        self._transaction = self._transaction % 65535 + 1
+        return self._framer.encode(request_pdu(request), request.unit, self._transaction)
+
+    def reply(self, data: bytes, request: Request) -> ByteArray | None:
+        """Return the reply's register bytes, None while it is incomplete; ReplyError when it is not the answer."""
+        if len(data) >= 6:
+            _check_header(data)
+        used, unit, transaction, pdu = self._framer.decode(data)
+        if not used:
+            return None
+        if transaction != self._transaction:
+            raise ReplyError("transaction", f"a reply of transaction {transaction} to {self._transaction}")
+        if unit != request.unit:
+            raise ReplyError("unit", f"a reply of unit {unit} to {request.words}")
+        if used != len(data):
+            raise ReplyError("reply", f"{len(data) - used} bytes too many after the reply to {request.words}")
+        return check_reply(pdu, request)
+
+
+def _check_header(data: bytes) -> None:
+    length = int.from_bytes(data[4:6], "big") + 6
+    if data[2:4] != b"\x00\x00":
+        raise ReplyError("reply", f"a reply of protocol {int.from_bytes(data[2:4], 'big')}, which is not Modbus")
+    if not 8 < length <= _LONGEST_TCP:
+        raise ReplyError("reply", f"a reply that says it has {length} bytes")
+
+
+class RtuFrames:
+    """Frames with the checksum of Modbus RTU; finds the reply behind stray bytes."""
+
+    protocol = "modbus-rtu"
+
+    def __init__(self) -> None:
+        from pymodbus.framer.rtu import FramerRTU
+
+        self._framer: FramerBase = FramerRTU(_decoder())
+
+    def request(self, request: Request) -> bytes:
+        """Return the bytes of a request."""
+        return self._framer.encode(request_pdu(request), request.unit, 0)
+
+    def reply(self, data: bytes, request: Request) -> ByteArray | None:
+        """Return the reply's register bytes, None while there is none; ReplyError for an exception reply.
+
+        The library's framer gives up at a stray byte that looks like a function code, so each place at which the
+        expected reply can begin is offered to it by itself.
+        """
+        for start in _starts(data, request):
+            piece = data[start : start + _rtu_size(data[start:])]
+            used, _, _, pdu = self._framer.decode(piece)
+            if used == len(piece) and pdu:
+                return check_reply(pdu, request)
+        return None
+
+
+def _starts(data: bytes, request: Request) -> list[int]:
+    answers = (request.function, request.function | 0x80)
+    return [i for i in range(len(data) - 4) if data[i] == request.unit and data[i + 1] in answers]
+
+
+def _rtu_size(data: bytes) -> int:
+    if data[1] & 0x80:
+        return 5
+    return 6 + int.from_bytes(data[2:4], "big") if data[1] == FIFO else 5 + data[2]
+
+
+def request_pdu(request: Request) -> bytes:
+    """Return a request's function code and data."""
+    from pymodbus.pdu.file_message import ReadFifoQueueRequest
+    from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
+
+    pdu: ModbusPDU
+    if request.function == FIFO:
+        pdu = ReadFifoQueueRequest(address=request.address, dev_id=request.unit)
+    else:
+        kind = {3: ReadHoldingRegistersRequest, 4: ReadInputRegistersRequest}[request.function]
+        pdu = kind(address=request.address, count=request.count, dev_id=request.unit)
+    return bytes([request.function]) + bytes(pdu.encode())
+
+
+def _decoder() -> "DecodePDU":
+    """Return the library's table of replies, its size of a function 24 reply over RTU mended (two bytes short)."""
+    from pymodbus.pdu import DecodePDU
+    from pymodbus.pdu.file_message import ReadFifoQueueResponse
+
+    class WholeFifoReply(ReadFifoQueueResponse):
+        @classmethod
+        def calculateRtuFrameSize(cls, data: bytes) -> int:  # noqa: N802 (the library's name)
+            return 6 + int.from_bytes(data[2:4], "big") if len(data) >= 4 else 0
+
+    decoder = DecodePDU(False)
+    decoder.register(WholeFifoReply)
+    return decoder

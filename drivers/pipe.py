@@ -1,0 +1,167 @@
+"""Byte pipes to a device, over TCP or a serial line: deadlines on the monotonic clock, failures as DriverIOError.
+
+The libraries' own waits use the wall clock (a step of it stretches them) and poll a serial line with sleeps; these
+select on the descriptor. What may be sent is decided by `drivers.listening`.
+"""
+
+import os
+import select
+import socket
+import termios
+import time
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from drivers import listening
+from drivers.port import DriverConfigError, DriverIOError, DriverSettings
+
+if TYPE_CHECKING:
+    import serial
+
+_BLOCK = 65536
+
+
+class Pipe(ABC):
+    """An open connection; `name` is for messages."""
+
+    name: str
+
+    @abstractmethod
+    def fileno(self) -> int:
+        """Return the descriptor."""
+
+    @abstractmethod
+    def send(self, protocol: str, data: bytes) -> None:
+        """Write bytes that a listener may write; DriverIOError when the line is gone."""
+
+    @abstractmethod
+    def _read(self) -> bytes:
+        """Read what is there; called only when there is something."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the descriptor; harmless when released already."""
+
+    def recv(self, deadline: float) -> bytes:
+        """Return what has arrived, waiting until `deadline` (time.monotonic); b"" when nothing came."""
+        ready, _, _ = select.select([self.fileno()], [], [], max(0.0, deadline - time.monotonic()))
+        return self._read() if ready else b""
+
+    def drain(self, seconds: float) -> int:
+        """Throw away what arrives within `seconds`; return how many bytes that were."""
+        deadline = time.monotonic() + seconds
+        thrown = 0
+        while data := self.recv(deadline):
+            thrown += len(data)
+        return thrown
+
+
+class TcpPipe(Pipe):
+    """A TCP connection; raises DriverIOError when it cannot be made within timeout_s."""
+
+    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+        self.name = f"{host}:{port}"
+        try:
+            self._socket = socket.create_connection((host, port), timeout_s)
+        except OSError as error:
+            raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def send(self, protocol: str, data: bytes) -> None:
+        try:
+            listening.send(protocol, self._socket, data)
+        except OSError as error:
+            raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
+
+    def _read(self) -> bytes:
+        try:
+            data = self._socket.recv(_BLOCK)
+        except OSError as error:
+            raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
+        if not data:
+            raise DriverIOError(f"{self.name}: the device closed the connection")
+        return data
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class SerialKeys(DriverSettings):
+    """What every serial line needs to know."""
+
+    port: str = Field(min_length=1)
+    baudrate: int = Field(default=115200, gt=0)
+    parity: str = Field(default="N", pattern="^[NEOMS]$")
+    stopbits: int = Field(default=1, ge=1, le=2)
+    bytesize: int = Field(default=8, ge=5, le=8)
+
+
+class SerialPipe(Pipe):
+    """A serial line, opened and set up by pyserial, read in large blocks from its descriptor."""
+
+    def __init__(self, keys: SerialKeys, device: str) -> None:
+        self.name = device
+        self._line = _open_serial(keys, device)
+
+    def fileno(self) -> int:
+        return int(self._line.fileno())
+
+    def send(self, protocol: str, data: bytes) -> None:
+        try:
+            _write_all(self.fileno(), listening.check(protocol, data))
+        except OSError as error:
+            raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
+
+    def _read(self) -> bytes:
+        try:
+            data = os.read(self.fileno(), _BLOCK)
+        except OSError as error:
+            raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
+        if not data:
+            raise DriverIOError(f"{self.name}: the line was unplugged")
+        return data
+
+    def close(self) -> None:
+        # closing a line that was unplugged fails in whichever of pyserial's three exception families comes first
+        try:
+            self._line.close()
+        except (OSError, termios.error):
+            self._line.fd = None
+
+
+def _open_serial(keys: SerialKeys, device: str) -> "serial.Serial":
+    import serial
+
+    line = serial.Serial(
+        None,
+        keys.baudrate,
+        parity=keys.parity,
+        stopbits=keys.stopbits,
+        bytesize=keys.bytesize,
+        timeout=0,
+        exclusive=True,
+    )
+    line.port = device
+    try:
+        line.open()
+    except (serial.SerialException, OSError, termios.error) as error:
+        line.close()
+        raise DriverIOError(f"{device}: {_serial_words(error)}") from error
+    except ValueError as error:
+        raise DriverConfigError(f"{device}: {error}") from error
+    return line
+
+
+def _serial_words(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number else str(error)
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(descriptor, data) :]

@@ -1,0 +1,212 @@
+"""The sensitivity filters run over blocks of samples ("cells"), and what a cell leaves behind.
+
+A cell of L samples is two matrix products: o = O z + T v, z' = F^L z + R v. Of its outputs [e, psi] only two summaries
+are kept, which adjacent cells merge associatively:
+
+    gram = [e psi]'[e psi]          moment = G'[e psi],  G = [Gamma, d_1 Gamma .. d_q Gamma],  Gamma_k = C Phi^k
+
+G is what an unknown initial state of the observer does to e and psi; G(k + L) = G(k) Pi_L.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.sensitivity import SensitivityFilter
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CellOperator:
+    """The filters lifted to a cell of `length` samples.
+
+    Attributes:
+        length: samples, L.
+        outputs: (L(p+m) + nz, L p (1+q)): [v, z] @ outputs gives o, ordered sample, output, (e, psi_1 .. psi_q).
+        state_from_inputs: (L(p+m), nz).
+        state_from_state: (nz, nz), F^L.
+        G: (L p, nz).
+        Pi: (nz, nz).
+        n, p, q: states, outputs, parameters.
+    """
+
+    length: int
+    outputs: FloatArray
+    state_from_inputs: FloatArray
+    state_from_state: FloatArray
+    G: FloatArray
+    Pi: FloatArray
+    n: int
+    p: int
+    q: int
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What is kept of N stretches of equal length.
+
+    Attributes:
+        gram: (N, 1+q, 1+q).
+        moment: (nz, N, 1+q).
+        Pi: (nz, nz) carries G over one stretch.
+        GG: (nz, nz) G'G over one stretch.
+    """
+
+    gram: FloatArray
+    moment: FloatArray
+    Pi: FloatArray
+    GG: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.gram)
+
+    def part(self, which: slice) -> "Summary":
+        """Return some of the stretches."""
+        return Summary(self.gram[which], self.moment[:, which], self.Pi, self.GG)
+
+
+def cell_operators(system: SensitivityFilter, lengths: Sequence[int]) -> dict[int, CellOperator]:
+    """Lift the filters to each of the lengths (all cut from the longest)."""
+    longest = max(lengths)
+    nz, width = system.N.shape
+    rows = len(system.H)
+    free = np.empty((longest + 1, rows, nz))  # H F^k
+    forced = np.empty((longest, nz, width))  # F^k N
+    power = np.eye(nz)
+    for k in range(longest):
+        free[k] = system.H @ power
+        forced[k] = power @ system.N
+        power = system.F @ power
+    markov = np.concatenate([system.J[None], np.einsum("rz,kzw->krw", system.H, forced[: longest - 1])])
+    T = np.zeros((longest, rows, longest, width))
+    for k in range(longest):
+        T[k, :, : k + 1] = markov[k::-1].transpose(1, 0, 2)
+    return {L: _cut(system, L, free, forced, T) for L in sorted(set(lengths))}
+
+
+def _cut(
+    system: SensitivityFilter, L: int, free: FloatArray, forced: FloatArray, T: FloatArray
+) -> CellOperator:
+    n, p, q = system.n, system.p, system.q
+    rows, (nz, width) = p * (1 + q), system.N.shape
+    O = free[:L].reshape(L * rows, nz)  # noqa: E741 (the letter of the books)
+    outputs = np.vstack([T[:L, :, :L].reshape(L * rows, L * width).T, O.T])
+    from_inputs = forced[:L][::-1].transpose(0, 2, 1).reshape(L * width, nz)
+    # e answers the initial state with -Gamma, psi_i with +d_i Gamma: the first n columns of H F^k, signs mended
+    initial = free[:L, :, :n].reshape(L * p, 1 + q, n).copy()
+    initial[:, 0] *= -1.0
+    state_power = np.linalg.matrix_power(system.F, L)
+    return CellOperator(
+        L, np.ascontiguousarray(outputs), np.ascontiguousarray(from_inputs), state_power,
+        initial.reshape(L * p, nz), _transition(state_power, n, q), n, p, q,
+    )  # fmt: skip
+
+
+def _transition(state_power: FloatArray, n: int, q: int) -> FloatArray:
+    """Pi = [[Phi^L, S_1 .. S_q], [0, blockdiag(Phi^L)]], S_i the (s_i <- x) block of F^L."""
+    Phi = state_power[:n, :n]
+    Pi = np.kron(np.eye(1 + q), Phi)
+    for i in range(1, 1 + q):
+        Pi[:n, n * i : n * (i + 1)] = state_power[n * i : n * (i + 1), :n]
+    return Pi
+
+
+def run_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> FloatArray:
+    """Return the outputs (N, L p, 1+q) of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
+    o = np.hstack([v, z]) @ operator.outputs
+    return o.reshape(len(v), operator.length * operator.p, 1 + operator.q)
+
+
+def summarise_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> Summary:
+    """Return the summary of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
+    count, width = len(v), 1 + operator.q
+    # outputs with the cells on the last axis: one product makes the moments of all of them
+    o = operator.outputs.T @ np.hstack([v, z]).T
+    o = o.reshape(operator.length * operator.p, width * count)
+    moment = (operator.G.T @ o).reshape(-1, width, count).transpose(0, 2, 1)
+    columns = o.reshape(-1, width, count)
+    gram = np.empty((count, width, width))
+    for a in range(width):
+        for b in range(a, width):
+            gram[:, a, b] = gram[:, b, a] = np.einsum("kn,kn->n", columns[:, a], columns[:, b])
+    return Summary(gram, np.ascontiguousarray(moment), operator.Pi, operator.G.T @ operator.G)
+
+
+def merge(first: Summary, second: Summary) -> Summary:
+    """Return the summaries of N stretches, each `first` followed at once by `second`."""
+    count, width = first.gram.shape[:2]
+    carried = (first.Pi.T @ second.moment.reshape(-1, count * width)).reshape(-1, count, width)
+    return Summary(
+        first.gram + second.gram,
+        first.moment + carried,
+        first.Pi @ second.Pi,
+        first.GG + first.Pi.T @ second.GG @ first.Pi,
+    )
+
+
+def sliding(hops: Summary, count: int) -> Summary:
+    """Return the summaries of every `count` consecutive stretches, N - count + 1 of them, by doubling.
+
+    Summaries merge associatively and are never subtracted, so the cost is one product a level and log2(count) levels
+    (cf. Tangwongsan et al., General incremental sliding-window aggregation, VLDB 2015).
+    """
+    total: Summary | None = None
+    power, remaining, taken = hops, count, 0
+    while True:
+        if remaining & 1:
+            usable = len(hops) - count + 1
+            piece = power.part(slice(taken, taken + usable))
+            total = piece if total is None else merge(total, piece)
+            taken += count_of(power, hops)
+        remaining >>= 1
+        if not remaining:
+            return total if total is not None else power
+        step = count_of(power, hops)
+        power = merge(power.part(slice(0, len(power) - step)), power.part(slice(step, None)))
+
+
+def count_of(power: Summary, hops: Summary) -> int:
+    """Return how many stretches each entry of a doubled summary covers."""
+    return len(hops) - len(power) + 1
+
+
+def propagate(z: FloatArray, transition: FloatArray, forced: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solve z(j+1) = transition z(j) + forced(j) over N steps; return all z(0..N-1), (N, nz), and z(N).
+
+    Blocked: within blocks of about sqrt(N) steps all blocks advance together, then the blocks are joined.
+    """
+    count, nz = forced.shape
+    block = max(1, int(np.sqrt(count)))
+    blocks = count // block
+    states = np.empty((count, nz))
+    if blocks > 1:
+        _propagate_blocks(z, transition, forced[: blocks * block].reshape(blocks, block, nz), states)
+        z = transition @ states[blocks * block - 1] + forced[blocks * block - 1]
+        start = blocks * block
+    else:
+        start = 0
+    for j in range(start, count):
+        states[j] = z
+        z = transition @ z + forced[j]
+    return states, z
+
+
+def _propagate_blocks(z: FloatArray, transition: FloatArray, forced: FloatArray, states: FloatArray) -> None:
+    """Fill states (at least blocks * block, nz) from z over forced (blocks, block, nz)."""
+    blocks, block, nz = forced.shape
+    local = np.zeros((block + 1, blocks, nz))
+    for j in range(block):
+        local[j + 1] = local[j] @ transition.T + forced[:, j]
+    over_block = np.linalg.matrix_power(transition, block)
+    starts = np.empty((blocks, nz))
+    for b in range(blocks):
+        starts[b] = z
+        z = over_block @ z + local[block, b]
+    out = states[: blocks * block].reshape(blocks, block, nz)
+    carried = starts
+    for j in range(block):
+        out[:, j] = local[j] + carried
+        carried = carried @ transition.T

@@ -1,0 +1,197 @@
+"""Iterated maximum-likelihood fit of one window on its samples: variable projection with Levenberg-Marquardt steps.
+
+The sliding estimate of `window` is one Gauss-Newton step about theta_r. Where the parameters have moved far this fit
+iterates to the maximum, from a wide basin (with an observer that corrects) to the efficient one (without, where the
+model allows it), and works on samples, so that it resolves residuals far below what a Gram matrix does.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.cells import cell_operators, propagate, run_cells
+from agent.numerics.sensitivity import sensitivity_filter
+from agent.numerics.statespace import Discrete, StateSpace
+
+FloatArray = NDArray[np.float64]
+CELL = 32
+"""Samples a cell: long enough for the matrix products, short enough that their triangular half is not wasted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """A window's innovations and sensitivities at one (theta, x0), the initial state projected out.
+
+    Attributes:
+        e: (W p,) innovations left, in units of their standard deviation.
+        psi: (W p, q) sensitivities left.
+        e0: (n,) correction of the initial state that was taken out.
+        e0_by_theta: (n, q) how that correction moves with theta.
+    """
+
+    e: FloatArray
+    psi: FloatArray
+    e0: FloatArray
+    e0_by_theta: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares left."""
+        return float(self.e @ self.e)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """The maximum of the likelihood on one window.
+
+    Attributes:
+        theta: (q,) estimate.
+        x0: (n,) shifted state at the window's first sample.
+        covariance: (q, q) for unit noise variance; inf on the diagonal where nothing is known.
+        residual: (W, p) innovations left, in units of their standard deviation.
+        steps: Gauss-Newton steps taken.
+        converged: the last step was below the tolerance.
+    """
+
+    theta: FloatArray
+    x0: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
+    steps: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One window to fit.
+
+    Attributes:
+        sample: theta (q,) -> the sampled model there.
+        v: (W, p+m) outputs and inputs.
+        weight: (p,) 1/sigma of each output.
+        scale: (q,) size of each parameter, for tolerances and the weak prior that keeps what is unexcited in place.
+        lower: (q,) bounds from below; -inf where there is none.
+    """
+
+    sample: Callable[[FloatArray], Discrete]
+    v: FloatArray
+    weight: FloatArray
+    scale: FloatArray
+    lower: FloatArray
+
+
+def linearise(model: StateSpace, gain: FloatArray, weight: FloatArray, v: FloatArray, x0: FloatArray) -> Linearised:
+    """Run observer (from x0) and sensitivities over a window v (W, p+m) and project the initial state out."""
+    o, G = _outputs(model, gain, weight, v, x0)
+    n, width = model.n, 1 + model.q
+    Gamma = G[:, :n]
+    left, pinv = _orthogonal(Gamma)
+    e0 = pinv @ o[:, 0]
+    moved = o.copy()
+    moved[:, 0] -= Gamma @ e0
+    moved[:, 1:] += G[:, n:].reshape(len(G), width - 1, n) @ e0
+    e0_by_theta = -pinv @ moved[:, 1:]
+    moved -= left @ (left.T @ moved)
+    return Linearised(moved[:, 0], moved[:, 1:], e0, e0_by_theta)
+
+
+def _outputs(
+    model: StateSpace, gain: FloatArray, weight: FloatArray, v: FloatArray, x0: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return [e psi] (W p, 1+q) and G (W p, n(1+q)) over the window."""
+    system = sensitivity_filter(model, gain, weight)
+    whole, rest = divmod(len(v), CELL)
+    operators = cell_operators(system, [length for length in (CELL if whole else 0, rest) if length])
+    z = np.zeros(len(system.F))
+    z[: model.n] = x0
+    outputs, leverage, carried = [], [], np.eye(len(z))
+    if whole:
+        operator = operators[CELL]
+        inputs = v[: whole * CELL].reshape(whole, -1)
+        states, z = propagate(z, operator.state_from_state, inputs @ operator.state_from_inputs)
+        outputs.append(run_cells(operator, inputs, states).reshape(-1, 1 + model.q))
+        for _ in range(whole):
+            leverage.append(operator.G @ carried)
+            carried = operator.Pi @ carried
+    if rest:
+        operator = operators[rest]
+        outputs.append(run_cells(operator, v[whole * CELL :].reshape(1, -1), z[None]).reshape(-1, 1 + model.q))
+        leverage.append(operator.G @ carried)
+    return np.vstack(outputs), np.vstack(leverage)
+
+
+def _orthogonal(Gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return an orthonormal basis of the columns of Gamma (N, n) and its pseudo-inverse, columns scaled first."""
+    norms = np.linalg.norm(Gamma, axis=0)
+    scale = np.where(norms > 0, 1.0 / np.where(norms > 0, norms, 1.0), 0.0)
+    left, values, right = np.linalg.svd(Gamma * scale, full_matrices=False)
+    kept = values > 1e-12 * values[0]
+    left, values, right = left[:, kept], values[kept], right[kept]
+    return left, scale[:, None] * ((right.T / values) @ left.T)
+
+
+def fit_window(
+    problem: Problem, theta: FloatArray, x0: FloatArray, gains: list[Callable[[Discrete], FloatArray]],
+    max_steps: int = 12, tolerance: float = 1e-5,
+) -> Fit:  # fmt: skip
+    """Maximise the likelihood of a window from (theta, x0), one stage a gain, the last one's maximum is returned.
+
+    Each gain is a function of the sampled model at the stage's first point; within a stage it stays fixed.
+    """
+    fit = Fit(theta, x0, np.zeros((0, 0)), np.zeros((0, 0)), 0, False)
+    for stage, gain_at in enumerate(gains):
+        last = stage == len(gains) - 1
+        fit = _stage(problem, fit, gain_at(problem.sample(fit.theta)), max_steps, tolerance if last else 1e-2)
+    return fit
+
+
+def _stage(problem: Problem, start: Fit, gain: FloatArray, max_steps: int, tolerance: float) -> Fit:
+    theta, x0, damping, converged = start.theta, start.x0, 0.0, False
+    here = linearise(problem.sample(theta).model, gain, problem.weight, problem.v, x0)
+    steps = 0
+    while steps < max_steps and not converged:
+        steps += 1
+        step = _damped_step(here, damping, problem.scale)
+        moved = np.maximum(theta + step, problem.lower)
+        x_moved = x0 + here.e0 + here.e0_by_theta @ (moved - theta)
+        there = linearise(problem.sample(moved).model, gain, problem.weight, problem.v, x_moved)
+        small = bool(np.all(np.abs(moved - theta) <= tolerance * problem.scale))
+        if there.cost <= here.cost * (1 + 1e-9) or small:
+            theta, x0, here, converged = moved, x_moved, there, small
+            damping *= 0.1 if damping > 1e-8 else 0.0
+        elif np.isfinite(there.cost) or damping < 1e8:
+            damping = max(10 * damping, 1e-3)
+    return _finish(problem, replace(start, theta=theta, x0=x0, steps=start.steps + steps, converged=converged), here)
+
+
+def _damped_step(here: Linearised, damping: float, scale: FloatArray) -> FloatArray:
+    """Solve (H + damping diag H + weak prior) step = g in units of the parameters' sizes."""
+    psi = here.psi * scale
+    H = psi.T @ psi
+    # the prior of ten times a parameter's size decides only where the data say nothing
+    H += damping * np.diag(np.diag(H)) + 1e-2 * np.eye(len(scale)) * min(1.0, here.cost / max(len(here.e), 1))
+    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    step = np.linalg.lstsq(H / np.outer(root, root), (psi.T @ here.e) / root, rcond=1e-15)[0] / root
+    return np.asarray(np.clip(step, -0.9, 2.0) * scale)
+
+
+def _finish(problem: Problem, fit: Fit, here: Linearised) -> Fit:
+    """Take the last, undamped step on the samples by orthogonal factors and attach covariance and residual."""
+    norms = np.linalg.norm(here.psi, axis=0)
+    scale = np.where(norms > 0, 1.0 / np.where(norms > 0, norms, 1.0), 0.0)
+    left, values, right = np.linalg.svd(here.psi * scale, full_matrices=False)
+    sound = bool(norms.all()) and values[-1] > 1e-7 * values[0]
+    p = len(problem.weight)
+    if not sound:
+        unknown = np.full((len(norms), len(norms)), np.inf)
+        return replace(fit, x0=fit.x0 + here.e0, covariance=unknown, residual=here.e.reshape(-1, p))
+    root = scale[:, None] * (right.T / values)
+    step = root @ (left.T @ here.e)
+    if not np.all(np.abs(step) <= 1e-2 * problem.scale):
+        step = np.zeros_like(step)
+    theta = np.maximum(fit.theta + step, problem.lower)
+    x0 = fit.x0 + here.e0 + here.e0_by_theta @ (theta - fit.theta)
+    residual = here.e - here.psi @ (theta - fit.theta)
+    return replace(fit, theta=theta, x0=x0, covariance=root @ root.T, residual=residual.reshape(-1, p))

@@ -1,0 +1,108 @@
+"""Observer gains and observability.
+
+The observer is the paper's (2): x(k+1) = A x + B u + L (y - C x - D u), with L its K_e.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from agent.numerics.statespace import Discrete, StateSpace
+
+FloatArray = NDArray[np.float64]
+
+STRICTLY_STABLE = 1.0 - 1e-6
+"""Largest pole radius with which an observer may run on without correction (gain zero)."""
+
+
+def spectral_radius(A: FloatArray) -> float:
+    """Return the largest magnitude of the eigenvalues of A."""
+    return float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+
+
+def poles_gain(model: StateSpace, poles: Sequence[complex], period_s: float) -> FloatArray:
+    """Return L (n, p) that puts the observer's poles at exp(s T) for each continuous pole s (1/s).
+
+    Raises ValueError when there are not n poles or they cannot be placed.
+    """
+    from scipy.signal import place_poles  # 0.7 s to import, and few configurations ask for it
+
+    if len(poles) != model.n:
+        raise ValueError(f"{len(poles)} poles for {model.n} states; give {model.n}")
+    placed = np.exp(np.asarray(poles) * period_s)
+    return np.ascontiguousarray(place_poles(model.A.T, model.C.T, placed).gain_matrix.T)
+
+
+def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the steady-state predictor gain L = A P C' (C P C' + R)^-1, (n, p).
+
+    Args:
+        model: the sampled model.
+        process: (n, n) covariance of the process noise a sample.
+        noise: (p, p) covariance of the sensor noise.
+
+    Raises ValueError when the Riccati equation has no stabilising solution.
+    """
+    try:
+        P = solve_discrete_are(model.A.T, model.C.T, process, noise)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"no stabilising observer gain: {error}") from error
+    return np.linalg.solve(model.C @ P @ model.C.T + noise, model.C @ P @ model.A.T).T
+
+
+def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, window: int) -> FloatArray:
+    """Return a Kalman gain whose slowest pole forgets within a window, for use before the first fit.
+
+    Args:
+        discrete: the sampled model.
+        disturbance: (n, d) directions in which unknown forces push the state.
+        sigma: (p,) standard deviation of each output's noise.
+        window: samples in the window.
+
+    The one free figure, the intensity of the disturbance, is searched by bisection of its logarithm.
+    """
+    model = discrete.model
+    direction = disturbance @ disturbance.T * discrete.period_s
+    noise = np.diag(np.asarray(sigma) ** 2)
+    unit = np.mean(np.asarray(sigma) ** 2) / max(float(np.trace(direction)), 1e-300)
+    target = np.exp(-6.0 / window)
+    low, high = -4.0, 16.0
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        gain = kalman_gain(model, 10.0**middle * unit * direction, noise)
+        if spectral_radius(model.A - gain @ model.C) < target:
+            high = middle
+        else:
+            low = middle
+    return kalman_gain(model, 10.0**high * unit * direction, noise)
+
+
+def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance: float = 1e-9) -> list[str]:
+    """Return the names of states that the outputs do not show; empty when (A, C) is observable.
+
+    The test of Popov, Belevitch and Hautus at each eigenvalue, on a model whose time is scaled so that its fastest
+    mode is 1 and whose rows of C are scaled to 1, so that units do not decide.
+    """
+    speed = max(float(np.max(np.abs(np.linalg.eigvals(continuous.A)), initial=0.0)), 1e-300)
+    A, scale = _balanced(continuous.A / speed)
+    C = continuous.C * scale
+    norms = np.linalg.norm(C, axis=1, keepdims=True)
+    C = C / np.where(norms > 0, norms, 1.0)
+    hidden: set[int] = set()
+    for eigenvalue in np.linalg.eigvals(A):
+        pencil = np.vstack([A - eigenvalue * np.eye(len(A)), C])
+        _, values, vectors = np.linalg.svd(pencil)
+        for value, vector in zip(values, vectors, strict=True):
+            if value < tolerance * values[0]:
+                hidden.update(np.flatnonzero(np.abs(vector) > 1e-3).tolist())
+    return [names[i] for i in sorted(hidden)]
+
+
+def _balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return A scaled by a diagonal similarity so that rows and columns weigh alike, and the (n,) scaling of C."""
+    from scipy.linalg import matrix_balance
+
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    return balanced, np.asarray(scale)

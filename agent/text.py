@@ -1,0 +1,41 @@
+"""Numbers and instants as people read them; used by messages and tables."""
+
+import math
+from datetime import UTC, datetime, timedelta
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def with_sd(value: float, sd: float) -> str:
+    """Write a value beside its standard deviation, both to the digits that the deviation allows: `25.1 ± 0.9`.
+
+    The deviation keeps two digits where it begins with 1 or 2, else one. Very small and very large pairs share a
+    power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone.
+    """
+    if not (math.isfinite(value) and math.isfinite(sd) and sd > 0.0):
+        return number(value)
+    power = math.floor(math.log10(sd))
+    decimals = (1 if sd / 10.0**power < 2.95 else 0) - power
+    size = math.floor(math.log10(max(abs(value), sd)))
+    if -4 <= size < 7:
+        return f"{_fixed(value, decimals)} ± {_fixed(sd, decimals)}"
+    scale = 10.0**size
+    return f"({_fixed(value / scale, decimals + size)} ± {_fixed(sd / scale, decimals + size)})e{size:+03d}"
+
+
+def number(value: float | None, digits: int = 6) -> str:
+    """Write a number alone, or a dash for none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.{digits}g}"
+
+
+def iso_time(t_ns: int) -> str:
+    """Write nanoseconds since the epoch as ISO 8601 in UTC with nine decimals and Z."""
+    seconds, fraction = divmod(int(t_ns), 1_000_000_000)
+    instant = _EPOCH + timedelta(seconds=seconds)
+    return f"{instant:%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
+
+
+def _fixed(value: float, decimals: int) -> str:
+    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"

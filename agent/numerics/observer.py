@@ -65,8 +65,9 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
     """
     model = discrete.model
     direction = disturbance @ disturbance.T * discrete.period_s
-    noise = np.diag(np.asarray(sigma) ** 2)
-    unit = np.mean(np.asarray(sigma) ** 2) / max(float(np.trace(direction)), 1e-300)
+    # only the ratio of the two covariances matters: noise of the size 1 keeps the Riccati equation well conditioned
+    noise = np.diag(np.asarray(sigma) ** 2 / np.mean(np.asarray(sigma) ** 2))
+    unit = 1.0 / max(float(np.trace(direction)), 1e-300)
     target = np.exp(-6.0 / window)
     low, high = -4.0, 16.0
     for _ in range(12):

@@ -1,0 +1,178 @@
+"""One uninterrupted stretch of samples, summarised hop by hop, and the windows that end at each.
+
+The hop grid counts from sample 0 of the run: windows start at multiples of H. A hop has a head of `a` samples (the
+last hop of a window is taken only that far) and a rest; a window is F whole hops and the head of the next one. Cells
+are fixed pieces of heads and rests, so results do not depend on how the stream was cut on arrival.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.cells import CellOperator, Summary, cell_operators, merge, propagate, sliding, summarise_cells
+from agent.numerics.sensitivity import SensitivityFilter
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+CELL_TARGET = 28
+"""Samples a cell: longer wastes the empty half of the triangular products, shorter wastes calls."""
+
+
+def divide(length: int) -> list[int]:
+    """Cut a stretch into nearly equal cells of about CELL_TARGET samples."""
+    if not length:
+        return []
+    parts = max(1, round(length / CELL_TARGET))
+    return [length // parts + (i < length % parts) for i in range(parts)]
+
+
+@dataclass(frozen=True, slots=True)
+class HopPlan:
+    """How samples fall into hops: `window` W and `hop` H samples."""
+
+    window: int
+    hop: int
+
+    @property
+    def head(self) -> int:
+        """Samples of a window in its last hop, 1..H."""
+        return self.window % self.hop or self.hop
+
+    @property
+    def fulls(self) -> int:
+        """Whole hops in a window before its last one."""
+        return (self.window - self.head) // self.hop
+
+    def rows_between(self, start: int, stop: int) -> IntArray:
+        """Return the sample indices in [start, stop) at which rows fall due."""
+        return np.arange(start + (self.head - 1 - start) % self.hop, stop, self.hop, dtype=np.int64)
+
+
+class HopOperators:
+    """The lifted filters of a hop's head and rest, for one theta_r and gain."""
+
+    def __init__(self, system: SensitivityFilter, plan: HopPlan) -> None:
+        self.head = divide(plan.head)
+        self.rest = divide(plan.hop - plan.head)
+        self.cells: dict[int, CellOperator] = cell_operators(system, [*self.head, *self.rest])
+        self.nz = len(system.F)
+        self.n = system.n
+        self.hop_transition = np.linalg.matrix_power(system.F, plan.hop)
+
+    def forced(self, v: FloatArray) -> FloatArray:
+        """Return the states (N, nz) that rest and head v (N, H, p+m) leave when started from zero."""
+        state = np.zeros((len(v), self.nz))
+        start = 0
+        for length in (*self.rest, *self.head):
+            cell = self.cells[length]
+            inputs = v[:, start : start + length].reshape(len(v), -1)
+            state = state @ cell.state_from_state.T + inputs @ cell.state_from_inputs
+            start += length
+        return state
+
+    def summarise(self, lengths: list[int], v: FloatArray, z: FloatArray) -> tuple[Summary, FloatArray]:
+        """Return the summaries of N stretches v (N, L, p+m) from states z (N, nz), and the states at their ends."""
+        total: Summary | None = None
+        start = 0
+        for length in lengths:
+            cell = self.cells[length]
+            inputs = v[:, start : start + length].reshape(len(v), -1)
+            piece = summarise_cells(cell, inputs, z)
+            z = z @ cell.state_from_state.T + inputs @ cell.state_from_inputs
+            total = piece if total is None else merge(total, piece)
+            start += length
+        if total is None:
+            raise ValueError("a stretch without samples has no summary")
+        return total, z
+
+
+class Segment:
+    """Samples of one uninterrupted stretch and the summaries of its hops."""
+
+    def __init__(self, plan: HopPlan, index: int, width: int) -> None:
+        self.plan = plan
+        self.first = -(-index // plan.hop) * plan.hop
+        self.done = self.first
+        self.v: FloatArray = np.zeros((0, width))
+        self.z: FloatArray | None = None
+        self.fulls: Summary | None = None
+        self.head: Summary | None = None
+
+    def append(self, index: int, v: FloatArray) -> None:
+        """Take samples v (N, p+m), the first of them number `index`, directly after those before."""
+        skipped = max(0, self.first + len(self.v) - index)
+        self.v = np.concatenate([self.v, v[skipped:]])
+
+    def samples(self, start: int, stop: int) -> FloatArray:
+        """Return the kept samples [start, stop)."""
+        return self.v[start - self.first : stop - self.first]
+
+    def trim(self, keep: int) -> None:
+        """Forget samples older than `keep` before the newest summarised, now and then."""
+        spare = self.done - keep - self.first
+        if spare > keep + 4096:
+            self.v = self.v[spare:].copy()
+            self.first += spare
+
+    def ready(self) -> int:
+        """Return how many rows can be computed from the samples that wait."""
+        waiting = self.first + len(self.v) - self.done
+        if self.head is None:
+            return int(waiting >= self.plan.head)
+        return waiting // self.plan.hop
+
+    def restart(self, start: int, z: FloatArray) -> None:
+        """Begin again at sample `start` with filter state z (nz,): the summaries belong to other operators."""
+        self.fulls = self.head = None
+        self.done, self.z = start, z
+
+    def advance(self, operators: HopOperators, units: int) -> tuple[IntArray, Summary | None]:
+        """Summarise the next rows' samples; return the rows' indices and the windows that end there, if whole."""
+        if self.head is None:
+            return self._first_head(operators)
+        plan = self.plan
+        v = self.samples(self.done, self.done + units * plan.hop).reshape(units, plan.hop, -1)
+        assert self.z is not None
+        states, self.z = propagate(self.z, operators.hop_transition, operators.forced(v))
+        split = plan.hop - plan.head
+        rest: Summary | None = None
+        if split:
+            rest, states = operators.summarise(operators.rest, v[:, :split], states)
+        heads, _ = operators.summarise(operators.head, v[:, split:], states)
+        finished = _joined(self.head, heads.part(slice(0, -1)))
+        self.fulls = _joined(self.fulls, finished if rest is None else merge(finished, rest))
+        self.head = heads.part(slice(-1, None))
+        index = self.done + plan.hop * np.arange(1, units + 1, dtype=np.int64) - 1
+        self.done += units * plan.hop
+        return index, self._windows(heads)
+
+    def _first_head(self, operators: HopOperators) -> tuple[IntArray, Summary | None]:
+        z = self.z if self.z is not None else np.zeros(operators.nz)
+        v = self.samples(self.done, self.done + self.plan.head)
+        self.head, ends = operators.summarise(operators.head, v[None], z[None])
+        self.z = ends[0]
+        self.done += self.plan.head
+        return np.array([self.done - 1], dtype=np.int64), self.head if self.plan.fulls == 0 else None
+
+    def _windows(self, heads: Summary) -> Summary | None:
+        """Join whole hops and a head into windows, for as many of the newest rows as there are enough hops."""
+        F, fulls = self.plan.fulls, self.fulls
+        assert fulls is not None
+        if F == 0:
+            self.fulls = None
+            return heads
+        self.fulls = fulls.part(slice(max(0, len(fulls) - F), None))
+        usable = min(len(fulls), F - 1 + len(heads))
+        if usable < F:
+            return None
+        slid = sliding(fulls.part(slice(len(fulls) - usable, None)), F)
+        return merge(slid, heads.part(slice(len(heads) - len(slid), None)))
+
+
+def _joined(first: Summary | None, second: Summary) -> Summary:
+    """Append stretches in time."""
+    if first is None:
+        return second
+    gram = np.concatenate([first.gram, second.gram])
+    return Summary(gram, np.concatenate([first.moment, second.moment], axis=1), second.Pi, second.GG)

@@ -1,0 +1,84 @@
+"""A recording as a table of text: finds delimiter and header, then reads whole lines in large pieces."""
+
+import csv
+from collections.abc import Iterator
+from typing import BinaryIO
+
+from drivers.csv_text import Table
+from drivers.port import DriverConfigError
+from drivers.recorded import BLOCK_ROWS, RecordedFile, Rows, Wanted
+
+_DELIMITERS = ",;\t"
+_LONGEST_HEADER = 1 << 20
+
+
+class CsvFile(RecordedFile):
+    """A text table with a header; raises DriverConfigError when the file cannot be one."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._wanted = wanted
+        try:
+            self._file: BinaryIO = wanted.path.open("rb")
+        except OSError as error:
+            raise DriverConfigError(f"{wanted.path}: {error.strerror or error}") from error
+        try:
+            self._begin()
+        except DriverConfigError:
+            self.close()
+            raise
+
+    def _begin(self) -> None:
+        header = self._header(self._file.readline(_LONGEST_HEADER))
+        delimiter = self._wanted.delimiter or max(_DELIMITERS, key=header.count)
+        self._names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+        self._check_names()
+        columns = tuple(self._wanted.place(name, self._names) for name in self._wanted.names)
+        time = self._wanted.time_place(self._names)
+        self._wanted.note_ignored(self._names)
+        self._line = 2
+        self._table = Table(delimiter, len(self._names), time, columns, self._report)
+        self._first = self._file.readline()
+        if not self._first.strip():
+            raise DriverConfigError(f"{self._wanted.path}: has a header and no rows")
+
+    def _header(self, line: bytes) -> str:
+        if not line:
+            raise DriverConfigError(f"{self._wanted.path}: is empty")
+        try:
+            text = line.decode("utf-8-sig").rstrip("\r\n")
+        except UnicodeDecodeError:
+            text = "\0"
+        if any(ord(character) < 32 and character != "\t" for character in text) or len(line) == _LONGEST_HEADER:
+            raise DriverConfigError(f"{self._wanted.path}:1: is not text; a recording is a CSV or NPZ file")
+        if not text.strip():
+            raise DriverConfigError(f"{self._wanted.path}:1: is blank; the first line must name the columns")
+        return text
+
+    def _check_names(self) -> None:
+        if all(_is_number(name) for name in self._names):
+            raise DriverConfigError(
+                f"{self._wanted.path}:1: holds numbers and no names; the first line must name the columns"
+            )
+
+    def _report(self, line: int, column: int, text: str) -> None:
+        place = f"{self._wanted.path}:{self._line + line}"
+        self._wanted.fault(f'{place}: {self._names[column]}: "{text[:40]}" is no number; it counts as missing')
+
+    def rows(self) -> Iterator[Rows]:
+        size = len(self._first) * BLOCK_ROWS
+        chunk = self._first + self._file.read(size) + self._file.readline()
+        while chunk:
+            yield self._table.read(chunk)
+            self._line += chunk.count(b"\n")
+            chunk = self._file.read(size) + self._file.readline()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,156 @@
+"""One wrapper around every driver: opens, reads and re-opens it for ever, and says once what happened.
+
+It never sleeps by itself beyond the time-out of `read`, and then on an event that stops it at once.
+"""
+
+import random
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from drivers.port import Driver, DriverIOError, SampleBlock
+
+FIRST_S = 0.1
+CEILING_S = 1.5
+"""Longest pause between two tries, so that a source is read again within 2 s of its return."""
+
+Cause = Literal["lost", "stale", "recovered"]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEvent:
+    """What happened to a source, once for each fault and once for each recovery.
+
+    Attributes:
+        cause: "lost" (cannot be opened or read), "stale" (open and silent) or "recovered" (a sample came after either).
+        message: in words.
+        at_s: when, on the wrapper's clock.
+    """
+
+    cause: Cause
+    message: str
+    at_s: float
+
+
+class Backoff:
+    """Pauses that double from first_s to ceiling_s, each drawn from its upper half so that rigs do not try in step."""
+
+    def __init__(self, rng: random.Random, first_s: float = FIRST_S, ceiling_s: float = CEILING_S) -> None:
+        self._rng = rng
+        self._first_s = first_s
+        self._ceiling_s = ceiling_s
+        self._pause_s = first_s
+
+    def next_s(self) -> float:
+        """Return the pause before the next try."""
+        pause_s = self._pause_s * self._rng.uniform(0.5, 1.0)
+        self._pause_s = min(2.0 * self._pause_s, self._ceiling_s)
+        return pause_s
+
+    def reset(self) -> None:
+        """Begin with the shortest pause again."""
+        self._pause_s = self._first_s
+
+
+class ReconnectingDriver:
+    """Reads a driver through its faults.
+
+    Args:
+        driver: any driver; its counts go on over re-opens.
+        stale_s: silence after which an open source counts as stale and is opened anew.
+        clock: monotonic seconds.
+        rng: draws the jitter of the pauses.
+        stop: setting it ends every wait at once.
+
+    DriverConfigError passes through, as retrying does not help, and so does the EOFError of a recording.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        stale_s: float,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        rng: random.Random | None = None,
+        stop: threading.Event | None = None,
+    ) -> None:
+        self.driver = driver
+        self.is_open = False
+        self._stale_s = stale_s
+        self._clock = clock
+        self._stop = stop or threading.Event()
+        self._backoff = Backoff(rng or random.Random())  # noqa: S311 (jitter keeps no secret)
+        self._retry_at = clock()
+        self._heard_at = clock()
+        self._fault: Cause | None = None
+        self._events: list[LinkEvent] = []
+
+    @property
+    def faulty(self) -> bool:
+        """Whether the source is lost or stale now."""
+        return self._fault is not None
+
+    def retry_in_s(self) -> float:
+        """Return the seconds until the next try to open; 0 when open or due."""
+        return 0.0 if self.is_open else max(0.0, self._retry_at - self._clock())
+
+    def take_events(self) -> list[LinkEvent]:
+        """Return what happened since the last call and forget it."""
+        events, self._events = self._events, []
+        return events
+
+    def read(self, timeout_s: float) -> SampleBlock:
+        """Return what has arrived, opening the source first when that is due; an empty block while it is lost."""
+        pause_s = self.retry_in_s()
+        if pause_s > 0:
+            self._stop.wait(min(pause_s, timeout_s))
+            return self._nothing()
+        try:
+            block = self._read_open(timeout_s)
+        except DriverIOError as error:
+            self._lose("lost", str(error))
+            return self._nothing()
+        self._judge(len(block))
+        return block
+
+    def close(self) -> None:
+        """Close the source; `read` opens it again."""
+        self.driver.close()
+        self.is_open = False
+
+    def _read_open(self, timeout_s: float) -> SampleBlock:
+        if not self.is_open:
+            self.driver.open()
+            self.is_open = True
+            self._heard_at = self._clock()
+        return self.driver.read(timeout_s)
+
+    def _judge(self, samples: int) -> None:
+        now = self._clock()
+        if samples:
+            self._heard_at = now
+            self._backoff.reset()
+            self._recover(now)
+        elif now - self._heard_at > self._stale_s and not self.driver.finite:
+            self._lose("stale", f"{self.driver.request.name}: silent for {self._stale_s:g} s")
+
+    def _recover(self, now: float) -> None:
+        if self._fault is not None:
+            self._events.append(LinkEvent("recovered", f"{self.driver.request.name}: delivers samples again", now))
+            self._fault = None
+
+    def _lose(self, cause: Cause, message: str) -> None:
+        """Close the source, plan the next try, and say so unless it is lost already."""
+        self.close()
+        now = self._clock()
+        self._retry_at = now + self._backoff.next_s()
+        if self._fault is None:
+            self._fault = cause
+            self._events.append(LinkEvent(cause, message, now))
+
+    def _nothing(self) -> SampleBlock:
+        return SampleBlock(np.empty((0, len(self.driver.request.fields))), time.monotonic_ns())

@@ -13,7 +13,7 @@ Each prints as `deltak: error: <key path or file:line>: <what>; <what to do>`.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class AgentError(Exception):
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
     @classmethod
-    def at(cls, path: str, message: str, advice: str = "") -> "AgentError":
+    def at(cls, path: str, message: str, advice: str = "") -> Self:
         """Make the error of a single fault."""
         return cls([Fault(path, message, advice)])
 

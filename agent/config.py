@@ -1,1 +1,0 @@
-"""Configuration: TOML files to checked models."""

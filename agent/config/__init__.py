@@ -1,0 +1,49 @@
+"""Configuration: TOML files to checked, frozen models.
+
+`load` reads one file, `load_many` those of one agent; both raise ConfigError with every fault at once.
+
+    toml_file -> parse (tables.py, fields.py, units.py) -> rules_* (what must hold between values) -> RigConfig
+"""
+
+from agent.config.load import load, load_many, parse
+from agent.config.plugins import driver_class, driver_entries
+from agent.config.tables import (
+    Alarm,
+    Channel,
+    Element,
+    Estimator,
+    LinearModel,
+    LinearParameter,
+    Mass,
+    MechanicsModel,
+    Model,
+    Observer,
+    Parameter,
+    Rig,
+    RigConfig,
+    Source,
+    Store,
+)
+
+__all__ = [
+    "Alarm",
+    "Channel",
+    "Element",
+    "Estimator",
+    "LinearModel",
+    "LinearParameter",
+    "Mass",
+    "MechanicsModel",
+    "Model",
+    "Observer",
+    "Parameter",
+    "Rig",
+    "RigConfig",
+    "Source",
+    "Store",
+    "driver_class",
+    "driver_entries",
+    "load",
+    "load_many",
+    "parse",
+]

@@ -1,0 +1,89 @@
+"""What was read of a file, before it is known to be right."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from agent.config.parse import Entry, Faults, readable
+from agent.config.tables import (
+    Alarm,
+    Channel,
+    Columns,
+    Estimator,
+    LinearModel,
+    MechanicsModel,
+    Model,
+    Parameter,
+    Rig,
+    Source,
+    Store,
+    parameters_of,
+)
+
+
+@dataclass
+class Draft:
+    """The tables of one file with their key paths, and the faults found in it.
+
+    Values that could not be read are None; rules pass over them, because they have been complained of already.
+    rig and model are None where the file has none.
+    """
+
+    folder: Path
+    faults: Faults = field(default_factory=Faults)
+    rig: Rig | None = None
+    model: Model | None = None
+    channels: list[Entry[Channel]] = field(default_factory=list)
+    estimator: Estimator = field(default_factory=Estimator)
+    alarms: list[Entry[Alarm]] = field(default_factory=list)
+    sources: list[Entry[Source]] = field(default_factory=list)
+    store: Store = field(default_factory=Store)
+    columns: Columns = field(default_factory=Columns)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """The sample rate, where it could be read."""
+        return self.rig.sample_rate_hz if self.rig else None
+
+    @property
+    def channel_names(self) -> list[str]:
+        """The names of the channels that have one."""
+        return [entry.table.name for entry in self.channels if readable(entry.table.name)]
+
+    @property
+    def inputs(self) -> list[Entry[Channel]]:
+        """The channels that drive the model."""
+        return [entry for entry in self.channels if entry.table.is_input]
+
+    @property
+    def outputs(self) -> list[Entry[Channel]]:
+        """The channels that are measured (those of unreadable quantity left out)."""
+        return [entry for entry in self.channels if readable(entry.table.quantity) and not entry.table.is_input]
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Everything that could be estimated, by name."""
+        if self.model is None:
+            return {}
+        channels = [table for _, table in self.channels if readable(table.name, table.quantity, table.unit)]
+        found = parameters_of(self.model, tuple(channels))
+        return {name: parameter for name, parameter in found.items() if readable(name)}
+
+    @property
+    def defaults(self) -> tuple[str, ...]:
+        """The parameters that are estimated when nothing is said: every spring and damper, or a linear model's all."""
+        kinds = ("spring", "damper", "linear")
+        return tuple(name for name, parameter in self.parameters.items() if parameter.kind in kinds)
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The names of what is estimated, whether they exist or not."""
+        return self.estimator.estimate or self.defaults
+
+    @property
+    def states(self) -> int | None:
+        """How many states the model has, where that can be told."""
+        if isinstance(self.model, LinearModel):
+            return len(self.model.A or ()) or None
+        if not isinstance(self.model, MechanicsModel) or not readable(*(mass.value for mass in self.model.mass)):
+            return None
+        return sum(2 if mass.value > 0 else 1 for mass in self.model.mass) or None

@@ -1,0 +1,115 @@
+"""Kinds of values that configuration tables hold; each says in words what it wants."""
+
+import math
+import re
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, Strict
+
+NAME: Final = r"^[A-Za-z][A-Za-z0-9_.-]{0,63}$"
+_DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*([smhdwy])")
+_SECONDS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86400.0, "y": 365.25 * 86400.0}
+
+
+class Table(BaseModel):
+    """A table of the configuration: frozen, no unknown keys, text is never taken for a number."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def shown(value: object) -> str:
+    """Write a value of the file in a message, short and on one line."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        text = value.encode("unicode_escape").decode("ascii") if not value.isprintable() else value
+        return f'"{text[:40]}..."' if len(text) > 43 else f'"{text}"'
+    if isinstance(value, (dict, list)):
+        return "a table" if isinstance(value, dict) else "a list"
+    if isinstance(value, int) and value.bit_length() > 64:
+        return "a number of more than 64 bits"
+    return str(value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _positive(value: object, wanted: str) -> float:
+    if not _is_number(value):
+        raise ValueError(f"must be {wanted}, not {shown(value)}")
+    number = _as_float(value)
+    if not (math.isfinite(number) and number > 0):
+        raise ValueError(f"must be greater than 0, not {shown(value)}")
+    return number
+
+
+def _as_float(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _window(value: object) -> float | tuple[float, ...] | Literal["auto"]:
+    if value == "auto":
+        return "auto"
+    wanted = 'a number of seconds, a list of them, or "auto"'
+    if not isinstance(value, list):
+        return _positive(value, wanted)
+    lengths = tuple(_positive(item, wanted) for item in value)
+    if not lengths or len(set(lengths)) < len(lengths):
+        raise ValueError("must list different lengths, at least one")
+    return lengths
+
+
+def _intensities(value: object) -> float | tuple[float, ...]:
+    wanted = "a number or a list with one number a mass"
+    if not isinstance(value, list):
+        return _positive(value, wanted)
+    numbers = tuple(_as_float(item) if _is_number(item) else math.nan for item in value)
+    if not all(math.isfinite(number) and number >= 0 for number in numbers) or not any(numbers):
+        raise ValueError(f"must be {wanted}, none negative and not all 0")
+    return numbers
+
+
+def _duration(value: object) -> float:
+    """Read "7d" or "forever" as seconds; a float is one already read."""
+    if isinstance(value, float):
+        return value
+    if value == "forever":
+        return math.inf
+    match = _DURATION.fullmatch(value) if isinstance(value, str) else None
+    if not match or not (seconds := float(match[1]) * _SECONDS[match[2]]):
+        raise ValueError(
+            f'must be a duration such as "7d", not {shown(value)}; units are s, m, h, d, w, y, or write "forever"'
+        )
+    return seconds
+
+
+def _one_line(value: str) -> str:
+    if not value.strip() or not value.isprintable():
+        raise ValueError("must be a text of printable characters, not empty")
+    return value
+
+
+def _path(value: object) -> Path:
+    if isinstance(value, Path):
+        return value
+    if not isinstance(value, str):
+        raise ValueError(f"must be a path in quotes, not {shown(value)}")  # noqa: TRY004 - pydantic collects it
+    return Path(_one_line(value))
+
+
+Name = Annotated[str, Field(pattern=NAME)]
+Text = Annotated[str, AfterValidator(_one_line)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Window = Annotated[float | tuple[float, ...] | Literal["auto"], PlainValidator(_window)]
+Intensities = Annotated[float | tuple[float, ...], PlainValidator(_intensities)]
+Duration = Annotated[float, PlainValidator(_duration)]
+FilePath = Annotated[Path, PlainValidator(_path)]
+Row = Annotated[tuple[float, ...], Strict(False)]
+Matrix = Annotated[tuple[Row, ...], Strict(False)]
+Names = Annotated[tuple[Name, ...], Strict(False), Field(min_length=1)]

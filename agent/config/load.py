@@ -1,0 +1,210 @@
+"""From a file to a checked configuration, with every fault at once."""
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from agent.config.draft import Draft
+from agent.config.fields import shown
+from agent.config.messages import join, listing, nearest
+from agent.config.parse import read_list, read_table
+from agent.config.rules_channels import check_channels
+from agent.config.rules_estimator import check_alarms, check_estimator
+from agent.config.rules_model import check_model
+from agent.config.rules_sources import check_sources, read_sources
+from agent.config.secrets import check_no_plain_secrets
+from agent.config.tables import (
+    Alarm,
+    Channel,
+    Columns,
+    Estimator,
+    LinearModel,
+    MechanicsModel,
+    Rig,
+    RigConfig,
+    Store,
+)
+from agent.config.toml_file import parse_toml, read_bytes
+from agent.errors import ConfigError, Fault
+
+TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns")
+RESERVED: Final = ("agent", "http", "mqtt", "metrics", "notify", "security")
+LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
+    ("estimator", "method"): ("ekf", "ukf", "rls"),
+    ("alarm", "kind"): ("rate", "forecast", "sensor", "source", "mismatch"),
+}
+_KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
+    "mass-spring-damper": MechanicsModel,
+    "linear": LinearModel,
+}
+_DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
+
+
+def load(path: str | Path) -> RigConfig:
+    """Read and check one configuration file.
+
+    Relative paths in it start at its folder. Raises ConfigError with every fault of the file; each names its key
+    path, or file and line where the file is not TOML.
+    """
+    file = Path(os.path.abspath(path))  # noqa: PTH100 - resolve() would follow links and change the folder
+    data = read_bytes(file)
+    return parse(data, file)
+
+
+def parse(data: bytes, file: Path) -> RigConfig:
+    """Check a configuration's bytes as if they stood in `file`; raises ConfigError with every fault."""
+    raw = parse_toml(data, file)
+    draft = Draft(file.parent)
+    _read(raw, draft)
+    for check in (check_model, check_channels, check_estimator, check_alarms, check_sources):
+        check(draft)
+    if draft.faults.found:
+        raise ConfigError(_ordered(draft.faults.found))
+    return _finished(draft, file, hashlib.sha256(data).hexdigest())
+
+
+def load_many(paths: Iterable[str | Path]) -> tuple[RigConfig, ...]:
+    """Read the configurations of one agent: rigs differ in name, and those of one store agree on all of [store].
+
+    Raises ConfigError with every fault of every file, each path led by its file where there are several.
+    """
+    files, configs, faults = [Path(path) for path in paths], [], []
+    for file in files:
+        try:
+            configs.append(load(file))
+        except ConfigError as error:
+            faults += [_led(fault, file, many=len(files) > 1) for fault in error.faults]
+    faults += _conflicts(configs)
+    if faults:
+        raise ConfigError(faults)
+    return tuple(configs)
+
+
+def _led(fault: Fault, file: Path, *, many: bool) -> Fault:
+    if not many or str(file) in fault.path:
+        return fault
+    return Fault(f"{file}: {fault.path}", fault.message, fault.advice)
+
+
+def _conflicts(configs: list[RigConfig]) -> list[Fault]:
+    rigs: dict[str, Path] = {}
+    stores: dict[Path, RigConfig] = {}
+    faults = []
+    for config in configs:
+        owner = rigs.setdefault(config.rig.name, config.file)
+        if owner is not config.file:
+            what = f"{shown(config.rig.name)} is the rig of {owner} too"
+            faults.append(Fault(f"{config.file}: rig.name", what, "rigs of one agent must differ"))
+        first = stores.setdefault(config.store.path, config)
+        for key in ("every_s", "keep", "max_mb"):
+            if getattr(config.store, key) != getattr(first.store, key):
+                what = f"differs from that of {first.file}, which shares the store"
+                faults.append(Fault(f"{config.file}: store.{key}", what, "make them the same"))
+    return faults
+
+
+def _read(raw: Mapping[str, Any], draft: Draft) -> None:
+    faults = draft.faults
+    for key in raw:
+        if key in RESERVED:
+            faults.add(key, "is not in this version", "remove the table")
+        elif key not in TABLES:
+            faults.add(
+                join("", key),
+                "unknown table",
+                f'the nearest known one is "{nearest(key, TABLES)}" of {listing(TABLES)}',
+            )
+    check_no_plain_secrets(raw, "", faults)
+    raw = _without_later(raw, draft)
+    for key in ("rig", "model", "channel"):
+        if key not in raw:
+            faults.add(key, "is missing", f"add [[{key}]]" if key == "channel" else f"add [{key}]")
+    if "rig" in raw:
+        draft.rig = read_table(Rig, raw["rig"], "rig", faults)
+    if "model" in raw:
+        _read_model(raw["model"], draft)
+    draft.channels = read_list(Channel, raw.get("channel", []), "channel", faults)
+    draft.estimator = read_table(Estimator, raw.get("estimator", {}), "estimator", faults)
+    draft.alarms = read_list(Alarm, raw.get("alarm", []), "alarm", faults)
+    draft.sources = read_sources(raw.get("source", []), faults)
+    draft.store = read_table(Store, raw.get("store", {}), "store", faults)
+    _read_columns(raw.get("columns", {}), draft)
+
+
+def _without_later(raw: Mapping[str, Any], draft: Draft) -> dict[str, Any]:
+    """Complain of values that a later version brings and take them out, so that nothing else complains of them."""
+    kept = dict(raw)
+    for (table, key), values in LATER.items():
+        rows = kept.get(table)
+        if isinstance(rows, dict):
+            kept[table] = _cleared(rows, key, values, table, draft)
+        elif isinstance(rows, list):
+            kept[table] = [_cleared(row, key, values, join(table, i), draft) for i, row in enumerate(rows)]
+    return kept
+
+
+def _cleared(row: Any, key: str, values: tuple[str, ...], path: str, draft: Draft) -> Any:
+    if not isinstance(row, dict) or row.get(key) not in values:
+        return row
+    draft.faults.add(f"{path}.{key}", f"{shown(row[key])} is not in this version", "leave the key out")
+    return {k: v for k, v in row.items() if k != key}
+
+
+def _read_model(raw: object, draft: Draft) -> None:
+    kind = raw.get("kind", "mass-spring-damper") if isinstance(raw, dict) else "mass-spring-damper"
+    table = _KINDS.get(kind) if isinstance(kind, str) else None
+    if table is None:
+        draft.faults.add("model.kind", f"{shown(kind)} is none of {listing(map(shown, _KINDS))}", "choose one")
+        return
+    draft.model = read_table(table, raw, "model", draft.faults)
+
+
+def _read_columns(raw: object, draft: Draft) -> None:
+    if not isinstance(raw, dict):
+        draft.faults.add("columns", f"must be a table, not {shown(raw)}")
+        return
+    delimiter = raw.get("delimiter")
+    if delimiter is not None and not (isinstance(delimiter, str) and delimiter in _DELIMITERS):
+        draft.faults.add("columns.delimiter", f"{shown(delimiter)} is none", "comma, semicolon and tab are")
+        delimiter = None
+    names = {key: value for key, value in raw.items() if key != "delimiter"}
+    for key, value in names.items():
+        if not isinstance(value, str) or not value:
+            draft.faults.add(join("columns", key), f"must be a column's name in quotes, not {shown(value)}")
+    draft.columns = Columns.model_construct(names=names, delimiter=delimiter and _DELIMITERS[delimiter])
+
+
+def _ordered(faults: list[Fault]) -> list[Fault]:
+    """Sort by the file's tables; the order within a table is the order of finding."""
+    rank = {name: number for number, name in enumerate(TABLES)}
+    return sorted(dict.fromkeys(faults), key=lambda fault: rank.get(fault.path.split(".")[0].split("[")[0], -1))
+
+
+def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
+    if draft.rig is None or draft.model is None:
+        raise AssertionError("a draft without faults has a rig and a model")
+    path = draft.store.path if draft.store.path != Path() else Path(f"{draft.rig.name}.db")
+    return RigConfig(
+        rig=draft.rig,
+        model=draft.model,
+        channel=tuple(entry.table for entry in draft.channels),
+        estimator=draft.estimator.model_copy(update={"estimate": draft.estimated}),
+        alarm=tuple(_with_defaults(entry.table, draft) for entry in draft.alarms),
+        source=tuple(entry.table for entry in draft.sources),
+        store=draft.store.model_copy(update={"path": draft.folder / path}),
+        columns=draft.columns,
+        file=file,
+        sha256=sha256,
+    )
+
+
+def _with_defaults(alarm: Alarm, draft: Draft) -> Alarm:
+    update: dict[str, float] = {}
+    if alarm.deadband is None and alarm.limit is not None:
+        update["deadband"] = 0.1 * alarm.limit
+    windows = draft.estimator.windows_s
+    if alarm.on_delay_s is None and len(windows) == 1:
+        update["on_delay_s"] = windows[0]
+    return alarm.model_copy(update=update)

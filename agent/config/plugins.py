@@ -1,0 +1,28 @@
+"""Drivers by name, from the entry points of what is installed."""
+
+from importlib.metadata import EntryPoint, entry_points
+
+from agent.errors import ConfigError
+from drivers.port import Driver
+
+GROUP = "deltak.drivers"
+
+
+def driver_entries() -> dict[str, EntryPoint]:
+    """Return the drivers that are installed, by name; nothing is imported yet."""
+    return {entry.name: entry for entry in sorted(entry_points(group=GROUP))}
+
+
+def driver_class(name: str) -> type[Driver]:
+    """Return the driver of that name; ConfigError (path "driver") names those there are, or what its import lacks."""
+    entries = driver_entries()
+    if name not in entries:
+        there = ", ".join(entries) or "none"
+        raise ConfigError.at("driver", f'no driver is called "{name}"', f"drivers are {there}")
+    try:
+        loaded: object = entries[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ConfigError.at("driver", f'"{name}" cannot be loaded: {error}', "install what it needs") from error
+    if not (isinstance(loaded, type) and issubclass(loaded, Driver)):
+        raise ConfigError.at("driver", f'"{name}" is no driver', f"{entries[name].value} is not a drivers.port.Driver")
+    return loaded

@@ -1,0 +1,96 @@
+"""What must hold among channels and the names of columns."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from agent.config.draft import Draft
+from agent.config.fields import shown
+from agent.config.messages import join, listing, nearest
+from agent.config.parse import Entry, Faults, readable
+from agent.config.tables import Channel, LinearModel, MechanicsModel
+from agent.config.units import conversion, examples, wrong_kind
+
+RESERVED: Final[Mapping[str, str]] = {
+    "t": "recordings call their time column t",
+    "delimiter": "[columns] has a key of that name",
+}
+
+
+def check_channels(draft: Draft) -> None:
+    """Note the faults of channels."""
+    _check_names(draft.channels, draft.faults)
+    for entry in draft.channels:
+        _check_unit(entry, draft.faults)
+        if isinstance(draft.model, MechanicsModel):
+            _check_place(entry, draft.model, draft.faults)
+        elif isinstance(draft.model, LinearModel) and entry.table.at:
+            draft.faults.add(f"{entry.path}.at", "a linear model has no masses", "remove the key")
+    _check_same_units(draft.channels, draft.faults)
+    complete = readable(*(entry.table.quantity for entry in draft.channels))
+    if draft.channels and complete and not draft.outputs:
+        draft.faults.add("channel", "nothing is measured", "add a displacement, velocity or acceleration channel")
+    _check_columns(draft)
+
+
+def _check_names(channels: list[Entry[Channel]], faults: Faults) -> None:
+    owner: dict[str, str] = {}
+    for path, channel in channels:
+        if channel.name in owner:
+            faults.add(
+                f"{path}.name", f"{shown(channel.name)} is the name of {owner[channel.name]}", "names must differ"
+            )
+        elif channel.name in RESERVED:
+            faults.add(f"{path}.name", f"{shown(channel.name)} is reserved", RESERVED[channel.name])
+        elif readable(channel.name):
+            owner[channel.name] = path
+
+
+def _check_unit(entry: Entry[Channel], faults: Faults) -> None:
+    path, channel = entry
+    if channel.scale == 0:
+        faults.add(f"{path}.scale", "must not be 0", "it would make every sample the same")
+    if not readable(channel.unit, channel.quantity):
+        return
+    kind = wrong_kind(channel.quantity, channel.unit)
+    if kind:
+        what = f"{shown(channel.unit)} is a unit of {kind}, not of {channel.quantity}"
+        faults.add(f"{path}.unit", what, f"units of {channel.quantity} are {examples(channel.quantity)} ...")
+
+
+def _check_place(entry: Entry[Channel], model: MechanicsModel, faults: Faults) -> None:
+    path, channel = entry
+    if channel.quantity in ("input", "output"):
+        wanted = "force, displacement, velocity or acceleration"
+        faults.add(f"{path}.quantity", f"{shown(channel.quantity)} is for linear models", f"use {wanted}")
+    if channel.at == "":
+        faults.add(f"{path}.at", "is missing", 'name the mass it acts on or is measured at, such as "m1"')
+    values = {mass.name: mass.value for mass in model.mass or ()}
+    if not channel.at or not values or not readable(*values, *values.values()):
+        return
+    if channel.at not in values:
+        faults.add(f"{path}.at", f"no mass is called {shown(channel.at)}", f"masses are {listing(values)}")
+    elif channel.quantity == "acceleration" and values[channel.at] == 0:
+        faults.add(f"{path}.at", f"{shown(channel.at)} has no mass, so no acceleration", "measure its displacement")
+
+
+def _check_same_units(channels: list[Entry[Channel]], faults: Faults) -> None:
+    """Parameters have one unit each, so every channel of a mechanical quantity must be in the same one."""
+    first: dict[str, tuple[str, str]] = {}
+    for path, channel in channels:
+        if not readable(channel.unit, channel.quantity) or channel.quantity in ("input", "output"):
+            continue
+        if wrong_kind(channel.quantity, channel.unit):
+            continue
+        unit = conversion(channel.quantity, channel.unit)[1]
+        owner, before = first.setdefault(channel.quantity, (path, unit))
+        if unit != before:
+            what = f"{shown(channel.unit)} does not go with {shown(before)} of {owner}"
+            faults.add(f"{path}.unit", what, f"give every {channel.quantity} the same unit, by scale and offset")
+
+
+def _check_columns(draft: Draft) -> None:
+    known = ["t", *draft.channel_names]
+    for key in draft.columns.names or {}:
+        if key not in known and len(draft.channel_names) == len(draft.channels):
+            advice = f'the nearest is "{nearest(key, known)}" of {listing(known)}'
+            draft.faults.add(join("columns", key), f"no channel is called {shown(key)}", advice)

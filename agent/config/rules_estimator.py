@@ -1,0 +1,135 @@
+"""What must hold in [estimator] and [[alarm]]."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from agent.config.draft import Draft
+from agent.config.fields import shown
+from agent.config.messages import listing, nearest
+from agent.config.parse import Faults, readable
+from agent.config.tables import Alarm, MechanicsModel
+
+
+def check_estimator(draft: Draft) -> None:
+    """Note the faults of the estimator."""
+    _check_names(draft)
+    _check_observer(draft)
+    if draft.rate_hz is not None:
+        _check_lengths(draft, draft.rate_hz)
+
+
+def _check_names(draft: Draft) -> None:
+    known, faults = draft.parameters, draft.faults
+    if not known:
+        return
+    for i, name in enumerate(draft.estimator.estimate or ()):
+        path = f"estimator.estimate[{i}]"
+        if name in draft.estimator.estimate[:i]:
+            faults.add(path, f"{shown(name)} is named twice", "name each parameter once")
+        elif name not in known:
+            advice = f'the nearest is "{nearest(name, known)}" of {listing(known)}'
+            faults.add(path, f"no parameter is called {shown(name)}", advice)
+        elif known[name].kind == "mass" and known[name].nominal == 0:
+            faults.add(path, f"{shown(name)} is a massless node", "a mass of 0 cannot be estimated")
+    if draft.estimator.estimate == () and not draft.defaults and isinstance(draft.model, MechanicsModel):
+        faults.add("estimator.estimate", "is missing: there is no spring and no damper", f"choose of {listing(known)}")
+
+
+def _check_observer(draft: Draft) -> None:
+    observer, faults, path = draft.estimator.observer, draft.faults, "estimator.observer"
+    if not readable(observer.gain):
+        return
+    _check_belongs(f"{path}.poles", "poles", observer.gain, bool(observer.poles), faults)
+    _check_belongs(f"{path}.process_sd", "kalman", observer.gain, observer.process_sd is not None, faults)
+    for i, pole in enumerate(observer.poles or ()):
+        if pole >= 0:
+            faults.add(
+                f"{path}.poles[{i}]", f"must be negative, not {shown(pole)}", "poles are in 1/s, stable ones below 0"
+            )
+    if observer.poles and draft.states and len(observer.poles) != draft.states:
+        what = f"has {len(observer.poles)} poles for {draft.states} states"
+        faults.add(f"{path}.poles", what, "give one pole a state")
+    masses = len(draft.model.mass or ()) if isinstance(draft.model, MechanicsModel) else draft.states
+    if isinstance(observer.process_sd, tuple) and masses and len(observer.process_sd) != masses:
+        faults.add(f"{path}.process_sd", f"has {len(observer.process_sd)} numbers for {masses}", "give one a mass")
+
+
+def _check_belongs(path: str, gain: str, given: str, there: bool, faults: Faults) -> None:
+    if given == gain and not there:
+        faults.add(path, f'is missing: gain = "{gain}" needs it', "add it")
+    elif given != gain and there:
+        faults.add(path, f'goes with gain = "{gain}", not "{given}"', "remove it or change the gain")
+
+
+def _check_lengths(draft: Draft, rate_hz: float) -> None:
+    estimator, faults = draft.estimator, draft.faults
+    if readable(estimator.hop_s) and round(min(estimator.hop_s * rate_hz, 1e18)) < 1:
+        advice = f"a sample takes {1 / rate_hz:g} s"
+        faults.add("estimator.hop_s", f"{estimator.hop_s:g} s is less than a sample", advice)
+    if not readable(estimator.window_s):
+        return
+    least = _least_samples(draft)
+    for path, window_s in _windows(draft):
+        samples = round(min(window_s * rate_hz, 1e18))
+        if samples < least:
+            what = f"{window_s:g} s is {samples} samples"
+            unknowns = f"{len(draft.estimated)} parameters and {draft.states or 0} states"
+            faults.add(path, what, f"{unknowns} need at least {least}: {least / rate_hz:g} s")
+        elif readable(estimator.hop_s) and estimator.hop_s > max(estimator.windows_s):
+            faults.add("estimator.hop_s", f"{estimator.hop_s:g} s is longer than the window", "hop within the window")
+            return
+
+
+def _windows(draft: Draft) -> Iterator[tuple[str, float]]:
+    lengths = draft.estimator.window_s
+    if isinstance(lengths, tuple):
+        yield from ((f"estimator.window_s[{i}]", length) for i, length in enumerate(lengths))
+    elif lengths != "auto":
+        yield "estimator.window_s", lengths
+
+
+def _least_samples(draft: Draft) -> int:
+    """Samples of all outputs must outnumber the unknowns: the parameters and the state that the window starts from."""
+    unknowns = len(draft.estimated) + (draft.states or 0)
+    return unknowns // max(len(draft.outputs), 1) + 2
+
+
+def check_alarms(draft: Draft) -> None:
+    """Note the faults of alarms."""
+    kinds = Counter[tuple[str, str]]()
+    for path, alarm in draft.alarms:
+        _check_limit(path, alarm, draft)
+        if not readable(alarm.parameter, alarm.kind):
+            continue
+        _check_parameter(path, alarm, draft)
+        kinds[alarm.parameter, alarm.kind] += 1
+        if kinds[alarm.parameter, alarm.kind] > 1:
+            what = f"{shown(alarm.parameter)} has a {alarm.kind} alarm already"
+            draft.faults.add(f"{path}.parameter", what, "one a parameter and kind")
+
+
+def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
+    known, estimated = draft.parameters, draft.estimated
+    if not known or alarm.parameter in estimated:
+        return
+    if alarm.parameter in known:
+        what = f"{shown(alarm.parameter)} is not estimated"
+        draft.faults.add(f"{path}.parameter", what, f"add it to estimator.estimate; estimated are {listing(estimated)}")
+    else:
+        what = f"no parameter is called {shown(alarm.parameter)}"
+        draft.faults.add(f"{path}.parameter", what, f"estimated are {listing(estimated)}")
+
+
+def _check_limit(path: str, alarm: Alarm, draft: Draft) -> None:
+    given = [key for key in ("limit", "limit_percent") if key in alarm.model_fields_set]
+    if len(given) != 1:
+        what = "has both limit and limit_percent" if given else "has no limit"
+        draft.faults.add(path, what, "give exactly one of limit and limit_percent")
+        return
+    parameter = draft.parameters.get(alarm.parameter)
+    if alarm.limit_percent is not None and parameter and parameter.nominal == 0:
+        what = f"a share of the nominal of {shown(alarm.parameter)}, which is 0"
+        draft.faults.add(f"{path}.limit_percent", what, "give limit in the parameter's unit")
+    if alarm.limit is not None and alarm.deadband is not None and alarm.deadband >= alarm.limit:
+        what = f"{alarm.deadband:g} leaves nothing of the limit {alarm.limit:g}: the alarm would never clear"
+        draft.faults.add(f"{path}.deadband", what, "give less than the limit")

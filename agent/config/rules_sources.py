@@ -1,0 +1,95 @@
+"""What must hold in [[source]]: drivers and their own keys, names, and who delivers which channel."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from pydantic import BaseModel, ValidationError
+
+from agent.config.draft import Draft
+from agent.config.fields import shown
+from agent.config.messages import faults_of, join, listing
+from agent.config.parse import Entry, Faults, read_list, readable
+from agent.config.plugins import driver_class
+from agent.config.tables import Source
+from agent.errors import ConfigError
+
+COMMON: Final = tuple(key for key in Source.model_fields if key != "settings")
+
+
+def read_sources(raw: object, faults: Faults) -> list[Entry[Source]]:
+    """Read the sources: the keys that all share, then the rest by the model that the driver names."""
+    rows = raw if isinstance(raw, list) else []
+    shared = [{k: v for k, v in row.items() if k in COMMON} if isinstance(row, dict) else row for row in rows]
+    entries = read_list(Source, shared if isinstance(raw, list) else raw, "source", faults)
+    return [_with_settings(entry, row, faults) for entry, row in zip(entries, rows, strict=True)]
+
+
+def _with_settings(entry: Entry[Source], row: object, faults: Faults) -> Entry[Source]:
+    path, source = entry
+    if not readable(source.driver) or not isinstance(row, dict):
+        return entry
+    own = {key: value for key, value in row.items() if key not in COMMON}
+    return Entry(path, source.model_copy(update={"settings": _settings(path, source.driver, own, faults)}))
+
+
+def _settings(path: str, driver: str, own: Mapping[str, Any], faults: Faults) -> BaseModel | None:
+    try:
+        model = driver_class(driver).settings_model
+    except ConfigError as error:
+        for fault in error.faults:
+            faults.add(f"{path}.driver", fault.message, fault.advice)
+        return None
+    try:
+        return model.model_validate(own)
+    except ValidationError as error:
+        faults.found += faults_of(error, path, own, _keys(model))
+        return None
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    """Return every key that a driver's model knows at any depth, then those of every source."""
+    schema = model.model_json_schema()
+    tables = [schema, *schema.get("$defs", {}).values()]
+    return list(dict.fromkeys([key for table in tables for key in table.get("properties", ())] + list(COMMON)))
+
+
+def check_sources(draft: Draft) -> None:
+    """Note the faults of sources and give those without a name the driver's."""
+    draft.sources = list(_named(draft.sources, draft.faults))
+    owner: dict[str, str] = {}
+    for path, source in draft.sources:
+        for name in source.map or {}:
+            _check_mapped(join(f"{path}.map", name), name, owner, draft)
+    if not draft.sources or not readable(*(source.map for _, source in draft.sources)):
+        return
+    for path, channel in draft.channels:
+        name = channel.name
+        if readable(name) and name not in owner:
+            draft.faults.add(path, f"no source maps {shown(name)}", f'add {name} = "..." to the map of a source')
+
+
+def _check_mapped(path: str, channel: str, owner: dict[str, str], draft: Draft) -> None:
+    names = draft.channel_names
+    if channel in owner:
+        draft.faults.add(path, f"{shown(channel)} is mapped by {owner[channel]} already", "map each channel once")
+    elif channel in names:
+        owner[channel] = path.rpartition(".map")[0]
+    elif len(names) == len(draft.channels):
+        draft.faults.add(path, f"no channel is called {shown(channel)}", f"channels are {listing(names)}")
+
+
+def _named(sources: list[Entry[Source]], faults: Faults) -> Iterator[Entry[Source]]:
+    taken: dict[str, str] = {}
+    for path, source in sources:
+        if source.name and source.name in taken:
+            faults.add(f"{path}.name", f"{shown(source.name)} is the name of {taken[source.name]}", "names must differ")
+        name = source.name or _free_name(source.driver, [s.name for _, s in sources] + list(taken))
+        taken[name] = path
+        yield Entry(path, source.model_copy(update={"name": name}))
+
+
+def _free_name(driver: str | None, taken: list[str]) -> str:
+    stem, number = driver or "source", 1
+    while (name := stem if number == 1 else f"{stem}-{number}") in taken:
+        number += 1
+    return name

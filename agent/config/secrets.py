@@ -1,0 +1,33 @@
+"""Secrets never stand in a configuration: they are named by file or environment variable."""
+
+import re
+from collections.abc import Mapping
+from typing import Final
+
+from agent.config.messages import join
+from agent.config.parse import Faults
+
+_SECRET: Final = re.compile(r"(^|_)(password|passwd|passphrase|secret|token|api_?key|private_key)$", re.IGNORECASE)
+
+
+def check_no_plain_secrets(raw: object, path: str, faults: Faults) -> None:
+    """Note every secret, at any depth, that is not of the form { file = "..." } or { env = "..." }."""
+    if isinstance(raw, list):
+        for i, item in enumerate(raw):
+            check_no_plain_secrets(item, join(path, i), faults)
+    if not isinstance(raw, dict):
+        return
+    for key, value in raw.items():
+        if not _SECRET.search(key):
+            check_no_plain_secrets(value, join(path, key), faults)
+        elif not _is_reference(value):
+            what = "a secret must not stand in a configuration"
+            faults.add(join(path, key), what, 'name where it is: { file = "..." } or { env = "..." }')
+
+
+def _is_reference(value: object) -> bool:
+    return (
+        isinstance(value, Mapping)
+        and len(value) == 1
+        and all(key in ("file", "env") and isinstance(where, str) and where for key, where in value.items())
+    )

@@ -1,0 +1,276 @@
+"""The tables of a configuration file as frozen models; attribute names are the file's keys.
+
+These check each value by itself. What must hold between values stands in the `rules_*` modules.
+"""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field, Strict
+
+from agent.config.fields import (
+    Duration,
+    FilePath,
+    Intensities,
+    Matrix,
+    Name,
+    Names,
+    NotNegative,
+    Positive,
+    Row,
+    Table,
+    Text,
+    Window,
+)
+from agent.config.units import Quantity, base_length, conversion, element_units
+
+GROUND = "ground"
+Nodes = Annotated[tuple[Name, Name], Strict(False)]
+
+
+class Rig(Table):
+    """What is watched, how fast it is sampled, and what orders its samples."""
+
+    name: Name = Field(description='a name such as "press-7"')
+    site: Text | None = None
+    labels: dict[str, str] = Field(default_factory=dict)
+    sample_rate_hz: Positive = Field(description="samples per second, such as 1000.0")
+    clock: Literal["counter", "device", "uniform", "arrival"] = "counter"
+
+
+class Mass(Table):
+    """A node; value in kg, 0 for a node without mass."""
+
+    name: Name
+    value: NotNegative = Field(description="kg; 0 makes a massless node, which needs a damper")
+
+
+class Element(Table):
+    """A spring, a damper or a dry friction between two nodes, with its healthy value."""
+
+    name: Name
+    between: Nodes = Field(description='two nodes, such as ["ground", "m1"]')
+    nominal: NotNegative
+
+
+class MechanicsModel(Table):
+    """A graph of masses, springs, dampers and dry friction."""
+
+    kind: Literal["mass-spring-damper"] = "mass-spring-damper"
+    mass: tuple[Mass, ...] = ()
+    spring: tuple[Element, ...] = ()
+    damper: tuple[Element, ...] = ()
+    friction: tuple[Element, ...] = ()
+
+
+class LinearParameter(Table):
+    """A parameter of a linear model: A(θ) = A + Σ (θ - nominal) dA, and B likewise; a matrix left out is zero."""
+
+    name: Name
+    nominal: float
+    unit: str = ""
+    dA: Matrix = ()  # noqa: N815 - the key of the configuration file
+    dB: Matrix = ()  # noqa: N815 - the key of the configuration file
+
+
+class LinearModel(Table):
+    """A continuous-time model x' = A x + B u, y = C x; inputs and outputs are the channels in the file's order."""
+
+    kind: Literal["linear"]
+    A: Matrix
+    B: Matrix = ()
+    C: Matrix
+    parameter: tuple[LinearParameter, ...] = ()
+
+
+Model = MechanicsModel | LinearModel
+
+
+class Channel(Table):
+    """An input or output of the model: SI value = ((field * scale) + offset) * si_factor."""
+
+    name: Name
+    quantity: Quantity = Field(description="force, displacement, velocity or acceleration")
+    at: Name = Field(default="", description='the mass it acts on or is measured at, such as "m1"')
+    unit: Text = Field(description='the unit after scale and offset, such as "N", "mm" or "counts"')
+    scale: float = 1.0
+    offset: float = 0.0
+    noise_sd: Positive | None = Field(default=None, description="leave it out where the noise is not known")
+    bias: bool = False
+    gain: bool = False
+    delay_s: NotNegative = 0.0
+
+    @property
+    def is_input(self) -> bool:
+        """Whether it drives the model rather than being measured."""
+        return self.quantity in ("force", "input")
+
+    @property
+    def si_factor(self) -> float:
+        """What turns the unit into SI; 1.0 for text that is no known unit."""
+        return conversion(self.quantity, self.unit)[0]
+
+    @property
+    def si_unit(self) -> str:
+        """The unit that the model sees; the text itself where it is no known unit."""
+        return conversion(self.quantity, self.unit)[1]
+
+
+class Observer(Table):
+    """How the observer's gain is found."""
+
+    gain: Literal["auto", "poles", "kalman"] = "auto"
+    poles: Row = ()
+    process_sd: Intensities | None = None
+
+
+class Estimator(Table):
+    """How parameters are estimated; `estimate` is empty until the defaults are filled in."""
+
+    method: Literal["window-ml", "seed"] = "window-ml"
+    window_s: Window = 0.25
+    hop_s: Positive = 0.05
+    hold: Literal["first", "zero"] = "first"
+    estimate: Names = ()
+    observer: Observer = Observer()
+    resolve: Positive = 0.33
+    passes: int = Field(default=1, ge=1, le=1000)
+
+    @property
+    def windows_s(self) -> tuple[float, ...]:
+        """The lengths asked for, shortest first; empty for "auto"."""
+        if self.window_s == "auto":
+            return ()
+        return tuple(sorted(self.window_s)) if isinstance(self.window_s, tuple) else (self.window_s,)
+
+
+class Alarm(Table):
+    """A limit on the change of one parameter; deadband and on_delay_s are None where only the alarm can know them.
+
+    The deadband of a limit_percent is 0.1 of the limit that the reference gives; the on-delay of several windows is
+    the window in use.
+    """
+
+    parameter: Name
+    kind: Literal["level"] = "level"
+    limit: Positive | None = None
+    limit_percent: Positive | None = None
+    side: Literal["both", "low", "high"] = "both"
+    confidence: float = Field(default=0.95, ge=0.5, lt=1)
+    deadband: NotNegative | None = None
+    on_delay_s: NotNegative | None = None
+    off_delay_s: NotNegative = 0.0
+    priority: Literal["low", "medium", "high", "critical"] = "medium"
+
+
+class Source(Table):
+    """A bus or recording that samples come from; settings is an instance of the driver's own model."""
+
+    driver: Name = Field(description='a driver such as "can"')
+    name: Name = ""
+    map: dict[str, Text] = Field(description='{ channel = "field of the bus" }')
+    counter: Text | None = None
+    stale_s: Positive = 2.0
+    record: bool = False
+    settings: Any = None
+
+    def connection(self, folder: Path) -> str:
+        """Return a text that two sources share when they may share one connection: driver, keys, folder of paths."""
+        keys = self.settings.model_dump(mode="json")
+        return json.dumps([self.driver, keys, str(folder)], sort_keys=True)
+
+
+class Keep(Table):
+    """For how long rows are kept, seconds; infinite for "forever"."""
+
+    full: Duration = 7 * 86400.0
+    minute: Duration = 90 * 86400.0
+    hour: Duration = float("inf")
+
+
+class Store(Table):
+    """Where and how densely results are kept; path is absolute, by default the rig's name with .db beside the file."""
+
+    path: FilePath = Path()
+    every_s: NotNegative = 1.0
+    keep: Keep = Keep()
+    max_mb: Positive = 1024.0
+
+
+class Columns(Table):
+    """The names that recordings give to channels (and to `t`), and what stands between columns; None is sniffed."""
+
+    names: dict[str, str] = Field(default_factory=dict)
+    delimiter: str | None = None
+
+
+class Parameter(NamedTuple):
+    """Something that can be estimated."""
+
+    name: str
+    kind: Literal["mass", "spring", "damper", "friction", "linear", "bias", "gain"]
+    nominal: float
+    unit: str
+
+
+class RigConfig(Table):
+    """One checked configuration file."""
+
+    rig: Rig
+    model: Model
+    channel: tuple[Channel, ...]
+    estimator: Estimator
+    alarm: tuple[Alarm, ...] = ()
+    source: tuple[Source, ...] = ()
+    store: Store
+    columns: Columns = Columns()
+    file: Path
+    sha256: str
+
+    @property
+    def folder(self) -> Path:
+        """Where relative paths of the file start."""
+        return self.file.parent
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        """The channels that drive the model, in the file's order."""
+        return tuple(channel for channel in self.channel if channel.is_input)
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        """The channels that are measured, in the file's order."""
+        return tuple(channel for channel in self.channel if not channel.is_input)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Everything that could be estimated, by name, in the file's order; `estimator.estimate` says what is."""
+        return parameters_of(self.model, self.channel)
+
+
+def parameters_of(model: Model, channels: tuple[Channel, ...]) -> dict[str, Parameter]:
+    """Return everything that a model and its channels offer for estimation, by name."""
+    found = _linear(model) if isinstance(model, LinearModel) else _mechanical(model, channels)
+    for channel in channels:
+        found.append(Parameter(f"{channel.name}.bias", "bias", 0.0, channel.si_unit))
+        found.append(Parameter(f"{channel.name}.gain", "gain", 1.0, "1"))
+    return {parameter.name: parameter for parameter in found}
+
+
+def _linear(model: LinearModel) -> list[Parameter]:
+    return [Parameter(p.name, "linear", p.nominal, p.unit) for p in model.parameter]
+
+
+def _mechanical(model: MechanicsModel, channels: tuple[Channel, ...]) -> list[Parameter]:
+    units = _units(channels)
+    found = [Parameter(m.name, "mass", m.value, units["mass"]) for m in model.mass]
+    found += [Parameter(e.name, "spring", e.nominal, units["spring"]) for e in model.spring]
+    found += [Parameter(e.name, "damper", e.nominal, units["damper"]) for e in model.damper]
+    return found + [Parameter(e.name, "friction", e.nominal, units["friction"]) for e in model.friction]
+
+
+def _units(channels: tuple[Channel, ...]) -> dict[str, str]:
+    first = {channel.quantity: channel.si_unit for channel in reversed(channels)}
+    length = base_length(first.get("displacement"), first.get("velocity"), first.get("acceleration"))
+    return element_units(first.get("force", "N"), length)

@@ -1,0 +1,60 @@
+"""A configuration file's bytes as nested tables; what is not TOML is said with its line."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from agent.errors import ConfigError
+
+LIMIT_BYTES: Final = 2_000_000
+_PLACE: Final = re.compile(
+    r"^(?P<what>.*?) \(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)$", re.DOTALL
+)
+
+
+def read_bytes(file: Path) -> bytes:
+    """Return the file's bytes; ConfigError when it cannot be read or is larger than any configuration is."""
+    try:
+        with file.open("rb") as stream:
+            data = stream.read(LIMIT_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise ConfigError.at(str(file), f"cannot be read: {reason}", "name a configuration file") from error
+    if len(data) > LIMIT_BYTES:
+        raise ConfigError.at(
+            str(file), f"is larger than {LIMIT_BYTES // 1_000_000} MB", "a configuration is a short TOML text"
+        )
+    return data
+
+
+def parse_toml(data: bytes, file: Path) -> dict[str, Any]:
+    """Return the tables of a TOML text (a byte-order mark and CR LF are taken); ConfigError names file and line."""
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError.at(f"{file}:{line}", "is not UTF-8 text", "save the file as UTF-8") from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _not_toml(str(error), text, file) from error
+    except (RecursionError, ValueError) as error:
+        raise ConfigError.at(str(file), "is not TOML that can be read", f"{_reason(error)}") from error
+
+
+def _not_toml(words: str, text: str, file: Path) -> ConfigError:
+    place = _PLACE.match(words)
+    line = (place and place["line"]) or str(text.count("\n") + 1)
+    what = place["what"] if place else words
+    column = f", column {place['column']}" if place and place["column"] else ""
+    return ConfigError.at(f"{file}:{line}", f"is not TOML{column}: {_printable(what)}", "mend the line")
+
+
+def _reason(error: Exception) -> str:
+    return "its lists are nested too deep" if isinstance(error, RecursionError) else _printable(str(error))
+
+
+def _printable(text: str) -> str:
+    kept = "".join(letter if letter.isprintable() else "?" for letter in text)
+    return kept[:1].lower() + kept[1:200]

@@ -1,0 +1,80 @@
+"""Units of channels: what is known becomes SI, any other text is kept and carried along."""
+
+from collections.abc import Mapping
+from typing import Final, Literal
+
+Quantity = Literal["force", "displacement", "velocity", "acceleration", "input", "output"]
+
+_LENGTH: Final[Mapping[str, float]] = {
+    "m": 1.0, "km": 1e3, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9,
+    "in": 0.0254, "inch": 0.0254, "mil": 2.54e-5, "ft": 0.3048,
+}  # fmt: skip
+_FORCE: Final[Mapping[str, float]] = {
+    "N": 1.0, "MN": 1e6, "kN": 1e3, "daN": 10.0, "mN": 1e-3, "uN": 1e-6,
+    "kgf": 9.80665, "kp": 9.80665, "lbf": 4.4482216152605, "kip": 4448.2216152605,
+}  # fmt: skip
+_VELOCITY: Final[Mapping[str, float]] = {f"{unit}/s": factor for unit, factor in _LENGTH.items()} | {"km/h": 1 / 3.6}
+_ACCELERATION: Final[Mapping[str, float]] = {
+    spelling.format(unit): factor
+    for unit, factor in _LENGTH.items()
+    for spelling in ("{}/s2", "{}/s^2", "{}/s/s", "{} s-2")
+} | {"g": 9.80665, "gn": 9.80665, "mg": 9.80665e-3}
+
+_SI: Final[Mapping[str, str]] = {"force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
+_KNOWN: Final[Mapping[str, Mapping[str, float]]] = {
+    "force": _FORCE,
+    "displacement": _LENGTH,
+    "velocity": _VELOCITY,
+    "acceleration": _ACCELERATION,
+}
+_OTHER_KINDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "mass": ("kg", "g", "mg", "t", "lb"),
+    "time": ("s", "ms", "us", "min", "h"),
+    "frequency": ("Hz", "kHz", "MHz"),
+    "stiffness": ("N/m", "kN/m", "N/mm", "N/um"),
+    "damping": ("N s/m", "Ns/m", "N*s/m", "kN s/m", "kNs/m", "N s/mm", "Ns/mm"),
+}
+
+
+def normal(unit: str) -> str:
+    """Return one spelling of a unit: both micro signs become u, superscript two becomes 2, no outer blanks."""
+    return unit.strip().translate({0xB5: "u", 0x3BC: "u", 0xB2: "2", 0xB7: "*"})
+
+
+def conversion(quantity: Quantity, unit: str) -> tuple[float, str]:
+    """Return (factor, SI unit) of a channel; factor 1.0 and the text itself where the unit is not a known one."""
+    factor = _KNOWN.get(quantity, {}).get(normal(unit))
+    return (1.0, unit.strip()) if factor is None else (factor, _SI[quantity])
+
+
+def wrong_kind(quantity: Quantity, unit: str) -> str | None:
+    """Return what a known unit measures where that is not the quantity; None where nothing is wrong.
+
+    Inputs and outputs of linear models take any unit.
+    """
+    text = normal(unit)
+    if quantity not in _KNOWN or text in _KNOWN[quantity]:
+        return None
+    kinds = {**_KNOWN, **_OTHER_KINDS}
+    return next((kind for kind, units in kinds.items() if text in units), None)
+
+
+def examples(quantity: Quantity) -> str:
+    """Return some units of a quantity, for advice."""
+    return ", ".join(list(_KNOWN[quantity])[:6])
+
+
+def base_length(displacement: str | None, velocity: str | None, acceleration: str | None) -> str:
+    """Return the length that parameters count in, from the SI units of what is measured; metres where nothing is."""
+    if displacement:
+        return displacement
+    for unit, ending, power in ((velocity, "/s", "s"), (acceleration, "/s2", "s2")):
+        if unit:
+            return unit.removesuffix(ending) if unit.endswith(ending) else f"({unit} {power})"
+    return "m"
+
+
+def element_units(force: str, length: str) -> dict[str, str]:
+    """Return the units of a mass, a spring, a damper and a dry friction for given units of force and length."""
+    mass = "kg" if (force, length) == ("N", "m") else f"{force} s2/{length}"
+    return {"mass": mass, "spring": f"{force}/{length}", "damper": f"{force} s/{length}", "friction": force}

@@ -1,1 +1,1 @@
-"""The simulated rig: a plant with a wear schedule, played as a device on a real local bus. Never imports agent."""
+"""A simulated rig: true mechanics, sensors and devices that speak the real protocols. Never imports the agent."""

@@ -1,0 +1,123 @@
+"""Scenarios: what a simulated rig does. TOML files; some come with the package and are found by name."""
+
+import os
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from sim_bus.errors import SimUsageError
+from sim_bus.excitation import Force
+from sim_bus.rigfile import Quantity, RigFile, checked, read_toml
+from sim_bus.schedule import Change, Draw
+from sim_bus.sensors import Sensor
+
+SEED_VARIABLE = "DELTAK_SEED"
+DEFAULT = "steady"
+
+
+class Initial(BaseModel):
+    """[initial]: the state at sample 0: `all` for every displacement (m) and velocity (m/s), or by mass."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    all: float = 0.0
+    displacement: dict[str, float] = {}
+    velocity: dict[str, float] = {}
+
+
+class FaultAt(BaseModel):
+    """One [[fault]]: `name` as in `--fault NAME@T`, `at_s`, and for how long where it lasts."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    at_s: float = Field(ge=0)
+    for_s: float = Field(default=0.0, ge=0)
+    source: str | None = None
+
+
+class Scenario(BaseModel):
+    """What is played.
+
+    `duration_s` 0 is without end. `start`: the clock starts when every source has met a reader, or when the devices
+    are ready. `noise` is the sensors' standard deviation by quantity in SI units. [draw] replaces [[change]].
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    title: str = ""
+    seed: int = Field(default=0, ge=0)
+    duration_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    start: Literal["reader", "ready"] = "reader"
+    initial: Initial = Initial()
+    force: tuple[Force, ...] = ()
+    noise: dict[Quantity, float] = {}
+    sensor: tuple[Sensor, ...] = ()
+    change: tuple[Change, ...] = ()
+    draw: Draw | None = None
+    fault: tuple[FaultAt, ...] = ()
+    folder: Path = Path()
+
+    @model_validator(mode="after")
+    def _one_schedule(self) -> Self:
+        if self.draw is not None and self.change:
+            raise ValueError("change and draw exclude each other: a schedule is either written or drawn")
+        return self
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """The schedule, drawn where it is to be drawn."""
+        return self.change if self.draw is None else tuple(self.draw.changes(self.seed))
+
+    def forces_on(self, rig: RigFile) -> list[tuple[Force, str]]:
+        """Return every force with the node on which it acts."""
+        sensed = list(dict.fromkeys(channel.at for channel in rig.channel if channel.quantity == "force"))
+        return [(force, node) for force in self.force for node in ([force.at] if force.at else sensed)]
+
+    def fits(self, rig: RigFile) -> None:
+        """Raise SimUsageError unless every name in the scenario is one of the rig's."""
+        nodes, constants = set(rig.model.graph.nodes), set(rig.model.nominal)
+        channels = {channel.name for channel in rig.channel}
+        wrong = [f"force.at: {n}" for _, n in self.forces_on(rig) if n not in nodes]
+        wrong += [f"initial: {n}" for n in (*self.initial.displacement, *self.initial.velocity) if n not in nodes]
+        wrong += [f"sensor.channel: {s.channel}" for s in self.sensor if s.channel not in channels]
+        wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
+        wrong += [
+            f"change: {n} (a massless node stays massless)"
+            for change in self.changes
+            for n in change.names
+            if n in rig.model.graph.massless
+        ]
+        if wrong:
+            known = f"parameters are {', '.join(sorted(constants))}; channels are {', '.join(sorted(channels))}"
+            raise SimUsageError([f"scenario: {text}: the configuration has no such thing; {known}" for text in wrong])
+
+
+def built_in_names() -> tuple[str, ...]:
+    """Names of the scenarios that come with the package."""
+    folder = resources.files("sim_bus") / "scenarios"
+    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
+
+
+def load_scenario(name_or_file: str, environment: Mapping[str, str] = os.environ) -> Scenario:
+    """Return a scenario by its built-in name or from a file; the seed in the environment goes before its own."""
+    path = Path(name_or_file)
+    if name_or_file in built_in_names():
+        path = Path(str(resources.files("sim_bus") / "scenarios" / f"{name_or_file}.toml"))
+    elif not path.is_file():
+        names = ", ".join(built_in_names())
+        raise SimUsageError(f'--scenario: "{name_or_file}" is neither a file nor one of {names}')
+    content = read_toml(path) | {"folder": path.resolve().parent}
+    return checked(Scenario, content | _seed_of(environment), str(path))
+
+
+def _seed_of(environment: Mapping[str, str]) -> dict[str, int]:
+    text = environment.get(SEED_VARIABLE, "")
+    if not text:
+        return {}
+    if not text.isdecimal():
+        raise SimUsageError(f'{SEED_VARIABLE}: "{text}" is no whole number; use digits only')
+    return {"seed": int(text)}

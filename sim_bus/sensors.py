@@ -1,0 +1,114 @@
+"""What sensors make of the true signals: bias, gain, drift, noise, spikes, a rail, a stuck value.
+
+Delay is taken where the motion is computed (it is exact there); quantisation belongs to the wire.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from sim_bus.rigfile import Channel, Quantity
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Sensor(BaseModel):
+    """One [[sensor]]: numbers are in the channel's unit; `from_s` .. `until_s` bounds bias, gain, drift, stuck, rail.
+
+    reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail; with
+    `stuck` the reading of `from_s` stays. `delay_s` is added to the channel's own.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    channel: str
+    noise_sd: float | None = Field(default=None, ge=0)
+    bias: float = 0.0
+    gain: float = 0.0
+    drift_per_s: float = 0.0
+    rail: float = Field(default=float("inf"), gt=0)
+    stuck: bool = False
+    spike: float = 0.0
+    spikes_hz: float = Field(default=0.0, ge=0)
+    delay_s: float = Field(default=0.0, ge=0)
+    from_s: float = Field(default=0.0, ge=0)
+    until_s: float = float("inf")
+
+
+class SensorChain:
+    """One channel's sensor, drawn in order.
+
+    Args:
+        channel: the channel.
+        sensors: what the scenario says of it, applied one after another.
+        noise_si: the scenario's noise for this quantity, SI; a sensor's own `noise_sd` goes before it.
+        sample_rate_hz: samples a second.
+        rng: for noise and spikes.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        sensors: list[Sensor],
+        noise_si: float,
+        sample_rate_hz: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.channel = channel
+        self._sensors = sensors
+        self._rate = sample_rate_hz
+        self._rng = rng
+        own = [sensor.noise_sd for sensor in sensors if sensor.noise_sd is not None]
+        self.noise_sd = own[-1] if own else noise_si / channel.si_factor
+        self._stuck_at: dict[int, float] = {}
+        self.affected: dict[str, list[tuple[int, int]]] = {}
+
+    @property
+    def delay_s(self) -> float:
+        """By how much the reading is late."""
+        return self.channel.delay_s + sum(sensor.delay_s for sensor in self._sensors)
+
+    def read(self, index: IntArray, true_si: FloatArray) -> FloatArray:
+        """Return the readings, in the channel's unit, at consecutive samples."""
+        readings = true_si / self.channel.si_factor
+        if self.noise_sd:
+            readings = readings + self.noise_sd * self._rng.standard_normal(len(index))
+        for number, sensor in enumerate(self._sensors):
+            readings = self._apply(number, sensor, index, readings)
+        return readings
+
+    def _apply(self, number: int, sensor: Sensor, index: IntArray, readings: FloatArray) -> FloatArray:
+        t = index / self._rate
+        live = (t >= sensor.from_s) & (t < sensor.until_s)
+        changed = (1.0 + sensor.gain) * readings + sensor.bias + sensor.drift_per_s * (t - sensor.from_s)
+        if sensor.spike and sensor.spikes_hz:
+            hit = self._rng.random(len(index)) < sensor.spikes_hz / self._rate
+            self._note("spike", index[hit & live])
+            changed = changed + np.where(hit, sensor.spike * np.sign(self._rng.random(len(index)) - 0.5), 0.0)
+        railed = np.clip(changed, -sensor.rail, sensor.rail)
+        self._note("saturated", index[(railed != changed) & live])
+        if sensor.stuck and live.any():
+            railed = np.full_like(railed, self._stuck_at.setdefault(number, float(readings[live][0])))
+            self._note("stuck", index[live])
+        return np.where(live, railed, readings)
+
+    def _note(self, kind: str, index: IntArray) -> None:
+        """Keep which samples were touched, as runs (first, last)."""
+        if not len(index):
+            return
+        runs = self.affected.setdefault(kind, [])
+        edges = np.flatnonzero(np.diff(index) > 1)
+        firsts, lasts = index[np.r_[0, edges + 1]], index[np.r_[edges, len(index) - 1]]
+        for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
+            if runs and runs[-1][1] == first - 1:
+                runs[-1] = (runs[-1][0], last)
+            else:
+                runs.append((first, last))
+
+
+def noise_for(channel: Channel, noise: Mapping[Quantity, float]) -> float:
+    """Return the scenario's noise for the channel's quantity, SI."""
+    return noise.get(channel.quantity, 0.0)

@@ -1,5 +1,6 @@
 """A recording as numpy arrays in an .npz file: one array a column, read in step, a piece at a time."""
 
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -14,6 +15,8 @@ from drivers.port import DriverConfigError, FloatArray, IntArray
 from drivers.recorded import BLOCK_ROWS, RecordedFile, Rows, Wanted
 
 _SUFFIX = ".npy"
+_DAMAGE = (ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error)
+"""What zipfile and numpy raise for a damaged file; RuntimeError covers unknown compression and encryption."""
 
 
 class _Column:
@@ -26,7 +29,7 @@ class _Column:
             version = npy.read_magic(stream)
             header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
             self.shape, _, self.dtype = header(stream)
-        except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except _DAMAGE as error:
             raise DriverConfigError(f"{path}: is damaged: {error}") from error
         if self.dtype.kind not in "fiubM" or len(self.shape) != 1:
             raise DriverConfigError(f"{path}: is an array {self.shape} of {self.dtype}; a row of numbers is needed")
@@ -36,7 +39,7 @@ class _Column:
         try:
             data = self._stream.read(count * self.dtype.itemsize)
             return np.frombuffer(data, self.dtype, count)
-        except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except _DAMAGE as error:
             raise DriverConfigError(f"{self._path}: is damaged: {error}") from error
 
 
@@ -49,13 +52,15 @@ class NpzFile(RecordedFile):
         try:
             self._zip = self._stack.enter_context(zipfile.ZipFile(wanted.path))
             self._begin()
-        except OSError as error:
-            raise DriverConfigError(f"{wanted.path}: {error.strerror or error}") from error
-        except zipfile.BadZipFile as error:
-            raise DriverConfigError(f"{wanted.path}: is no NPZ file: {error}") from error
         except DriverConfigError:
             self.close()
             raise
+        except OSError as error:
+            self.close()
+            raise DriverConfigError(f"{wanted.path}: {error.strerror or error}") from error
+        except _DAMAGE as error:
+            self.close()
+            raise DriverConfigError(f"{wanted.path}: is no NPZ file: {error}") from error
 
     def _begin(self) -> None:
         present = [name.removesuffix(_SUFFIX) for name in self._zip.namelist() if name.endswith(_SUFFIX)]

@@ -142,21 +142,23 @@ class RtuFrames:
         from pymodbus.framer.rtu import FramerRTU
 
         self._framer: FramerBase = FramerRTU(_decoder())
+        self._sent = b""
 
     def request(self, request: Request) -> bytes:
         """Return the bytes of a request."""
-        return self._framer.encode(request_pdu(request), request.unit, 0)
+        self._sent = self._framer.encode(request_pdu(request), request.unit, 0)
+        return self._sent
 
     def reply(self, data: bytes, request: Request) -> ByteArray | None:
         """Return the reply's register bytes, None while there is none; ReplyError for an exception reply.
 
         The library's framer gives up at a stray byte that looks like a function code, so each place at which the
-        expected reply can begin is offered to it by itself.
+        expected reply can begin is offered to it by itself. An echo of the request (two-wire adapters) is passed over.
         """
         for start in _starts(data, request):
             piece = data[start : start + _rtu_size(data[start:])]
             used, _, _, pdu = self._framer.decode(piece)
-            if used == len(piece) and pdu:
+            if used == len(piece) and pdu and piece != self._sent:
                 return check_reply(pdu, request)
         return None
 

@@ -34,6 +34,7 @@ class Reader(ABC):
         self.counts = counts
         self.note = note
         self.due = 0.0
+        self.epoch = 0
 
     @abstractmethod
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
@@ -49,7 +50,7 @@ class Reader(ABC):
 
     def empty(self) -> SampleBlock:
         """Return a block without samples."""
-        return SampleBlock(np.empty((0, len(self.source.fields))), time.monotonic_ns())
+        return SampleBlock(np.empty((0, len(self.source.fields))), time.monotonic_ns(), epoch=self.epoch)
 
 
 class RingReader(Reader):
@@ -69,7 +70,6 @@ class RingReader(Reader):
         self.modulus = index.modulus if self._counter is None else self.layout.counter_field(self._counter).modulus
         self._next: int | None = None
         self._seen: int | None = None
-        self._epoch = 0
 
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
         while self._seen is None or self._seen == self._next:
@@ -106,7 +106,7 @@ class RingReader(Reader):
     def _restart(self, raw: int) -> int:
         self.note(f"the device's index ran back to {raw}: it was restarted; reading goes on with its oldest sample")
         self.counts.faults["restart"] += 1
-        self._epoch += 1
+        self.epoch += 1
         self._next = None
         return raw
 
@@ -140,7 +140,7 @@ class RingReader(Reader):
             arrival_ns,
             self._count(slots, first, late),
             None,
-            self._epoch,
+            self.epoch,
         )
 
     def _count(self, slots: ByteArray, first: int, late: NDArray[np.bool_]) -> IntArray:

@@ -156,15 +156,18 @@ class LevelAlarms:
         return {"index": self._index, "alarms": alarms}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take up a snapshot; alarms that it does not name start as NORM, those without a rule are left out."""
+        """Take up a snapshot; alarms that it does not name start as NORM, those without a rule are left out.
+
+        States alone, `{"alarms": {"k1": {"state": "UNACK"}}}`, are enough: timers then start from zero.
+        """
         self.reset()
-        self._index = state["index"]
+        self._index = state.get("index")
         for i, rule in enumerate(self._rules):
             saved = state["alarms"].get(rule.parameter)
             if saved is not None:
                 self._states[i] = saved["state"]
-                self._on.held[i], self._on.met[i] = saved["on"]
-                self._off.held[i], self._off.met[i] = saved["off"]
+                self._on.held[i], self._on.met[i] = saved.get("on", (0, False))
+                self._off.held[i], self._off.met[i] = saved.get("off", (0, False))
 
     def _due_on(self, judgement: "_Judgement", steps: IntArray) -> BoolArray:
         """Return the rows (N, r) at which the condition for raising has held for its delay."""

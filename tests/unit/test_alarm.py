@@ -240,6 +240,12 @@ def test_level_alarms_snapshot_of_other_rules_leaves_them_normal() -> None:
     assert alarms.states == {"k2": "NORM"}
 
 
+def test_level_alarms_restored_from_states_alone_clear_as_usual() -> None:
+    alarms = LevelAlarms("press", [Rule(off_delay_s=0.1)], RATE)
+    alarms.restore({"alarms": {"k1": {"state": "ACKED"}}})
+    assert written(alarms.step(batch([25.0] * 5))) == ["2 ACKED>NORM"]
+
+
 def test_level_alarms_without_rules_or_rows_says_nothing() -> None:
     assert LevelAlarms("press", [], RATE).step(batch([45.0] * 6)) == []
     assert LevelAlarms("press", [Rule()], RATE).step(batch(np.empty((0, 1)))) == []

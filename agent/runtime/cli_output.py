@@ -1,0 +1,91 @@
+"""What goes to stdout: JSON documents, CSV, tables; and errors, one a line, on stderr."""
+
+import csv
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from agent.errors import Fault
+from agent.text import iso_time
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+PLAIN_WIDTH = 250
+
+
+def json_ready(value: Any) -> Any:
+    """Return a value as JSON carries it: null for NaN and inf, numpy as plain values, `time` beside `t_ns`."""
+    if hasattr(value, "tolist"):  # numpy scalars and arrays, without importing numpy for documents that have none
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return _object(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    return [json_ready(item) for item in value] if isinstance(value, Iterable) else str(value)
+
+
+def _object(value: Mapping[Any, Any]) -> dict[str, Any]:
+    ready = {str(key): json_ready(item) for key, item in value.items()}
+    if "t_ns" in ready and "time" not in ready:
+        ready["time"] = None if ready["t_ns"] is None else iso_time(ready["t_ns"])
+    return ready
+
+
+def print_json(document: Mapping[str, Any]) -> None:
+    """Print one JSON document on stdout."""
+    json.dump(json_ready(document), sys.stdout, allow_nan=False, ensure_ascii=False)
+    sys.stdout.write("\n")
+
+
+def print_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Print rows as CSV with a header; nothing stands for NULL, numbers keep every digit."""
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([row.get(column) for column in columns] for row in rows)
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, right: Iterable[str] = ()
+) -> None:
+    """Print a table for people; columns named in right hold numbers."""
+    from rich.table import Table
+    from rich.text import Text
+
+    numeric = set(right)
+    table = Table(title=Text(title) if title else None, title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(Text(column), justify="right" if column in numeric else "left", no_wrap=column in numeric)
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    show(table)
+
+
+def show(what: "RenderableType") -> None:
+    """Print text or anything that rich draws; without markup, and wide where no terminal sets the width."""
+    console().print(what, markup=False, highlight=False)
+
+
+def console() -> "Console":
+    """Return the console of stdout as it is now."""
+    from rich.console import Console
+
+    return Console(file=sys.stdout, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+
+
+def print_faults(faults: Iterable[Fault], *, as_json: bool = False) -> None:
+    """Print faults on stderr, one a line; as a document on stdout too where JSON was asked for."""
+    faults = list(faults)
+    for fault in faults:
+        sys.stderr.write(f"deltak: error: {' '.join(str(fault).split())}\n")
+    if as_json:
+        print_json({"errors": [fault_document(fault) for fault in faults]})
+
+
+def fault_document(fault: Fault) -> dict[str, str]:
+    """Return a fault as it stands in JSON."""
+    return {"path": fault.path, "message": fault.message, "advice": fault.advice}

@@ -1,0 +1,91 @@
+"""`deltak estimates` and `deltak alarms`: rows of the views, as a table, JSON or CSV."""
+
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.runtime.cli_output import print_csv, print_table
+from agent.runtime.commands_results import verdict
+from agent.storage import queries
+from agent.text import number, with_sd
+
+Row = Mapping[str, Any]
+
+ESTIMATE_COLUMNS = (
+    "rig", "run_id", "time", "t_ns", "parameter", "unit", "value", "delta", "reference", "baseline_id", "sd", "lower",
+    "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used", "n_missing", "span_s", "method",
+)  # fmt: skip
+ALARM_COLUMNS = (
+    "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at", "acked_by",
+    "shelved_until", "delta", "sd", "limit_value", "probability", "message",
+)  # fmt: skip
+TABLE_ROWS = 40
+"""A table for people shows the newest rows; JSON and CSV give all."""
+
+
+def estimates(
+    db: Path, rig: str | None, parameter: str | None, since: str | None, until: str | None, form: str
+) -> None:
+    """Print the estimates of a file. Raises StoreError; UsageError for a rig, parameter or time that makes no sense."""
+    rows = queries.estimates(db, rig, parameter, since, until)
+    if form == "table":
+        _print_estimate_table(rows)
+    else:
+        _print_rows("rows", ESTIMATE_COLUMNS, rows, form)
+
+
+def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
+    """Print the alarms of a file, one row an activation; active: only those whose condition still stands.
+
+    Raises StoreError; UsageError for an unknown rig.
+    """
+    rows = [row for row in queries.alarms(db, rig, active) if not active or row["cleared_at"] is None]
+    if form == "table":
+        _print_alarm_table(rows)
+    else:
+        _print_rows("alarms", ALARM_COLUMNS, rows, form)
+
+
+def _print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str) -> None:
+    """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing."""
+    if form == "csv":
+        print_csv(columns, rows)
+        return
+    sys.stdout.write(f'{{"{key}": [')
+    for i, row in enumerate(rows):
+        sys.stdout.write((",\n" if i else "\n") + json.dumps(dict(row), allow_nan=False, ensure_ascii=False))
+    sys.stdout.write("]}\n")
+
+
+def _print_estimate_table(rows: Sequence[Row]) -> None:
+    """Print the newest rows, with the rig where there are several."""
+    skip = 0 if len({row["rig"] for row in rows}) > 1 else 1
+    columns = ("rig", "time", "parameter", "value ± sd", "unit", "95 %", "change", "status")
+    cells = (_estimate_cells(row)[skip:] for row in rows[-TABLE_ROWS:])
+    print_table("", columns[skip:], cells, right={"value ± sd", "95 %", "change"})
+    if len(rows) > TABLE_ROWS:
+        sys.stderr.write(f"the newest {TABLE_ROWS} of {len(rows)} rows; --csv and --json give all, --since fewer\n")
+
+
+def _estimate_cells(row: Row) -> tuple[str, ...]:
+    return (
+        row["rig"],
+        row["time"],
+        row["parameter"],
+        with_sd(*(float("nan") if row[key] is None else row[key] for key in ("value", "sd"))),
+        row["unit"] or "",
+        f"{number(row['lower'])} … {number(row['upper'])}",
+        number(row["delta"], 4),
+        verdict(row),
+    )
+
+
+def _print_alarm_table(rows: Sequence[Row]) -> None:
+    if not rows:
+        sys.stdout.write("no alarms\n")
+        return
+    columns = ("id", "rig", "priority", "state", "raised", "cleared", "what")
+    keys = ("id", "rig", "priority", "state", "raised_at", "cleared_at", "message")
+    print_table("", columns, ([str(row[key] if row[key] is not None else "") for key in keys] for row in rows))

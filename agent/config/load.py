@@ -154,11 +154,11 @@ def _cleared(row: Any, key: str, values: tuple[str, ...], path: str, draft: Draf
 
 def _read_model(raw: object, draft: Draft) -> None:
     kind = raw.get("kind", "mass-spring-damper") if isinstance(raw, dict) else "mass-spring-damper"
-    table = _KINDS.get(kind) if isinstance(kind, str) else None
-    if table is None:
+    if not (isinstance(kind, str) and kind in _KINDS):
         draft.faults.add("model.kind", f"{shown(kind)} is none of {listing(map(shown, _KINDS))}", "choose one")
-        return
-    draft.model = read_table(table, raw, "model", draft.faults)
+        kind = "linear" if isinstance(raw, dict) and "A" in raw else "mass-spring-damper"
+        raw = {**raw, "kind": kind} if isinstance(raw, dict) else raw
+    draft.model = read_table(_KINDS[kind], raw, "model", draft.faults)
 
 
 def _read_columns(raw: object, draft: Draft) -> None:

@@ -90,7 +90,7 @@ def _within(raw: object, detail: ErrorDetails) -> list[str | int]:
         elif isinstance(raw, (list, tuple)) and isinstance(part, int):
             kept.append(part)
             raw = raw[part] if part < len(raw) else None
-    if detail["type"] == "missing":
+    if detail["type"] == "missing" and kept != list(detail["loc"]):
         kept.append(detail["loc"][-1])
     return kept
 

@@ -95,5 +95,5 @@ def _converted(table: type[Table], key: str, value: object) -> object:
     if isinstance(about.annotation, type) and issubclass(about.annotation, Table):
         return value
     config = ConfigDict(strict=True, allow_inf_nan=False)
-    adapter = TypeAdapter(cast("type[object]", Annotated[about.annotation, *about.metadata]), config=config)
+    adapter = TypeAdapter(cast("type[object]", Annotated[about.annotation, about]), config=config)
     return adapter.validate_python(value)

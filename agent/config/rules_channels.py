@@ -65,7 +65,7 @@ def _check_place(entry: Entry[Channel], model: MechanicsModel, faults: Faults) -
     if channel.at == "":
         faults.add(f"{path}.at", "is missing", 'name the mass it acts on or is measured at, such as "m1"')
     values = {mass.name: mass.value for mass in model.mass or ()}
-    if not channel.at or not values or not readable(*values, *values.values()):
+    if not channel.at or not values or not readable(*values):
         return
     if channel.at not in values:
         faults.add(f"{path}.at", f"no mass is called {shown(channel.at)}", f"masses are {listing(values)}")

@@ -1,5 +1,6 @@
 """What must hold in [estimator] and [[alarm]]."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 
@@ -7,7 +8,7 @@ from agent.config.draft import Draft
 from agent.config.fields import shown
 from agent.config.messages import listing, nearest
 from agent.config.parse import Faults, readable
-from agent.config.tables import Alarm, MechanicsModel
+from agent.config.tables import Alarm, MechanicsModel, Observer
 
 
 def check_estimator(draft: Draft) -> None:
@@ -39,8 +40,8 @@ def _check_observer(draft: Draft) -> None:
     observer, faults, path = draft.estimator.observer, draft.faults, "estimator.observer"
     if not readable(observer.gain):
         return
-    _check_belongs(f"{path}.poles", "poles", observer.gain, bool(observer.poles), faults)
-    _check_belongs(f"{path}.process_sd", "kalman", observer.gain, observer.process_sd is not None, faults)
+    _check_belongs(path, "poles", "poles", observer, faults)
+    _check_belongs(path, "process_sd", "kalman", observer, faults)
     for i, pole in enumerate(observer.poles or ()):
         if pole >= 0:
             faults.add(
@@ -54,11 +55,12 @@ def _check_observer(draft: Draft) -> None:
         faults.add(f"{path}.process_sd", f"has {len(observer.process_sd)} numbers for {masses}", "give one a mass")
 
 
-def _check_belongs(path: str, gain: str, given: str, there: bool, faults: Faults) -> None:
-    if given == gain and not there:
-        faults.add(path, f'is missing: gain = "{gain}" needs it', "add it")
-    elif given != gain and there:
-        faults.add(path, f'goes with gain = "{gain}", not "{given}"', "remove it or change the gain")
+def _check_belongs(path: str, key: str, gain: str, observer: Observer, faults: Faults) -> None:
+    there = key in observer.model_fields_set
+    if observer.gain == gain and not there:
+        faults.add(f"{path}.{key}", f'is missing: gain = "{gain}" needs it', "add it")
+    elif observer.gain != gain and there:
+        faults.add(f"{path}.{key}", f'goes with gain = "{gain}", not "{observer.gain}"', "remove it or change the gain")
 
 
 def _check_lengths(draft: Draft, rate_hz: float) -> None:
@@ -75,9 +77,10 @@ def _check_lengths(draft: Draft, rate_hz: float) -> None:
             what = f"{window_s:g} s is {samples} samples"
             unknowns = f"{len(draft.estimated)} parameters and {draft.states or 0} states"
             faults.add(path, what, f"{unknowns} need at least {least}: {least / rate_hz:g} s")
-        elif readable(estimator.hop_s) and estimator.hop_s > max(estimator.windows_s):
-            faults.add("estimator.hop_s", f"{estimator.hop_s:g} s is longer than the window", "hop within the window")
-            return
+    longest = max(estimator.windows_s, default=math.inf)
+    if readable(estimator.hop_s) and estimator.hop_s > longest:
+        what = f"{estimator.hop_s:g} s is longer than the window, {longest:g} s"
+        faults.add("estimator.hop_s", what, "hop within the window, so that no sample is passed over")
 
 
 def _windows(draft: Draft) -> Iterator[tuple[str, float]]:

@@ -45,7 +45,7 @@ def _check_mechanics(draft: Draft, model: MechanicsModel) -> None:
             draft.faults.add(f"{path}.name", f'"{GROUND}" is reserved', "it is the fixed node; use another name")
     for entry in elements:
         _check_element(entry, [mass.name for mass in model.mass], draft.faults)
-    if not draft.faults.found:
+    if not any(fault.path.startswith("model.") for fault in draft.faults.found):
         _check_massless(masses, model, draft.faults)
         _check_measured(masses, elements, draft)
 
@@ -87,9 +87,12 @@ def _check_massless(masses: list[Entry[Mass]], model: MechanicsModel, faults: Fa
 
 def _check_measured(masses: list[Entry[Mass]], elements: list[Entry[Element]], draft: Draft) -> None:
     """A part of the structure that nothing measures tells nothing."""
-    seen = reachable({c.table.at for c in draft.outputs}, [element.between for _, element in elements])
+    measured, names = {channel.at for _, channel in draft.outputs}, {mass.name for _, mass in masses}
+    if not measured or not measured <= names:
+        return
+    seen = reachable(measured, [element.between for _, element in elements])
     for path, mass in masses:
-        if draft.outputs and mass.name not in seen:
+        if mass.name not in seen:
             what = f'no channel measures "{mass.name}" or anything that it is connected to'
             draft.faults.add(path, what, "add a displacement, velocity or acceleration there, or remove the mass")
 

@@ -43,7 +43,7 @@ class Mass(Table):
     """A node; value in kg, 0 for a node without mass."""
 
     name: Name
-    value: NotNegative = Field(description="kg; 0 makes a massless node, which needs a damper")
+    value: NotNegative = Field(description="a mass is in kg; 0 makes a massless node, which needs a damper")
 
 
 class Element(Table):

@@ -1,0 +1,111 @@
+"""State detection: samples in, estimates with status, interval and held values out."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.special import stdtrit
+
+from agent.numerics.window_ml import Rows
+from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+
+
+class Estimator(Protocol):
+    """A method: consecutive samples in, rows out."""
+
+    def start_segment(self) -> None:
+        """Forget the samples before a gap."""
+        ...
+
+    def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
+        """Take samples y (N, p), u (N, m), the first of them number `index`; return the rows that they end."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """What every row of a rig's estimates carries."""
+
+    rig: str
+    method: str
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    reference: FloatArray
+    baseline_id: int | None
+    window_s: float
+    window: int
+    enough_sd: FloatArray
+
+
+@dataclass(slots=True)
+class Estimation:
+    """Runs a method over a rig's samples and says what each of its rows is worth.
+
+    used counts the samples that entered the method.
+    """
+
+    estimator: Estimator
+    labels: Labels
+    used: int = 0
+    _segment: int | None = None
+    _held: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _held_at: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        q = len(self.labels.parameters)
+        self._held, self._held_at = np.full(q, np.nan), np.full(q, np.nan)
+
+    def step(self, samples: Samples) -> EstimateBatch | None:
+        """Take samples of one segment; return the estimates that they end, None when there are none."""
+        if self._segment != samples.segment:
+            if self._segment is not None:
+                self.estimator.start_segment()
+            self._segment = samples.segment
+        self.used += len(samples.index)
+        rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u)
+        return self._batch(rows, samples) if len(rows.index) else None
+
+    def _batch(self, rows: Rows, samples: Samples) -> EstimateBatch:
+        t_ns = samples.t_ns[rows.index - samples.index[0]]
+        known = np.isfinite(rows.theta) & np.isfinite(rows.sd)
+        value, sd = np.where(known, rows.theta, np.nan), np.where(known, rows.sd, np.nan)
+        status, reason = self._verdicts(rows, known)
+        held, age = self._hold(value, status, t_ns)
+        with np.errstate(invalid="ignore"):
+            half = stdtrit(rows.dof, 0.975)[:, None] * sd
+        count, labels = len(rows.index), self.labels
+        used = np.where(rows.full, labels.window, np.minimum(rows.index - samples.index[0] + 1, labels.window))
+        return EstimateBatch(
+            rig=labels.rig, method=labels.method, parameters=labels.parameters, units=labels.units,
+            reference=labels.reference, baseline_id=labels.baseline_id, index=rows.index, t_ns=t_ns,
+            value=value, sd=sd, lower=value - half, upper=value + half, status=status, reason=reason,
+            held=held, held_age_s=age, window_s=np.full((count, len(labels.parameters)), labels.window_s),
+            n_used=used.astype(np.int64), n_missing=np.zeros(count, dtype=np.int64), dof=rows.dof,
+        )  # fmt: skip
+
+    def _verdicts(self, rows: Rows, known: np.ndarray) -> tuple[CodeArray, CodeArray]:  # type: ignore[type-arg]
+        status = np.full(rows.theta.shape, int(Status.VALID), dtype=np.uint8)
+        reason = np.zeros(rows.theta.shape, dtype=np.uint8)
+        with np.errstate(invalid="ignore"):
+            status[~known | (rows.sd > self.labels.enough_sd)] = Status.UNEXCITED
+        disturbed = rows.changing | rows.mismatch
+        status[disturbed] = Status.INVALID
+        reason[rows.changing] = Reason.CHANGING
+        reason[rows.mismatch] = Reason.MISMATCH
+        status[~rows.full] = Status.WARMING
+        return status, reason
+
+    def _hold(self, value: FloatArray, status: CodeArray, t_ns: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the newest valid value before each row that is not valid, and its age in seconds."""
+        valid = status == Status.VALID
+        seconds = (t_ns - t_ns[0]).astype(float) / 1e9
+        values = np.vstack([self._held, value])
+        times = np.vstack([self._held_at - t_ns[0] / 1e9, np.broadcast_to(seconds[:, None], value.shape)])
+        places = np.where(np.vstack([np.ones((1, value.shape[1]), dtype=bool), valid]), np.arange(len(values))[:, None], 0)
+        newest = np.maximum.accumulate(places, axis=0)
+        held = np.take_along_axis(values, newest, axis=0)
+        since = np.take_along_axis(times, newest, axis=0)
+        self._held, self._held_at = held[-1], since[-1] + t_ns[0] / 1e9
+        age = seconds[:, None] - since[1:]
+        wanted = ~valid & np.isfinite(held[1:])
+        return np.where(wanted, held[1:], np.nan), np.where(wanted, age, np.nan)

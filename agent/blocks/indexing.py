@@ -1,0 +1,130 @@
+"""Which sample is it: counters unwrapped and time stamps rounded to indices, repeats and steps back refused."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.types import IntArray
+from drivers.port import SampleBlock
+
+Clock = Literal["counter", "device", "uniform", "arrival"]
+BoolArray = NDArray[np.bool_]
+RESTART_AFTER_S = 0.1
+"""A device that keeps counting from behind for this long has restarted; a single late frame has not."""
+
+
+@dataclass(slots=True)
+class Origin:
+    """Counter value or time stamp of index 0; shared by the sources of one rig, set by the first sample of any."""
+
+    value: int | None = None
+
+
+@dataclass(slots=True)
+class Indexer:
+    """Gives each sample of one source its index since the run's first sample.
+
+    Attributes:
+        clock: what orders samples; "counter" falls back to time stamps where a block has no counter.
+        rate_hz: nominal sampling rate.
+        origin: where index 0 lies.
+        modulus: the counter wraps at this; None where it does not.
+        rejected: samples refused, by reason.
+        restarts: how often the device was found to have started anew.
+    """
+
+    clock: Clock
+    rate_hz: float
+    origin: Origin = field(default_factory=Origin)
+    modulus: int | None = None
+    rejected: Counter[str] = field(default_factory=Counter)
+    restarts: int = 0
+    _last: int | None = None  # newest accepted index ...
+    _raw: int = 0  # ... its counter value or time stamp ...
+    _heard_ns: int = 0  # ... and its arrival
+    _behind: int = 0
+    _epoch: int = 0
+
+    def take(self, block: SampleBlock) -> tuple[IntArray, BoolArray]:
+        """Return the indices of a block's samples (n,) and which of them go forward (n,); count the others."""
+        rows, arrival_ns = len(block), block.arrival_ns
+        if not rows:
+            return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
+        raw = self._readings(block.counter, block.t_ns, rows, arrival_ns)
+        counted = self.clock == "counter" and block.counter is not None
+        if block.epoch != self._epoch and self._last is not None:
+            # the first sample of a device that began anew comes after the time that passed
+            self._start_anew(int(raw[0]) - 1, counted, arrival_ns)
+        self._epoch = block.epoch
+        index = self._from_counter(raw, arrival_ns) if counted else self._from_time(raw)
+        kept = self._forward(index)
+        if kept.any():
+            newest = int(np.flatnonzero(kept)[-1])
+            self._last, self._raw, self._heard_ns = int(index[newest]), int(raw[newest]), arrival_ns
+        elif self._behind > RESTART_AFTER_S * self.rate_hz:
+            self._start_anew(int(raw[-1]), counted, arrival_ns)
+        return index, kept
+
+    def _readings(self, counter: IntArray | None, t_ns: IntArray | None, rows: int, arrival_ns: int) -> IntArray:
+        """What says the order: counter values, time stamps, or row numbers."""
+        if self.clock == "counter" and counter is not None:
+            return counter
+        if self.clock == "uniform" or (t_ns is None and self.clock != "arrival"):
+            return (0 if self._last is None else self._last + 1) + np.arange(rows, dtype=np.int64)
+        return t_ns if t_ns is not None else np.full(rows, arrival_ns, dtype=np.int64)
+
+    def _from_time(self, raw: IntArray) -> IntArray:
+        if self.clock == "uniform":
+            return raw
+        if self.origin.value is None:
+            self.origin.value = int(raw[0])
+        since = (raw - self.origin.value).astype(np.longdouble)
+        return np.rint(since * (self.rate_hz / 1e9)).astype(np.int64)
+
+    def _from_counter(self, raw: IntArray, arrival_ns: int) -> IntArray:
+        if self.origin.value is None:
+            self.origin.value = int(raw[0])
+        if self._last is None:
+            steps = np.diff(raw, prepend=np.int64(self.origin.value))
+            return np.cumsum(self._shortest(steps))
+        steps = self._shortest(np.diff(raw, prepend=np.int64(self._raw)))
+        steps[0] += self._silent_wraps(int(steps[0]), arrival_ns)
+        return self._last + np.cumsum(steps)
+
+    def _shortest(self, steps: IntArray) -> IntArray:
+        if self.modulus is None:
+            return steps
+        half = self.modulus // 2
+        return (steps + half) % self.modulus - half
+
+    def _silent_wraps(self, step: int, arrival_ns: int) -> int:
+        """Samples that whole wraps of the counter hide, after a silence longer than half a wrap."""
+        expected = (arrival_ns - self._heard_ns) * self.rate_hz / 1e9
+        if self.modulus is None or expected < self.modulus / 2:
+            return 0
+        return self.modulus * round((expected - step) / self.modulus)
+
+    def _forward(self, index: IntArray) -> BoolArray:
+        last = np.int64(-1 if self._last is None else self._last)
+        newest = np.maximum.accumulate(np.concatenate([[last], index]))[:-1]
+        kept = np.asarray(index > newest)
+        if kept.all():
+            self._behind = 0
+            return kept
+        repeated = ~kept & (index == newest)
+        backwards = int((~kept & ~repeated).sum())
+        self.rejected.update({"duplicate": int(repeated.sum()), "backwards": backwards})
+        self._behind = 0 if kept.any() else self._behind + backwards
+        return kept
+
+    def _start_anew(self, raw: int, counted: bool, arrival_ns: int) -> None:
+        """Go on after the time that passed on the monotonic clock, with the device's new count as it is."""
+        before = -1 if self._last is None else self._last
+        silent = max(1, round((arrival_ns - self._heard_ns) * self.rate_hz / 1e9))
+        self._last, self._raw, self._heard_ns, self._behind = before + silent, raw, arrival_ns, 0
+        self.restarts += 1
+        if not counted:
+            self.origin.value = raw - round(self._last * 1e9 / self.rate_hz)

@@ -1,0 +1,169 @@
+"""From a checked configuration to the mathematics: the parametric model, its windows, noise and gains."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.config import RigConfig
+from agent.config.tables import LinearModel, MechanicsModel, Parameter
+from agent.numerics.hops import HopPlan
+from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.observer import kalman_gain, poles_gain, spectral_radius, start_gain
+from agent.numerics.observer import STRICTLY_STABLE
+from agent.numerics.statespace import AffineModel, Discrete, Model, StateSpace
+from agent.numerics.window_ml import Gains, WindowSettings
+from agent.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class RigModel:
+    """What the estimator of one rig needs.
+
+    Attributes:
+        model: the parametric model; its inputs are the configuration's inputs, in order.
+        parameters: the estimated parameters, in the order of theta.
+        limits: (q,) alarm limit of each, 10 % of |nominal| where there is none.
+        disturbance: (n, d) directions in which unknown forces push the state, at nominal.
+    """
+
+    model: Model
+    parameters: tuple[Parameter, ...]
+    limits: FloatArray
+    disturbance: FloatArray
+
+
+def rig_model(config: RigConfig) -> RigModel:
+    """Build the model of a configuration."""
+    known = config.parameters
+    parameters = tuple(known[name] for name in config.estimator.estimate)
+    mechanical = isinstance(config.model, MechanicsModel)
+    model = _mechanics(config) if mechanical else _linear(config)
+    limits = np.array([_limit(config, parameter) for parameter in parameters])
+    return RigModel(model, parameters, limits, _disturbance(model))
+
+
+def _limit(config: RigConfig, parameter: Parameter) -> float:
+    for alarm in config.alarm:
+        if alarm.parameter == parameter.name:
+            percent = alarm.limit_percent
+            return alarm.limit if alarm.limit is not None else abs(parameter.nominal) * (percent or 10.0) / 100
+    return 0.1 * abs(parameter.nominal)
+
+
+def _mechanics(config: RigConfig) -> MassSpringDamper:
+    table = config.model
+    if not isinstance(table, MechanicsModel):
+        raise TypeError("not a mass-spring-damper model")
+
+    def elements(rows: tuple[object, ...]) -> tuple[Element, ...]:
+        return tuple(Element(e.name, e.between, e.nominal) for e in rows)  # type: ignore[attr-defined]
+
+    structure = Structure(
+        tuple(Mass(m.name, m.value) for m in table.mass),
+        elements(table.spring),
+        elements(table.damper),
+        elements(table.friction),
+    )
+    outputs = tuple(Output(c.quantity, c.at) for c in config.outputs)  # type: ignore[arg-type]
+    return MassSpringDamper(structure, config.estimator.estimate, tuple(c.at for c in config.inputs), outputs)
+
+
+def _linear(config: RigConfig) -> AffineModel:
+    table = config.model
+    if not isinstance(table, LinearModel):
+        raise TypeError("not a linear model")
+    A, C = np.array(table.A, dtype=float), np.array(table.C, dtype=float)
+    B = np.array(table.B, dtype=float).reshape(len(A), -1)
+    rows = {p.name: p for p in table.parameter}
+    chosen = [rows[name] for name in config.estimator.estimate]
+    dA = np.array([np.array(p.dA, dtype=float) if p.dA else np.zeros_like(A) for p in chosen]).reshape(-1, *A.shape)
+    dB = np.array([np.array(p.dB, dtype=float) if p.dB else np.zeros_like(B) for p in chosen]).reshape(-1, *B.shape)
+    D = np.zeros((len(C), B.shape[1]))
+    zero_C, zero_D = np.zeros((len(chosen), *C.shape)), np.zeros((len(chosen), *D.shape))
+    at_nominal = StateSpace(A, B, C, D, dA, dB, zero_C, zero_D)
+    nominal = np.array([p.nominal for p in chosen])
+    return AffineModel(config.estimator.estimate, nominal, at_nominal, tuple(f"state {i + 1}" for i in range(len(A))))
+
+
+def _disturbance(model: Model) -> FloatArray:
+    """A force on each mass, or anything on each state of a linear model."""
+    if isinstance(model, MassSpringDamper):
+        masses = np.array([m.value for m in model.structure.masses if m.value > 0])
+        direction = np.zeros((len(model.state_names), len(masses)))
+        direction[: len(masses)] = np.diag(1.0 / masses)
+        return direction
+    return np.eye(len(model.state_names))
+
+
+def output_noise(config: RigConfig, resolution: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return sigma (p,), NaN where the configuration does not say, and the floor (p,) that the wire sets, SI.
+
+    resolution (p,) is the wire's smallest step of each output, SI; it is uniform noise of resolution / sqrt(12).
+    """
+    floor = resolution / np.sqrt(12.0)
+    stated = np.array([np.nan if c.noise_sd is None else c.noise_sd * c.si_factor for c in config.outputs])
+    return np.hypot(stated, floor), floor
+
+
+def hop_plan(config: RigConfig) -> HopPlan:
+    """Return window and hop in samples."""
+    rate = config.rig.sample_rate_hz
+    window_s = config.estimator.windows_s[0] if config.estimator.windows_s else 1.0
+    return HopPlan(max(1, round(window_s * rate)), max(1, round(config.estimator.hop_s * rate)))
+
+
+def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) -> WindowSettings:
+    """Return the settings of window-ml for a configuration; resolution (p,) as in `output_noise`."""
+    sigma, floor = output_noise(config, resolution)
+    nominal = rig.model.nominal
+    scale = np.where(nominal != 0, np.abs(nominal), np.maximum(rig.limits, 1e-300))
+    physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
+    plan = hop_plan(config)
+    return WindowSettings(
+        period_s=1.0 / config.rig.sample_rate_hz,
+        plan=plan,
+        hold=config.estimator.hold,
+        gains=observer_gains(config, rig, np.where(np.isfinite(sigma), sigma, 1.0), plan.window),
+        sigma=sigma,
+        floor=floor,
+        scale=scale,
+        lower=np.where(physical, 0.02 * scale, -np.inf),
+        enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
+    )
+
+
+def observer_gains(config: RigConfig, rig: RigModel, sigma: FloatArray, window: int) -> Gains:
+    """Return the observer's gains as the configuration asks for them.
+
+    "auto" starts with a Kalman gain and, about a fitted model that is strictly stable, runs without correction:
+    with sensor noise alone that is the efficient choice, and any correction loses information.
+    """
+    observer = config.estimator.observer
+    if observer.gain == "poles":
+        poles = observer.poles
+
+        def placed(discrete: Discrete) -> FloatArray:
+            return poles_gain(discrete.model, poles, discrete.period_s)
+
+        return Gains(placed, placed)
+    if observer.gain == "kalman" and observer.process_sd is not None:
+        intensity = np.broadcast_to(np.asarray(observer.process_sd, dtype=float), (rig.disturbance.shape[1],))
+
+        def filtered(discrete: Discrete) -> FloatArray:
+            process = (rig.disturbance * intensity) @ (rig.disturbance * intensity).T * discrete.period_s**2
+            return kalman_gain(discrete.model, process, np.diag(sigma**2))
+
+        return Gains(filtered, filtered)
+    return _automatic(rig, sigma, window)
+
+
+def _automatic(rig: RigModel, sigma: FloatArray, window: int) -> Gains:
+    def start(discrete: Discrete) -> FloatArray:
+        return start_gain(discrete, rig.disturbance, sigma, window)
+
+    def settled(discrete: Discrete) -> FloatArray:
+        if spectral_radius(discrete.model.A) < STRICTLY_STABLE:
+            return np.zeros((discrete.model.n, discrete.model.p))
+        return start(discrete)
+
+    return Gains(start, settled)

@@ -1,0 +1,52 @@
+"""The estimation methods by the names that configurations use."""
+
+import numpy as np
+
+from agent.blocks.estimation import Estimation, Estimator, Labels
+from agent.blocks.rig_model import RigModel, hop_plan, rig_model, window_settings
+from agent.config import RigConfig
+from agent.errors import Fault, ModelError
+from agent.numerics.window_ml import WindowML
+from agent.types import FloatArray
+
+
+def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
+    """Build the estimation block of a rig; resolution (p,) is the wire's smallest step of each output, SI.
+
+    Raises ModelError where a window has fewer readings than unknowns.
+    """
+    rig = rig_model(config)
+    settings = window_settings(config, rig, resolution)
+    unknowns = len(rig.model.state_names) + len(rig.parameters)
+    readings = settings.plan.window * len(config.outputs)
+    if readings <= unknowns:
+        shortest = unknowns // max(len(config.outputs), 1) + 1
+        raise ModelError(
+            [
+                Fault(
+                    "estimator.window_s",
+                    f"a window of {settings.plan.window} samples has {readings} readings for {unknowns} unknowns",
+                    f"make it {shortest / config.rig.sample_rate_hz:g} s at the very least",
+                )
+            ]
+        )
+    labels = Labels(
+        rig=config.rig.name,
+        method=config.estimator.method,
+        parameters=tuple(p.name for p in rig.parameters),
+        units=tuple(p.unit for p in rig.parameters),
+        reference=np.array([p.nominal for p in rig.parameters]),
+        baseline_id=None,
+        window_s=settings.plan.window / config.rig.sample_rate_hz,
+        window=settings.plan.window,
+        enough_sd=settings.enough_sd,
+    )
+    return Estimation(_estimator(config, rig, resolution), labels)
+
+
+def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray) -> Estimator:
+    if config.estimator.method == "seed":
+        from agent.numerics.seed_window import SeedWindow
+
+        return SeedWindow(rig.model, hop_plan(config), config)
+    return WindowML(rig.model, window_settings(config, rig, resolution))

@@ -1,0 +1,104 @@
+"""The deterministic pipeline of one rig, which live and replay share: blocks of samples in, records out.
+
+    SampleBlock -> acquisition (DA, DM) -> estimation (SD) -> level alarms (HA, AG) -> records
+
+It reads no clock and does no input or output; labels and counts are handed in.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
+from agent.blocks.alarm import LevelAlarms
+from agent.blocks.estimation import Estimation
+from agent.config import RigConfig
+from agent.runtime.methods import make_estimation
+from agent.types import Health, IntArray, Record, Samples
+from drivers.port import Counts, SampleBlock
+
+Label = Callable[[IntArray], IntArray]
+
+
+@dataclass(slots=True)
+class Conservation:
+    """Where the samples of one source went, counted in three places and added up nowhere but here.
+
+    Attributes:
+        driver: what the driver met.
+        dropped: lost between driver and pipeline, by reason.
+    """
+
+    driver: Counts
+    dropped: Counter[str]
+
+
+class Pipeline:
+    """One rig from samples to records.
+
+    Args:
+        config: the rig's configuration.
+        resolution: (channels,) smallest step of the wire for each channel, in the reading's unit; inputs first.
+        sources: names of its sources with their channel -> field maps; one called "recording" for a replay.
+    """
+
+    def __init__(
+        self, config: RigConfig, resolution: Mapping[str, float], sources: Mapping[str, Mapping[str, str]]
+    ) -> None:
+        self.config = config
+        channels = [*config.inputs, *config.outputs]
+        names = [channel.name for channel in channels]
+        scales = {c.name: ChannelScale(c.scale, c.offset, c.si_factor) for c in channels}
+        plans = [source_plan(name, fields, names, scales) for name, fields in sources.items()]
+        rig = config.rig
+        self.acquisition = Acquisition(plans, len(channels), len(config.inputs), rig.clock, rig.sample_rate_hz)
+        steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in config.outputs])
+        self.estimation: Estimation = make_estimation(config, steps)
+        self.newest_ns = 0
+        self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
+
+    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> list[Record]:
+        """Take a block of one source and return what it leads to, in order of time.
+
+        label: time stamps of sample indices; None takes the block's own stamps (a recording's), or index / rate.
+        """
+        records: list[Record] = []
+        for aligned in self.acquisition.step(source, block, modulus):
+            t_ns = self._stamps(aligned) if label is None else label(aligned.index)
+            self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
+            batch = self.estimation.step(Samples(aligned.index, t_ns, aligned.u, aligned.y, aligned.segment))
+            if batch is not None:
+                records.append(batch)
+                records.extend(self.alarms.step(batch))
+        return records
+
+    def _stamps(self, aligned: Aligned) -> IntArray:
+        """A recording's own time stamps, or index / rate where it has none."""
+        if aligned.stamps is not None:
+            return aligned.stamps
+        period = np.longdouble(1e9) / np.longdouble(self.config.rig.sample_rate_hz)
+        return np.asarray(np.rint(aligned.index * period).astype(np.int64))
+
+    def health(self, conservation: Mapping[str, Conservation], t_ns: int, lag_s: float | None) -> list[Health]:
+        """Return the ledger of every source: driver, acquisition and estimation each give their own count."""
+        return [self._health_of(name, state, t_ns, lag_s) for name, state in conservation.items()]
+
+    def _health_of(self, name: str, conservation: Conservation, t_ns: int, lag_s: float | None) -> Health:
+        state = self.acquisition.sources[name]
+        driver = conservation.driver
+        return Health(
+            rig=self.config.rig.name, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
+            used=self.estimation.used, rejected=dict(driver.rejected + state.refusals()),
+            dropped=dict(driver.dropped + conservation.dropped), gaps=state.gaps, lag_s=lag_s,
+        )  # fmt: skip
+
+
+def resolutions(maps: Sequence[Mapping[str, str]], steps: Sequence[Sequence[float]]) -> dict[str, float]:
+    """Return the wire's smallest step of each channel, from the sources' maps and the drivers' answers."""
+    return {
+        channel: float(step)
+        for mapping, answer in zip(maps, steps, strict=True)
+        for channel, step in zip(mapping, answer, strict=True)
+    }

@@ -279,5 +279,5 @@ def _check(rule: LevelRule) -> None:
     """Refuse what the arithmetic cannot judge. Raises ValueError."""
     if (rule.limit is None) == (rule.limit_percent is None):
         raise ValueError(f"alarm on {rule.parameter}: exactly one of limit and limit_percent is needed")
-    if not 0.5 < rule.confidence < 1.0:
-        raise ValueError(f"alarm on {rule.parameter}: confidence {rule.confidence} is not between 0.5 and 1")
+    if not 0.5 <= rule.confidence < 1.0:
+        raise ValueError(f"alarm on {rule.parameter}: confidence {rule.confidence} is not in [0.5, 1)")

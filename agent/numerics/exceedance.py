@@ -41,7 +41,7 @@ class Deviations:
         return probability
 
     def exceed(self, level: FloatArray, confidence: FloatArray, among: BoolArray) -> BoolArray:
-        """Return where P(beyond level) ≥ confidence (r,), in (0.5, 1), of the elements among (N, r)."""
+        """Return where P(beyond level) ≥ confidence (r,), in [0.5, 1), of the elements among (N, r)."""
         # Both tails together reach one half only from one sd under the level on: 2 T(−1; ν) ≤ 2 T(−1; 1) = 1/2.
         maybe = np.nonzero(among & (self._margin(level) > -1.0))
         result = np.zeros(among.shape, dtype=np.bool_)
@@ -49,7 +49,7 @@ class Deviations:
         return result
 
     def stay_within(self, level: FloatArray, confidence: FloatArray, among: BoolArray) -> BoolArray:
-        """Return where P(within level) ≥ confidence (r,), in (0.5, 1), of the elements among (N, r)."""
+        """Return where P(within level) ≥ confidence (r,), in [0.5, 1), of the elements among (N, r)."""
         # A tail that begins inside the estimate already holds one half.
         maybe = np.nonzero(among & (self._margin(level) < 0.0))
         result = np.zeros(among.shape, dtype=np.bool_)

@@ -261,7 +261,7 @@ def test_level_alarms_nan_marked_valid_is_not_judged() -> None:
     [
         (Rule(limit=None), "exactly one"),
         (Rule(limit_percent=5.0), "exactly one"),
-        (Rule(confidence=0.5), "confidence"),
+        (Rule(confidence=0.49), "confidence"),
         (Rule(confidence=1.0), "confidence"),
     ],
 )

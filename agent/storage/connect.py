@@ -1,0 +1,137 @@
+"""Connections to the file: the one that writes, and those that only read."""
+
+import errno
+import sqlite3
+from pathlib import Path
+from urllib.parse import quote
+
+from agent.errors import StoreError
+from agent.storage.files import Kind, beside, check_place, kind_of, refuse, sync_folder
+from agent.storage.schema import PAGE_SIZE, SCHEMA_VERSION, upgrade
+
+WAL_BOUND = 16 * 1024 * 1024
+"""Bytes that the write-ahead log may take whatever readers do."""
+_WRITER = (
+    "PRAGMA journal_mode = WAL",
+    "PRAGMA synchronous = FULL",  # NORMAL loses acknowledged rows at a power cut
+    "PRAGMA mmap_size = 0",  # a stray write must not reach the file
+    "PRAGMA wal_autocheckpoint = 0",  # the store checkpoints by itself, between commits
+    f"PRAGMA journal_size_limit = {WAL_BOUND // 4}",
+    "PRAGMA cache_size = -8000",
+    "PRAGMA cell_size_check = ON",
+    "PRAGMA secure_delete = OFF",  # purged pages need not be written once more
+    "PRAGMA temp_store = MEMORY",
+)
+_TRANSIENT = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN,
+                        sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED})  # fmt: skip
+
+
+def code_of(error: BaseException) -> int:
+    """Return SQLite's primary code of an error; 0 when it has none."""
+    return int(getattr(error, "sqlite_errorcode", 0) or 0) & 0xFF
+
+
+def is_damage(error: BaseException) -> bool:
+    """Tell whether an error says that the file's content is broken."""
+    return code_of(error) in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
+
+
+def cause_of(error: BaseException) -> str:
+    """Return why a write failed, as a few words."""
+    code = code_of(error)
+    if code == sqlite3.SQLITE_FULL or getattr(error, "errno", None) in {errno.ENOSPC, errno.EDQUOT}:
+        return "disk full"
+    if code == sqlite3.SQLITE_READONLY or getattr(error, "errno", None) == errno.EROFS:
+        return "read only"
+    if is_damage(error):
+        return "damaged"
+    return "busy" if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED} else "input output error"
+
+
+def may_pass(error: BaseException) -> bool:
+    """Tell whether trying again later can help."""
+    return isinstance(error, OSError) or code_of(error) in _TRANSIENT
+
+
+def create(path: Path) -> None:
+    """Make a new database at a path in one step: built under another name, then renamed."""
+    fresh = beside(path, ".new")
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        beside(fresh, suffix).unlink(missing_ok=True)
+    build(fresh)
+    fresh.rename(path)
+    sync_folder(path.parent)
+
+
+def build(path: Path) -> None:
+    """Write an empty database of this version, whole and synced, with no companion files."""
+    connection = sqlite3.connect(path, isolation_level=None)
+    try:
+        connection.execute(f"PRAGMA page_size = {PAGE_SIZE}")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        upgrade(connection)
+    finally:
+        connection.close()
+
+
+def connect_writer(path: Path) -> sqlite3.Connection:
+    """Open the writing connection; transactions are begun and ended by hand."""
+    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1.0, cached_statements=64)
+    try:
+        for pragma in _WRITER:
+            connection.execute(pragma).fetchall()
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def connect_reader(path: Path) -> sqlite3.Connection:
+    """Open a database for reading only; usable while an agent writes to it.
+
+    A file system that cannot be written to has no place for the shared index of the write-ahead log; there the file
+    is read as it is (immutable), which leaves out what only the log holds.
+
+    Raises:
+        StoreError: missing, not ours, damaged, or of another version.
+    """
+    path = Path(path)
+    check_place(path)
+    kind = kind_of(path)
+    if kind is Kind.MISSING:
+        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    if kind is Kind.DAMAGED:
+        raise StoreError.at(str(path), "the database is damaged", "run `deltak db repair`")
+    refuse(path, kind)
+    for mode in ("mode=ro", "mode=ro&immutable=1"):
+        connection = sqlite3.connect(_uri(path, mode), uri=True, isolation_level=None, timeout=5.0)
+        try:
+            version = connection.execute("PRAGMA user_version").fetchone()[0]
+            connection.execute("SELECT count(*) FROM v_meta").fetchone()
+        except sqlite3.Error as error:
+            connection.close()
+            problem = error
+            continue
+        return _current(connection, path, version)
+    raise unreadable(path, problem)
+
+
+def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
+    """Return the error of a file that SQLite cannot read."""
+    advice = "run `deltak db repair`" if is_damage(error) else "look at its permissions and its disk"
+    fault = StoreError.at(str(path), f"the database cannot be read ({error})", advice)
+    assert isinstance(fault, StoreError)  # noqa: S101 - `at` makes an error of its own class
+    return fault
+
+
+def _current(connection: sqlite3.Connection, path: Path, version: int) -> sqlite3.Connection:
+    if version < SCHEMA_VERSION:
+        connection.close()
+        advice = "start the agent on it once, which brings it up to date"
+        raise StoreError.at(str(path), f"the database is of the older version {version}", advice)
+    return connection
+
+
+def _uri(path: Path, mode: str) -> str:
+    return f"file:{quote(str(path.absolute()))}?{mode}"

@@ -1,0 +1,167 @@
+"""The files beside the database: lock, ballast, directory entries, and what kind of file lies at a path."""
+
+import errno
+import fcntl
+import os
+from contextlib import suppress
+from enum import Enum
+from pathlib import Path
+
+from agent.errors import StoreError
+from agent.storage.schema import APPLICATION_ID, SCHEMA_VERSION
+
+BALLAST_BYTES = 256 * 1024
+"""Freed when the disk is full: SQLite needs room even to delete (measured: 200 kB are enough)."""
+_MAGIC = b"SQLite format 3\0"
+_OURS_WRITTEN = b"CREATE VIEW v_estimates_windows"
+_HEAD = 256 * 1024
+
+
+class Kind(Enum):
+    """What lies at a path."""
+
+    MISSING = "missing"
+    OURS = "ours"
+    DAMAGED = "damaged"
+    FOREIGN = "foreign"
+    NEWER = "newer"
+
+
+def beside(path: Path, suffix: str) -> Path:
+    """Return the path of a companion file: the database's whole name and a suffix."""
+    return path.with_name(path.name + suffix)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames and new names in a folder survive a power cut."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def kind_of(path: Path) -> Kind:
+    """Look at the first bytes; a file that was ours once and lost its marks is DAMAGED, never FOREIGN.
+
+    An empty file counts as MISSING: nothing can be lost by making it anew.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except FileNotFoundError:
+        return Kind.MISSING
+    if not head:
+        return Kind.MISSING
+    application_id = int.from_bytes(head[68:72], "big")
+    if head[:16] == _MAGIC and application_id == APPLICATION_ID:
+        return _version_kind(head)
+    return Kind.DAMAGED if _was_ours(path, head) else Kind.FOREIGN
+
+
+def _version_kind(head: bytes) -> Kind:
+    version = int.from_bytes(head[60:64], "big")
+    if SCHEMA_VERSION < version < 1 << 16:
+        return Kind.NEWER
+    return Kind.OURS if 0 < version <= SCHEMA_VERSION else Kind.DAMAGED
+
+
+def _was_ours(path: Path, head: bytes) -> bool:
+    if _OURS_WRITTEN in head:
+        return True
+    if head[:16] == _MAGIC and any(head[68:72]):
+        return False  # a healthy header that names another application
+    with suppress(OSError):
+        return beside(path, ".lock").read_bytes().startswith(_LOCK_MARK)
+    return False
+
+
+def refuse(path: Path, kind: Kind) -> None:
+    """Raise StoreError for files that this version must not touch."""
+    if kind is Kind.FOREIGN:
+        raise StoreError.at(str(path), "this file is not a deltak database", "give another path; it was not changed")
+    if kind is Kind.NEWER:
+        advice = f"this program reads up to version {SCHEMA_VERSION}: update it; the file was not changed"
+        raise StoreError.at(str(path), "the database was written by a newer version of deltak", advice)
+
+
+def check_place(path: Path) -> None:
+    """Raise StoreError when no database can lie at a path."""
+    if path.is_dir():
+        raise StoreError.at(str(path), "is a directory", "give the path of a file")
+    if not path.parent.is_dir():
+        raise StoreError.at(str(path), f'there is no folder "{path.parent}"', "make it first")
+
+
+_LOCK_MARK = b"deltak "
+
+
+class Lock:
+    """The right to change a database: flock on DB.lock, freed by the kernel when its holder dies.
+
+    Raises StoreError when another process holds it. The file stays: removing it would let two processes lock two
+    different files of one name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = beside(path, ".lock")
+        try:
+            self._handle = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o660)
+        except PermissionError as error:
+            raise StoreError.at(str(self._file), "permission denied", "run as the owner of the folder") from error
+        try:
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            holder = self._holder()
+            os.close(self._handle)
+            raise StoreError.at(str(path), f"process {holder} is writing to this database", "stop it first") from error
+        self._sign()
+
+    def _holder(self) -> str:
+        words = os.pread(self._handle, 64, 0).decode("ascii", "replace").split()
+        return words[1] if len(words) > 1 else "unknown"
+
+    def _sign(self) -> None:
+        """Write who holds the lock; on a full disk the lock holds unsigned."""
+        with suppress(OSError):
+            os.pwrite(self._handle, (_LOCK_MARK + f"{os.getpid()}".encode()).ljust(32) + b"\n", 0)
+
+    def release(self) -> None:
+        if self._handle >= 0:
+            os.close(self._handle)
+            self._handle = -1
+
+
+class Ballast:
+    """A file of no content that is dropped when the disk is full, so that there is room to delete old rows."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = beside(path, ".ballast")
+
+    def lay(self) -> bool:
+        """Make the file if it is missing or short; False when there is no room for it."""
+        with suppress(FileNotFoundError):
+            if self._file.stat().st_size >= BALLAST_BYTES:
+                return True
+        if not self._room():
+            return False
+        try:
+            with self._file.open("wb") as file:
+                file.write(bytes(BALLAST_BYTES))
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            self.drop()
+            if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}:
+                return False
+            raise
+        return True
+
+    def _room(self) -> bool:
+        """Tell whether there is room for the ballast without making the disk full again."""
+        disk = os.statvfs(self._file.parent)
+        return disk.f_bavail * disk.f_frsize >= 4 * BALLAST_BYTES
+
+    def drop(self) -> None:
+        with suppress(OSError):
+            self._file.unlink(missing_ok=True)

@@ -1,0 +1,121 @@
+"""The tables of the store and how a file of an earlier version becomes one of this version.
+
+Tables are the product's own and may change; the views (agent.storage.views) are what outsiders query. A row of an
+estimate is spread over three tables so that a year fits a small flash: `hops` says which run and when, `estimates`
+holds one row a parameter (its seq is the hop's seq times 1024 plus its column), and what seldom changes (series,
+fits, verdicts) is named by number.
+"""
+
+import sqlite3
+from typing import TYPE_CHECKING
+
+from agent import __version__
+from agent.storage.checksum import row_crc
+from agent.storage.views import VIEWS
+
+if TYPE_CHECKING:
+    from sqlite_utils import Database
+    from sqlite_utils.migrations import Migrations
+
+APPLICATION_ID = 0x64744B31
+"""Bytes 68 to 71 of the file: "dtK1"."""
+SCHEMA_VERSION = 1
+"""The file's user_version: 100 x major + n; a reader refuses what is greater than its own."""
+PAGE_SIZE = 1024
+"""Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
+COLUMN_BITS = 10
+"""estimates.seq = hops.seq << COLUMN_BITS | column."""
+
+TABLES: dict[str, str] = {
+    "meta": "key TEXT NOT NULL UNIQUE, value TEXT NOT NULL",
+    "rigs": "name TEXT NOT NULL UNIQUE",
+    "runs": "rig_id INTEGER NOT NULL, kind TEXT NOT NULL, started_ns INTEGER NOT NULL, code_version TEXT NOT NULL, "
+    "config_sha256 TEXT NOT NULL, baseline_id INTEGER, boot_id TEXT, full_from_ns INTEGER, minute_from_ns INTEGER",
+    "series": "run_id INTEGER NOT NULL, parameter TEXT NOT NULL, unit TEXT NOT NULL, method TEXT NOT NULL, "
+    "reference REAL, baseline_id INTEGER",
+    "fits": "window_s REAL, n_used INTEGER NOT NULL, n_missing INTEGER NOT NULL, dof REAL, t95 REAL, "
+    "chosen INTEGER NOT NULL",
+    "verdicts": "status TEXT NOT NULL, reason TEXT",
+    "hops": "run_id INTEGER NOT NULL, span INTEGER NOT NULL, t_ns INTEGER NOT NULL",
+    "estimates": "series_id INTEGER NOT NULL, fit_id INTEGER NOT NULL, verdict_id INTEGER NOT NULL, value REAL, "
+    "sd REAL, lower REAL, upper REAL, held REAL, held_age_s REAL",
+    "spreads": "n INTEGER NOT NULL, n_valid INTEGER NOT NULL, worst_id INTEGER NOT NULL, low REAL, high REAL",
+    "overlaps": "run_id INTEGER NOT NULL, by_run INTEGER NOT NULL, from_ns INTEGER NOT NULL, to_ns INTEGER NOT NULL",
+    "alarms": "run_id INTEGER NOT NULL, kind TEXT NOT NULL, parameter TEXT NOT NULL, priority TEXT NOT NULL, "
+    "state TEXT NOT NULL, raised_ns INTEGER NOT NULL, cleared_ns INTEGER, acked_ns INTEGER, acked_by TEXT, "
+    "shelved_until_ns INTEGER, delta REAL, sd REAL, limit_value REAL, probability REAL, message TEXT NOT NULL",
+    "alarm_events": "alarm_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, from_state TEXT NOT NULL, "
+    "to_state TEXT NOT NULL, cause TEXT NOT NULL, by_whom TEXT, comment TEXT",
+    "health": "run_id INTEGER NOT NULL, source TEXT NOT NULL, t_ns INTEGER NOT NULL, received INTEGER NOT NULL, "
+    "used INTEGER NOT NULL, rejected INTEGER NOT NULL, dropped INTEGER NOT NULL, gaps INTEGER NOT NULL, lag_s REAL, "
+    "reasons TEXT",
+    "events": "run_id INTEGER NOT NULL, source TEXT NOT NULL, t_ns INTEGER NOT NULL, cause TEXT NOT NULL, "
+    "message TEXT NOT NULL",
+    "counters": "name TEXT NOT NULL UNIQUE, count INTEGER NOT NULL",
+    "sequences": "name TEXT NOT NULL UNIQUE, high INTEGER NOT NULL",
+}
+"""Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
+
+_CONSUMERS = (
+    "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, last_seq INTEGER NOT NULL DEFAULT 0, "
+    "topic TEXT NOT NULL DEFAULT 'estimates', UNIQUE (name, topic)) STRICT"
+)
+
+_INDEXES = (
+    "CREATE INDEX hops_by_time ON hops (run_id, span, t_ns)",
+    "CREATE INDEX runs_by_rig ON runs (rig_id)",
+    "CREATE INDEX series_by_run ON series (run_id)",
+    "CREATE INDEX overlaps_by_run ON overlaps (run_id)",
+    "CREATE INDEX alarms_by_run ON alarms (run_id)",
+    "CREATE INDEX alarm_events_by_alarm ON alarm_events (alarm_id)",
+    "CREATE INDEX health_by_run ON health (run_id, t_ns)",
+)
+
+
+def columns_of(table: str) -> list[str]:
+    """Return the columns of a table in order, with seq and crc."""
+    return ["seq", *(part.strip().split()[0] for part in TABLES[table].split(",")), "crc"]
+
+
+def insert_sql(table: str, verb: str = "INSERT") -> str:
+    """Return the statement that inserts whole rows of a table; verb: "INSERT" or "INSERT OR REPLACE"."""
+    names = columns_of(table)
+    return f"{verb} INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"
+
+
+def _tables_views_and_marks(db: "Database") -> None:
+    """Make everything of version 1 in the transaction that the migration runs in."""
+    for table, columns in TABLES.items():
+        db.conn.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
+    for statement in (_CONSUMERS, *_INDEXES, *VIEWS):
+        db.conn.execute(statement)
+    for number, (key, value) in enumerate((("schema_version", "1"), ("created_by", f"deltak {__version__}")), 1):
+        db.conn.execute(insert_sql("meta"), (number, key, value, row_crc((number, key, value))))
+    _mark(db.conn, 1)
+
+
+def _mark(connection: sqlite3.Connection, version: int) -> None:
+    """Write the file's marks; they are part of the transaction like any row."""
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {version}")
+
+
+def migrations() -> "Migrations":
+    """Return the ordered set; each step is one transaction together with the row that records it."""
+    from sqlite_utils.migrations import Migrations
+
+    steps = Migrations("deltak")
+    steps(name="0001_tables_views_and_marks")(_tables_views_and_marks)
+    return steps
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Bring an open file to SCHEMA_VERSION; does nothing when it is there already.
+
+    sqlite-utils takes half a second to import, so it is not touched on an ordinary start.
+    """
+    if connection.execute("PRAGMA user_version").fetchone()[0] == SCHEMA_VERSION:
+        return
+    from sqlite_utils import Database
+
+    migrations().apply(Database(connection, execute_plugins=False))

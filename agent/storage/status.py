@@ -1,0 +1,30 @@
+"""Rows of health and events: the conservation ledger of each source, and what happened once."""
+
+import json
+from collections.abc import Mapping
+
+from agent.storage.rows import Numbers, Plan
+from agent.types import Health, HealthEvent
+
+
+def add_health(plan: Plan, record: Health, run_id: int, numbers: Numbers) -> None:
+    """Add a ledger row; the reasons travel in it as JSON, which the view takes apart."""
+    sums = (record.received, record.used, sum(record.rejected.values()), sum(record.dropped.values()), record.gaps)
+    lag = None if record.lag_s is None or record.lag_s - record.lag_s != 0 else float(record.lag_s)
+    cells = (record.source, record.t_ns, *(int(n) for n in sums), lag, _reasons(record))
+    plan.sealed("health", numbers.take("health"), run_id, *cells)
+
+
+def _reasons(record: Health) -> str | None:
+    kinds = {"rejected": _counted(record.rejected), "dropped": _counted(record.dropped)}
+    known = {kind: reasons for kind, reasons in kinds.items() if reasons}
+    return json.dumps(known, sort_keys=True) if known else None
+
+
+def _counted(reasons: Mapping[str, int]) -> dict[str, int]:
+    return {reason: int(count) for reason, count in reasons.items() if count}
+
+
+def add_event(plan: Plan, record: HealthEvent, run_id: int, numbers: Numbers) -> None:
+    """Add something that happened once."""
+    plan.sealed("events", numbers.take("events"), run_id, record.source, record.t_ns, record.cause, record.message)

@@ -1,0 +1,236 @@
+"""The single writer of the database: what `write` returned from is on the disk, whatever happens next."""
+
+import sqlite3
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from agent.errors import StoreError
+from agent.storage.alarms import AlarmBook, AlarmRow, standing_alarms
+from agent.storage.batches import joined_runs, take
+from agent.storage.checksum import row_crc
+from agent.storage.connect import cause_of, connect_writer, create, is_damage, may_pass, unreadable
+from agent.storage.coverage import Coverage
+from agent.storage.encode import add_estimates
+from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse
+from agent.storage.rows import Names, Numbers, Plan
+from agent.storage.schema import insert_sql, upgrade
+from agent.storage.status import add_event, add_health
+from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Record, RunInfo
+
+_CELLS_A_COMMIT = 50_000  # about 3 MB of write-ahead log
+_COMMITS_A_CHECKPOINT = 300
+_CELLS_A_CHECKPOINT = 60_000
+
+
+class Store:
+    """One open database, owned by this process through its lock file; one thread at a time uses it.
+
+    Made by `Store.open`. Writing raises sqlite3.Error (or OSError) when the disk refuses; nothing of that call is then
+    acknowledged, and the same plans may be committed again after `reopen`.
+    """
+
+    def __init__(self, path: Path, lock: Lock) -> None:
+        self.path = path
+        self._lock = lock
+        self._mutex = threading.RLock()
+        self._connection: sqlite3.Connection | None = None
+        self._ballast = Ballast(path)
+        self._numbers = Numbers()
+        self._names = Names(self._numbers)
+        self._books: dict[int, AlarmBook] = {}
+        self._coverage: dict[int, Coverage] = {}
+        self._since_checkpoint = [0, 0]
+
+    @classmethod
+    def open(cls, path: Path | str) -> "Store":
+        """Open or create the database at a path and take its lock.
+
+        Raises:
+            StoreError: a directory, no folder, no permission, not ours, newer, or another process writes to it.
+            sqlite3.Error, OSError: the disk refuses; trying again later may help (see `connect.may_pass`).
+        """
+        path = Path(path)
+        check_place(path)
+        refuse(path, kind_of(path))
+        store = cls(path, Lock(path))
+        try:
+            store._attach()
+        except BaseException:
+            store.close()
+            raise
+        return store
+
+    def _attach(self) -> None:
+        """Open the file, bring it up to date and learn what it names."""
+        kind = kind_of(self.path)
+        refuse(self.path, kind)
+        if kind is Kind.MISSING:
+            create(self.path)
+        try:
+            self._connection = connect_writer(self.path)
+            upgrade(self._connection)
+            self._numbers.load(self._connection)
+            self._names.load(self._connection)
+        except sqlite3.Error as error:
+            if may_pass(error) or is_damage(error):
+                raise
+            raise unreadable(self.path, error) from error
+        self._ballast.lay()
+
+    @property
+    def connection(self) -> sqlite3.Connection:
+        """The writing connection; StoreError when the store is closed."""
+        if self._connection is None:
+            raise StoreError.at(str(self.path), "the database is closed", "open it again")
+        return self._connection
+
+    def begin_run(self, run: RunInfo) -> int:
+        """Record a run and return its number; the alarms that earlier live runs left standing go on in a live run."""
+        with self._mutex:
+            run_id = self._numbers.take("runs")
+            plan = Plan()
+            facts = (run.kind, run.started_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
+            plan.sealed("runs", run_id, self._names.rig(run.rig), *facts, None, None)
+            self.commit([plan])
+            self.adopt_run(run_id, run)
+            return run_id
+
+    def adopt_run(self, run_id: int, run: RunInfo) -> None:
+        """Go on with a run that is in the file already."""
+        standing = self.open_alarms(run.rig) if run.kind == "live" else []
+        self._books[run_id] = AlarmBook(run_id, standing)
+        self._coverage[run_id] = Coverage(self.connection, run_id, run.rig)
+
+    def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
+        """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""
+        with self._mutex:
+            return standing_alarms(self.connection, rig, kind)
+
+    def write(self, run_id: int, records: Sequence[Record]) -> None:
+        """Store records of a run; on return they are committed and survive a power cut.
+
+        All of them in one transaction, but that more than 50,000 estimates are cut into several.
+        """
+        with self._mutex:
+            self.commit(self.encode(run_id, records))
+
+    def encode(self, run_id: int, records: Sequence[Record]) -> list[Plan]:
+        """Turn records into the rows of one or several transactions; nothing is written yet."""
+        if run_id not in self._books:
+            raise StoreError.at(str(self.path), f"there is no run {run_id} open for writing", "begin a run first")
+        plans = [self._estimates_plan(run_id, part) for part in _pieces(records)] or [Plan()]
+        for record in records:
+            self._add(plans[-1], run_id, record)
+        return plans
+
+    def _estimates_plan(self, run_id: int, batch: EstimateBatch) -> Plan:
+        plan = Plan()
+        add_estimates(plan, batch, run_id, self._names, self._numbers)
+        t_ns = batch.t_ns
+        self._coverage[run_id].extend(plan, int(np.min(t_ns)), int(np.max(t_ns)), self._numbers)
+        return plan
+
+    def _add(self, plan: Plan, run_id: int, record: Record) -> None:
+        if isinstance(record, AlarmTransition):
+            self._books[run_id].apply(plan, record, self._numbers)
+        elif isinstance(record, Health):
+            add_health(plan, record, run_id, self._numbers)
+        elif isinstance(record, HealthEvent):
+            add_event(plan, record, run_id, self._numbers)
+
+    def commit(self, plans: Sequence[Plan]) -> None:
+        """Write plans, a transaction each; on return they are on the disk. Committing a plan again is harmless."""
+        with self._mutex:
+            for plan in plans:
+                self._transaction(plan)
+            self._checkpoint_if_due()
+
+    def _transaction(self, plan: Plan) -> None:
+        execute = self.connection.execute
+        execute("BEGIN IMMEDIATE")
+        try:
+            for source in (self._names.fresh, plan):
+                for table, rows in source.rows.items():
+                    self.connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
+            execute("COMMIT")
+        except BaseException:
+            if self.connection.in_transaction:
+                execute("ROLLBACK")
+            raise
+        self._names.saved()
+        self._since_checkpoint[0] += 1
+        self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
+
+    def _checkpoint_if_due(self) -> None:
+        commits, cells = self._since_checkpoint
+        if commits >= _COMMITS_A_CHECKPOINT or cells >= _CELLS_A_CHECKPOINT:
+            self.checkpoint()
+
+    def checkpoint(self, mode: str = "PASSIVE") -> tuple[int, int]:
+        """Move the write-ahead log into the file; returns the frames it holds and those of them moved."""
+        self._since_checkpoint = [0, 0]
+        _, frames, moved = self.connection.execute(f"PRAGMA wal_checkpoint({mode})").fetchone()
+        return frames, moved
+
+    def count(self, name: str, more: int) -> None:
+        """Add to a counter that the file keeps (rows purged before they were sent ...)."""
+        with self._mutex:
+            known = self.connection.execute("SELECT seq, count FROM counters WHERE name = ?", (name,)).fetchone()
+            seq, total = known or (self._numbers.take("counters"), 0)
+            plan = Plan()
+            plan.add("counters", (seq, name, total + more, row_crc((seq, name, total + more))))
+            self.commit([plan])
+
+    def reopen(self) -> None:
+        """Close the connection and open the file anew, keeping the lock; for after a failed write."""
+        with self._mutex:
+            self._disconnect()
+            self._attach()
+
+    def revive(self, error: BaseException) -> None:
+        """Do what can be done after a failed write, then open the file anew."""
+        with self._mutex:
+            if cause_of(error) == "disk full":
+                self._ballast.drop()
+            self.reopen()
+
+    def wal_bytes(self) -> int:
+        """Return the size of the write-ahead log's file."""
+        log = beside(self.path, "-wal")
+        return log.stat().st_size if log.exists() else 0
+
+    def _disconnect(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+
+    def close(self) -> None:
+        """Close the file (which empties the write-ahead log) and give the lock back; harmless when closed."""
+        with self._mutex:
+            try:
+                self._disconnect()
+            finally:
+                self._lock.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _pieces(records: Sequence[Record]) -> list[EstimateBatch]:
+    """Return the estimates of the records, joined where they can be and cut to the size of a transaction."""
+    pieces: list[EstimateBatch] = []
+    batches = [r for r in records if isinstance(r, EstimateBatch) and len(r)]
+    for batch in joined_runs(batches):
+        hops = max(1, _CELLS_A_COMMIT // max(1, len(batch.parameters)))
+        if len(batch) <= hops:
+            pieces.append(batch)
+            continue
+        pieces.extend(take(batch, np.arange(i, min(i + hops, len(batch)))) for i in range(0, len(batch), hops))
+    return pieces

@@ -1,0 +1,270 @@
+"""The thread between pipeline and store: takes records without ever blocking, and keeps at it when disks fail."""
+
+import sqlite3
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from agent.errors import StoreError
+from agent.storage.backlog import Backlog, Pause, cells_of
+from agent.storage.connect import cause_of, is_damage
+from agent.storage.rows import Plan
+from agent.storage.store import Store
+from agent.storage.thinning import Thinner
+from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Record, RunInfo
+
+_DISK = (sqlite3.Error, OSError)
+_FAILURE = (*_DISK, StoreError)
+_FULL = "queue full"
+
+
+class StoreWriter:
+    """Writes the records of one or several rigs, a batch a second and alarm transitions at once.
+
+    A disk that fails costs no sample: rows wait in memory (bounded; what falls out is counted in `dropped`), the file
+    is opened again with growing pauses, and an event says so once it is over.
+
+    Args:
+        opener: opens the store; called again when it could not be opened or was lost.
+        runs: one for each rig whose records will come.
+        every_s: the thinning of CONTRACT's [store] table; 0 keeps all.
+        lossless: for replays: `publish` waits for the disk instead of dropping, and a failing disk is an error.
+        most_cells: rows that wait in memory at most, a rig.
+        on_event: told of every HealthEvent that the writer makes itself (in the writer's thread).
+    """
+
+    def __init__(
+        self,
+        opener: Callable[[], Store],
+        runs: Sequence[RunInfo],
+        *,
+        every_s: float = 0.0,
+        lossless: bool = False,
+        most_cells: int = 200_000,
+        period_s: float = 1.0,
+        on_event: Callable[[HealthEvent], None] = lambda _: None,
+    ) -> None:
+        self._opener = opener
+        self._runs = {run.rig: run for run in runs}
+        self._thinners = {run.rig: Thinner(every_s) for run in runs}
+        self._backlogs = {run.rig: Backlog(most_cells) for run in runs}
+        self._newest = {run.rig: run.started_ns for run in runs}
+        self._lossless, self._most, self._period, self._on_event = lossless, most_cells, period_s, on_event
+        self._store: Store | None = None
+        self._flight: dict[str, list[Record]] = {}
+        self._plans: list[Plan] = []
+        self._condition = threading.Condition()
+        self._queue: list[Sequence[Record]] = []
+        self._queued = 0
+        self._urgent = self._stopping = self._ended = False
+        self._asked = self._answered = 0
+        self._pause = Pause()
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
+        self.run_ids: dict[str, int] = {}
+        self.progress = 0
+        """Grows with every round of the thread; a watchdog may read it."""
+        self.written = 0
+        """Rows of estimates, alarms and health that were acknowledged."""
+        self.dropped_at_queue: Counter[str] = Counter()
+
+    # --- the pipeline's side -----------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open the store and begin the runs; StoreError when it can never work, otherwise failures are retried."""
+        try:
+            self._attach()
+        except _DISK as error:
+            self._failed(error)
+            if self._lossless:
+                raise StoreError.at("store", f"cannot be written ({error})", "look at its disk") from error
+        self._thread.start()
+
+    def publish(self, records: Sequence[Record]) -> None:
+        """Hand over the records of one pipeline step; never blocks (but for lossless) and never raises for the disk."""
+        cells = sum(map(cells_of, records))
+        with self._condition:
+            if self._lossless:
+                self._condition.wait_for(lambda: self._queued < self._most or self._ended)
+                self._raise_failure()
+            elif self._queued + cells > self._most:
+                records = self._only_alarms(records)
+            self._queue.append(records)
+            self._queued += cells
+            if any(isinstance(r, AlarmTransition) for r in records) or self._queued > self._most // 8:
+                self._urgent = True
+                self._condition.notify_all()
+
+    def flush(self, timeout_s: float = 30.0) -> bool:
+        """Wait until everything published so far is committed; False when that did not happen in time."""
+        with self._condition:
+            self._asked += 1
+            ticket = self._asked
+            self._condition.notify_all()
+            done = self._condition.wait_for(lambda: self._answered >= ticket or self._ended, timeout_s)
+            if self._lossless:
+                self._raise_failure()
+            return done and self._answered >= ticket
+
+    def stop(self, timeout_s: float = 10.0) -> None:
+        """Write what is left, close the store and end the thread; what a failing disk still refuses is dropped."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify_all()
+        self._thread.join(timeout_s)
+        if self._lossless:
+            self._raise_failure()
+
+    def is_alive(self) -> bool:
+        """Tell whether the thread runs."""
+        return self._thread.is_alive()
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Rows that could not be stored, by reason."""
+        return sum((b.dropped for b in self._backlogs.values()), Counter(self.dropped_at_queue))
+
+    @property
+    def failing(self) -> str | None:
+        """Why the store cannot be written at present; None when it can."""
+        return self._pause.cause
+
+    def _only_alarms(self, records: Sequence[Record]) -> list[Record]:
+        kept: list[Record] = [r for r in records if isinstance(r, AlarmTransition)]
+        self.dropped_at_queue[_FULL] += sum(map(cells_of, records)) - len(kept)
+        return kept
+
+    def _raise_failure(self) -> None:
+        if self._failure is not None:
+            raise StoreError.at("store", f"cannot be written ({self._failure})", "look at its disk") from self._failure
+
+    # --- the thread's side -------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        try:
+            while not self._round():
+                pass
+        finally:
+            self._end()
+
+    def _round(self) -> bool:
+        """Wait, take what came, write it; True when the thread has nothing left to do."""
+        ticket, last = self._wait()
+        self.progress += 1
+        self._collect(last)
+        self._write_all(insist=last or ticket > self._answered)
+        with self._condition:
+            if not self._waiting() or last:
+                self._answered = ticket
+            self._condition.notify_all()
+        return last or (self._lossless and self._failure is not None)
+
+    def _wait(self) -> tuple[int, bool]:
+        with self._condition:
+            self._condition.wait_for(
+                lambda: self._urgent or self._stopping or (self._asked > self._answered and not self._pause.cause),
+                self._wait_s(),
+            )
+            self._urgent = False
+            return self._asked, self._stopping
+
+    def _wait_s(self) -> float:
+        return min(self._period, self._pause.length_s) if self._pause.cause else self._period
+
+    def _collect(self, last: bool) -> None:
+        """Thin what came and put it into the backlog of its rig."""
+        with self._condition:
+            queue, self._queue, self._queued = self._queue, [], 0
+            self._condition.notify_all()
+        for records in queue:
+            for rig in {r.rig: None for r in records}:
+                self._keep(rig, self._thinners[rig].feed([r for r in records if r.rig == rig]))
+        if last:
+            for rig, thinner in self._thinners.items():
+                self._keep(rig, thinner.flush())
+
+    def _keep(self, rig: str, records: Sequence[Record]) -> None:
+        for record in records:
+            t_ns = int(record.t_ns[-1]) if isinstance(record, EstimateBatch) else record.t_ns
+            self._newest[rig] = max(self._newest[rig], t_ns)
+        self._backlogs[rig].add(records, self._pause.cause or _FULL)
+
+    def _waiting(self) -> bool:
+        return bool(self._flight) or any(map(len, self._backlogs.values()))
+
+    def _write_all(self, insist: bool) -> None:
+        """Write what waits, if it is not too soon after a failure."""
+        if self._pause.cause and not insist and not self._pause.over():
+            return
+        try:
+            self._attach()
+            while self._waiting():
+                self._write_once()
+        except _FAILURE as error:
+            self._failed(error)
+        else:
+            if self._pause.cause is not None:
+                self._recovered()
+                self._write_all(insist)
+
+    def _write_once(self) -> None:
+        """Commit what is in flight; what failed before is committed again as it was, which stores nothing twice."""
+        store = self._store
+        assert store is not None  # noqa: S101 - _attach made it
+        if not self._flight:
+            self._flight = {rig: records for rig, b in self._backlogs.items() if (records := b.take())}
+        if not self._plans:
+            self._plans = [p for rig, records in self._flight.items() for p in store.encode(self.run_ids[rig], records)]
+        store.commit(self._plans)
+        self.written += sum(cells_of(r) for records in self._flight.values() for r in records)
+        self._flight, self._plans = {}, []
+
+    def _attach(self) -> None:
+        """See that the store is open and the runs are begun."""
+        if self._store is None:
+            self._store = self._opener()
+        for rig, run in self._runs.items():
+            if rig not in self.run_ids:
+                self.run_ids[rig] = self._store.begin_run(run)
+
+    def _failed(self, error: BaseException) -> None:
+        """Note a failure and try to be able to go on next time."""
+        self._pause.failed(cause_of(error))
+        self._failure = error
+        if self._store is None:
+            return
+        try:
+            if is_damage(error):
+                self._replace_file()
+            else:
+                self._store.revive(error)
+        except _FAILURE as second:
+            self._pause.failed(cause_of(second))
+
+    def _replace_file(self) -> None:
+        """Go on in a new file that holds what could be read of the damaged one; rows in flight are stored anew."""
+        assert self._store is not None  # noqa: S101 - checked by the caller
+        self._store.reopen()
+        self.run_ids.clear()
+        self._plans = []
+
+    def _recovered(self) -> None:
+        """After a failure: say how long it lasted and what it cost, once."""
+        cause, since = self._pause.passed()
+        self._failure = None
+        for rig in self._runs:
+            lost = sum(self._backlogs[rig].dropped.values())
+            message = f"the store could not be written for {since:.1f} s ({cause}); {lost} rows did not fit in memory"
+            event = HealthEvent(rig, "store", self._newest[rig], cause, message)
+            self._backlogs[rig].add([event], cause)
+            self._on_event(event)
+
+    def _end(self) -> None:
+        for backlog in self._backlogs.values():
+            left = sum(map(cells_of, backlog.take()))
+            backlog.dropped[self._pause.cause or "stopped"] += left
+        with self._condition:
+            self._ended = True
+            self._condition.notify_all()
+        if self._store is not None:
+            self._store.close()

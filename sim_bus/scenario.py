@@ -1,7 +1,8 @@
 """Scenarios: what a simulated rig does. TOML files; some come with the package and are found by name."""
 
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Literal, Self
@@ -77,6 +78,10 @@ class Scenario(BaseModel):
         sensed = list(dict.fromkeys(channel.at for channel in rig.channel if channel.quantity == "force"))
         return [(force, node) for force in self.force for node in ([force.at] if force.at else sensed)]
 
+    def with_faults(self, texts: Sequence[str]) -> Self:
+        """Return the scenario with more faults, each as NAME@SECONDS or NAME@SECONDSs."""
+        return self.model_copy(update={"fault": (*self.fault, *(_fault_of(text) for text in texts))})
+
     def fits(self, rig: RigFile) -> None:
         """Raise SimUsageError unless every name in the scenario is one of the rig's."""
         nodes, constants = set(rig.model.graph.nodes), set(rig.model.nominal)
@@ -112,6 +117,13 @@ def load_scenario(name_or_file: str, environment: Mapping[str, str] = os.environ
         raise SimUsageError(f'--scenario: "{name_or_file}" is neither a file nor one of {names}')
     content = read_toml(path) | {"folder": path.resolve().parent}
     return checked(Scenario, content | _seed_of(environment), str(path))
+
+
+def _fault_of(text: str) -> FaultAt:
+    match = re.fullmatch(r"(?P<name>[a-z][a-z0-9.-]*)@(?P<at>[0-9]+(\.[0-9]+)?)s?", text)
+    if match is None:
+        raise SimUsageError(f'--fault: "{text}" is not of the form NAME@SECONDS; e.g. serial.garbage@10s')
+    return FaultAt(name=match["name"], at_s=float(match["at"]))
 
 
 def _seed_of(environment: Mapping[str, str]) -> dict[str, int]:

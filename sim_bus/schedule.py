@@ -125,6 +125,15 @@ class Timeline:
         """Return the values that govern the interval from sample `index` to the next."""
         return {name: self._value(name, index) for name in self.names}
 
+    def summary(self, end: int) -> list[dict[str, str | int | float]]:
+        """Return every change before sample `end`: parameter, first sample, samples that it takes, from, to."""
+        return [
+            {"parameter": name, "sample": move.start, "ramp": move.ramp, "from": move.origin, "to": move.target}
+            for name, moves in self._moves.items()
+            for move in moves[1:]
+            if move.start < end and move.origin != move.target
+        ]
+
     def _next_move(self, index: int, stop: int) -> int:
         later = [stop, *(move.start for moves in self._moves.values() for move in moves if move.start > index)]
         later += [after for name in self.names if (after := self._move(name, index).next_after(index)) is not None]

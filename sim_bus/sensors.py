@@ -64,7 +64,7 @@ class SensorChain:
         own = [sensor.noise_sd for sensor in sensors if sensor.noise_sd is not None]
         self.noise_sd = own[-1] if own else noise_si / channel.si_factor
         self._stuck_at: dict[int, float] = {}
-        self.affected: dict[str, list[tuple[int, int]]] = {}
+        self._affected: dict[str, list[tuple[int, int]]] = {}
 
     @property
     def delay_s(self) -> float:
@@ -95,11 +95,18 @@ class SensorChain:
             self._note("stuck", index[live])
         return np.where(live, railed, readings)
 
+    def affected_before(self, end: int) -> dict[str, list[tuple[int, int]]]:
+        """Return, by kind, the runs (first, last) of samples before `end` that a fault of the sensor touched."""
+        return {
+            kind: [(first, min(last, end - 1)) for first, last in runs if first < end]
+            for kind, runs in self._affected.items()
+        }
+
     def _note(self, kind: str, index: IntArray) -> None:
         """Keep which samples were touched, as runs (first, last)."""
         if not len(index):
             return
-        runs = self.affected.setdefault(kind, [])
+        runs = self._affected.setdefault(kind, [])
         edges = np.flatnonzero(np.diff(index) > 1)
         firsts, lasts = index[np.r_[0, edges + 1]], index[np.r_[edges, len(index) - 1]]
         for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):

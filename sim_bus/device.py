@@ -1,0 +1,56 @@
+"""What every simulated device has: a life, a place in the ledger, a clock shared with the others."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+from sim_bus.clock import PlayClock
+from sim_bus.rigfile import RigFile, Source, checked
+from sim_bus.tape import Tape
+
+SettingsType = TypeVar("SettingsType", bound=BaseModel)
+
+
+class Device(ABC):
+    """A device, or several on one line, that readers reach over a real protocol."""
+
+    def __init__(self, clock: PlayClock) -> None:
+        self.clock = clock
+
+    @abstractmethod
+    def start(self) -> None:
+        """Make the device readable; return when it is. Raises SimBusError when the bus cannot be opened."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Let go of the bus; harmless when stopped already."""
+
+    @abstractmethod
+    def ledger(self) -> Mapping[str, dict[str, Any]]:
+        """Return what was shown, by source."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What devices are made from.
+
+    Attributes:
+        rig: the configuration.
+        tape: what is played.
+        clock: how much of it there is by now.
+    """
+
+    rig: RigFile
+    tape: Tape
+    clock: PlayClock
+
+    def settings(self, model: type[SettingsType], number: int) -> SettingsType:
+        """Return a source's own keys as the driver's settings; SimUsageError lists every fault."""
+        return checked(model, self.rig.source[number].keys, f"source[{number}]")
+
+    def source(self, number: int) -> Source:
+        """Return a source with its name filled in."""
+        return self.rig.source[number].model_copy(update={"name": self.rig.source_names[number]})

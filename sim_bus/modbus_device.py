@@ -1,0 +1,196 @@
+"""Modbus devices, TCP and RTU: pymodbus carries the protocol, the units answer with their registers."""
+
+import asyncio
+import socket
+import threading
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from pymodbus.constants import ExcCodes
+from pymodbus.framer import FramerType
+from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from pymodbus.pdu.file_message import ReadFifoQueueRequest, ReadFifoQueueResponse
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server.base import ModbusBaseServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from drivers.modbus_settings import ModbusSettings
+from sim_bus import guard
+from sim_bus.clock import PlayClock
+from sim_bus.device import Bench, Device
+from sim_bus.errors import SimBusError
+from sim_bus.modbus_units import Unit, make_unit
+from sim_bus.pty_line import PtyLine, join
+
+Action = Callable[[int, int, int, int, list[int], list[int] | list[bool] | None], Awaitable[ExcCodes | None]]
+_READ = frozenset({3, 4})
+_STOP_S = 5.0
+
+
+def _sim_device(unit: Unit) -> SimDevice:
+    """Return the library's view of a unit; every access that is not a read of registers is refused."""
+
+    async def action(
+        function: int, start: int, address: int, count: int, memory: list[int], values: list[int] | list[bool] | None
+    ) -> ExcCodes | None:
+        unit.asked()
+        if function not in _READ or values is not None:
+            return ExcCodes.ILLEGAL_FUNCTION
+        unit.bring_up(memory, start, address, count)
+        return None
+
+    areas = sorted(unit.areas()) or [(65535, 1)]
+    data = [SimData(address, count=count, values=0, datatype=DataType.REGISTERS) for address, count in areas]
+    return SimDevice(unit.settings.device_id, simdata=data, action=action)
+
+
+def _fifo_request(units: Mapping[int, Unit]) -> type[ReadFifoQueueRequest]:
+    """Return the request of function 24 that answers from the units' queues (the library's own is a dummy)."""
+
+    class Request(ReadFifoQueueRequest):
+        async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
+            unit = units.get(device_id)
+            if unit is None:
+                return ExceptionResponse(self.function_code, ExcCodes.GATEWAY_NO_RESPONSE)
+            unit.asked()
+            values = unit.queue(self.address)
+            if values is None:
+                return ExceptionResponse(self.function_code, ExcCodes.ILLEGAL_ADDRESS)
+            return ReadFifoQueueResponse(values=values, dev_id=device_id, transaction_id=self.transaction_id)
+
+    return Request
+
+
+class ModbusDevice(Device):
+    """The units that share one TCP port or one serial line, served by a thread with an event loop of its own."""
+
+    def __init__(self, clock: PlayClock, units: Sequence[Unit]) -> None:
+        super().__init__(clock)
+        self.units = tuple(units)
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="modbus device", daemon=True)
+        self._server: ModbusBaseServer | None = None
+
+    def start(self) -> None:
+        self._thread.start()
+        opened: Future[None] = asyncio.run_coroutine_threadsafe(self._serve(), self._loop)
+        try:
+            opened.result(_STOP_S)
+        except (OSError, RuntimeError) as error:
+            self.stop()
+            raise SimBusError(f'source "{self.units[0].source}": {self.address} cannot be served: {error}') from error
+
+    async def _serve(self) -> None:
+        self._server = self._make_server([_sim_device(unit) for unit in self.units], self._custom())
+        await self._server.serve_forever(background=True)
+
+    def _custom(self) -> list[type[ModbusPDU]]:
+        return [_fifo_request({unit.settings.device_id: unit for unit in self.units})]
+
+    @property
+    def address(self) -> str:
+        """Where the device is reached."""
+        raise NotImplementedError
+
+    def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        if not self._thread.is_alive():
+            return
+        asyncio.run_coroutine_threadsafe(self._shut_down(), self._loop).result(_STOP_S)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(_STOP_S)
+        self._loop.close()
+
+    async def _shut_down(self) -> None:
+        if self._server is not None:
+            await self._server.shutdown()  # type: ignore[no-untyped-call]  # the library's has no annotation
+        rest = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+        for task in rest:
+            task.cancel()
+        await asyncio.gather(*rest, return_exceptions=True)
+
+    def ledger(self) -> Mapping[str, dict[str, Any]]:
+        return {unit.source: {"bus": self.address} | unit.ledger() for unit in self.units}
+
+
+class ModbusTcpDevice(ModbusDevice):
+    """Units behind one TCP port."""
+
+    def __init__(self, clock: PlayClock, units: Sequence[Unit], host: str, port: int) -> None:
+        super().__init__(clock, units)
+        self._host, self._port = host, port
+
+    @property
+    def address(self) -> str:
+        return f"Modbus TCP {self._host}:{self._port}"
+
+    def start(self) -> None:
+        self._refuse_taken_port()
+        super().start()
+
+    def _refuse_taken_port(self) -> None:
+        """The library only logs a port in use: ask the system first."""
+        family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
+        with socket.socket(family) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((self._host, self._port))
+            except OSError as error:
+                words = f"port {self._port} on {self._host} cannot be opened: {error.strerror}"
+                raise SimBusError(f'source "{self.units[0].source}": {words}') from error
+
+    def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
+        return ModbusTcpServer(devices, address=(self._host, self._port), custom_pdu=custom)
+
+
+class ModbusRtuDevice(ModbusDevice):
+    """Units on one serial line: a pseudo-terminal, joined to a second one on whose far end the library listens."""
+
+    def __init__(self, clock: PlayClock, units: Sequence[Unit], line: PtyLine) -> None:
+        super().__init__(clock, units)
+        self._line = line
+        self._inner = PtyLine(None)
+        self._joined = threading.Event()
+
+    @property
+    def address(self) -> str:
+        return f"Modbus RTU {self._line.path}"
+
+    def start(self) -> None:
+        self._line.open()
+        self._inner.open()
+        threading.Thread(target=join, args=(self._line, self._inner, self._joined), daemon=True).start()
+        super().start()
+
+    def stop(self) -> None:
+        super().stop()
+        self._joined.set()
+        self._inner.close()
+        self._line.close()
+
+    def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
+        baudrate = self.units[0].settings.baudrate
+        return ModbusSerialServer(
+            devices, framer=FramerType.RTU, port=str(self._inner.path), baudrate=baudrate, custom_pdu=custom
+        )
+
+
+def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
+    """Return a device for each TCP port and each serial line of the Modbus sources."""
+    ports: dict[tuple[str, int], list[Unit]] = {}
+    lines: dict[Path, list[Unit]] = {}
+    for number in numbers:
+        settings = bench.settings(ModbusSettings, number)
+        unit = make_unit(bench, bench.source(number), settings)
+        if settings.transport == "tcp":
+            host = guard.loopback(settings.host, f"source[{number}].host")
+            ports.setdefault((host, int(settings.port)), []).append(unit)
+        else:
+            link = guard.pty_link(str(settings.port), bench.rig.folder, f"source[{number}].port")
+            lines.setdefault(link, []).append(unit)
+    tcp = [ModbusTcpDevice(bench.clock, units, host, port) for (host, port), units in ports.items()]
+    return [*tcp, *(ModbusRtuDevice(bench.clock, units, PtyLine(link)) for link, units in lines.items())]

@@ -1,0 +1,214 @@
+"""The registers of a simulated Modbus device: a ring of slots, single registers to poll, a queue.
+
+A unit is asked before each reply. It brings its registers up to what the clock says, so that a reply is exact
+whenever it is asked for and nothing has to wake up in between.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from drivers.fields import FieldSpec, Layout
+from drivers.modbus_codec import Ring, slot_layout
+from drivers.modbus_settings import ModbusSettings
+from sim_bus.clock import PlayClock
+from sim_bus.device import Bench
+from sim_bus.errors import SimUsageError
+from sim_bus.rigfile import Source
+from sim_bus.wire import Feed, Raw, WireNumber, split
+
+FIFO_REGISTERS = 31
+QUEUE = 4096
+"""Samples that the queue of function 24 holds; the oldest are lost beyond."""
+
+
+def registers(data: bytes) -> list[int]:
+    """Return bytes as register values."""
+    numbers: list[int] = np.frombuffer(data, dtype=">u2").tolist()
+    return numbers
+
+
+class Unit(ABC):
+    """One source's device.
+
+    Args:
+        source: its name.
+        settings: the source's Modbus keys.
+        feed: its samples as bytes.
+        clock: says how many there are.
+    """
+
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
+        self.source = source
+        self.settings = settings
+        self.feed = feed
+        self.clock = clock
+        self.requests = 0
+        self.lost: list[tuple[int, int]] = []
+
+    @abstractmethod
+    def areas(self) -> Iterable[tuple[int, int]]:
+        """Return the registers that exist, as (address, count)."""
+
+    @abstractmethod
+    def bring_up(self, memory: list[int], start: int, address: int, count: int) -> None:
+        """Write into memory (its first register has the address `start`) what a request is about to read."""
+
+    def queue(self, address: int) -> list[int] | None:
+        """Return the registers that function 24 answers with; None where there is no queue."""
+        return None
+
+    def asked(self) -> None:
+        """Count a request: the unit has a reader."""
+        self.requests += 1
+        self.clock.meet(self.source)
+
+    def ledger(self) -> dict[str, Any]:
+        """Return what is worth keeping of this unit."""
+        played = self.clock.played()
+        return {
+            "mode": self.settings.mode,
+            "requests": self.requests,
+            "saturated": self.feed.saturated(played),
+            "lost": self.lost,
+        }
+
+
+class RingUnit(Unit):
+    """mode "ring": an index, and the newest samples in slots."""
+
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
+        super().__init__(source, settings, feed, clock)
+        if settings.ring is None or settings.index is None:
+            raise SimUsageError(f'source "{source}": mode "ring" needs index and ring')
+        index = FieldSpec(name="index", type=settings.index.type)
+        self._index = Layout((index,), "big", settings.word_order)
+        self._index_address = settings.index.address
+        layout = slot_layout(settings.fields, settings.word_order)
+        self._ring = Ring(settings.ring.address, settings.ring.slots, layout.size // 2, index.modulus)
+        self._room = (settings.ring.slots - 1) // 2
+        if clock.fast and self._room < 1:
+            raise SimUsageError(f'source "{source}": --fast needs a ring of 3 slots or more')
+        self._written = 0
+        self._taken = 0
+
+    def areas(self) -> Iterable[tuple[int, int]]:
+        yield self._index_address, self._index.size // 2
+        yield self._ring.address, self._ring.slots * self._ring.registers
+
+    def bring_up(self, memory: list[int], start: int, address: int, count: int) -> None:
+        index_end = self._index_address + self._index.size // 2
+        if not self.clock.fast or (address < index_end and self._index_address < address + count):
+            self._advance(memory, start)
+        if self.clock.fast:
+            self._note_taken(address, count)
+
+    def _advance(self, memory: list[int], start: int) -> None:
+        head = self.clock.head_for(self.source, self._taken, self._room)
+        if head <= self._written:
+            return
+        first = max(self._written, head - self._ring.slots)
+        size = self._ring.registers
+        for number, row in enumerate(self.feed.rows(first, head), first):
+            place = self._ring.address - start + self._ring.slot(number) * size
+            memory[place : place + size] = registers(row)
+        count = np.array([head % self._ring.modulus], dtype=self._index.fields[0].dtype)
+        place = self._index_address - start
+        memory[place : place + self._index.size // 2] = registers(self._index.pack({"index": count}).tobytes())
+        self._written = head
+
+    def _note_taken(self, address: int, count: int) -> None:
+        """Move on past the samples whose whole slots lie in a request."""
+        offset, size = address - self._ring.address, self._ring.registers
+        first, end = -(-offset // size), (offset + count) // size
+        while self._taken < self._written and first <= self._ring.slot(self._taken) < end:
+            self._taken += 1
+
+
+class PollUnit(Unit):
+    """mode "poll": each field at an address of its own; a request sees the newest sample."""
+
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
+        super().__init__(source, settings, feed, clock)
+        self._fields = settings.fields
+        self._lowest = min(field.address or 0 for field in settings.fields)
+        self._stride = max(1, round(settings.period_s * clock.sample_rate_hz))
+        self._shown = -1
+
+    def areas(self) -> Iterable[tuple[int, int]]:
+        return [(field.address or 0, (field.size + 1) // 2) for field in self._fields]
+
+    def bring_up(self, memory: list[int], start: int, address: int, count: int) -> None:
+        if self.clock.fast and not address <= self._lowest < address + count:
+            return
+        following = self._shown + self._stride if self._shown >= 0 else 0
+        newest = max(0, self.clock.head_for(self.source, following, 1) - 1)
+        if newest == self._shown:
+            return
+        self._shown = newest
+        row = self.feed.rows(newest, newest + 1)[0]
+        for field in self._fields:
+            padded = field.size + field.size % 2
+            place = (field.address or 0) - start
+            memory[place : place + padded // 2] = registers(row[:padded])
+            row = row[padded:]
+
+
+class FifoUnit(Unit):
+    """mode "fifo": function 24 takes whole samples from a queue, as many as 31 registers hold."""
+
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
+        super().__init__(source, settings, feed, clock)
+        self._batch = FIFO_REGISTERS // (slot_layout(settings.fields, settings.word_order).size // 2)
+        self._next = 0
+
+    def areas(self) -> Iterable[tuple[int, int]]:
+        return ()
+
+    def bring_up(self, memory: list[int], start: int, address: int, count: int) -> None:
+        """Nothing lies in registers."""
+
+    def queue(self, address: int) -> list[int] | None:
+        if address != self.settings.address:
+            return None
+        head = self.clock.head_for(self.source, self._next, self._batch)
+        if head - self._next > QUEUE:
+            self.lost.append((self._next, head - QUEUE - 1))
+            self._next = head - QUEUE
+        end = min(head, self._next + self._batch)
+        rows = self.feed.rows(self._next, end)
+        self._next = end
+        return registers(b"".join(rows))
+
+
+UNITS: dict[str, type[Unit]] = {"ring": RingUnit, "poll": PollUnit, "fifo": FifoUnit}
+
+
+def make_unit(bench: Bench, source: Source, settings: ModbusSettings) -> Unit:
+    """Return the device of one Modbus source; SimUsageError when the map names fields that there are not."""
+    numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
+    feed = Feed(bench.tape, bench.rig, source, numbers, _packer(settings))
+    return UNITS[settings.mode](source.name, settings, feed, bench.clock)
+
+
+def _packer(settings: ModbusSettings) -> "_Packer":
+    if settings.mode == "poll":
+        return _Packer([Layout((field,), "big", settings.word_order) for field in settings.fields])
+    return _Packer([slot_layout(settings.fields, settings.word_order)])
+
+
+class _Packer:
+    """Rows of bytes from raw numbers: the layouts one after another, each padded in front to whole registers."""
+
+    def __init__(self, layouts: list[Layout]) -> None:
+        self._layouts = layouts
+
+    def __call__(self, raw: Raw) -> list[bytes]:
+        parts = []
+        for layout in self._layouts:
+            slots = layout.pack(raw)
+            parts.append(np.pad(slots, ((0, 0), (slots.shape[1] % 2, 0))))
+        data = np.hstack(parts)
+        return split(data.tobytes(), data.shape[1])

@@ -1,0 +1,116 @@
+"""A rig being played: the tape, the clock and the devices of every source, from start to ledger."""
+
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sim_bus.clock import PlayClock
+from sim_bus.device import Bench, Device
+from sim_bus.factory import make_devices
+from sim_bus.rigfile import RigFile
+from sim_bus.scenario import Scenario
+from sim_bus.tape import CHUNK, Rig, Tape
+from sim_bus.truth import TruthRecorder
+
+_TICK_S = 0.05
+
+
+class Player:
+    """Plays a scenario on the devices of a configuration.
+
+    Args:
+        rig_file: the configuration.
+        scenario: what is played.
+        duration_s: how long, instead of the scenario's own duration; 0 is without end.
+        fast: as fast as the readers read.
+        truth: where to write what was played.
+
+    Raises:
+        SimUsageError: the scenario or a source cannot be played.
+    """
+
+    def __init__(
+        self,
+        rig_file: RigFile,
+        scenario: Scenario,
+        *,
+        duration_s: float | None = None,
+        fast: bool = False,
+        truth: Path | None = None,
+    ) -> None:
+        self._scenario = scenario
+        self._rig_file = rig_file
+        rate = rig_file.rig.sample_rate_hz
+        seconds = scenario.duration_s if duration_s is None else duration_s
+        self.rig = Rig(rig_file, scenario)
+        self._truth_file = truth
+        self._truth = TruthRecorder(self.rig, rate)
+        self.tape = Tape(self.rig, self._truth.keep if truth else None)
+        total = round(seconds * rate) if seconds else None
+        self.clock = PlayClock(rate, total, rig_file.source_names, scenario.start, fast=fast)
+        self.devices: Sequence[Device] = make_devices(Bench(rig_file, self.tape, self.clock))
+        self._open: list[Device] = []
+
+    def start(self) -> None:
+        """Open every device; SimBusError when one cannot be opened (those that were are closed again)."""
+        try:
+            for device in self.devices:
+                self._open.append(device)
+                device.start()
+        except BaseException:
+            self.stop()
+            raise
+        self.clock.ready()
+
+    def wait(self, stop: threading.Event, linger_s: float | None) -> None:
+        """Return when told to stop, or `linger_s` after the last sample (None: only when told to stop)."""
+        while not stop.wait(_TICK_S):
+            if linger_s is not None and self.clock.finished():
+                stop.wait(linger_s)
+                return
+
+    def stop(self) -> None:
+        """Close the devices."""
+        while self._open:
+            self._open.pop().stop()
+
+    def finish(self) -> dict[str, Any]:
+        """Close the devices, write the truth file where one is wanted, and return the ledger."""
+        played = self.clock.played()
+        self.stop()
+        if played:
+            self.tape.chunk((played - 1) // CHUNK)
+        ledger = self.ledger(played)
+        if self._truth_file is not None:
+            self._truth.write(self._truth_file, played, ledger)
+        return ledger
+
+    def ledger(self, played: int) -> dict[str, Any]:
+        """Return what was played, in samples."""
+        clock = self.clock
+        sources: dict[str, dict[str, Any]] = {}
+        for device in self.devices:
+            sources.update(device.ledger())
+        return {
+            "rig": self._rig_file.rig.name,
+            "scenario": self._scenario.title,
+            "seed": self._scenario.seed,
+            "sample_rate_hz": clock.sample_rate_hz,
+            "fast": clock.fast,
+            "samples": played,
+            "first": 0 if played else None,
+            "last": played - 1 if played else None,
+            "started_monotonic_ns": clock.start_ns,
+            "started_wall_ns": clock.start_wall_ns,
+            "changes": self.rig.timeline.summary(played),
+            "sensors": {
+                chain.channel.name: {
+                    "noise_sd": chain.noise_sd,
+                    "delay_s": chain.delay_s,
+                    "affected": chain.affected_before(played),
+                }
+                for chain in self.rig.sensors
+            },
+            "sources": sources,
+        }

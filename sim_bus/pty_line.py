@@ -1,0 +1,106 @@
+"""A serial line: a pseudo-terminal whose far end readers open by a link of the configured name."""
+
+import os
+import select
+import threading
+import tty
+from pathlib import Path
+
+from sim_bus.errors import SimBusError
+
+_BLOCK = 65536
+
+
+class PtyLine:
+    """The device's end of a pseudo-terminal.
+
+    Args:
+        link: where to make the link to the readers' end; None for no link.
+    """
+
+    def __init__(self, link: Path | None) -> None:
+        self._link = link
+        self._master = -1
+        self._far = ""
+
+    @property
+    def path(self) -> str:
+        """Where readers open the line."""
+        return str(self._link or self._far)
+
+    def open(self) -> None:
+        """Make the line, raw and without echo; SimBusError when the link cannot be made."""
+        self._master, far = os.openpty()
+        tty.setraw(far)
+        self._far = os.ttyname(far)
+        os.close(far)
+        os.set_blocking(self._master, False)
+        if self._link is not None:
+            self._make_link(self._link)
+
+    def _make_link(self, link: Path) -> None:
+        fresh = link.with_name(f".{link.name}.{os.getpid()}")
+        try:
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(self._far)
+            fresh.replace(link)
+        except OSError as error:
+            self.close()
+            raise SimBusError(f"{link}: the link to the serial line cannot be made: {error.strerror}") from error
+
+    def has_reader(self) -> bool:
+        """Tell whether somebody has the far end open."""
+        poll = select.poll()
+        poll.register(self._master, 0)
+        return not any(event & select.POLLHUP for _, event in poll.poll(0))
+
+    def write(self, data: bytes, timeout_s: float = 0.0) -> int:
+        """Write as much as the line takes within timeout_s; return how many bytes that were."""
+        _, ready, _ = select.select([], [self._master], [], timeout_s)
+        if not ready:
+            return 0
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:
+            return 0
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what readers have written, waiting at most timeout_s; b"" for nothing."""
+        ready, _, _ = select.select([self._master], [], [], timeout_s)
+        if not ready:
+            return b""
+        try:
+            return os.read(self._master, _BLOCK)
+        except OSError:
+            # nobody has the far end open: the system says so at once and again and again
+            return b""
+
+    def close(self) -> None:
+        """Hang up and remove the link; harmless when closed already."""
+        if self._master < 0:
+            return
+        os.close(self._master)
+        self._master = -1
+        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self._far:
+            self._link.unlink()
+
+    def fileno(self) -> int:
+        """Return the descriptor of the device's end."""
+        return self._master
+
+
+def join(outer: PtyLine, inner: PtyLine, stop: threading.Event) -> None:
+    """Carry bytes between a line that readers come to and go from and one that is always open, until told to stop."""
+    while not stop.is_set():
+        if not outer.has_reader():
+            stop.wait(0.005)
+            continue
+        select.select([outer, inner], [], [], 0.05)
+        _carry(outer, inner)
+        _carry(inner, outer)
+
+
+def _carry(source: PtyLine, sink: PtyLine) -> None:
+    data = source.read(0.0)
+    while data and sink.has_reader():
+        data = data[sink.write(data, 0.1) :]

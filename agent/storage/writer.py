@@ -152,7 +152,7 @@ class StoreWriter:
         ticket, last = self._wait()
         self.progress += 1
         self._collect(last)
-        self._write_all(insist=last or ticket > self._answered)
+        self._write_all(insist=last)
         with self._condition:
             if not self._waiting() or last:
                 self._answered = ticket

@@ -22,8 +22,8 @@ CONTRACT = {
     "held held_age_s window_s n_used n_missing span_s method",
     "v_latest": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper status reason "
     "held held_age_s window_s n_used n_missing span_s method",
-    "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until delta "
-    "sd limit_value probability message",
+    "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until "
+    "delta sd limit_value probability message",
     "v_alarm_events": "id alarm_id t_ns time from_state to_state cause by comment",
     "v_health": "rig source t_ns time received used rejected dropped gaps lag_s",
     "v_health_reasons": "rig source t_ns kind reason count",

@@ -23,6 +23,16 @@ def with_sd(value: float, sd: float) -> str:
     return f"({_fixed(value / scale, decimals + size)} ± {_fixed(sd / scale, decimals + size)})e{size:+03d}"
 
 
+def interval(lower: float | None, upper: float | None) -> str:
+    """Write an interval to the digits that its width allows: `24.8 … 25.3`."""
+    if lower is None or upper is None or not (math.isfinite(lower) and math.isfinite(upper) and upper > lower):
+        return f"{number(lower)} … {number(upper)}"
+    decimals = 1 - math.floor(math.log10(upper - lower))
+    if not -4 <= math.floor(math.log10(max(abs(lower), abs(upper)))) < 7:
+        return f"{number(lower, 4)} … {number(upper, 4)}"
+    return f"{_fixed(lower, decimals)} … {_fixed(upper, decimals)}"
+
+
 def number(value: float | None, digits: int = 6) -> str:
     """Write a number alone, or a dash for none."""
     if value is None or not math.isfinite(value):
@@ -35,6 +45,11 @@ def iso_time(t_ns: int) -> str:
     seconds, fraction = divmod(int(t_ns), 1_000_000_000)
     instant = _EPOCH + timedelta(seconds=seconds)
     return f"{instant:%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
+
+
+def short_time(text: str | None) -> str:
+    """Shorten ISO 8601 with nine decimals to milliseconds for a table; empty for none. Still a time that we read."""
+    return "" if text is None else text[:23].replace("T", " ") + "Z"
 
 
 def _fixed(value: float, decimals: int) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from agent.runtime.cli_output import print_csv, print_table
 from agent.runtime.commands_results import verdict
 from agent.storage import queries
-from agent.text import number, with_sd
+from agent.text import interval, number, short_time, with_sd
 
 Row = Mapping[str, Any]
 
@@ -72,11 +72,11 @@ def _print_estimate_table(rows: Sequence[Row]) -> None:
 def _estimate_cells(row: Row) -> tuple[str, ...]:
     return (
         row["rig"],
-        row["time"],
+        short_time(row["time"]),
         row["parameter"],
         with_sd(*(float("nan") if row[key] is None else row[key] for key in ("value", "sd"))),
         row["unit"] or "",
-        f"{number(row['lower'])} … {number(row['upper'])}",
+        interval(row["lower"], row["upper"]),
         number(row["delta"], 4),
         verdict(row),
     )
@@ -87,5 +87,10 @@ def _print_alarm_table(rows: Sequence[Row]) -> None:
         sys.stdout.write("no alarms\n")
         return
     columns = ("id", "rig", "priority", "state", "raised", "cleared", "what")
-    keys = ("id", "rig", "priority", "state", "raised_at", "cleared_at", "message")
-    print_table("", columns, ([str(row[key] if row[key] is not None else "") for key in keys] for row in rows))
+    cells = (_alarm_cells(row) for row in rows)
+    print_table("", columns, cells)
+
+
+def _alarm_cells(row: Row) -> tuple[str, ...]:
+    raised, cleared = short_time(row["raised_at"]), short_time(row["cleared_at"])
+    return str(row["id"]), row["rig"], row["priority"], row["state"], raised, cleared, row["message"]

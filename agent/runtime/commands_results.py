@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any
 
 from agent.runtime.cli_output import print_json, print_table, show
-from agent.text import number, with_sd
+from agent.text import interval, number, short_time, with_sd
 
 Document = Mapping[str, Any]
 
@@ -45,7 +45,7 @@ def print_paper(document: Document, body: ModuleType) -> None:
 def _span(run: Document) -> str:
     parts = [f"{number(run.get('span_s'))} s of samples"]
     if run.get("samples_per_s"):
-        parts.append(f"in {number(run.get('seconds'), 3)} s ({number(run['samples_per_s'], 3)} samples a second)")
+        parts.append(f"in {number(run.get('seconds'), 3)} s ({run['samples_per_s']:,.0f} samples a second)")
     return " ".join(parts)
 
 
@@ -60,7 +60,7 @@ def _print_estimates(run: Document) -> None:
             name,
             _pair(found.get("value"), found.get("sd")),
             found.get("unit") or "",
-            f"{number(found.get('lower'))} … {number(found.get('upper'))}",
+            interval(found.get("lower"), found.get("upper")),
             number(found.get("delta"), 4),
             verdict(found),
             f"{found.get('n_valid', 0)} of {found.get('n_rows', 0)}",
@@ -94,7 +94,9 @@ def _print_alarms(run: Document) -> None:
         return
     columns = ("raised", "cleared", "priority", "state", "what")
     rows = (
-        [str(alarm.get(key) or "") for key in ("raised_at", "cleared_at", *columns[2:4], "message")] for alarm in alarms
+        [short_time(alarm.get("raised_at")), short_time(alarm.get("cleared_at"))]
+        + [str(alarm.get(key) or "") for key in ("priority", "state", "message")]
+        for alarm in alarms
     )
     print_table("alarms", columns, rows)
 

@@ -10,7 +10,7 @@ from agent.errors import UsageError
 from agent.numerics.trend import DAY_NS, Trend, fit_trend
 from agent.runtime.cli_output import print_csv, print_json, show
 from agent.storage import queries
-from agent.text import iso_time, number, with_sd
+from agent.text import interval, iso_time, number, short_time, with_sd
 
 Document = Mapping[str, Any]
 
@@ -66,17 +66,27 @@ def _sentences(found: Document) -> str:
     if not found["n"]:
         return f"{name}: no valid rows in that time"
     unit = found["unit"] or ""
-    lines = [f"{name}: {with_sd(found['value'], found['sd'])} {unit} at {found['until']}"]
-    lines.append(f"from {found['n']} rows since {found['since']} ({found['n_disjoint']} share no samples)")
+    _, newest, sd = found["points"][-1]
+    lines = [f"{name}: newest {with_sd(newest, sd)} {unit} at {short_time(found['until'])}"]
+    lines.append(
+        f"{found['n']} rows since {short_time(found['since'])}, {found['n_disjoint']} of them share no samples"
+    )
     if found["slope_lower"] is None:
         lines.append("too few rows to tell a drift")
     else:
         verdict = "a trend" if found["trend"] else "no trend: the interval holds 0"
-        interval = f"95 %: {number(found['slope_lower'], 4)} … {number(found['slope_upper'], 4)}"
-        lines.append(f"drift {with_sd(found['slope_per_day'], found['slope_sd'])} {unit} a day ({interval}): {verdict}")
+        lines.append(f"line there: {with_sd(found['value'], found['sd'])} {unit}; {_drift(found)}: {verdict}")
     if found["limit"] is not None:
-        lines.append(f"limit {number(found['limit'])} {unit}: {number(found['limit'] - found['value'], 4)} {unit} away")
+        lines.append(f"limit {number(found['limit'])} {unit}: {number(found['limit'] - newest, 4)} {unit} away")
     return "\n".join(lines)
+
+
+def _drift(found: Document) -> str:
+    """Write the drift in a unit of time that suits the span."""
+    span_s = (found["points"][-1][0] - found["points"][0][0]) / 1e9
+    seconds, word = (1, "second") if span_s < 600 else (3600, "hour") if span_s < 172_800 else (86_400, "day")
+    slope, sd, lower, upper = (found[f"slope_{k}"] * seconds / 86_400 for k in ("per_day", "sd", "lower", "upper"))
+    return f"drift {with_sd(slope, sd)} {found['unit'] or ''} per {word} (95 %: {interval(lower, upper)})"
 
 
 def _draw(found: Document, path: Path) -> None:

@@ -13,6 +13,10 @@ _PLACE: Final = re.compile(
 )
 
 
+# tomllib takes time with the square of a dotted key's parts; possessive, so that the search itself is linear.
+_LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){64}""")
+
+
 def read_bytes(file: Path) -> bytes:
     """Return the file's bytes; ConfigError when it cannot be read or is larger than any configuration is."""
     try:
@@ -35,6 +39,10 @@ def parse_toml(data: bytes, file: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError.at(f"{file}:{line}", "is not UTF-8 text", "save the file as UTF-8") from error
+    endless = _LONG_KEY.search(text)
+    if endless:
+        line = text.count("\n", 0, endless.start()) + 1
+        raise ConfigError.at(f"{file}:{line}", "is a key of more than 64 parts", "no key of a configuration is")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -45,7 +53,7 @@ def parse_toml(data: bytes, file: Path) -> dict[str, Any]:
 
 def _not_toml(words: str, text: str, file: Path) -> ConfigError:
     place = _PLACE.match(words)
-    line = (place and place["line"]) or str(text.count("\n") + 1)
+    line = (place and place["line"]) or str(text.rstrip().count("\n") + 1)
     what = place["what"] if place else words
     column = f", column {place['column']}" if place and place["column"] else ""
     return ConfigError.at(f"{file}:{line}", f"is not TOML{column}: {_printable(what)}", "mend the line")

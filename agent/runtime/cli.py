@@ -35,6 +35,13 @@ class Bus(StrEnum):
     SERIAL = "serial"
 
 
+class RunKind(StrEnum):
+    """What a live run is marked as; the demo's parent process marks its own."""
+
+    LIVE = "live"
+    DEMO = "demo"
+
+
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout and nothing else.")]
 Csv = Annotated[bool, typer.Option("--csv", help="CSV on stdout, every digit, empty for none.")]
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).", show_default=False)]
@@ -123,11 +130,12 @@ def run(
     db: NewDb = None,
     duration: Duration = None,
     json: Json = False,
+    kind: Annotated[RunKind, typer.Option(hidden=True, help="What the run is marked as.")] = RunKind.LIVE,
 ) -> None:
     """Run the agent in the foreground until SIGTERM, SIGINT or the end of --duration."""
     from agent.runtime import commands_results, service
 
-    document = service.run(configs=configs, db=db, duration_s=duration)
+    document = service.run(configs=configs, db=db, duration_s=duration, kind=kind.value)
     _answer(document, commands_results.print_results, as_json=json)
 
 

@@ -83,10 +83,15 @@ def _sentences(found: Document) -> str:
 
 def _drift(found: Document) -> str:
     """Write the drift in a unit of time that suits the span."""
-    span_s = (found["points"][-1][0] - found["points"][0][0]) / 1e9
-    seconds, word = (1, "second") if span_s < 600 else (3600, "hour") if span_s < 172_800 else (86_400, "day")
+    seconds, word = _time_unit(found)
     slope, sd, lower, upper = (found[f"slope_{k}"] * seconds / 86_400 for k in ("per_day", "sd", "lower", "upper"))
     return f"drift {with_sd(slope, sd)} {found['unit'] or ''} per {word} (95 %: {interval(lower, upper)})"
+
+
+def _time_unit(found: Document) -> tuple[int, str]:
+    """Return seconds and name of the unit of time in which people read the span of the rows."""
+    span_s = (found["points"][-1][0] - found["points"][0][0]) / 1e9
+    return (1, "second") if span_s < 600 else (3600, "hour") if span_s < 172_800 else (86_400, "day")
 
 
 def _draw(found: Document, path: Path) -> None:
@@ -95,27 +100,29 @@ def _draw(found: Document, path: Path) -> None:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
-    figure = Figure(figsize=(9, 4.5), layout="constrained")
-    axes = figure.add_subplot(
-        xlabel="days before the newest row", ylabel=f"{found['parameter']}, {found['unit'] or ''}"
-    )
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    axes = figure.add_subplot(ylabel=found["unit"] or "")
     axes.set_title(f"{found['parameter']} of {found['rig']}", loc="left")
+    axes.spines[["top", "right"]].set_visible(False)
     if found["n"]:
         _draw_points(axes, found)
     try:
-        figure.savefig(path)
+        figure.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
-        raise UsageError.at(
-            "--plot", f"cannot write {path}: {error}", "name a .png, .svg or .pdf in a folder there is"
-        ) from error
+        advice = "name a .png, .svg or .pdf in a folder there is"
+        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
 
 
 def _draw_points(axes: Any, found: Document) -> None:
-    _, value, sd = np.array(found["points"], dtype=np.float64).T
-    days = np.array([point[0] - found["points"][-1][0] for point in found["points"]]) / DAY_NS
-    axes.errorbar(days, value, yerr=2 * sd, fmt=".", ms=3, lw=0.6, color="tab:blue", alpha=0.6, label="estimate ± 2 sd")
-    if found["slope_per_day"] is not None:
-        axes.plot(days, found["value"] + found["slope_per_day"] * days, color="tab:red", label="trend line")
+    """Draw every row with its 95 % interval; the line only where there is a trend."""
+    t_ns, value, sd = zip(*found["points"], strict=True)
+    seconds, word = _time_unit(found)
+    t = (np.array(t_ns) - t_ns[-1]) / (seconds * 1e9)
+    axes.set_xlabel(f"{word}s before {short_time(found['until'])}")
+    axes.errorbar(t, value, yerr=1.96 * np.array(sd), fmt=".", ms=4, lw=0.8, color="tab:blue", label="estimate, 95 %")
+    if found["trend"]:
+        line = found["value"] + found["slope_per_day"] * t * seconds * 1e9 / DAY_NS
+        axes.plot(t, line, color="tab:red", label="trend")
     if found["limit"] is not None:
         axes.axhline(found["limit"], color="black", ls="--", lw=1, label="limit")
     axes.legend(frameon=False)

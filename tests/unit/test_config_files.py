@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -134,7 +135,7 @@ def test_load_many_of_one_store_must_agree_on_it(tmp_path: Path) -> None:
     assert len({config.store.path for config in load_many([first, second])}) == 1
 
 
-VALUES = st.sampled_from(
+VALUES = (
     ["0", "-1", "1e400", "nan", "inf", '""', '"x"', '"\\u0000"', "true", "[]", "{}", "[[]]", "[1, 'a']", "{ a = 1 }",
      "1" * 400, "1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", '"ground"', '"m1"', "'''\n'''", '["m1", "m1"]']
 )  # fmt: skip
@@ -148,11 +149,11 @@ def mutated_texts(draw: st.DrawFn) -> str:
         i = draw(st.integers(0, len(lines) - 1))
         kind = draw(st.sampled_from(["value", "drop", "double", "move", "key", "inner"]))
         if kind == "value" and "=" in lines[i]:
-            lines[i] = f"{lines[i].partition('=')[0]}= {draw(VALUES)}"
+            lines[i] = f"{lines[i].partition('=')[0]}= {draw(st.sampled_from(VALUES))}"
         elif kind == "inner" and "= " in lines[i]:
             at = draw(st.sampled_from([k for k in range(len(lines[i])) if lines[i].startswith("= ", k)]))
             end = min((k for k in (lines[i].find(c, at) for c in ",}]") if k > 0), default=len(lines[i]))
-            lines[i] = f"{lines[i][:at]}= {draw(VALUES)}{lines[i][end:]}"
+            lines[i] = f"{lines[i][:at]}= {draw(st.sampled_from(VALUES))}{lines[i][end:]}"
         elif kind == "drop":
             lines[i] = ""
         elif kind == "double":
@@ -162,6 +163,14 @@ def mutated_texts(draw: st.DrawFn) -> str:
         elif kind == "key":
             lines[i] = "q" + lines[i]
     return "\n".join(lines)
+
+
+@pytest.mark.parametrize("value", [*VALUES, "9" * 5000], ids=lambda value: value[:20])
+def test_parse_of_a_value_in_any_place_gives_a_configuration_or_words(value: str) -> None:
+    for text in (PRESS, MINIMAL, MOTOR):
+        for at in (match.end() for match in re.finditer(r"= ", text)):
+            end = min(k for k in (text.find(c, at) for c in ",}\n") if k > 0)
+            assert_configuration_or_words(f"{text[:at]}{value}{text[end:]}".encode())
 
 
 @given(mutated_texts())

@@ -1,0 +1,94 @@
+"""The project's own promises: what is installed by which name, what the test run says when something is missing."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import entry_points, version
+from pathlib import Path
+
+import pytest
+
+import agent
+from tests import peers
+
+PROJECT = tomllib.loads((peers.ROOT / "pyproject.toml").read_text())
+
+
+def test_distribution_is_installed_with_the_version_of_the_code() -> None:
+    assert version("deltak") == agent.__version__
+
+
+def test_entry_points_are_those_of_the_project_file() -> None:
+    for group, declared in PROJECT["project"]["entry-points"].items():
+        there = {entry.name: entry.value for entry in entry_points(group=group)}
+        assert declared.items() <= there.items(), f"{group}: install again after a change of pyproject.toml"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [(n, v) for group in PROJECT["project"]["entry-points"].values() for n, v in group.items()]
+    + list(PROJECT["project"]["scripts"].items()),
+)
+def test_entry_point_names_a_thing_that_exists(name: str, value: str) -> None:
+    module, _, attribute = value.partition(":")
+    code = f"import importlib; assert callable(getattr(importlib.import_module({module!r}), {attribute!r}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, f"{name} = {value}: {done.stderr[-300:]}"
+
+
+def test_licence_is_the_whole_apache_licence() -> None:
+    text = (peers.ROOT / "LICENSE").read_text()
+    assert "Apache License" in text
+    assert "END OF TERMS AND CONDITIONS" in text
+    assert len(text) > 11_000
+
+
+def test_every_ignored_lint_rule_is_explained_on_its_line() -> None:
+    lines = (peers.ROOT / "pyproject.toml").read_text().splitlines()
+    ignored = [line for line in lines if re.fullmatch(r'\s+"[A-Z]+\d*",.*', line)]
+    assert len(ignored) > 10
+    assert [line for line in ignored if "#" not in line and '", "' not in line] == []
+
+
+def test_missing_peer_is_told_and_fails_only_in_ci(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peers, "NOT_TESTED", [])
+    monkeypatch.delenv("CI", raising=False)
+    with pytest.raises(pytest.skip.Exception, match="no line"):
+        peers.missing("no line to speak on")
+    monkeypatch.setenv("CI", "true")
+    with pytest.raises(pytest.fail.Exception, match="CI=true and not tested: no line"):
+        peers.missing("no line to speak on")
+    assert peers.NOT_TESTED == ["no line to speak on"] * 2
+
+
+def test_missing_data_is_told_and_fails_where_it_was_promised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peers, "NOT_TESTED", [])
+    monkeypatch.setenv("CI", "true")
+    monkeypatch.setenv("DELTAK_DATA", str(tmp_path))
+    with pytest.raises(pytest.fail.Exception, match=r"no measured data emps\.csv"):
+        peers.data("emps.csv")
+    (tmp_path / "emps.csv").touch()
+    assert peers.data("emps.csv") == tmp_path / "emps.csv"
+    monkeypatch.delenv("DELTAK_DATA")
+    monkeypatch.setattr(peers, "ROOT", tmp_path / "nowhere" / "repository")
+    with pytest.raises(pytest.skip.Exception, match="set DELTAK_DATA"):
+        peers.data("emps.csv")
+    assert len(peers.NOT_TESTED) == 2
+
+
+def test_import_contracts_name_what_an_import_breaks(tmp_path: Path) -> None:
+    """An import of the simulator in the agent turns lint red."""
+    for package in ("agent", "drivers", "sim_bus"):
+        shutil.copytree(peers.ROOT / package, tmp_path / package)
+    (tmp_path / "pyproject.toml").write_text((peers.ROOT / "pyproject.toml").read_text())
+    (tmp_path / "agent" / "blocks" / "wrong.py").write_text("import sim_bus\nimport drivers.modbus\n")
+    lint = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run(
+        [lint, "--no-logo", "--no-cache"], cwd=tmp_path, env={"PYTHONPATH": str(tmp_path), "COLUMNS": "200"}, capture_output=True,
+        text=True, check=False, timeout=100,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "The agent never imports the simulator BROKEN" in done.stdout
+    assert "Of the drivers the agent knows only the port BROKEN" in done.stdout

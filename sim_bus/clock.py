@@ -71,13 +71,17 @@ class PlayClock:
         count = elapsed * int(rate) // NS if rate.is_integer() else int(elapsed * rate / NS)
         return self._bounded(count + 1)
 
-    def head_for(self, source: str, taken: int, room: int) -> int:
-        """Return how many samples a device may show whose reader has taken `taken` and can wait for `room` more."""
+    def take(self, source: str, taken: int) -> None:
+        """Tell that a source's reader has taken its first `taken` samples."""
+        with self._lock:
+            self._taken[source] = taken
+
+    def head_for(self, source: str, room: int) -> int:
+        """Return how many samples a device may show that can hold `room` which its reader has not taken."""
         if not self.fast or not self.started.is_set():
             return self.head()
         with self._lock:
-            self._taken[source] = taken
-            head = self._bounded(min(taken + room, min(self._taken.values()) + LAG))
+            head = self._bounded(min(self._taken[source] + room, min(self._taken.values()) + LAG))
             self._shown = max(self._shown, head)
         return head
 

@@ -106,7 +106,7 @@ class RingUnit(Unit):
             self._note_taken(address, count)
 
     def _advance(self, memory: list[int], start: int) -> None:
-        head = self.clock.head_for(self.source, self._taken, self._room)
+        head = self.clock.head_for(self.source, self._room)
         if head <= self._written:
             return
         first = max(self._written, head - self._ring.slots)
@@ -125,6 +125,7 @@ class RingUnit(Unit):
         first, end = -(-offset // size), (offset + count) // size
         while self._taken < self._written and first <= self._ring.slot(self._taken) < end:
             self._taken += 1
+        self.clock.take(self.source, self._taken)
 
 
 class PollUnit(Unit):
@@ -143,8 +144,8 @@ class PollUnit(Unit):
     def bring_up(self, memory: list[int], start: int, address: int, count: int) -> None:
         if self.clock.fast and not address <= self._lowest < address + count:
             return
-        following = self._shown + self._stride if self._shown >= 0 else 0
-        newest = max(0, self.clock.head_for(self.source, following, 1) - 1)
+        newest = max(0, self.clock.head_for(self.source, 1) - 1)
+        self.clock.take(self.source, newest + self._stride)
         if newest == self._shown:
             return
         self._shown = newest
@@ -173,13 +174,14 @@ class FifoUnit(Unit):
     def queue(self, address: int) -> list[int] | None:
         if address != self.settings.address:
             return None
-        head = self.clock.head_for(self.source, self._next, self._batch)
+        head = self.clock.head_for(self.source, self._batch)
         if head - self._next > QUEUE:
             self.lost.append((self._next, head - QUEUE - 1))
             self._next = head - QUEUE
         end = min(head, self._next + self._batch)
         rows = self.feed.rows(self._next, end)
         self._next = end
+        self.clock.take(self.source, end)
         return registers(b"".join(rows))
 
 

@@ -21,9 +21,6 @@ from agent.numerics.window_ml import Rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-SETTLED = 1e-9
-"""Share of the observer's first error that is left when it counts as settled."""
-
 
 @dataclass(frozen=True, slots=True)
 class SeedSettings:
@@ -39,6 +36,7 @@ class SeedSettings:
         stopping: the rules that end descent.
         read: how parameters are read from the matrix of a pass; None is structured least squares over the batch.
         scale: (q,) size of each parameter: an estimate further away than a hundred times this has diverged.
+        settled: share of the observer's first error that is left when it counts as settled.
     """
 
     period_s: float
@@ -47,6 +45,7 @@ class SeedSettings:
     gain: FloatArray
     passes: int
     scale: FloatArray
+    settled: float = 1e-9
     rank: int | None = None
     stopping: Stopping = field(default_factory=Stopping)
     read: Callable[[FloatArray], FloatArray] | None = None
@@ -70,12 +69,15 @@ class SeedFit:
     trail: FloatArray
 
 
-def settling(model: StateSpace, gain: FloatArray) -> int:
-    """Return the samples after which the observer has forgotten its first state to the share `SETTLED`."""
+def settling(model: StateSpace, gain: FloatArray, share: float) -> int:
+    """Return the samples after which the observer has forgotten its first state to a share.
+
+    Raises ValueError where the observer is not stable.
+    """
     radius = float(np.max(np.abs(np.linalg.eigvals(model.A - gain @ model.C))))
     if not radius < 1.0:
         raise ValueError(f"the observer is not stable: its poles reach {radius:.6g}, (3) asks for less than 1")
-    return int(np.ceil(np.log(SETTLED) / np.log(max(radius, 1e-9))))
+    return int(np.ceil(np.log(share) / np.log(max(radius, 1e-9))))
 
 
 def regression(model: StateSpace, states: FloatArray, u: FloatArray) -> tuple[Batch, FloatArray]:
@@ -143,7 +145,7 @@ class SeedWindow:
         self.model = model
         self.settings = settings
         self._sampled = discretise(model.continuous(model.nominal), settings.period_s, settings.hold).model
-        self._run_up = settling(self._sampled, settings.gain)
+        self._run_up = settling(self._sampled, settings.gain, settings.settled)
         self._history = settings.plan.window + (self._run_up if settings.passes > 1 else 0)
         self.start_segment()
 

@@ -1,0 +1,122 @@
+"""Figures 3 and 4 of the paper as one picture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.errors import Fault, UsageError
+from agent.numerics.seed import observe
+from agent.numerics.seed_window import SeedWindow
+from agent.numerics.statespace import discretise
+from agent.runtime import paper_cases as cases
+from agent.runtime.paper import product_rows, seed_settings, valid_changes
+from agent.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HOP = 25
+"""Samples from one drawn estimate to the next."""
+SETTLED = 0.03
+"""Share of the observer's first error at which the curves of its method begin."""
+INK, ACTUAL, PRINTED, RECENTRED, PRODUCT = "#2b2b2b", "#b5b5b5", "#d1603d", "#7a5ea8", "#1f77a4"
+
+
+def draw(document: dict[str, Any], window: int, passes: int, file: Path) -> None:
+    """Draw observer against measurement (figure 3) and the sliding estimates of case 2 (figure 4) to a file.
+
+    Raises UsageError where matplotlib is missing or cannot write the file's format.
+    """
+    figure = _figure()
+    grid = figure.add_gridspec(4, 2, width_ratios=(1.0, 1.75))
+    _figure_3([figure.add_subplot(grid[:2, 0]), figure.add_subplot(grid[2:, 0])])
+    _figure_4([figure.add_subplot(grid[row, 1]) for row in range(4)], window, passes)
+    error = document["case_1"]["condition_8"]["perturbation_norm"]
+    margin = document["case_1"]["condition_8"]["delta"]
+    figure.suptitle(
+        f"Two masses, two springs, two dampers: window {window} samples; case 1 lies at {error / margin:.0f} times "
+        "the margin of condition (8)",
+        x=0.01, ha="left", fontsize=11, color=INK,
+    )  # fmt: skip
+    try:
+        figure.savefig(file, dpi=150)
+    except (ValueError, OSError) as error:
+        raise UsageError(
+            [Fault("--plot", f"{file}: {error}", "give a file that ends in .png, .svg or .pdf")]
+        ) from error
+
+
+def _figure() -> "Figure":
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError([Fault("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'")]) from error
+    return Figure(figsize=(13.0, 8.0), layout="constrained")
+
+
+def _figure_3(axes: "list[Axes]") -> None:
+    y = cases.free_decay((cases.CASE_2[0].actual,), "euler")
+    model = discretise(cases.rig().continuous(cases.NOMINAL), cases.PERIOD_S, "euler").model
+    observed = observe(model, cases.GAIN, y, np.zeros((len(y), 1)), np.zeros(4))[:-1] @ model.C.T
+    samples = np.arange(1, len(y) + 1)
+    for i, axis in enumerate(axes):
+        axis.plot(samples, 1e3 * y[:, i], color=ACTUAL, lw=4, label="measured")
+        axis.plot(samples, 1e3 * observed[:, i], color=PRINTED, lw=1.2, label="observer")
+        axis.set_ylabel(f"x{i + 1}  (mm)")
+        _tidy(axis)
+    axes[0].set_title("Figure 3: the observer's outputs, case 1", loc="left", fontsize=10, color=INK)
+    axes[0].legend(frameon=False, fontsize=9)
+    axes[-1].set_xlabel("sample")
+
+
+def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
+    changes = tuple(combination.actual for combination in cases.CASE_2)
+    curves = [
+        ("as printed", PRINTED, *_seed_curve(changes, window, 1)),
+        (f"re-centred, {passes} passes", RECENTRED, *_seed_curve(changes, window, passes)),
+        ("window-ml", PRODUCT, *_product_curve(changes, window)),
+    ]
+    for i, axis in enumerate(axes):
+        actual = np.repeat([change[i] for change in changes], cases.SEGMENT)
+        axis.plot(np.arange(1, len(actual) + 1), actual, color=ACTUAL, lw=4, label="actual")
+        for name, colour, index, values in curves:
+            axis.plot(index + 1, values[:, i], color=colour, lw=1.3, label=name)
+        for start in range(cases.SEGMENT, len(actual), cases.SEGMENT):
+            axis.axvspan(start, start + window, color=INK, alpha=0.06, lw=0)
+        _limit(axis, actual, curves[0][3][:, i], f"Δ{cases.PARAMETERS[i]}  ({cases.UNITS[i]})")
+    axes[0].set_title(
+        "Figure 4: estimates of case 2 in a sliding window (grey: the window holds a change)",
+        loc="left", fontsize=10, color=INK,
+    )  # fmt: skip
+    axes[0].legend(frameon=False, fontsize=9, ncols=4, loc="upper left", bbox_to_anchor=(0.0, 0.98))
+    axes[-1].set_xlabel("sample")
+
+
+def _limit(axis: "Axes", actual: FloatArray, printed: FloatArray, label: str) -> None:
+    """Show what was applied and how far the printed method is off; what a window with a change gives may leave."""
+    ordinary = np.concatenate([actual, np.nanpercentile(printed, [10.0, 90.0])])
+    low, high = float(ordinary.min()), float(ordinary.max())
+    margin = 0.45 * max(high - low, 1e-9)
+    axis.set_ylim(low - margin, high + margin)
+    axis.set_ylabel(label)
+    _tidy(axis)
+
+
+def _tidy(axis: "Axes") -> None:
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(visible=True, color=INK, alpha=0.08, lw=0.6)
+    axis.margins(x=0.01)
+
+
+def _seed_curve(changes: tuple[FloatArray, ...], window: int, passes: int) -> tuple[IntArray, FloatArray]:
+    y = cases.free_decay(changes, "euler")
+    estimator = SeedWindow(cases.rig(), seed_settings(window, passes, hop=HOP, settled=SETTLED))
+    rows = estimator.step(0, y, np.zeros((len(y), 1)))
+    return rows.index, rows.theta - cases.NOMINAL
+
+
+def _product_curve(changes: tuple[FloatArray, ...], window: int) -> tuple[IntArray, FloatArray]:
+    rows = product_rows(cases.free_decay(changes, "zero"), window, HOP)
+    return rows.index, valid_changes(rows)

@@ -1,0 +1,223 @@
+"""`deltak run`: the agent in the foreground. One thread a bus, one that computes, one that writes to the database."""
+
+import logging
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any, Literal
+
+from agent import __version__
+from agent.config import RigConfig, load_many
+from agent.errors import ConfigError, Fault
+from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
+from agent.runtime.pipeline import Conservation, Pipeline
+from agent.runtime.results import RunSummary
+from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
+from agent.storage.store import Store
+from agent.storage.writer import StoreWriter
+from agent.types import AlarmTransition, HealthEvent, Record, RunInfo
+from drivers.port import DriverConfigError
+from drivers.reconnect import LinkEvent
+
+HEALTH_PERIOD_NS = 10_000_000_000
+IDLE_S = 0.5
+RunKind = Literal["live", "demo"]
+
+log = logging.getLogger(__name__)
+
+
+class RigRuntime:
+    """One rig while it runs: its pipeline, labels, summary and the alarms of its sources."""
+
+    def __init__(self, config: RigConfig, publish: Callable[[Sequence[Record]], None]) -> None:
+        self.config = config
+        self.summary = RunSummary(config)
+        maps = {source.name: source.map for source in config.source}
+        self.pipeline = Pipeline(config, wire_steps(config), maps)
+        self._labels = SampleLabels(config.rig.sample_rate_hz)
+        self._publish = publish
+        self._lost: dict[str, bool] = {}
+
+    def take(self, use: Use, arrival: Arrival) -> None:
+        """Process one block of one of the rig's sources."""
+        block = part(arrival.block, use.columns)
+        offset = wall_ns() - monotonic_ns()
+        records = self.pipeline.step(
+            use.source, block, arrival.modulus, lambda index: self._labels.label(index, block.arrival_ns, offset)
+        )
+        self._emit(records)
+        self._note_steps()
+
+    def _note_steps(self) -> None:
+        for label, step in self._labels.steps:
+            words = f"the wall clock was stepped by {step / 1e9:+.3f} s; time stamps start a new anchor"
+            self._emit([HealthEvent(self.config.rig.name, "clock", label, "clock step", words)])
+        self._labels.steps.clear()
+
+    def link(self, source: str, event: LinkEvent) -> None:
+        """Raise or clear a source's alarm and note the event."""
+        log.warning("%s: %s", source, event.message)
+        t_ns, lost = wall_ns(), event.cause != "recovered"
+        records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, event.cause, event.message)]
+        if lost != self._lost.get(source, False):
+            self._lost[source] = lost
+            records.append(self._source_alarm(source, event, t_ns, lost=lost))
+        self._emit(records)
+
+    def _source_alarm(self, source: str, event: LinkEvent, t_ns: int, *, lost: bool) -> AlarmTransition:
+        return AlarmTransition(
+            rig=self.config.rig.name, kind="source", parameter=source, priority="high", t_ns=t_ns,
+            from_state="NORM" if lost else "UNACK", to_state="UNACK" if lost else "RTNUN",
+            cause="raise" if lost else "clear", message=event.message,
+        )  # fmt: skip
+
+    def ledger(self, connections: Sequence[Connection]) -> None:
+        """Publish the conservation ledger of every source."""
+        conservation = {
+            use.source: Conservation(connection.counts, Counter(connection.dropped))
+            for connection in connections
+            for use in connection.uses
+            if use.rig == self.config.rig.name
+        }
+        newest = self.pipeline.newest_ns
+        lag = (wall_ns() - newest) / 1e9 if newest else None
+        self._emit(self.pipeline.health(conservation, newest or wall_ns(), lag))
+
+    def _emit(self, records: Sequence[Record]) -> None:
+        if records:
+            self.summary.take(records)
+            self._publish(records)
+
+
+class Service:
+    """The agent: connections, rigs and the writers of their databases."""
+
+    def __init__(self, configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> None:
+        self._wake = threading.Event()
+        self._stop = threading.Event()
+        self.connections = connect(configs, self._wake)
+        self.writers = _writers(configs, db, kind)
+        self.rigs = {c.rig.name: RigRuntime(c, self.writers[_path(c, db)].publish) for c in configs}
+        for config in configs:
+            self.rigs[config.rig.name].summary.db = str(_path(config, db))
+
+    def stop(self) -> None:
+        """Ask `run` to return; safe from a signal handler."""
+        self._stop.set()
+        self._wake.set()
+
+    def run(self, duration_s: float | None) -> None:
+        """Read, compute and store until stopped or duration_s has passed."""
+        started = monotonic_ns()
+        self._start()
+        try:
+            ledger_due = started + HEALTH_PERIOD_NS
+            while not self._stop.is_set() and not _over(started, duration_s):
+                self._wake.wait(_patience(started, duration_s))
+                self._wake.clear()
+                self.process()
+                if monotonic_ns() >= ledger_due:
+                    ledger_due += HEALTH_PERIOD_NS
+                    self._ledgers()
+        finally:
+            self._finish()
+
+    def _start(self) -> None:
+        for writer in self.writers.values():
+            writer.start()
+        for rig in self.rigs.values():
+            for writer in self.writers.values():
+                rig.summary.run_id = writer.run_ids.get(rig.config.rig.name, rig.summary.run_id)
+        for connection in self.connections:
+            connection.start()
+
+    def process(self) -> None:
+        """Compute what has arrived."""
+        for connection in self.connections:
+            arrivals, events = connection.take()
+            for use in connection.uses:
+                rig = self.rigs[use.rig]
+                for event in events:
+                    rig.link(use.source, event)
+                for arrival in arrivals:
+                    rig.take(use, arrival)
+
+    def _ledgers(self) -> None:
+        for rig in self.rigs.values():
+            rig.ledger(self.connections)
+
+    def _finish(self) -> None:
+        for connection in self.connections:
+            connection.stop()
+        self.process()
+        self._ledgers()
+        for writer in self.writers.values():
+            writer.stop()
+
+
+def run(
+    *, configs: Sequence[Path], db: Path | None, duration_s: float | None, kind: RunKind = "live"
+) -> dict[str, Any]:
+    """Run the agent; return one rig's document, or {"runs": [...]} for several. kind marks the run in the database.
+
+    Raises ConfigError, ModelError, StoreError.
+    """
+    rigs = load_many(configs)
+    _need_sources(rigs)
+    started = monotonic_ns()
+    try:
+        service = Service(rigs, db, kind)
+    except DriverConfigError as error:
+        raise ConfigError([Fault("source", str(error), "mend it and start again")]) from error
+    previous = {number: signal.signal(number, _stopper(service)) for number in (signal.SIGTERM,)}
+    try:
+        service.run(duration_s)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    seconds = (monotonic_ns() - started) / 1e9
+    documents = [rig.summary.document(seconds) for rig in service.rigs.values()]
+    return documents[0] if len(documents) == 1 else {"runs": documents}
+
+
+def _need_sources(rigs: Sequence[RigConfig]) -> None:
+    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in rigs if not rig.source]
+    if faults:
+        raise ConfigError(faults)
+
+
+def _stopper(service: Service) -> Callable[[int, FrameType | None], None]:
+    def stop(number: int, frame: FrameType | None) -> None:
+        service.stop()
+
+    return stop
+
+
+def _path(config: RigConfig, db: Path | None) -> Path:
+    return db if db is not None else config.store.path
+
+
+def _writers(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> Mapping[Path, StoreWriter]:
+    """One writer a database."""
+    grouped: dict[Path, list[RigConfig]] = {}
+    for config in configs:
+        grouped.setdefault(_path(config, db), []).append(config)
+    return {path: _writer(path, members, kind) for path, members in grouped.items()}
+
+
+def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
+    runs = [RunInfo(c.rig.name, kind, wall_ns(), __version__, c.sha256, None, boot_id()) for c in members]
+    return StoreWriter(lambda: Store.open(path), runs, every_s=min(c.store.every_s for c in members))
+
+
+def _over(started: int, duration_s: float | None) -> bool:
+    return duration_s is not None and monotonic_ns() - started >= duration_s * 1e9
+
+
+def _patience(started: int, duration_s: float | None) -> float:
+    if duration_s is None:
+        return IDLE_S
+    return max(0.0, min(IDLE_S, duration_s - (monotonic_ns() - started) / 1e9))

@@ -1,0 +1,160 @@
+"""The reader threads: one a bus connection, each with a bounded queue to the processing thread."""
+
+import logging
+import threading
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.config import RigConfig, driver_class
+from agent.config.tables import Source
+from drivers.port import Counts, Driver, DriverConfigError, SampleBlock, SourceRequest
+from drivers.reconnect import LinkEvent, ReconnectingDriver
+
+QUEUE_SAMPLES = 120_000
+"""Samples that wait for the processing thread at most, a connection: two minutes at 1 kHz."""
+READ_S = 0.2
+
+log = logging.getLogger(__name__)
+
+
+class Arrival(NamedTuple):
+    """What a reader hands over: a block, and the driver's counts and counter modulus as they were then."""
+
+    block: SampleBlock
+    counts: Counts
+    modulus: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """One rig's use of a connection: its source, and which columns of the blocks are its own."""
+
+    rig: str
+    source: str
+    columns: tuple[int, ...]
+
+
+class Connection:
+    """A driver, shared by all sources with the same keys, read by a thread of its own.
+
+    Attributes:
+        uses: the sources that it serves.
+        dropped: samples that found the queue full, by reason.
+        counts: the driver's counts at the newest block taken.
+        progress: grows with every turn of the thread; a watchdog may read it.
+    """
+
+    def __init__(self, driver: Driver, uses: Sequence[Use], stale_s: float, wake: threading.Event) -> None:
+        self.uses = tuple(uses)
+        self.dropped: Counter[str] = Counter()
+        self.counts = Counts()
+        self.progress = 0
+        self._stop = threading.Event()
+        self._wake = wake
+        self._driver = driver
+        self._link = ReconnectingDriver(driver, stale_s, stop=self._stop)
+        self._waiting: deque[Arrival] = deque()
+        self._events: list[LinkEvent] = []
+        self._samples = 0
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._work, name=f"read {driver.request.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def stop(self, timeout_s: float = 5.0) -> None:
+        """End the thread and close the bus; what was read stays to be taken."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+
+    def is_alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    def take(self) -> tuple[list[Arrival], list[LinkEvent]]:
+        """Return what waits, oldest first, and what happened to the link."""
+        with self._lock:
+            arrivals, events = list(self._waiting), self._events
+            self._waiting.clear()
+            self._events, self._samples = [], 0
+        if arrivals:
+            self.counts = arrivals[-1].counts
+        return arrivals, events
+
+    def _work(self) -> None:
+        try:
+            while not self._stop.is_set():
+                self._turn()
+        except DriverConfigError as error:
+            log.error("%s: %s", self._driver.request.name, error)
+            self._say(LinkEvent("lost", f"{error} (not tried again: mend the configuration)", 0.0))
+        finally:
+            self._link.close()
+            self._wake.set()
+
+    def _turn(self) -> None:
+        block = self._link.read(READ_S)
+        self.progress += 1
+        for event in self._link.take_events():
+            self._say(event)
+        if len(block):
+            self._put(block)
+
+    def _say(self, event: LinkEvent) -> None:
+        with self._lock:
+            self._events.append(event)
+        self._wake.set()
+
+    def _put(self, block: SampleBlock) -> None:
+        """Queue a block; where the queue is full the oldest goes and is counted."""
+        with self._lock:
+            self._waiting.append(Arrival(block, deepcopy(self._driver.counts), self._driver.counter_modulus))
+            self._samples += len(block)
+            while self._samples > QUEUE_SAMPLES and len(self._waiting) > 1:
+                oldest = self._waiting.popleft()
+                self._samples -= len(oldest.block)
+                self.dropped["queue full"] += len(oldest.block)
+        self._wake.set()
+
+
+def part(block: SampleBlock, columns: Sequence[int]) -> SampleBlock:
+    """Return a block with some of its columns."""
+    if list(columns) == list(range(block.values.shape[1])):
+        return block
+    values = np.ascontiguousarray(block.values[:, list(columns)])
+    return SampleBlock(values, block.arrival_ns, block.counter, block.t_ns, block.epoch)
+
+
+def connect(configs: Sequence[RigConfig], wake: threading.Event) -> list[Connection]:
+    """Make one connection for each set of identical source keys over all rigs; nothing is opened yet."""
+    grouped: dict[str, list[tuple[RigConfig, Source]]] = {}
+    for config in configs:
+        for source in config.source:
+            grouped.setdefault(source.connection(config.folder), []).append((config, source))
+    return [_connection(members, wake) for members in grouped.values()]
+
+
+def _connection(members: Sequence[tuple[RigConfig, Source]], wake: threading.Event) -> Connection:
+    config, first = members[0]
+    fields = tuple(dict.fromkeys(name for _, source in members for name in source.map.values()))
+    counter = next((source.counter for _, source in members if source.counter is not None), None)
+    driver = driver_class(first.driver)(SourceRequest(first.name, first.settings, fields, counter, config.folder))
+    uses = [Use(rig.rig.name, s.name, tuple(fields.index(name) for name in s.map.values())) for rig, s in members]
+    return Connection(driver, uses, min(source.stale_s for _, source in members), wake)
+
+
+def wire_steps(config: RigConfig) -> Mapping[str, float]:
+    """Return the smallest step that each channel's wire can carry, in the reading's unit."""
+    steps: dict[str, float] = {}
+    for source in config.source:
+        request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
+        answer = driver_class(source.driver)(request).resolution()
+        steps.update(zip(source.map, map(float, answer), strict=True))
+    return steps

@@ -1,0 +1,193 @@
+"""Frames to samples: frames of one message as they come, frames of several joined by their counter. Pure: no I/O."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.can_database import MessageCodec, is_remote
+from drivers.can_frames import ERROR, Frames, FrameTable
+from drivers.port import Counts, DriverConfigError, FloatArray, IntArray
+
+_PENDING = 64
+_LATE_BEFORE_RESTART = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """Samples: values (n, m), counters or None, times in ns, and the epoch of the counting."""
+
+    values: FloatArray
+    counter: IntArray | None
+    t_ns: IntArray
+    epoch: int = 0
+
+
+class FrameDecoder:
+    """Turns frames into samples and counts those that are none.
+
+    Args:
+        messages: the messages that carry the fields.
+        columns: number of fields.
+        counts: told of every sample received and rejected ("dlc", "remote frame", "error frame", "mux").
+        note: told what happened, in words.
+    """
+
+    def __init__(
+        self, messages: tuple[MessageCodec, ...], columns: int, counts: Counts, note: Callable[[str], None]
+    ) -> None:
+        self._messages = messages
+        self._columns = columns
+        self._counts = counts
+        lengths = {message.counter.length for message in messages if message.counter}
+        if len(lengths) > 1:
+            raise DriverConfigError("the counters of the messages to join have different numbers of bits")
+        self.modulus = 1 << lengths.pop() if lengths else None
+        joined = len(messages) > 1
+        self._joiner = Joiner(len(messages), columns, self.modulus or 1, counts, note) if joined else None
+
+    def restart(self) -> None:
+        """Forget samples that are not whole: the bus was opened anew."""
+        if self._joiner:
+            self._joiner.restart()
+
+    def decode(self, frames: Frames) -> Decoded:
+        """Return the samples that are whole now."""
+        self._count_errors(frames.table)
+        if self._joiner is None:
+            return self._single(frames)
+        parts = [self._part(number, message, frames) for number, message in enumerate(self._messages)]
+        return self._joiner.join([part for part in parts if len(part.keys)])
+
+    def _count_errors(self, table: FrameTable) -> None:
+        errors = int(((table["id"] & np.uint32(ERROR)) != 0).sum())
+        self._reject("error frame", errors)
+
+    def _reject(self, reason: str, count: int) -> None:
+        if count:
+            self._counts.received += count
+            self._counts.rejected[reason] += count
+
+    def _sound(self, message: MessageCodec, frames: Frames) -> Frames:
+        """Return the message's frames that can be read; the others are counted."""
+        mine = message.mine(frames.table)
+        table, t_ns = frames.table[mine], frames.t_ns[mine]
+        remote = is_remote(table)
+        wrong = ~remote & ~np.isin(table["length"], message.lengths)
+        self._reject("remote frame", int(remote.sum()))
+        self._reject("dlc", int(wrong.sum()))
+        good = ~(remote | wrong)
+        return Frames(table[good], t_ns[good])
+
+    def _single(self, frames: Frames) -> Decoded:
+        (message,) = self._messages
+        sound = self._sound(message, frames)
+        values = message.values(sound.table, self._columns)
+        # a frame that carries other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
+        bare = np.isnan(values).all(axis=1) & bool(message.switches)
+        self._reject("mux", int((bare & ~message.knows(sound.table)).sum()))
+        table, values, t_ns = sound.table[~bare], values[~bare], sound.t_ns[~bare]
+        self._counts.received += len(values)
+        return Decoded(values, message.counter.counter(table) if message.counter else None, t_ns)
+
+    def _part(self, number: int, message: MessageCodec, frames: Frames) -> "Part":
+        sound = self._sound(message, frames)
+        counter = message.counter.counter(sound.table) if message.counter else np.zeros(len(sound), np.int64)
+        columns = np.array([signal.column for signal in message.selected])
+        return Part(number, counter, message.values(sound.table, self._columns)[:, columns], columns, sound.t_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one message gave of some samples: counters (as `keys`), values in `columns`, times."""
+
+    number: int
+    keys: IntArray
+    values: FloatArray
+    columns: IntArray
+    t_ns: IntArray
+
+
+@dataclass(slots=True)
+class _Pending:
+    """Samples that are not whole yet, by unwrapped counter."""
+
+    rows: dict[int, FloatArray] = field(default_factory=dict)
+    t_ns: dict[int, int] = field(default_factory=dict)
+
+
+class Joiner:
+    """Puts samples together from the parts that carry the same counter.
+
+    Each message comes in order, so a sample is final once every message has come with its counter or a newer one; a
+    part that never came leaves NaN. Parts of a sample that has gone out already are late and counted so.
+    """
+
+    def __init__(self, parts: int, columns: int, modulus: int, counts: Counts, note: Callable[[str], None]) -> None:
+        self._columns = columns
+        self._parts = parts
+        self._modulus = modulus
+        self._counts = counts
+        self._note = note
+        self._epoch = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what is pending; the next counter that comes is the first."""
+        self._pending = _Pending()
+        self._newest: list[int | None] = [None] * self._parts
+        self._emitted: int | None = None
+        self._near: int | None = None
+        self._late = 0
+
+    def join(self, parts: list[Part]) -> Decoded:
+        """Take parts in; return the samples that are final."""
+        if self._near is None and parts:
+            first = min(parts, key=lambda part: int(part.t_ns[0]))
+            self._near = int(first.keys[0])
+        for part in parts:
+            self._take(part)
+        return self._emit()
+
+    def _take(self, part: Part) -> None:
+        keys = self._unwrapped(part)
+        for key, row, t_ns in zip(keys.tolist(), part.values, part.t_ns.tolist(), strict=True):
+            if self._emitted is not None and key <= self._emitted:
+                self._count_late(key)
+                continue
+            self._late = 0
+            sample = self._pending.rows.setdefault(key, np.full(self._columns, np.nan))
+            sample[part.columns] = np.where(np.isnan(row), sample[part.columns], row)
+            self._pending.t_ns.setdefault(key, t_ns)
+            newest = self._newest[part.number]
+            self._newest[part.number] = key if newest is None else max(newest, key)
+
+    def _unwrapped(self, part: Part) -> IntArray:
+        """Return the counters without their wraps, each taken as the one nearest to the one before it."""
+        newest = self._newest[part.number]
+        before = (self._near or 0) if newest is None else newest
+        half = self._modulus // 2
+        steps = (np.diff(part.keys, prepend=before) + half) % self._modulus - half
+        return before + np.cumsum(steps)
+
+    def _count_late(self, key: int) -> None:
+        self._counts.faults["late part"] += 1
+        self._late += 1
+        if self._late > _LATE_BEFORE_RESTART:
+            self._note("the counters ran back and stayed there: the device was restarted")
+            self._epoch += 1
+            self.restart()
+            self._near = key
+
+    def _emit(self) -> Decoded:
+        keys = sorted(self._pending.rows)
+        seen = [newest for newest in self._newest if newest is not None]
+        final = min(seen) if len(seen) == self._parts else None
+        whole = [key for i, key in enumerate(keys) if (final is not None and key <= final) or len(keys) - i > _PENDING]
+        if not whole:
+            return Decoded(np.empty((0, self._columns)), np.empty(0, np.int64), np.empty(0, np.int64), self._epoch)
+        self._emitted = self._near = whole[-1]
+        self._counts.received += len(whole)
+        values = np.array([self._pending.rows.pop(key) for key in whole])
+        t_ns = np.array([self._pending.t_ns.pop(key) for key in whole])
+        return Decoded(values, np.array(whole) % self._modulus, t_ns, self._epoch)

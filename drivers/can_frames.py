@@ -1,0 +1,160 @@
+"""CAN frames as rows of a numpy table, laid out like the kernel's own canfd_frame. Pure: no I/O."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.port import IntArray
+
+EXTENDED = 0x80000000
+REMOTE = 0x40000000
+ERROR = 0x20000000
+FD_FLAG = 0x04
+STANDARD_MASK = 0x7FF
+EXTENDED_MASK = 0x1FFFFFFF
+FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+
+FRAME = np.dtype([("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "u1", (72,))])
+"""One frame: identifier with the flag bits above, data padded by eight bytes so that a 64-bit number can be read
+from any byte of it."""
+
+FrameTable = NDArray[np.void]
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Frames in the order of their arrival.
+
+    Attributes:
+        table: (n,) of dtype FRAME.
+        t_ns: (n,) time stamps of the kernel, the daemon or the log, ns.
+    """
+
+    table: FrameTable
+    t_ns: IntArray
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+
+def pack_frame(identifier: int, data: bytes, flags: int = 0, length: int | None = None) -> bytes:
+    """Return one frame as a row of the table."""
+    size = len(data) if length is None else length
+    head = identifier.to_bytes(4, "little") + bytes((size, flags, 0, 0))
+    return head + data.ljust(72, b"\0")
+
+
+def frames_of(rows: Sequence[bytes], t_ns: IntArray) -> Frames:
+    """Return packed rows as a table."""
+    return Frames(np.frombuffer(b"".join(rows), FRAME), t_ns)
+
+
+def joined(first: Frames, second: Frames) -> Frames:
+    """Return two tables as one."""
+    if not len(second):
+        return first
+    return Frames(np.concatenate([first.table, second.table]), np.concatenate([first.t_ns, second.t_ns]))
+
+
+def no_frames() -> Frames:
+    """Return an empty table."""
+    return Frames(np.empty(0, FRAME), np.empty(0, np.int64))
+
+
+def identifier(digits: str, extended: bool) -> int:
+    """Return an identifier written in hexadecimal with its flag; ValueError beyond its 11 or 29 bits."""
+    number = int(digits, 16)
+    if number > (EXTENDED_MASK if extended else STANDARD_MASK):
+        raise ValueError(f"identifier {digits} has too many bits")
+    return number | EXTENDED if extended else number
+
+
+_SOCKETCAND = re.compile(
+    rb"< *(?:frame ([0-9A-Fa-f]{1,8}) (\d{1,12})\.(\d{1,9}) ?((?:[0-9A-Fa-f]{2} ?){0,64})|(error|hi|ok|echo) ?[^<>]*)>"
+)
+
+
+@dataclass(slots=True)
+class DaemonText:
+    """What socketcand sends in raw mode, put together from pieces; keeps at most one unfinished message.
+
+    Attributes:
+        bad: messages that were no frame, so far.
+    """
+
+    bad: int = 0
+    _rest: bytes = b""
+
+    def feed(self, data: bytes) -> Frames:
+        """Return the frames that are whole now."""
+        text = self._rest + data
+        end = text.rfind(b">") + 1
+        whole, self._rest = text[:end], text[end:][-_LONGEST_MESSAGE:]
+        rows: list[bytes] = []
+        times: list[int] = []
+        for match in _SOCKETCAND.finditer(whole):
+            self._add(match, rows, times)
+        self.bad += whole.count(b">") - len(rows)
+        return frames_of(rows, np.array(times, np.int64)) if rows else no_frames()
+
+    def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> None:
+        if match[5] == b"error":
+            rows.append(pack_frame(ERROR, b""))
+            times.append(0)
+            return
+        row = None if match[5] else _daemon_row(match[1], match[4])
+        if row is not None:
+            rows.append(row)
+            times.append(int(match[2]) * 10**9 + int(match[3].ljust(9, b"0")))
+
+
+_LONGEST_MESSAGE = 400
+
+
+def _daemon_row(digits: bytes, payload: bytes) -> bytes | None:
+    data = bytes.fromhex(payload.decode())
+    try:
+        number = identifier(digits.decode(), len(digits) > 3)
+    except ValueError:
+        return None
+    return pack_frame(number, data, FD_FLAG if len(data) > 8 else 0) if len(data) in FD_LENGTHS else None
+
+
+_CANDUMP = re.compile(
+    r"\((\d{1,12})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    r"(?:(R)([0-8]?)|(#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64}))(?: [TR])?"
+)
+
+
+def candump_row(line: str) -> tuple[int, bytes] | None:
+    """Return the time in ns and the packed frame of a line of `candump -L`; None when it is none."""
+    match = _CANDUMP.fullmatch(line.strip())
+    if match is None:
+        return None
+    number = int(match[4], 16)
+    number |= EXTENDED if len(match[4]) == 8 and not number & ERROR else 0
+    if match[5]:
+        row = pack_frame(number | REMOTE, b"", 0, int(match[6] or 0))
+    else:
+        data = bytes.fromhex(match[8])
+        fd = match[7] is not None
+        if len(data) not in (FD_LENGTHS if fd else FD_LENGTHS[:9]):
+            return None
+        row = pack_frame(number, data, FD_FLAG if fd else 0)
+    return int(match[1]) * 10**9 + int(match[2].ljust(9, "0")), row
+
+
+def candump_frames(lines: Iterable[str]) -> tuple[Frames, list[int]]:
+    """Return the frames of lines of `candump -L`, and the places of the lines that are none."""
+    rows, times, bad = [], [], []
+    for place, line in enumerate(lines):
+        item = candump_row(line)
+        if item is not None:
+            times.append(item[0])
+            rows.append(item[1])
+        elif line.strip():
+            bad.append(place)
+    return (frames_of(rows, np.array(times, np.int64)) if rows else no_frames()), bad

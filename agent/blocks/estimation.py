@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from agent.numerics.window_ml import Rows
@@ -83,7 +84,7 @@ class Estimation:
             n_used=used.astype(np.int64), n_missing=np.zeros(count, dtype=np.int64), dof=rows.dof,
         )  # fmt: skip
 
-    def _verdicts(self, rows: Rows, known: np.ndarray) -> tuple[CodeArray, CodeArray]:  # type: ignore[type-arg]
+    def _verdicts(self, rows: Rows, known: NDArray[np.bool_]) -> tuple[CodeArray, CodeArray]:
         status = np.full(rows.theta.shape, int(Status.VALID), dtype=np.uint8)
         reason = np.zeros(rows.theta.shape, dtype=np.uint8)
         with np.errstate(invalid="ignore"):
@@ -101,7 +102,8 @@ class Estimation:
         seconds = (t_ns - t_ns[0]).astype(float) / 1e9
         values = np.vstack([self._held, value])
         times = np.vstack([self._held_at - t_ns[0] / 1e9, np.broadcast_to(seconds[:, None], value.shape)])
-        places = np.where(np.vstack([np.ones((1, value.shape[1]), dtype=bool), valid]), np.arange(len(values))[:, None], 0)
+        usable = np.vstack([np.ones((1, value.shape[1]), dtype=bool), valid])
+        places = np.where(usable, np.arange(len(values))[:, None], 0)
         newest = np.maximum.accumulate(places, axis=0)
         held = np.take_along_axis(values, newest, axis=0)
         since = np.take_along_axis(times, newest, axis=0)

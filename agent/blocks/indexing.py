@@ -82,7 +82,7 @@ class Indexer:
         if self.origin.value is None:
             self.origin.value = int(raw[0])
         since = (raw - self.origin.value).astype(np.longdouble)
-        return np.rint(since * (self.rate_hz / 1e9)).astype(np.int64)
+        return np.asarray(np.rint(since * (self.rate_hz / 1e9)), dtype=np.int64)
 
     def _from_counter(self, raw: IntArray, arrival_ns: int) -> IntArray:
         if self.origin.value is None:
@@ -98,7 +98,7 @@ class Indexer:
         if self.modulus is None:
             return steps
         half = self.modulus // 2
-        return (steps + half) % self.modulus - half
+        return np.asarray((steps + half) % self.modulus - half)
 
     def _silent_wraps(self, step: int, arrival_ns: int) -> int:
         """Samples that whole wraps of the counter hide, after a silence longer than half a wrap."""

@@ -8,9 +8,8 @@ from agent.config import RigConfig
 from agent.config.tables import LinearModel, MechanicsModel, Parameter
 from agent.numerics.hops import HopPlan
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.observer import kalman_gain, poles_gain, spectral_radius, start_gain
-from agent.numerics.observer import STRICTLY_STABLE
-from agent.numerics.statespace import AffineModel, Discrete, Model, StateSpace
+from agent.numerics.observer import STRICTLY_STABLE, kalman_gain, poles_gain, spectral_radius, start_gain
+from agent.numerics.statespace import AffineModel, Discrete, Model, affine_model
 from agent.numerics.window_ml import Gains, WindowSettings
 from agent.types import FloatArray
 
@@ -72,17 +71,12 @@ def _linear(config: RigConfig) -> AffineModel:
     table = config.model
     if not isinstance(table, LinearModel):
         raise TypeError("not a linear model")
-    A, C = np.array(table.A, dtype=float), np.array(table.C, dtype=float)
-    B = np.array(table.B, dtype=float).reshape(len(A), -1)
-    rows = {p.name: p for p in table.parameter}
+    rows = {parameter.name: parameter for parameter in table.parameter}
     chosen = [rows[name] for name in config.estimator.estimate]
-    dA = np.array([np.array(p.dA, dtype=float) if p.dA else np.zeros_like(A) for p in chosen]).reshape(-1, *A.shape)
-    dB = np.array([np.array(p.dB, dtype=float) if p.dB else np.zeros_like(B) for p in chosen]).reshape(-1, *B.shape)
-    D = np.zeros((len(C), B.shape[1]))
-    zero_C, zero_D = np.zeros((len(chosen), *C.shape)), np.zeros((len(chosen), *D.shape))
-    at_nominal = StateSpace(A, B, C, D, dA, dB, zero_C, zero_D)
-    nominal = np.array([p.nominal for p in chosen])
-    return AffineModel(config.estimator.estimate, nominal, at_nominal, tuple(f"state {i + 1}" for i in range(len(A))))
+    nominal = np.array([parameter.nominal for parameter in chosen])
+    derivatives = [(np.array(parameter.dA), np.array(parameter.dB)) for parameter in chosen]
+    matrices = (np.array(table.A), np.array(table.B), np.array(table.C))
+    return affine_model(config.estimator.estimate, nominal, matrices, derivatives)
 
 
 def _disturbance(model: Model) -> FloatArray:

@@ -108,7 +108,7 @@ def _cut(
 def _transition(state_power: FloatArray, n: int, q: int) -> FloatArray:
     """Pi = [[Phi^L, S_1 .. S_q], [0, blockdiag(Phi^L)]], S_i the (s_i <- x) block of F^L."""
     Phi = state_power[:n, :n]
-    Pi = np.kron(np.eye(1 + q), Phi)
+    Pi = np.asarray(np.kron(np.eye(1 + q), Phi), dtype=np.float64)
     for i in range(1, 1 + q):
         Pi[:n, n * i : n * (i + 1)] = state_power[n * i : n * (i + 1), :n]
     return Pi

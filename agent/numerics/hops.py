@@ -133,8 +133,7 @@ class Segment:
             return self._first_head(operators)
         plan = self.plan
         v = self.samples(self.done, self.done + units * plan.hop).reshape(units, plan.hop, -1)
-        assert self.z is not None
-        states, self.z = propagate(self.z, operators.hop_transition, operators.forced(v))
+        states, self.z = propagate(self._state(operators), operators.hop_transition, operators.forced(v))
         split = plan.hop - plan.head
         rest: Summary | None = None
         if split:
@@ -148,18 +147,20 @@ class Segment:
         return index, self._windows(heads)
 
     def _first_head(self, operators: HopOperators) -> tuple[IntArray, Summary | None]:
-        z = self.z if self.z is not None else np.zeros(operators.nz)
         v = self.samples(self.done, self.done + self.plan.head)
-        self.head, ends = operators.summarise(operators.head, v[None], z[None])
+        self.head, ends = operators.summarise(operators.head, v[None], self._state(operators)[None])
         self.z = ends[0]
         self.done += self.plan.head
         return np.array([self.done - 1], dtype=np.int64), self.head if self.plan.fulls == 0 else None
 
+    def _state(self, operators: HopOperators) -> FloatArray:
+        """The filters' state after the newest sample summarised; zero before the first."""
+        return np.zeros(operators.nz) if self.z is None else self.z
+
     def _windows(self, heads: Summary) -> Summary | None:
         """Join whole hops and a head into windows, for as many of the newest rows as there are enough hops."""
         F, fulls = self.plan.fulls, self.fulls
-        assert fulls is not None
-        if F == 0:
+        if F == 0 or fulls is None:
             self.fulls = None
             return heads
         self.fulls = fulls.part(slice(max(0, len(fulls) - F), None))

@@ -1,4 +1,4 @@
-"""Fisher information of a window and the Cramer-Rao bound that follows: the least sd that any unbiased estimate can have.
+"""Fisher information of a window and the Cramer-Rao bound: the least sd that any unbiased estimate can have.
 
 White sensor noise of known standard deviation, an unknown initial state, a known input (Ljung, System Identification,
 2nd ed. 1999, section 7.4).

@@ -235,7 +235,7 @@ class _Equations:
         return self._first_order(x / self._inertia(), u / self._inertia(), constant=0.0)
 
     def _mass_derivative(self, name: str) -> tuple[FloatArray, FloatArray]:
-        row = list(self.a).index(self.nodes.index(name))
+        row = self.a.tolist().index(self.nodes.index(name))
         A, B = self.matrices()
         dA, dB = np.zeros_like(A), np.zeros_like(B)
         dA[row], dB[row] = -A[row] / self.mass[row], -B[row] / self.mass[row]

@@ -49,7 +49,8 @@ def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> Fl
         P = solve_discrete_are(model.A.T, model.C.T, process, noise)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"no stabilising observer gain: {error}") from error
-    return np.linalg.solve(model.C @ P @ model.C.T + noise, model.C @ P @ model.A.T).T
+    gain = np.linalg.solve(model.C @ P @ model.C.T + noise, model.C @ P @ model.A.T).T
+    return np.asarray(gain, dtype=np.float64)
 
 
 def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, window: int) -> FloatArray:
@@ -106,4 +107,4 @@ def _balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
     from scipy.linalg import matrix_balance
 
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    return balanced, np.asarray(scale)
+    return np.asarray(balanced, dtype=np.float64), np.asarray(scale, dtype=np.float64)

@@ -40,7 +40,7 @@ def sensitivity_filter(model: StateSpace, gain: FloatArray, weight: FloatArray) 
     """Build the filters of a sampled model for gain L (n, p); outputs are multiplied by weight (p,), 1/sigma."""
     n, m, p, q = model.n, model.m, model.p, model.q
     Phi = model.A - gain @ model.C
-    F = np.kron(np.eye(1 + q), Phi)
+    F = np.asarray(np.kron(np.eye(1 + q), Phi), dtype=np.float64)
     N = np.zeros((n * (1 + q), p + m))
     N[:n] = np.hstack([gain, model.B - gain @ model.D])
     H = np.zeros((p, 1 + q, n * (1 + q)))

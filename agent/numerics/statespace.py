@@ -42,7 +42,7 @@ class StateSpace:
     @property
     def m(self) -> int:
         """Number of inputs."""
-        return self.B.shape[1]
+        return int(self.B.shape[1])
 
     @property
     def p(self) -> int:
@@ -125,6 +125,23 @@ class AffineModel:
         )  # fmt: skip
 
 
+def affine_model(
+    parameters: tuple[str, ...],
+    nominal: FloatArray,
+    matrices: tuple[FloatArray, FloatArray, FloatArray],
+    derivatives: Sequence[tuple[FloatArray, FloatArray]],
+) -> AffineModel:
+    """Make an affine model from its A, B, C at nominal and, per parameter, dA and dB; an empty matrix is zero."""
+    A, C = np.asarray(matrices[0], dtype=float), np.asarray(matrices[2], dtype=float)
+    B = np.asarray(matrices[1], dtype=float).reshape(len(A), -1)
+    D = np.zeros((len(C), B.shape[1]))
+    dA = stacked(A.shape, [d[0].reshape(A.shape) if d[0].size else np.zeros_like(A) for d in derivatives])
+    dB = stacked(B.shape, [d[1].reshape(B.shape) if d[1].size else np.zeros_like(B) for d in derivatives])
+    q = len(parameters)
+    at_nominal = StateSpace(A, B, C, D, dA, dB, np.zeros((q, *C.shape)), np.zeros((q, *D.shape)))
+    return AffineModel(parameters, nominal, at_nominal, tuple(f"state {i + 1}" for i in range(len(A))))
+
+
 def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") -> Discrete:
     """Sample a continuous model exactly, derivatives included.
 
@@ -185,7 +202,7 @@ def _euler(continuous: StateSpace, period_s: float) -> Discrete:
 
 
 def simulate(discrete: Discrete, x0: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Run a sampled model from the physical state x0 (n,) over inputs u (N, m); return states (N, n), outputs (N, p)."""
+    """Run a sampled model from the physical state x0 (n,) over u (N, m); return states (N, n) and outputs (N, p)."""
     model = discrete.model
     states = np.empty((len(u), model.n))
     shifted = x0 - discrete.B1 @ u[0]

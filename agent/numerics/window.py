@@ -1,4 +1,4 @@
-"""The window estimate: least squares of the innovations on their sensitivities, the unknown initial state projected out.
+"""The window estimate: least squares of the innovations on their sensitivities, the initial state projected out.
 
 In a window that starts at k0 the innovations are e(k) = Gamma_k e0 + sum psi_i(k) delta_i + noise. The unknown e0 is
 eliminated by variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413), with the sensitivities
@@ -43,7 +43,7 @@ def pseudo_root(gram: FloatArray) -> FloatArray:
     scale = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
     kept = values > RANK_TOLERANCE * max(float(values[-1]), 0.0)
-    return (scale[:, None] * vectors[:, kept]) / np.sqrt(values[kept])
+    return np.asarray((scale[:, None] * vectors[:, kept]) / np.sqrt(values[kept]))
 
 
 def solve_windows(window: Summary, n: int, prior: FloatArray | None = None) -> WindowSolution:
@@ -54,7 +54,6 @@ def solve_windows(window: Summary, n: int, prior: FloatArray | None = None) -> W
         n: number of states.
         prior: (q,) optional precision added to the diagonal of the information, in noise units.
     """
-    count, width = window.gram.shape[:2]
     e0, reduced = _project(window, n)
     g, H = reduced[:, 1:, 0], reduced[:, 1:, 1:]
     if prior is not None:
@@ -63,7 +62,6 @@ def solve_windows(window: Summary, n: int, prior: FloatArray | None = None) -> W
     delta = np.einsum("nij,nj->ni", covariance, g)
     residual = np.maximum(reduced[:, 0, 0] - np.einsum("ni,ni->n", g, delta), 0.0)
     delta = np.where(solvable, delta, np.nan)
-    assert delta.shape == (count, width - 1)
     return WindowSolution(delta, covariance, residual, e0, H)
 
 
@@ -88,7 +86,7 @@ def _project(window: Summary, n: int) -> tuple[FloatArray, FloatArray]:
 
 def _inverse(H: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Invert symmetric matrices (N, q, q) after scaling to unit diagonal; (N, q) False where nothing is known."""
-    count, q = H.shape[:2]
+    q = H.shape[1]
     diagonal = np.einsum("nii->ni", H)
     known = (diagonal > 0) & np.isfinite(diagonal)
     scale = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
@@ -102,10 +100,7 @@ def _inverse(H: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     # variances below the scaled bound of 1 or negative are round-off: the matrix is singular to working precision
     variance = np.einsum("nii->ni", inverse)
     sound = known & np.all((variance >= 0.5) & (variance < 1e14), axis=1, keepdims=True)
-    covariance = inverse * scale[:, :, None] * scale[:, None, :]
+    covariance = np.asarray(inverse * scale[:, :, None] * scale[:, None, :], dtype=np.float64)
     index = np.arange(q)
     covariance[:, index, index] = np.where(sound, covariance[:, index, index], np.inf)
-    covariance[~sound.all(axis=1)] = np.where(
-        np.isfinite(covariance[~sound.all(axis=1)]), covariance[~sound.all(axis=1)], np.inf
-    )
     return covariance, sound

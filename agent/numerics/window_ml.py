@@ -225,7 +225,7 @@ class WindowML:
     def _share(self) -> FloatArray:
         """(q,) changes below this do not matter to the linearisation; without correction the observer feels more."""
         size = np.maximum(np.abs(self.theta), 0.1 * self.settings.scale)
-        return (0.02 if self.gain.any() else 0.005) * size
+        return np.asarray((0.02 if self.gain.any() else 0.005) * size)
 
     def _quieter(self, rows: Rows) -> BoolArray:
         """(N,) the residual is so far below a learnt reference that the reference was learnt in a disturbance."""
@@ -288,7 +288,7 @@ class WindowML:
         learns = self.learns_noise and (not self.calibrated or bool(self._quieter(rows)[row]))
         before = (self.theta, self.sigma, self.settled)
         fit = self._learn(v[-LONG:]) if learns else self._maximise(v[-LONG:])
-        accepted = fit.converged and self._place(segment, fit, start, index, len(v) > LONG)
+        accepted = fit.converged and self._place(segment, fit, start, long=len(v) > LONG)
         if not accepted:
             self.theta, self.sigma, self.settled = before
             return False
@@ -297,21 +297,22 @@ class WindowML:
         self._write(rows, row)
         return True
 
-    def _place(self, segment: Segment, fit: Fit, start: int, index: int, long: bool) -> bool:
+    def _place(self, segment: Segment, fit: Fit, start: int, *, long: bool) -> bool:
         """Linearise about a fit if it passes the gate; a long window is iterated on its summaries first."""
         if long:
-            return self._place_long(segment, fit, start, index)
+            return self._place_long(segment, fit, start)
         s2 = float(np.sum(fit.residual**2)) / self._dof
         variance = np.diag(fit.covariance) * max(s2, self._floor_ratio())
         if not (s2 <= self._gate and np.all(np.isfinite(variance))):
             return False
         scale = self.settings.scale
-        information = np.linalg.pinv(fit.covariance / np.outer(scale, scale), hermitian=True)
+        scaled = fit.covariance / np.outer(scale, scale)
+        information = np.asarray(np.linalg.pinv(scaled, hermitian=True), dtype=np.float64)
         self._outcome = (fit.theta, np.sqrt(variance), s2)
-        self._centre(segment, start, index, fit.x0, information)
+        self._centre(segment, start, fit.x0, information)
         return True
 
-    def _centre(self, segment: Segment, start: int, index: int, x0: FloatArray, information: FloatArray) -> None:
+    def _centre(self, segment: Segment, start: int, x0: FloatArray, information: FloatArray) -> None:
         """Move theta_r to what window and reference say together and summarise the window anew."""
         scale = self.settings.scale
         centre, self._reference = combined(self._reference, information, self._outcome[0] / scale)
@@ -319,7 +320,6 @@ class WindowML:
         self.settled = True
         self._rebuild()
         self._resummarise(segment, start, x0)
-        assert segment.done == index + 1
 
     def _resummarise(self, segment: Segment, start: int, x0: FloatArray) -> Summary:
         """Run the operators over the window that starts at `start` with observer state x0 (n,); return its summary."""
@@ -329,10 +329,11 @@ class WindowML:
         _, windows = segment.advance(self._operators, 1)
         if self.settings.plan.fulls:
             _, windows = segment.advance(self._operators, self.settings.plan.fulls)
-        assert windows is not None
+        if windows is None:
+            raise ValueError("a window needs all of its samples")
         return windows
 
-    def _place_long(self, segment: Segment, fit: Fit, start: int, index: int) -> bool:
+    def _place_long(self, segment: Segment, fit: Fit, start: int) -> bool:
         """Carry a fit of the newest LONG samples to the whole window by steps on its summaries."""
         kept = (segment.done, segment.z, segment.fulls, segment.head, self._operators, self.gain)
         self.theta, self.settled, x0 = fit.theta, True, np.zeros(self._n)
@@ -348,7 +349,7 @@ class WindowML:
             if np.all(np.abs(step) < 0.1 * sd) and s2 <= self._gate:
                 scale = self.settings.scale
                 self._outcome = (self.theta + step, sd, s2)
-                self._centre(segment, start, index, x0, solution.information[0] * np.outer(scale, scale))
+                self._centre(segment, start, x0, solution.information[0] * np.outer(scale, scale))
                 return True
             self.theta = np.maximum(self.theta + step, self.settings.lower)
         segment.done, segment.z, segment.fulls, segment.head, self._operators, self.gain = kept

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def segments(config: RigConfig, truth: Truth, rows: Sequence[Row]) -> list[dict[
     edges = _edges(config, truth)
     index = _indices(config, rows)
     found = []
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in pairwise(edges):
         last = max((i for i in index if start <= i < stop), default=None)
         chosen = {r["parameter"]: r for r, i in zip(rows, index, strict=True) if i == last}
         bounds = _bounds(config, truth, last) if last is not None else {}
@@ -124,7 +125,7 @@ def alarm_delays(
 
 def _sample(config: RigConfig, rows: Sequence[Row], t_ns: int) -> int:
     """Sample number of a time stamp: the run's first row falls due at the end of the first hop's head."""
-    first = min(row["t_ns"] for row in rows)
+    first: int = min(row["t_ns"] for row in rows)
     return hop_plan(config).head - 1 + round((t_ns - first) * config.rig.sample_rate_hz / 1e9)
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 
 from agent.blocks.estimation import Estimation, Estimator, Labels
-from agent.blocks.rig_model import RigModel, hop_plan, rig_model, window_settings
+from agent.blocks.rig_model import RigModel, rig_model, window_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
+from agent.numerics.statespace import discretise
 from agent.numerics.window_ml import WindowML
 from agent.types import FloatArray
 
@@ -45,8 +46,12 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
 
 
 def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray) -> Estimator:
-    if config.estimator.method == "seed":
-        from agent.numerics.seed_window import SeedWindow
+    settings = window_settings(config, rig, resolution)
+    if config.estimator.method == "window-ml":
+        return WindowML(rig.model, settings)
+    from agent.numerics.seed_window import SeedSettings, SeedWindow
 
-        return SeedWindow(rig.model, hop_plan(config), config)
-    return WindowML(rig.model, window_settings(config, rig, resolution))
+    gain = settings.gains.start(discretise(rig.model.continuous(rig.model.nominal), settings.period_s, settings.hold))
+    passes = config.estimator.passes
+    seed = SeedSettings(settings.period_s, settings.plan, settings.hold, gain, passes, settings.scale)
+    return SeedWindow(rig.model, seed)

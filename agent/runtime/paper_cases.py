@@ -65,8 +65,8 @@ def free_decay(changes: tuple[FloatArray, ...], hold: Hold) -> FloatArray:
     model, x = rig(), START.copy()
     outputs = np.empty((len(changes), SEGMENT, 2))
     for change, rows in zip(changes, outputs, strict=True):
-        A = discretise(model.continuous(NOMINAL + change), PERIOD_S, hold).model.A
+        transition = discretise(model.continuous(NOMINAL + change), PERIOD_S, hold).model.A
         for row in rows:
             row[:] = x[2:]
-            x = A @ x
+            x = transition @ x
     return outputs.reshape(-1, 2)

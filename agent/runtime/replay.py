@@ -88,10 +88,10 @@ def _records(pipeline: Pipeline, drivers: Sequence[Driver]) -> Iterator[list[Rec
     due: int | None = None
     for driver in drivers:
         for records in _blocks(pipeline, driver):
+            yield records
             if due is None or pipeline.newest_ns >= due:
                 due = pipeline.newest_ns + HEALTH_PERIOD_NS
-                records += _ledger(pipeline, drivers)
-            yield records
+                yield _ledger(pipeline, drivers)
     yield _ledger(pipeline, drivers)
 
 

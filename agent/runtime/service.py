@@ -184,13 +184,14 @@ def run(
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:
-    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in rigs if not rig.source]
+    lacking = [rig for rig in rigs if not rig.source]
+    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in lacking]
     if faults:
         raise ConfigError(faults)
 
 
 def _stopper(service: Service) -> Callable[[int, FrameType | None], None]:
-    def stop(number: int, frame: FrameType | None) -> None:
+    def stop(_number: int, _frame: FrameType | None) -> None:
         service.stop()
 
     return stop

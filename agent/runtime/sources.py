@@ -93,7 +93,7 @@ class Connection:
             while not self._stop.is_set():
                 self._turn()
         except DriverConfigError as error:
-            log.error("%s: %s", self._driver.request.name, error)
+            log.warning("%s: %s", self._driver.request.name, error)
             self._say(LinkEvent("lost", f"{error} (not tried again: mend the configuration)", 0.0))
         finally:
             self._link.close()

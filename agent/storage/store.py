@@ -2,7 +2,8 @@
 
 import sqlite3
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
@@ -16,6 +17,7 @@ from agent.storage.connect import cause_of, connect_writer, create, is_damage, m
 from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
 from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse
+from agent.storage.retention import Retention, Upkeep
 from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.schema import insert_sql, upgrade
 from agent.storage.status import add_event, add_health
@@ -24,6 +26,7 @@ from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Rec
 _CELLS_A_COMMIT = 50_000  # about 3 MB of write-ahead log
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 60_000
+_FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
 
 
 class Store:
@@ -33,21 +36,24 @@ class Store:
     acknowledged, and the same plans may be committed again after `reopen`.
     """
 
-    def __init__(self, path: Path, lock: Lock) -> None:
+    def __init__(self, path: Path, lock: Lock, keep: Retention) -> None:
         self.path = path
         self._lock = lock
         self._mutex = threading.RLock()
         self._connection: sqlite3.Connection | None = None
         self._ballast = Ballast(path)
-        self._numbers = Numbers()
-        self._names = Names(self._numbers)
+        self.numbers = Numbers()
+        self.names = Names(self.numbers)
         self._books: dict[int, AlarmBook] = {}
         self._coverage: dict[int, Coverage] = {}
         self._since_checkpoint = [0, 0]
+        self._upkeep = Upkeep(self, keep)
 
     @classmethod
-    def open(cls, path: Path | str) -> "Store":
+    def open(cls, path: Path | str, keep: Retention = _FOR_EVER) -> Self:
         """Open or create the database at a path and take its lock.
+
+        keep: how long rows are kept and how large the file may grow; without it, for ever.
 
         Raises:
             StoreError: a directory, no folder, no permission, not ours, newer, or another process writes to it.
@@ -56,7 +62,7 @@ class Store:
         path = Path(path)
         check_place(path)
         refuse(path, kind_of(path))
-        store = cls(path, Lock(path))
+        store = cls(path, Lock(path), keep)
         try:
             store._attach()
         except BaseException:
@@ -73,8 +79,9 @@ class Store:
         try:
             self._connection = connect_writer(self.path)
             upgrade(self._connection)
-            self._numbers.load(self._connection)
-            self._names.load(self._connection)
+            self.numbers.load(self._connection)
+            self.names.load(self._connection)
+            self._upkeep.load()
         except sqlite3.Error as error:
             if may_pass(error) or is_damage(error):
                 raise
@@ -91,10 +98,10 @@ class Store:
     def begin_run(self, run: RunInfo) -> int:
         """Record a run and return its number; the alarms that earlier live runs left standing go on in a live run."""
         with self._mutex:
-            run_id = self._numbers.take("runs")
+            run_id = self.numbers.take("runs")
             plan = Plan()
             facts = (run.kind, run.started_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
-            plan.sealed("runs", run_id, self._names.rig(run.rig), *facts, None, None)
+            plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
             self.commit([plan])
             self.adopt_run(run_id, run)
             return run_id
@@ -104,6 +111,7 @@ class Store:
         standing = self.open_alarms(run.rig) if run.kind == "live" else []
         self._books[run_id] = AlarmBook(run_id, standing)
         self._coverage[run_id] = Coverage(self.connection, run_id, run.rig)
+        self._upkeep.watch(run_id)
 
     def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
         """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""
@@ -129,18 +137,18 @@ class Store:
 
     def _estimates_plan(self, run_id: int, batch: EstimateBatch) -> Plan:
         plan = Plan()
-        add_estimates(plan, batch, run_id, self._names, self._numbers)
+        add_estimates(plan, batch, run_id, self.names, self.numbers)
         t_ns = batch.t_ns
-        self._coverage[run_id].extend(plan, int(np.min(t_ns)), int(np.max(t_ns)), self._numbers)
+        self._coverage[run_id].extend(plan, int(np.min(t_ns)), int(np.max(t_ns)), self.numbers)
         return plan
 
     def _add(self, plan: Plan, run_id: int, record: Record) -> None:
         if isinstance(record, AlarmTransition):
-            self._books[run_id].apply(plan, record, self._numbers)
+            self._books[run_id].apply(plan, record, self.numbers)
         elif isinstance(record, Health):
-            add_health(plan, record, run_id, self._numbers)
+            add_health(plan, record, run_id, self.numbers)
         elif isinstance(record, HealthEvent):
-            add_event(plan, record, run_id, self._numbers)
+            add_event(plan, record, run_id, self.numbers)
 
     def commit(self, plans: Sequence[Plan]) -> None:
         """Write plans, a transaction each; on return they are on the disk. Committing a plan again is harmless."""
@@ -150,20 +158,27 @@ class Store:
             self._checkpoint_if_due()
 
     def _transaction(self, plan: Plan) -> None:
-        execute = self.connection.execute
-        execute("BEGIN IMMEDIATE")
-        try:
-            for source in (self._names.fresh, plan):
+        with self.transaction() as connection:
+            for source in (self.names.fresh, plan):
                 for table, rows in source.rows.items():
-                    self.connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
-            execute("COMMIT")
-        except BaseException:
-            if self.connection.in_transaction:
-                execute("ROLLBACK")
-            raise
-        self._names.saved()
+                    connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
+        self.names.saved()
         self._since_checkpoint[0] += 1
         self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """Run what stands inside as one transaction: committed at its end, undone when it raises."""
+        with self._mutex:
+            execute = self.connection.execute
+            execute("BEGIN IMMEDIATE")
+            try:
+                yield self.connection
+                execute("COMMIT")
+            except BaseException:
+                if self.connection.in_transaction:
+                    execute("ROLLBACK")
+                raise
 
     def _checkpoint_if_due(self) -> None:
         commits, cells = self._since_checkpoint
@@ -180,7 +195,7 @@ class Store:
         """Add to a counter that the file keeps (rows purged before they were sent ...)."""
         with self._mutex:
             known = self.connection.execute("SELECT seq, count FROM counters WHERE name = ?", (name,)).fetchone()
-            seq, total = known or (self._numbers.take("counters"), 0)
+            seq, total = known or (self.numbers.take("counters"), 0)
             plan = Plan()
             plan.add("counters", (seq, name, total + more, row_crc((seq, name, total + more))))
             self.commit([plan])
@@ -197,6 +212,11 @@ class Store:
             if cause_of(error) == "disk full":
                 self._ballast.drop()
             self.reopen()
+
+    def maintain(self, *, finish: bool = False) -> None:
+        """Make the minutes and hours that are over and purge what is too old or too much; cheap when nothing is due."""
+        with self._mutex:
+            self._upkeep.step(finish=finish)
 
     def wal_bytes(self) -> int:
         """Return the size of the write-ahead log's file."""

@@ -152,7 +152,7 @@ class StoreWriter:
         ticket, last = self._wait()
         self.progress += 1
         self._collect(last)
-        self._write_all(insist=last)
+        self._write_all(last)
         with self._condition:
             if not self._waiting() or last:
                 self._answered = ticket
@@ -192,20 +192,22 @@ class StoreWriter:
     def _waiting(self) -> bool:
         return bool(self._flight) or any(map(len, self._backlogs.values()))
 
-    def _write_all(self, insist: bool) -> None:
+    def _write_all(self, last: bool) -> None:
         """Write what waits, if it is not too soon after a failure."""
-        if self._pause.cause and not insist and not self._pause.over():
+        if self._pause.cause and not last and not self._pause.over():
             return
         try:
             self._attach()
             while self._waiting():
                 self._write_once()
+            if self._store is not None:
+                self._store.maintain(finish=last)
         except _FAILURE as error:
             self._failed(error)
         else:
             if self._pause.cause is not None:
                 self._recovered()
-                self._write_all(insist)
+                self._write_all(last)
 
     def _write_once(self) -> None:
         """Commit what is in flight; what failed before is committed again as it was, which stores nothing twice."""

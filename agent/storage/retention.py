@@ -1,0 +1,267 @@
+"""How long rows are kept: making minutes and hours, purging by age and by size."""
+
+import sqlite3
+from dataclasses import dataclass
+from math import ceil, isfinite
+from typing import TYPE_CHECKING
+
+from agent.storage.checksum import row_crc
+from agent.storage.rows import Plan
+from agent.storage.schema import COLUMN_BITS, PAGE_SIZE, columns_of
+from agent.storage.tiers import HOUR, MINUTE, SECOND, add_groups, aggregate
+
+if TYPE_CHECKING:
+    from agent.storage.store import Store
+
+_LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
+_STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
+_HOPS_A_PURGE = 20_000
+_YEAR_S = 365 * 86400
+_HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 44.0, 38.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Retention:
+    """How long each tier is kept, s (inf: for ever), and how large the file may grow, bytes."""
+
+    full_s: float = 7 * 86400.0
+    minute_s: float = 90 * 86400.0
+    hour_s: float = float("inf")
+    max_bytes: float = 1024e6
+
+
+def bytes_per_rig_year(parameters: int, every_s: float, hop_s: float, keep: Retention, sources: int = 1) -> int:
+    """Return the size of the file after a year without alarms, as measured on files of this version.
+
+    Args:
+        parameters: estimated parameters.
+        every_s: the [store] key; 0 keeps every hop.
+        hop_s: time between rows.
+        keep: the [store] table's keep and max_mb.
+        sources: a health row each every 10 s.
+    """
+    period = max(every_s, hop_s)
+    rows = [min(keep.full_s, _YEAR_S) / period, min(keep.minute_s, _YEAR_S) / MINUTE, min(keep.hour_s, _YEAR_S) / HOUR]
+    sizes = [_HOP_BYTES + parameters * _CELL_BYTES] + 2 * [_HOP_BYTES + parameters * (_CELL_BYTES + _SPREAD_BYTES)]
+    health = sources * (min(keep.full_s, _YEAR_S) / 10 + _YEAR_S / HOUR) * _HEALTH_BYTES
+    return ceil(min(keep.max_bytes, health + sum(n * size for n, size in zip(rows, sizes, strict=True))))
+
+
+@dataclass(slots=True)
+class _Progress:
+    """How far a run's rows are aggregated (ns) and whether more can come."""
+
+    minute_ns: int
+    hour_ns: int
+    growing: bool
+
+
+class Upkeep:
+    """Keeps the tiers of a store; called between commits, does a little each time.
+
+    Purging never takes a row that a consumer (northbound) has not taken yet, but that the size of the file wins; such
+    rows are counted in `counters` as "purged unsent".
+    """
+
+    def __init__(self, store: "Store", keep: Retention) -> None:
+        self._store, self._keep = store, keep
+        self._runs: dict[int, _Progress] = {}
+
+    def load(self) -> None:
+        """Find the runs whose rows are not all aggregated, whatever ended them."""
+        for (run_id,) in self._store.connection.execute("SELECT seq FROM runs").fetchall():
+            if run_id not in self._runs and self._newest(run_id, 0) is not None:
+                progress = self._progress(run_id)
+                newest = self._newest(run_id, 0) or 0
+                if progress.minute_ns <= newest:
+                    self._runs[run_id] = progress
+
+    def watch(self, run_id: int) -> None:
+        """Take up a run that begins."""
+        self._runs[run_id] = self._progress(run_id, growing=True)
+
+    def step(self, *, finish: bool = False) -> None:
+        """Aggregate the periods that are over and purge what is too old or too much.
+
+        finish: aggregate the unfinished periods as well; for the end of the runs.
+        """
+        for run_id, progress in list(self._runs.items()):
+            self._aggregate(run_id, progress, finish or not progress.growing)
+            if not progress.growing:
+                del self._runs[run_id]
+        self._purge_old()
+        self._purge_size()
+
+    # --- aggregating -------------------------------------------------------------------------------------------
+
+    def _progress(self, run_id: int, *, growing: bool = False) -> _Progress:
+        minute, hour = (self._newest(run_id, span) for span in (MINUTE, HOUR))
+        oldest = self._oldest(run_id, 0)
+        start = 0 if oldest is None else (oldest // _STRETCH_NS) * _STRETCH_NS
+        minute_ns = start if minute is None else minute + MINUTE * SECOND
+        return _Progress(minute_ns, start if hour is None else hour + HOUR * SECOND, growing)
+
+    def _newest(self, run_id: int, span: int) -> int | None:
+        return _edge(self._store.connection, run_id, span, "DESC")
+
+    def _oldest(self, run_id: int, span: int) -> int | None:
+        return _edge(self._store.connection, run_id, span, "ASC")
+
+    def _aggregate(self, run_id: int, progress: _Progress, finish: bool) -> None:
+        newest = self._newest(run_id, 0)
+        if newest is None:
+            return
+        if progress.minute_ns == 0:  # the run's first rows came after it was taken up
+            progress.minute_ns = progress.hour_ns = ((self._oldest(run_id, 0) or 0) // _STRETCH_NS) * _STRETCH_NS
+        over = newest + 1 + MINUTE * SECOND if finish else newest - _LATE_NS
+        progress.minute_ns = self._fill(run_id, MINUTE, progress.minute_ns, over)
+        over = progress.minute_ns + (HOUR * SECOND if finish else 0)
+        progress.hour_ns = self._fill(run_id, HOUR, progress.hour_ns, over)
+
+    def _fill(self, run_id: int, span: int, first: int, over: int) -> int:
+        """Aggregate whole periods from `first` on that end by `over`; return where the next starts."""
+        length = span * SECOND
+        end = first + max(0, (over - first) // length) * length
+        while first < end:
+            stop = min(end, first + _STRETCH_NS)
+            groups = aggregate(self._store.connection, run_id, span, first, stop)
+            if groups is not None:
+                plan = Plan()
+                add_groups(plan, groups, run_id, span, self._store.names, self._store.numbers)
+                self._store.commit([plan])
+                first = stop
+            else:
+                first = self._skip(run_id, span, stop, end)
+        return first
+
+    def _skip(self, run_id: int, span: int, first: int, end: int) -> int:
+        """Return the start of the next period that has rows, at most `end`; a run may pause for years."""
+        source = 0 if span == MINUTE else MINUTE
+        query = "SELECT t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns >= ? ORDER BY t_ns LIMIT 1"
+        found = self._store.connection.execute(query, (run_id, source, first)).fetchone()
+        return end if found is None else min(end, (found[0] // (span * SECOND)) * span * SECOND)
+
+    # --- purging -----------------------------------------------------------------------------------------------
+
+    def _purge_old(self) -> None:
+        for run_id, newest in _ages(self._store.connection):
+            for span, keep_s in ((0, self._keep.full_s), (MINUTE, self._keep.minute_s), (HOUR, self._keep.hour_s)):
+                if isfinite(keep_s):
+                    before = ((newest - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
+                    before = min(before, self._aggregated(run_id, span, before))
+                    oldest = self._oldest(run_id, span)
+                    if oldest is not None and oldest < before:
+                        self._purge(run_id, span, before, self._sent())
+
+    def _aggregated(self, run_id: int, span: int, before: int) -> int:
+        """Return up to where the next tier holds what this one would lose."""
+        progress = self._runs.get(run_id)
+        if progress is None or span == HOUR:
+            return before
+        return progress.hour_ns if span == MINUTE else (progress.minute_ns // _STRETCH_NS) * _STRETCH_NS
+
+    def _sent(self) -> int:
+        """Return the newest hop that every consumer has taken; a large number without consumers."""
+        query = "SELECT min(last_seq) FROM consumers WHERE topic = 'estimates'"
+        taken = self._store.connection.execute(query).fetchone()[0]
+        return 2**62 if taken is None else int(taken) >> COLUMN_BITS
+
+    def _purge_size(self) -> None:
+        """Drop the oldest rows, finest tier first, until the file is well within its bound."""
+        if self.used_bytes() <= 0.95 * self._keep.max_bytes:
+            return
+        for _ in range(8):  # a step must not hold up the next commit
+            victim = self._oldest_anywhere()
+            if victim is None or self.used_bytes() <= 0.9 * self._keep.max_bytes:
+                return
+            run_id, span, oldest = victim
+            self._purge(run_id, span, (oldest // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)
+
+    def make_room(self) -> None:
+        """Drop the oldest stretch of rows; for a full disk."""
+        victim = self._oldest_anywhere()
+        if victim is not None:
+            self._purge(victim[0], victim[1], (victim[2] // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)
+
+    def used_bytes(self) -> int:
+        """Return what the rows take: the pages of the file that are not free."""
+        pages, free = (
+            self._store.connection.execute(f"PRAGMA {p}").fetchone()[0] for p in ("page_count", "freelist_count")
+        )
+        return int(pages - free) * PAGE_SIZE
+
+    def _oldest_anywhere(self) -> tuple[int, int, int] | None:
+        """Return (run, span, time) of the oldest row of the finest tier; the newest hour of a rig is never taken."""
+        for span in (0, MINUTE, HOUR):
+            found = [
+                (oldest, run_id)
+                for run_id, newest in _ages(self._store.connection)
+                if (oldest := self._oldest(run_id, span)) is not None and oldest // _STRETCH_NS < newest // _STRETCH_NS
+            ]
+            if found:
+                oldest, run_id = min(found)
+                return run_id, span, oldest
+        return None
+
+    def _purge(self, run_id: int, span: int, before: int, sent: int) -> None:
+        """Delete a run's rows of a tier that are older than `before`, but for hops after `sent`."""
+        execute = self._store.connection.execute
+        query = (
+            "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? ORDER BY t_ns LIMIT ?"
+        )
+        found = execute(query, (run_id, span, before, sent, _HOPS_A_PURGE)).fetchall()
+        if not found:
+            return
+        reached = before if len(found) < _HOPS_A_PURGE else (found[-1][1] // _STRETCH_NS) * _STRETCH_NS
+        hops = [seq for seq, t_ns in found if t_ns < reached]
+        unsent = sum(seq > self._sent() for seq in hops)
+        with self._store.transaction() as connection:
+            bounds = [(seq << COLUMN_BITS, (seq + 1 << COLUMN_BITS) - 1) for seq in hops]
+            connection.executemany("DELETE FROM estimates WHERE seq BETWEEN ? AND ?", bounds)
+            connection.executemany("DELETE FROM spreads WHERE seq BETWEEN ? AND ?", bounds)
+            connection.executemany("DELETE FROM hops WHERE seq = ?", [(seq,) for seq in hops])
+            self._note_purge(connection, run_id, span, reached)
+            if span == 0:
+                _thin_health(connection, run_id, reached)
+        if unsent:
+            self._store.count("purged unsent", unsent)
+
+    def _note_purge(self, connection: sqlite3.Connection, run_id: int, span: int, reached: int) -> None:
+        """Record from where a tier still stands, for the views, and how far numbers were given out."""
+        if span != HOUR:
+            column = "full_from_ns" if span == 0 else "minute_from_ns"
+            connection.execute(f"UPDATE runs SET {column} = ? WHERE seq = ?", (reached, run_id))  # noqa: S608 - own
+            names = columns_of("runs")[:-1]
+            cells = connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE seq = ?", (run_id,)).fetchone()  # noqa: S608
+            connection.execute("UPDATE runs SET crc = ? WHERE seq = ?", (row_crc(cells), run_id))
+        for number, table in enumerate(("hops", "health"), 1):
+            cells = (number, table, self._store.numbers.high(table))
+            connection.execute("INSERT OR REPLACE INTO sequences VALUES (?, ?, ?, ?)", (*cells, row_crc(cells)))
+
+
+def _edge(connection: sqlite3.Connection, run_id: int, span: int, order: str) -> int | None:
+    query = f"SELECT t_ns FROM hops WHERE run_id = ? AND span = ? ORDER BY t_ns {order} LIMIT 1"  # noqa: S608 - own
+    found = connection.execute(query, (run_id, span)).fetchone()
+    return None if found is None else int(found[0])
+
+
+def _ages(connection: sqlite3.Connection) -> list[tuple[int, int]]:
+    """Return each run with the instant (ns) its age counts from: the rig's newest live row, or a replay's own end."""
+    runs = connection.execute("SELECT seq, rig_id, kind FROM runs").fetchall()
+    ends = {
+        run: max((e for s in (0, MINUTE, HOUR) if (e := _edge(connection, run, s, "DESC")) is not None), default=None)
+        for run, _, _ in runs
+    }
+    live: dict[int, int] = {}
+    for run, rig, kind in runs:
+        end = ends[run]
+        if kind == "live" and end is not None:
+            live[rig] = max(end, live.get(rig, end))
+    return [(run, live[rig] if kind == "live" else end) for run, rig, kind in runs if (end := ends[run]) is not None]
+
+
+def _thin_health(connection: sqlite3.Connection, run_id: int, before: int) -> None:
+    """Keep of old health rows the last of each hour and source."""
+    kept = "SELECT max(seq) FROM health WHERE run_id = ?1 AND t_ns < ?2 GROUP BY source, t_ns / 3600000000000"
+    query = f"DELETE FROM health WHERE run_id = ?1 AND t_ns < ?2 AND seq NOT IN ({kept})"  # noqa: S608 - own text
+    connection.execute(query, (run_id, before))

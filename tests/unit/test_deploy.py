@@ -1,0 +1,57 @@
+"""Files for the gateway: the unit is one that systemd takes and finds tight, the runbook names what exists."""
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests import peers
+
+DEPLOY = peers.ROOT / "deploy"
+UNIT = DEPLOY / "systemd" / "deltak@.service"
+
+
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    tool = peers.program("systemd-analyze", "systemd")
+    return subprocess.run([tool, *arguments], capture_output=True, text=True, check=False, timeout=60)
+
+
+@pytest.fixture
+def unit(tmp_path: Path) -> Path:
+    """The unit as an instance whose programs exist."""
+    path = tmp_path / "deltak@press-7.service"
+    text = UNIT.read_text()
+    assert "/opt/deltak/bin/deltak run" in text
+    path.write_text(text.replace("/opt/deltak/bin/deltak", "/bin/true"))
+    return path
+
+
+def test_unit_is_taken_without_a_word(unit: Path) -> None:
+    done = analyze("verify", "--man=no", "--recursive-errors=no", str(unit))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_unit_is_rated_safe(unit: Path) -> None:
+    done = analyze("security", "--offline=yes", "--threshold=20", "--no-pager", str(unit))
+    assert done.returncode == 0, done.stdout[-2000:]
+
+
+def test_runbook_names_files_that_exist() -> None:
+    named = set(re.findall(r"deploy/[a-z/@.0-9-]*\w", (DEPLOY / "RUNBOOK.md").read_text()))
+    assert len(named) >= 4
+    assert [name for name in sorted(named) if not (peers.ROOT / name).exists()] == []
+
+
+def test_alarm_table_names_the_states_of_the_agent() -> None:
+    text = (DEPLOY / "ALARMS.md").read_text()
+    assert [state for state in ("NORM", "UNACK", "ACKED", "RTNUN") if f"| {state} |" not in text] == []
+
+
+def test_examples_are_configurations_without_fault() -> None:
+    from agent.config import load
+
+    files = sorted((DEPLOY / "examples").glob("*.toml"))
+    assert files
+    assert json.dumps([load(file).rig.name for file in files])

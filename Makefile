@@ -1,7 +1,7 @@
 # Everything a developer or a machine runs. `make demo` and `make test` need python3 (3.11+), make and pip; python3-venv may be absent.
 PYTHON ?= python3
 VENV := .venv
-PIP := $(PYTHON) -m pip --python $(VENV)/bin/python --disable-pip-version-check --quiet
+PIP := $(PYTHON) -m pip --python $(VENV)/bin/python --disable-pip-version-check -qq
 PYTEST := $(VENV)/bin/python -m pytest
 
 export PIP_ROOT_USER_ACTION := ignore

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
 _STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
-_HOPS_A_PURGE = 20_000
+_HOPS_A_PURGE = 50_000
 _YEAR_S = 365 * 86400
 _HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 44.0, 38.0, 60.0
 
@@ -66,6 +66,7 @@ class Upkeep:
     def __init__(self, store: "Store", keep: Retention) -> None:
         self._store, self._keep = store, keep
         self._runs: dict[int, _Progress] = {}
+        self._purged_hour: int | None = None
 
     def load(self) -> None:
         """Find the runs whose rows are not all aggregated, whatever ended them."""
@@ -73,7 +74,7 @@ class Upkeep:
             if run_id not in self._runs and self._newest(run_id, 0) is not None:
                 progress = self._progress(run_id)
                 newest = self._newest(run_id, 0) or 0
-                if progress.minute_ns <= newest:
+                if min(progress.minute_ns, progress.hour_ns) <= newest:
                     self._runs[run_id] = progress
 
     def watch(self, run_id: int) -> None:
@@ -89,7 +90,7 @@ class Upkeep:
             self._aggregate(run_id, progress, finish or not progress.growing)
             if not progress.growing:
                 del self._runs[run_id]
-        self._purge_old()
+        self._purge_hourly()
         self._purge_size()
 
     # --- aggregating -------------------------------------------------------------------------------------------
@@ -143,15 +144,22 @@ class Upkeep:
 
     # --- purging -----------------------------------------------------------------------------------------------
 
+    def _purge_hourly(self) -> None:
+        """Purge by age once an hour of the rows' own time; looking at every run each second would cost too much."""
+        ends = [end for run_id in self._runs if (end := self._newest(run_id, 0)) is not None]
+        hour = max(ends, default=0) // _STRETCH_NS
+        if hour != self._purged_hour:
+            self._purge_old()
+            self._purged_hour = hour
+
     def _purge_old(self) -> None:
         for run_id, newest in _ages(self._store.connection):
             for span, keep_s in ((0, self._keep.full_s), (MINUTE, self._keep.minute_s), (HOUR, self._keep.hour_s)):
                 if isfinite(keep_s):
                     before = ((newest - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
                     before = min(before, self._aggregated(run_id, span, before))
-                    oldest = self._oldest(run_id, span)
-                    if oldest is not None and oldest < before:
-                        self._purge(run_id, span, before, self._sent())
+                    while self._purge(run_id, span, before, self._sent()):
+                        pass
 
     def _aggregated(self, run_id: int, span: int, before: int) -> int:
         """Return up to where the next tier holds what this one would lose."""
@@ -203,32 +211,34 @@ class Upkeep:
                 return run_id, span, oldest
         return None
 
-    def _purge(self, run_id: int, span: int, before: int, sent: int) -> None:
-        """Delete a run's rows of a tier that are older than `before`, but for hops after `sent`."""
-        execute = self._store.connection.execute
+    def _purge(self, run_id: int, span: int, before: int, sent: int) -> bool:
+        """Delete rows of a run's tier older than `before`, but for hops after `sent`; True when there are more."""
         query = (
             "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? ORDER BY t_ns LIMIT ?"
         )
-        found = execute(query, (run_id, span, before, sent, _HOPS_A_PURGE)).fetchall()
+        parts = (run_id, span, before, sent, _HOPS_A_PURGE)
+        found = self._store.connection.execute(query, parts).fetchall()
         if not found:
-            return
-        reached = before if len(found) < _HOPS_A_PURGE else (found[-1][1] // _STRETCH_NS) * _STRETCH_NS
-        hops = [seq for seq, t_ns in found if t_ns < reached]
+            return False
+        hops = [seq for seq, _ in found]
         unsent = sum(seq > self._sent() for seq in hops)
         with self._store.transaction() as connection:
             bounds = [(seq << COLUMN_BITS, (seq + 1 << COLUMN_BITS) - 1) for seq in hops]
             connection.executemany("DELETE FROM estimates WHERE seq BETWEEN ? AND ?", bounds)
             connection.executemany("DELETE FROM spreads WHERE seq BETWEEN ? AND ?", bounds)
             connection.executemany("DELETE FROM hops WHERE seq = ?", [(seq,) for seq in hops])
-            self._note_purge(connection, run_id, span, reached)
+            self._note_purge(connection, run_id, span, found[-1][1] + 1)
             if span == 0:
-                _thin_health(connection, run_id, reached)
+                _thin_health(connection, run_id, found[-1][1] + 1)
         if unsent:
             self._store.count("purged unsent", unsent)
+        return len(found) == _HOPS_A_PURGE
 
     def _note_purge(self, connection: sqlite3.Connection, run_id: int, span: int, reached: int) -> None:
         """Record from where a tier still stands, for the views, and how far numbers were given out."""
         if span != HOUR:
+            left = _edge(connection, run_id, span, "ASC")
+            reached = reached if left is None else min(reached, left)
             column = "full_from_ns" if span == 0 else "minute_from_ns"
             connection.execute(f"UPDATE runs SET {column} = ? WHERE seq = ?", (reached, run_id))  # noqa: S608 - own
             names = columns_of("runs")[:-1]

@@ -106,7 +106,7 @@ def test_estimates_with_bounds_that_are_not_students_keep_them(path: Path) -> No
     assert [r["upper"] for r in rows] == (sent.value[:, 1] + 5.0).tolist()
 
 
-def test_estimates_without_numbers_are_null_and_infinities_never_stored(path: Path) -> None:
+def test_estimates_withoutnumbers_are_null_and_infinities_never_stored(path: Path) -> None:
     bad = batch(1, first=5, value=np.array([[np.inf, -np.inf, np.nan, 1.0]]), lower=np.full((1, 4), -np.inf))
     stored(path, warming(5), bad)
     rows = queries.estimates(path)
@@ -268,7 +268,7 @@ def test_health_reasons_are_counted_by_kind(path: Path) -> None:
 def test_seq_never_goes_back_after_everything_was_deleted(path: Path) -> None:
     stored(path, batch(10))
     with Store.open(path) as store:
-        before = store._numbers.high("hops")
+        before = store.numbers.high("hops")
     connection = sqlite3.connect(path)
     with connection:
         connection.execute("DELETE FROM hops")

@@ -1,0 +1,148 @@
+"""A serial line as a source of samples. Only reads: nothing is ever written to the line."""
+
+import re
+import time
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from drivers import crc
+from drivers.fields import FieldSpec, Layout, unique_names
+from drivers.pipe import SerialKeys, SerialPipe
+from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSettings, SampleBlock, SourceRequest
+from drivers.serial_codec import BinaryDecoder, SerialDecoder, TextDecoder
+
+_GATHER_S = 0.01
+_FEW_BYTES = 4096
+
+
+def _known_crc(name: str | None) -> str | None:
+    if name is not None:
+        crc.by_name(name)
+    return name
+
+
+def _hex(text: str | None) -> str | None:
+    if text is not None and not bytes.fromhex(text):
+        raise ValueError("sync must name at least one byte, e.g. AA55")
+    return text
+
+
+def _expression(text: str | None) -> str | None:
+    if text is not None:
+        try:
+            groups = re.compile(text).groupindex
+        except re.error as error:
+            raise ValueError(f"is no pattern: {error}") from error
+        if not groups:
+            raise ValueError(r"names no groups; write e.g. (?P<force>\S+)")
+    return text
+
+
+class SerialSettings(SerialKeys):
+    """Keys of a serial source: the line, and either the binary frame or the lines of text on it."""
+
+    format: Literal["binary", "text"]
+    sync: Annotated[str | None, AfterValidator(_hex)] = None
+    byte_order: Literal["little", "big"] = "little"
+    fields: Annotated[tuple[FieldSpec, ...], AfterValidator(unique_names)] = ()
+    crc: Annotated[str | None, AfterValidator(_known_crc)] = None
+    delimiter: str | None = Field(default=None, min_length=1)
+    columns: tuple[str, ...] = ()
+    pattern: Annotated[str | None, AfterValidator(_expression)] = None
+    checksum: Literal["nmea", "none"] = "none"
+    counter_modulus: int | None = Field(default=None, ge=2)
+
+    @model_validator(mode="after")
+    def _binary_has_its_keys(self) -> Self:
+        if self.format != "binary":
+            return self
+        if self.sync is None or not self.fields:
+            raise ValueError('format "binary" needs sync and fields')
+        if self.columns or self.pattern or self.delimiter or self.checksum != "none" or self.counter_modulus:
+            raise ValueError(
+                'format "binary" has no delimiter, columns, pattern, checksum or counter_modulus; its check is "crc"'
+            )
+        if sum(field.size for field in self.fields) > 1024:
+            raise ValueError("a frame may have up to 1024 bytes")
+        return self
+
+    @model_validator(mode="after")
+    def _text_has_its_keys(self) -> Self:
+        if self.format != "text":
+            return self
+        if bool(self.columns) == bool(self.pattern):
+            raise ValueError('format "text" needs either columns or a pattern')
+        if self.sync or self.fields or self.crc:
+            raise ValueError('format "text" has no sync, fields or crc; its check is "checksum"')
+        return self
+
+
+class SerialDriver(Driver):
+    """Samples on a serial line, in binary frames or lines of text."""
+
+    settings_model: ClassVar[type[DriverSettings]] = SerialSettings
+
+    def __init__(self, request: SourceRequest) -> None:
+        super().__init__(request)
+        self._settings: SerialSettings = request.settings
+        self._decoder: SerialDecoder = self._text() if self._settings.format == "text" else self._binary()
+        self.counter_modulus = self._settings.counter_modulus or self._decoder.modulus
+        self._pipe: SerialPipe | None = None
+        self._opened = False
+
+    def _binary(self) -> BinaryDecoder:
+        settings = self._settings
+        if settings.sync is None:
+            raise DriverConfigError(f'{self.request.name}: format "binary" needs sync')
+        layout = Layout(settings.fields, settings.byte_order)
+        check = crc.by_name(settings.crc) if settings.crc else None
+        sync = bytes.fromhex(settings.sync)
+        return BinaryDecoder(sync, layout, check, self.request.fields, self.request.counter, self.counts)
+
+    def _text(self) -> TextDecoder:
+        settings = self._settings
+        pattern = re.compile(settings.pattern) if settings.pattern else None
+        return TextDecoder(
+            settings.columns or tuple(pattern.groupindex if pattern else ()),
+            settings.delimiter or ("," if settings.columns else None),
+            pattern,
+            settings.checksum == "nmea",
+            self.request.fields,
+            self.request.counter,
+            self.counts,
+        )
+
+    def open(self) -> None:
+        self.close()
+        self._pipe = SerialPipe(self._settings, str(self.request.folder / self._settings.port))
+        self._decoder.restart()
+        self.counts.reopened += self._opened
+        self._opened = True
+
+    def read(self, timeout_s: float) -> SampleBlock:
+        if self._pipe is None:
+            raise DriverIOError(f"{self.request.name}: read before open")
+        deadline = time.monotonic() + timeout_s
+        data = self._pipe.recv(deadline)
+        if 0 < len(data) < _FEW_BYTES:
+            # decoding costs by the batch, not by the frame: what comes within a short wait is taken along
+            time.sleep(max(0.0, min(_GATHER_S, deadline - time.monotonic())))
+            data += self._rest(self._pipe)
+        values, counter = self._decoder.feed(data)
+        return SampleBlock(values, time.monotonic_ns(), counter)
+
+    def _rest(self, pipe: SerialPipe) -> bytes:
+        """Return what is there already; an unplugged line is met again at the next read."""
+        try:
+            return pipe.recv(0.0)
+        except DriverIOError:
+            return b""
+
+    def close(self) -> None:
+        if self._pipe is not None:
+            self._pipe.close()
+        self._pipe = None
+
+    def resolution(self) -> tuple[float, ...]:
+        return self._decoder.resolution()

@@ -1,0 +1,112 @@
+import contextlib
+import os
+import pty
+import shutil
+import tempfile
+import tty
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from crccheck.crc import Crc16Ibm3740
+
+from drivers.conformance import DriverConformance, Line
+from drivers.fields import FieldSpec, Layout
+from drivers.port import FloatArray, SourceRequest
+from drivers.serial_line import SerialDriver, SerialSettings
+
+FIELDS = (
+    FieldSpec(name="counter", type="uint8"),
+    FieldSpec(name="force", type="int32", scale=0.25),
+    FieldSpec(name="x1", type="int16", scale=0.5),
+)
+
+
+class BinaryLine(Line):
+    """Frames on a pty, under a path that stays the same when it is unplugged and plugged."""
+
+    driver_class = SerialDriver
+    protocol = "serial"
+
+    def __init__(self) -> None:
+        self.folder = Path(tempfile.mkdtemp())
+        self.played = 0
+        self.master = -1
+        self.heard: list[bytes] = []
+        self.restore()
+
+    def keys(self) -> dict[str, Any]:
+        return {"format": "binary", "sync": "AA55", "fields": FIELDS, "crc": "CRC-16/IBM-3740"}
+
+    def request(self) -> SourceRequest:
+        settings = SerialSettings.model_validate({"port": "line", **self.keys()})
+        return SourceRequest("line", settings, ("force", "x1"), "counter", self.folder)
+
+    def play(self, values: FloatArray) -> None:
+        for row in values:
+            self.send(self.frame(row))
+            self.played += 1
+
+    def frame(self, row: FloatArray) -> bytes:
+        raw = {"counter": np.array([self.played % 256]), "force": row[:1] / 0.25, "x1": row[1:] / 0.5}
+        body = Layout(FIELDS, "little").pack(raw).tobytes()
+        return b"\xaa\x55" + body + Crc16Ibm3740.calc(body).to_bytes(2, "little")
+
+    def send(self, data: bytes) -> None:
+        while data:
+            data = data[os.write(self.master, data) :]
+
+    def bad_requests(self) -> Sequence[Callable[[], SourceRequest]]:
+        return [lambda: replace(self.request(), counter="Nosuch")]
+
+    def kill(self) -> None:
+        if self.master >= 0:
+            (self.folder / "line").unlink()
+            os.close(self.slave)
+            os.close(self.master)
+            self.master = -1
+
+    def restore(self) -> None:
+        self.master, self.slave = pty.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.master, True)
+        (self.folder / "line").symlink_to(os.ttyname(self.slave))
+
+    def written(self) -> Sequence[bytes]:
+        return self.heard
+
+    def close(self) -> None:
+        if self.master >= 0:
+            os.set_blocking(self.master, False)
+            with contextlib.suppress(BlockingIOError):
+                self.heard.append(os.read(self.master, 4096))
+        self.kill()
+        shutil.rmtree(self.folder)
+
+
+class TextLine(BinaryLine):
+    """Lines of text with the checksum of NMEA 0183."""
+
+    def keys(self) -> dict[str, Any]:
+        columns = ["n", "force", "x1"]
+        return {"format": "text", "columns": columns, "checksum": "nmea", "counter_modulus": 1000}
+
+    def request(self) -> SourceRequest:
+        return replace(super().request(), counter="n")
+
+    def frame(self, row: FloatArray) -> bytes:
+        body = f"RIG,{self.played % 1000},{float(row[0])!r},{float(row[1])!r}"
+        check = int(np.bitwise_xor.reduce(np.frombuffer(body.encode(), np.uint8)))
+        return f"${body}*{check:02X}\r\n".encode()
+
+
+class TestSerialBinary(DriverConformance):
+    def make_line(self) -> Line:
+        return BinaryLine()
+
+
+class TestSerialText(DriverConformance):
+    def make_line(self) -> Line:
+        return TextLine()

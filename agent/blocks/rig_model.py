@@ -9,9 +9,12 @@ from agent.config.tables import LinearModel, MechanicsModel, Parameter
 from agent.numerics.hops import HopPlan
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.observer import STRICTLY_STABLE, kalman_gain, poles_gain, spectral_radius, start_gain
+from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.statespace import AffineModel, Discrete, Model, affine_model
 from agent.numerics.window_ml import Gains, WindowSettings
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
+
+SENSOR_KINDS = ("bias", "gain")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +37,33 @@ class RigModel:
 def rig_model(config: RigConfig) -> RigModel:
     """Build the model of a configuration."""
     known = config.parameters
-    parameters = tuple(known[name] for name in config.estimator.estimate)
+    names = estimated(config)
+    parameters = tuple(known[name] for name in names)
+    physical = tuple(p.name for p in parameters if p.kind not in SENSOR_KINDS)
     mechanical = isinstance(config.model, MechanicsModel)
-    model = _mechanics(config) if mechanical else _linear(config)
+    model: Model = _mechanics(config, physical) if mechanical else _linear(config, physical)
+    constants = tuple(_nuisance(config, p) for p in parameters if p.kind in SENSOR_KINDS)
+    if constants:
+        model = SensedModel(model, constants)
     limits = np.array([_limit(config, parameter) for parameter in parameters])
     return RigModel(model, parameters, limits, _disturbance(model))
+
+
+def estimated(config: RigConfig) -> tuple[str, ...]:
+    """Return the estimated parameters in the order of theta: physical ones as configured, then sensor constants."""
+    wanted = [f"{c.name}.{kind}" for c in config.channel for kind in SENSOR_KINDS if getattr(c, kind)]
+    names = dict.fromkeys([*config.estimator.estimate, *wanted])
+    sensed = [name for name in names if config.parameters[name].kind in SENSOR_KINDS]
+    return tuple(name for name in names if name not in sensed) + tuple(sensed)
+
+
+def _nuisance(config: RigConfig, parameter: Parameter) -> Nuisance:
+    channel, kind = parameter.name.rsplit(".", 1)
+    for side, channels in (("input", config.inputs), ("output", config.outputs)):
+        for number, candidate in enumerate(channels):
+            if candidate.name == channel:
+                return Nuisance(parameter.name, kind, side, number)  # type: ignore[arg-type]
+    raise ValueError(f"no channel is called {channel}")
 
 
 def _limit(config: RigConfig, parameter: Parameter) -> float:
@@ -49,7 +74,7 @@ def _limit(config: RigConfig, parameter: Parameter) -> float:
     return 0.1 * abs(parameter.nominal)
 
 
-def _mechanics(config: RigConfig) -> MassSpringDamper:
+def _mechanics(config: RigConfig, names: tuple[str, ...]) -> MassSpringDamper:
     table = config.model
     if not isinstance(table, MechanicsModel):
         raise TypeError("not a mass-spring-damper model")
@@ -64,23 +89,25 @@ def _mechanics(config: RigConfig) -> MassSpringDamper:
         elements(table.friction),
     )
     outputs = tuple(Output(c.quantity, c.at) for c in config.outputs)  # type: ignore[arg-type]
-    return MassSpringDamper(structure, config.estimator.estimate, tuple(c.at for c in config.inputs), outputs)
+    return MassSpringDamper(structure, names, tuple(c.at for c in config.inputs), outputs)
 
 
-def _linear(config: RigConfig) -> AffineModel:
+def _linear(config: RigConfig, names: tuple[str, ...]) -> AffineModel:
     table = config.model
     if not isinstance(table, LinearModel):
         raise TypeError("not a linear model")
     rows = {parameter.name: parameter for parameter in table.parameter}
-    chosen = [rows[name] for name in config.estimator.estimate]
+    chosen = [rows[name] for name in names]
     nominal = np.array([parameter.nominal for parameter in chosen])
     derivatives = [(np.array(parameter.dA), np.array(parameter.dB)) for parameter in chosen]
     matrices = (np.array(table.A), np.array(table.B), np.array(table.C))
-    return affine_model(config.estimator.estimate, nominal, matrices, derivatives)
+    return affine_model(names, nominal, matrices, derivatives)
 
 
 def _disturbance(model: Model) -> FloatArray:
     """A force on each mass, or anything on each state of a linear model."""
+    if isinstance(model, SensedModel):
+        model = model.model
     if isinstance(model, MassSpringDamper):
         masses = np.array([m.value for m in model.structure.masses if m.value > 0])
         direction = np.zeros((len(model.state_names), len(masses)))
@@ -110,7 +137,8 @@ def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) ->
     """Return the settings of window-ml for a configuration; resolution (p,) as in `output_noise`."""
     sigma, floor = output_noise(config, resolution)
     nominal = rig.model.nominal
-    scale = np.where(nominal != 0, np.abs(nominal), np.maximum(rig.limits, 1e-300))
+    limited = np.where(rig.limits > 0, rig.limits, np.nan)
+    scale = np.where(nominal != 0, np.abs(nominal), limited)
     physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
     plan = hop_plan(config)
     return WindowSettings(
@@ -121,9 +149,17 @@ def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) ->
         sigma=sigma,
         floor=floor,
         scale=scale,
-        lower=np.where(physical, 0.02 * scale, -np.inf),
+        scale_column=_scale_columns(config, rig),
+        lower=np.where(physical & (nominal != 0), 0.02 * scale, -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
     )
+
+
+def _scale_columns(config: RigConfig, rig: RigModel) -> IntArray:
+    """The channel that gives an offset its size; 0 for parameters that have a size of their own."""
+    channels = [c.name for c in (*config.outputs, *config.inputs)]
+    owners = [p.name.rsplit(".", 1)[0] if p.kind in SENSOR_KINDS else channels[0] for p in rig.parameters]
+    return np.array([channels.index(owner) for owner in owners], dtype=np.int64)
 
 
 def observer_gains(config: RigConfig, rig: RigModel, sigma: FloatArray, window: int) -> Gains:

@@ -21,6 +21,9 @@ from agent.numerics.window_ml import Rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+RUN_AWAY = 1e60
+"""States of an observer that is not stable any more, small enough for their squares to be figures."""
+
 
 @dataclass(frozen=True, slots=True)
 class SeedSettings:
@@ -116,7 +119,7 @@ def fit_passes(
         sampled = discretise(model.continuous(theta), settings.period_s, settings.hold).model
         start = np.zeros(sampled.n) if x0 is None else x0
         states = observe(sampled, settings.gain, y, u, start)[-window - 1 :]
-        if not np.all(np.isfinite(states)):
+        if not np.all(np.abs(states) < RUN_AWAY):
             theta = np.full(len(theta), np.nan)
             break
         descent, found = one_pass(sampled, settings, states, u[-window:])

@@ -15,6 +15,7 @@ from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.hops import HopOperators, HopPlan, Segment
 from agent.numerics.reference import Reference, combined, mean_and_sd
 from agent.numerics.sensitivity import sensitivity_filter
+from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
 from agent.numerics.window import solve_windows
 
@@ -48,9 +49,11 @@ class WindowSettings:
         gains: the observer's gains.
         sigma: (p,) standard deviation of each output's noise where known, NaN where it is to be learnt.
         floor: (p,) standard deviation that the wire's resolution alone causes.
-        scale: (q,) size of each parameter, |nominal| or what stands for it.
+        scale: (q,) size of each parameter, |nominal| or what stands for it; NaN where the data must say.
         lower: (q,) bounds from below.
         enough_sd: (q,) sd above which a window cannot judge a parameter ("unexcited").
+        scale_column: (q,) the channel (outputs, then inputs) whose rms in the first window fitted is the size of a
+            parameter without one (an offset); None where every parameter has a size.
     """
 
     period_s: float
@@ -62,6 +65,7 @@ class WindowSettings:
     scale: FloatArray
     lower: FloatArray
     enough_sd: FloatArray
+    scale_column: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,7 @@ class WindowML:
         self.settings = settings
         self.theta = np.array(model.nominal, dtype=float)
         self.sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
+        self.scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
         self.learns_noise = not bool(np.all(np.isfinite(settings.sigma)))
         self.calibrated = not self.learns_noise
         self.settled = False
@@ -139,7 +144,7 @@ class WindowML:
         self.gain = (gains.settled if self.settled else gains.start)(discrete)
         system = sensitivity_filter(discrete.model, self.gain, 1.0 / self.sigma)
         self._operators = HopOperators(system, self.settings.plan)
-        self._n = discrete.model.n
+        self._n, self._inputs = discrete.model.n, discrete.model.m
 
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt of the parameters stays."""
@@ -149,7 +154,7 @@ class WindowML:
 
     def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
-        v = np.hstack([y, u])
+        v = np.hstack([y, with_constant(u, self._inputs)])
         q = len(self.theta)
         pieces: list[Rows] = []
         if self._segment is None:
@@ -190,7 +195,7 @@ class WindowML:
         rows.theta[new] = self.theta + solution.delta
         rows.sd[new] = np.sqrt(variance)
         rows.dof[new], rows.full[new], rows.ratio[new] = self._dof, True, s2
-        information[new] = solution.information * np.outer(self.settings.scale, self.settings.scale)
+        information[new] = solution.information * np.outer(self.scale, self.scale)
         return rows, information
 
     def _floor_ratio(self) -> float:
@@ -202,6 +207,7 @@ class WindowML:
         passes = rows.ratio <= self._gate
         eventful = rows.full & (~passes | self._far(rows) | self._quieter(rows))
         slow = self._drifted(rows, information, passes)
+        trusted = self._anchored  # rows about a theta_r that was never fitted say nothing to remember
         position, count = 0, len(rows.index)
         while position < count:
             events = (eventful | slow)[position:] if self._anchored else rows.full[position:]
@@ -210,10 +216,10 @@ class WindowML:
                 self._onset = None
             position += ahead
             if position < count and self._act(segment, rows, position, bool(passes[position])):
-                self._remember(rows, information, passes, position)
+                self._remember(rows, information, passes & trusted, position)
                 return position
             position += 1
-        self._remember(rows, information, passes, count)
+        self._remember(rows, information, passes & trusted, count)
         return None
 
     def _far(self, rows: Rows) -> BoolArray:
@@ -224,7 +230,7 @@ class WindowML:
 
     def _share(self) -> FloatArray:
         """(q,) changes below this do not matter to the linearisation; without correction the observer feels more."""
-        size = np.maximum(np.abs(self.theta), 0.1 * self.settings.scale)
+        size = np.maximum(np.abs(self.theta), 0.1 * self.scale)
         return np.asarray((0.02 if self.gain.any() else 0.005) * size)
 
     def _quieter(self, rows: Rows) -> BoolArray:
@@ -242,7 +248,7 @@ class WindowML:
         drifted = np.zeros(len(rows.index), dtype=bool)
         chosen = self._disjoint(rows, passes)
         if len(chosen):
-            scale = self.settings.scale
+            scale = self.scale
             A, b = self._reference.with_windows(information[chosen], rows.theta[chosen] / scale)
             mean, sd = mean_and_sd(A, b)
             change = np.abs(mean * scale - self.theta)
@@ -255,7 +261,7 @@ class WindowML:
         chosen = self._disjoint(rows, passes)
         chosen = chosen[chosen < stop]
         if len(chosen):
-            A, b = self._reference.with_windows(information[chosen], rows.theta[chosen] / self.settings.scale)
+            A, b = self._reference.with_windows(information[chosen], rows.theta[chosen] / self.scale)
             self._reference = Reference(A[-1], b[-1])
 
     def _act(self, segment: Segment, rows: Rows, row: int, passes: bool) -> bool:
@@ -285,6 +291,8 @@ class WindowML:
         start = index + 1 - self.settings.plan.window
         self._last_fit = index
         v = segment.samples(start, index + 1)
+        if not self.settled:
+            self._size_offsets(v)
         learns = self.learns_noise and (not self.calibrated or bool(self._quieter(rows)[row]))
         before = (self.theta, self.sigma, self.settled)
         fit = self._learn(v[-LONG:]) if learns else self._maximise(v[-LONG:])
@@ -297,6 +305,13 @@ class WindowML:
         self._write(rows, row)
         return True
 
+    def _size_offsets(self, v: FloatArray) -> None:
+        """Take the size of each parameter that has none from the signal of its channel."""
+        if self.settings.scale_column is None:
+            return
+        rms = np.sqrt(np.mean(v**2, axis=0))[self.settings.scale_column]
+        self.scale = np.where(np.isfinite(self.settings.scale), self.settings.scale, np.maximum(rms, 1e-300))
+
     def _place(self, segment: Segment, fit: Fit, start: int, *, long: bool) -> bool:
         """Linearise about a fit if it passes the gate; a long window is iterated on its summaries first."""
         if long:
@@ -305,7 +320,7 @@ class WindowML:
         variance = np.diag(fit.covariance) * max(s2, self._floor_ratio())
         if not (s2 <= self._gate and np.all(np.isfinite(variance))):
             return False
-        scale = self.settings.scale
+        scale = self.scale
         scaled = fit.covariance / np.outer(scale, scale)
         information = np.asarray(np.linalg.pinv(scaled, hermitian=True), dtype=np.float64)
         self._outcome = (fit.theta, np.sqrt(variance), s2)
@@ -314,7 +329,7 @@ class WindowML:
 
     def _centre(self, segment: Segment, start: int, x0: FloatArray, information: FloatArray) -> None:
         """Move theta_r to what window and reference say together and summarise the window anew."""
-        scale = self.settings.scale
+        scale = self.scale
         centre, self._reference = combined(self._reference, information, self._outcome[0] / scale)
         self.theta = np.maximum(centre * scale, self.settings.lower)
         self.settled = True
@@ -344,10 +359,10 @@ class WindowML:
             sd = np.sqrt(np.diag(solution.covariance[0]) * max(s2, self._floor_ratio()))
             if not np.all(np.isfinite(sd)):
                 break
-            step = np.clip(solution.delta[0], -0.5 * self.settings.scale, self.settings.scale)
+            step = np.clip(solution.delta[0], -0.5 * self.scale, self.scale)
             x0 = x0 + solution.e0[0]
             if np.all(np.abs(step) < 0.1 * sd) and s2 <= self._gate:
-                scale = self.settings.scale
+                scale = self.scale
                 self._outcome = (self.theta + step, sd, s2)
                 self._centre(segment, start, x0, solution.information[0] * np.outer(scale, scale))
                 return True
@@ -362,7 +377,7 @@ class WindowML:
 
     def _maximise(self, v: FloatArray) -> Fit:
         s = self.settings
-        problem = Problem(self.sampled, v, 1.0 / self.sigma, s.scale, s.lower)
+        problem = Problem(self.sampled, v, 1.0 / self.sigma, self.scale, s.lower)
         return fit_window(problem, self.theta, np.zeros(self._n), [s.gains.start, s.gains.settled])
 
     def _learn(self, v: FloatArray) -> Fit:

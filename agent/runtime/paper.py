@@ -2,7 +2,7 @@
 
 from math import gcd
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +15,10 @@ from agent.numerics.seed_window import SeedFit, SeedSettings, fit_passes
 from agent.numerics.statespace import Discrete, discretise
 from agent.numerics.window_ml import Gains, Rows, WindowML, WindowSettings
 from agent.runtime import paper_cases as cases
+from agent.runtime.paper_table import table
 from agent.types import FloatArray
 
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
+__all__ = ["paper", "table"]
 WINDOW, PASSES = 250, 16
 """The paper's window, and passes enough for the fixed point to show in every digit of its tables."""
 
@@ -32,17 +31,20 @@ def paper(window: int | None = None, passes: int | None = None, plot: Path | Non
         passes: passes of the re-centred column, 16 where not given.
         plot: file of the picture; its suffix says the format.
 
-    Raises UsageError for a window that the 1000 samples of a segment cannot hold or that has too few readings.
+    Raises UsageError for a window that the 1000 samples of a segment cannot hold or that has too few readings, and
+    for a picture that cannot be written.
     """
     window, passes = window or WINDOW, passes or PASSES
     if not 5 <= window <= cases.SEGMENT:
         text = f"{window} samples do not do"
         raise UsageError([Fault("--window", text, f"take 5 to {cases.SEGMENT}, the samples of a segment")])
-    document = _document(window, passes)
-    if plot is not None:
-        from agent.runtime.paper_plot import draw
+    if plot is None:
+        return _document(window, passes)
+    from agent.runtime.paper_plot import draw, new_figure
 
-        draw(document, window, passes, plot)
+    figure = new_figure(plot)
+    document = _document(window, passes)
+    draw(figure, document, plot)
     return document
 
 
@@ -188,22 +190,13 @@ def remarks(document: dict[str, Any]) -> list[str]:
     product = (
         "Both columns run on the paper's first-order model and on data made with it; the product fits the exactly "
         "sampled model by maximum likelihood to exactly sampled data, so that only round-off is left (on the "
-        f"first-order data of case 1 it gives {_listed(case['exact_model_on_euler_data'])}, near to what was published)."
+        f"first-order data of case 1 it gives {_listed(case['exact_model_on_euler_data'])}, near the published row)."
     )
     return [as_printed, recentred, product]
 
 
 def _listed(values: dict[str, float | None]) -> str:
     return ", ".join("not valid" if value is None else f"{value:.3f}" for value in values.values())
-
-
-def _margin_line(case: dict[str, Any]) -> str:
-    three, eight = case["condition_3"], case["condition_8"]
-    verdict = "covers it" if eight["holds"] else "sufficient but not necessary, says nothing of it"
-    return (
-        f"condition (3) {'holds' if three['holds'] else 'fails'} in case 1; condition (8) bears perturbations below "
-        f"{eight['delta']:.5g}, case 1 is one of {eight['perturbation_norm']:.3g}: (8) {verdict}"
-    )
 
 
 def _worst_stiffness(rows: list[dict[str, Any]]) -> float:
@@ -220,47 +213,3 @@ def _nearest_pass(case: dict[str, Any]) -> int:
     published = np.array([row["published"] for row in case["rows"]])
     trail = np.array([[entry[name] for name in cases.PARAMETERS] for entry in case["by_pass"]])
     return int(np.argmin(np.max(np.abs(trail - published) / cases.NOMINAL, axis=1))) + 1
-
-
-def table(document: dict[str, Any]) -> "RenderableType":
-    """Return what a terminal shows of a document."""
-    from rich.console import Group
-    from rich.text import Text
-
-    case = document["case_1"]
-    window, passes = document["window"], case["passes"]
-    tables = [_segment_table("table 1: case 1, constant changes", case["rows"], passes)]
-    tables += [
-        _segment_table(f"table 3: case 2, combination {number}", segment["rows"], passes)
-        for number, segment in enumerate(document["case_2"]["segments"], start=1)
-    ]
-    counts = f"by pass {', '.join(str(count) for count in case['iterations_by_pass'])}"
-    lines = [
-        f"window of {window} samples; as printed and re-centred on Euler data, product on exact data",
-        f"iterations of descent: {case['iterations']} as printed (the paper: {case['iterations_published']}), {counts}",
-        _margin_line(case),
-        *document["remarks"],
-    ]
-    return Group(*tables, *(Text(line) for line in lines))
-
-
-def _segment_table(title: str, rows: list[dict[str, Any]], passes: int) -> "RenderableType":
-    from rich.table import Table
-
-    drawn = Table(title=title, title_justify="left", title_style="bold")
-    drawn.add_column("change of")
-    for column in ("actual", "published", "as printed", f"re-centred, {passes} passes", "product"):
-        drawn.add_column(column, justify="right", no_wrap=True)
-    drawn.add_column("unit")
-    for row in rows:
-        figures = (row["recentred"], row["product"])
-        drawn.add_row(
-            row["parameter"], f"{row['actual']:g}", f"{row['published']:g}", _figure(row["as_printed"], 3),
-            *(_figure(figure, 6) for figure in figures), row["unit"],
-        )  # fmt: skip
-    return drawn
-
-
-def _figure(value: float | None, places: int) -> str:
-    # + 0.0 turns a rounded -0.000 into 0.000
-    return "not valid" if value is None else f"{round(value, places) + 0.0:.{places}f}"

@@ -25,35 +25,33 @@ PATIENCE = Stopping(iterations=300)
 INK, ACTUAL, PRINTED, RECENTRED, PRODUCT = "#2b2b2b", "#b5b5b5", "#d1603d", "#7a5ea8", "#1f77a4"
 
 
-def draw(document: dict[str, Any], window: int, passes: int, file: Path) -> None:
-    """Draw observer against measurement (figure 3) and the sliding estimates of case 2 (figure 4) to a file.
+def new_figure(file: Path) -> "Figure":
+    """Return an empty figure for a file.
 
-    Raises UsageError where matplotlib is missing or cannot write the file's format.
+    Raises UsageError where matplotlib is missing, does not know the file's format, or its folder is not there.
     """
-    figure = _figure()
-    grid = figure.add_gridspec(4, 2, width_ratios=(1.0, 1.75))
-    _figure_3([figure.add_subplot(grid[:2, 0]), figure.add_subplot(grid[2:, 0])])
-    _figure_4([figure.add_subplot(grid[row, 1]) for row in range(4)], window, passes)
-    eight = document["case_1"]["condition_8"]
-    figure.suptitle(
-        f"Two masses, two springs, two dampers, window {window} samples. The changes of case 1 are "
-        f"{eight['perturbation_norm'] / eight['delta']:.0f} times what condition (8) bears.",
-        x=0.01, ha="left", fontsize=11, color=INK,
-    )  # fmt: skip
-    try:
-        figure.savefig(file, dpi=150)
-    except (ValueError, OSError) as error:
-        raise UsageError(
-            [Fault("--plot", f"{file}: {error}", "give a file that ends in .png, .svg or .pdf")]
-        ) from error
-
-
-def _figure() -> "Figure":
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise UsageError([Fault("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'")]) from error
-    return Figure(figsize=(13.0, 8.0), layout="constrained")
+    figure = Figure(figsize=(13.0, 8.0), layout="constrained")
+    if file.suffix.lstrip(".").lower() not in figure.canvas.get_supported_filetypes():
+        raise UsageError([Fault("--plot", f"{file}: no such format", "give a file that ends in .png, .svg or .pdf")])
+    if not file.parent.is_dir():
+        raise UsageError([Fault("--plot", f"{file.parent}: no such folder", "make it or name another")])
+    return figure
+
+
+def draw(figure: "Figure", document: dict[str, Any], file: Path) -> None:
+    """Draw observer against measurement (figure 3) and the sliding estimates of case 2 (figure 4) to a file."""
+    window, case = document["window"], document["case_1"]
+    grid = figure.add_gridspec(4, 2, width_ratios=(1.0, 1.75))
+    _figure_3([figure.add_subplot(grid[:2, 0]), figure.add_subplot(grid[2:, 0])])
+    _figure_4([figure.add_subplot(grid[row, 1]) for row in range(4)], window, case["passes"])
+    times = case["condition_8"]["perturbation_norm"] / case["condition_8"]["delta"]
+    title = f"Two masses, two springs, two dampers; case 1 is {times:.0f} times what condition (8) bears"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11, color=INK)
+    figure.savefig(file, dpi=150)
 
 
 def _figure_3(axes: "list[Axes]") -> None:
@@ -88,11 +86,10 @@ def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
         last = np.searchsorted(curves[0][2], np.arange(1, len(changes) + 1) * cases.SEGMENT)
         _limit(axis, np.concatenate([actual, curves[0][3][last, i]]))
         axis.set_ylabel(f"Δ{cases.PARAMETERS[i]}  ({cases.UNITS[i]})")
-    axes[0].set_title("Figure 4: case 2 (grey: the window holds a change)", loc="left", fontsize=10, color=INK)
-    axes[0].legend(
-        frameon=False, fontsize=9, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.2,
-        columnspacing=1.2, handlelength=1.5,
-    )  # fmt: skip
+    axes[0].set_title(
+        f"Figure 4: case 2, window of {window} samples (grey: it holds a change)", loc="left", fontsize=10, color=INK
+    )
+    axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="upper right", ncols=4, frameon=False, fontsize=9)
     axes[-1].set_xlabel("sample")
 
 

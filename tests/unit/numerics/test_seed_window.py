@@ -45,7 +45,7 @@ def test_seed_window_rows_come_on_the_hop_grid_and_are_full_once_settled(rng: np
     rows = rows_of(SeedWindow(rig(), settings), y, u, [])
     assert np.array_equal(rows.index, np.arange(49, 1200, 50))
     model = discretise(rig().continuous(NOMINAL), PERIOD, "first").model
-    wait = settling(model, settings.gain) + 250
+    wait = settling(model, settings.gain, settings.settled) + 250
     assert np.array_equal(rows.full, rows.index + 1 >= wait)
     assert np.all(np.isnan(rows.theta[~rows.full]))
 
@@ -81,4 +81,4 @@ def test_seed_window_that_runs_away_gives_no_figure() -> None:
 def test_settling_of_an_unstable_observer_is_refused() -> None:
     model = discretise(rig().continuous(NOMINAL), PERIOD, "euler").model
     with pytest.raises(ValueError, match="not stable"):
-        settling(model, -GAIN)
+        settling(model, -GAIN, 1e-9)

@@ -127,7 +127,7 @@ def test_paper_plot_draws_a_picture(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["paper.xyz", "paper", "no/such/folder/paper.png"])
 def test_paper_plot_that_cannot_be_written_is_refused_at_once(tmp_path: Path, name: str) -> None:
-    with pytest.raises(UsageError, match="--plot: .*no such"):
+    with pytest.raises(UsageError, match=r"--plot: .*no such"):
         paper(plot=tmp_path / name)
 
 

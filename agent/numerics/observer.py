@@ -47,9 +47,11 @@ def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> Fl
     """
     try:
         P = solve_discrete_are(model.A.T, model.C.T, process, noise)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(f"no stabilising observer gain: {error}") from error
     gain = np.linalg.solve(model.C @ P @ model.C.T + noise, model.C @ P @ model.A.T).T
+    if not spectral_radius(model.A - gain @ model.C) < 1.0:
+        raise ValueError("no stabilising observer gain: the outputs do not show a mode that does not decay")
     return np.asarray(gain, dtype=np.float64)
 
 
@@ -63,6 +65,7 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
         window: samples in the window.
 
     The one free figure, the intensity of the disturbance, is searched by bisection of its logarithm.
+    Raises ValueError when no intensity gives a stable observer.
     """
     model = discrete.model
     direction = disturbance @ disturbance.T * discrete.period_s
@@ -73,33 +76,48 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
     low, high = -4.0, 16.0
     for _ in range(12):
         middle = 0.5 * (low + high)
-        gain = kalman_gain(model, 10.0**middle * unit * direction, noise)
-        if spectral_radius(model.A - gain @ model.C) < target:
+        if _forgets(model, 10.0**middle * unit * direction, noise, target):
             high = middle
         else:
             low = middle
     return kalman_gain(model, 10.0**high * unit * direction, noise)
 
 
+def _forgets(model: StateSpace, process: FloatArray, noise: FloatArray, target: float) -> bool:
+    """Tell whether the Kalman gain exists and puts every pole inside the radius `target`."""
+    try:
+        gain = kalman_gain(model, process, noise)
+    except ValueError:
+        return False
+    return spectral_radius(model.A - gain @ model.C) < target
+
+
 def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance: float = 1e-9) -> list[str]:
     """Return the names of states that the outputs do not show; empty when (A, C) is observable.
 
-    The test of Popov, Belevitch and Hautus at each eigenvalue, on a model whose time is scaled so that its fastest
-    mode is 1 and whose rows of C are scaled to 1, so that units do not decide.
+    The hidden states are the largest subspace of the kernel of C that A does not leave, found by orthogonal steps: a
+    test at each eigenvalue would miss the double pole at zero of a free rig, which is computed to 1e-8 only. Time is
+    scaled so that the fastest mode is 1, states are balanced and rows of C scaled to 1, so that units do not decide.
     """
     speed = max(float(np.max(np.abs(np.linalg.eigvals(continuous.A)), initial=0.0)), 1e-300)
     A, scale = _balanced(continuous.A / speed)
     C = continuous.C * scale
     norms = np.linalg.norm(C, axis=1, keepdims=True)
-    C = C / np.where(norms > 0, norms, 1.0)
-    hidden: set[int] = set()
-    for eigenvalue in np.linalg.eigvals(A):
-        pencil = np.vstack([A - eigenvalue * np.eye(len(A)), C])
-        _, values, vectors = np.linalg.svd(pencil)
-        for value, vector in zip(values, vectors, strict=True):
-            if value < tolerance * values[0]:
-                hidden.update(np.flatnonzero(np.abs(vector) > 1e-3).tolist())
-    return [names[i] for i in sorted(hidden)]
+    hidden = _kernel(C / np.where(norms > 0, norms, 1.0), tolerance)
+    while hidden.shape[1]:
+        moved = A @ hidden
+        staying = _kernel(moved - hidden @ (hidden.T @ moved), tolerance)
+        if staying.shape[1] == hidden.shape[1]:
+            break
+        hidden = hidden @ staying
+    return [name for name, row in zip(names, hidden, strict=True) if np.linalg.norm(row) > 1e-3]
+
+
+def _kernel(matrix: FloatArray, tolerance: float) -> FloatArray:
+    """Return an orthonormal basis (columns) of what a matrix of size about 1 takes to nearly nothing."""
+    _, values, vectors = np.linalg.svd(matrix)
+    rank = int((values > tolerance).sum())
+    return np.asarray(vectors[rank:].T, dtype=np.float64)
 
 
 def _balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:

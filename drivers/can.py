@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from drivers.can_bus import BusKeys, CanBus, Filters, open_bus
-from drivers.can_codec import FrameDecoder
+from drivers.can_codec import Decoded, FrameDecoder
 from drivers.can_database import MessageCodec, load, message_codecs
 from drivers.can_frames import Frames, joined, no_frames
 from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
@@ -41,9 +41,11 @@ class DbcDriver(Driver):
 
     def decoded(self, frames: Frames) -> SampleBlock:
         """Return the samples that frames complete."""
-        arrival_ns = time.monotonic_ns()
-        samples = self._decoder.decode(frames)
-        return SampleBlock(samples.values, arrival_ns, samples.counter, samples.t_ns, samples.epoch)
+        return self.block_of(self._decoder.decode(frames))
+
+    def block_of(self, samples: Decoded) -> SampleBlock:
+        """Return decoded samples as a block."""
+        return SampleBlock(samples.values, time.monotonic_ns(), samples.counter, samples.t_ns, samples.epoch)
 
 
 class CanDriver(DbcDriver):

@@ -59,6 +59,11 @@ class FrameDecoder:
         parts = [self._part(number, message, frames) for number, message in enumerate(self._messages)]
         return self._joiner.join([part for part in parts if len(part.keys)])
 
+    def flush(self) -> Decoded | None:
+        """Return the samples that never became whole, at the end of a log; None when there are none."""
+        rest = self._joiner.flush() if self._joiner else None
+        return rest if rest is not None and len(rest.values) else None
+
     def _count_errors(self, table: FrameTable) -> None:
         errors = int(((table["id"] & np.uint32(ERROR)) != 0).sum())
         self._reject("error frame", errors)
@@ -179,11 +184,18 @@ class Joiner:
             self.restart()
             self._near = key
 
+    def flush(self) -> Decoded:
+        """Return all that is pending, whole or not."""
+        return self._release(sorted(self._pending.rows))
+
     def _emit(self) -> Decoded:
         keys = sorted(self._pending.rows)
         seen = [newest for newest in self._newest if newest is not None]
         final = min(seen) if len(seen) == self._parts else None
         whole = [key for i, key in enumerate(keys) if (final is not None and key <= final) or len(keys) - i > _PENDING]
+        return self._release(whole)
+
+    def _release(self, whole: list[int]) -> Decoded:
         if not whole:
             return Decoded(np.empty((0, self._columns)), np.empty(0, np.int64), np.empty(0, np.int64), self._epoch)
         self._emitted = self._near = whole[-1]

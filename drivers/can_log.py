@@ -1,0 +1,118 @@
+"""Recorded CAN logs as a source that ends: candump text read here, .asc, .blf, .trc and .mf4 by python-can."""
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from drivers.can import DbcDriver
+from drivers.can_bus import message_row
+from drivers.can_frames import Frames, candump_frames, frames_of
+from drivers.npz_file import seconds_to_ns
+from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
+
+if TYPE_CHECKING:
+    import can
+
+SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
+_BLOCK = 16384
+
+
+class CanLogSettings(DriverSettings):
+    """A log and the DBC file that describes its frames."""
+
+    path: Path
+    dbc: Path
+
+
+class CanLogDriver(DbcDriver):
+    """Plays a CAN log; `read` raises EOFError at its end. Times are the log's own, in ns.
+
+    A log that cannot be read from its beginning raises DriverConfigError; one that is damaged further on ends there,
+    which is noted and counted (faults "log"). Lines of text that are no frame are noted and counted (faults "text").
+    """
+
+    settings_model: ClassVar[type[DriverSettings]] = CanLogSettings
+    finite: ClassVar[bool] = True
+    _frames: Iterator[Frames] | None = None
+
+    def open(self) -> None:
+        self.prepare()
+        self._decoder.restart()
+        path = self.request.folder / self.request.settings.path
+        kind = path.suffixes[-2:-1] if path.suffix == ".gz" else [path.suffix]
+        if not kind or kind[0].lower() not in SUFFIXES:
+            raise DriverConfigError(f"{path}: is no CAN log that can be read; {', '.join(SUFFIXES)} are")
+        reader = self._candump(path) if path.suffix.lower() == ".log" else self._library(path)
+        first = next(reader, None)
+        if first is None:
+            raise DriverConfigError(f"{path}: holds no frame")
+        self._frames = itertools.chain([first], reader)
+
+    def read(self, timeout_s: float) -> SampleBlock:
+        if self._frames is None:
+            raise DriverIOError(f"{self.request.name}: read before open")
+        frames = next(self._frames, None)
+        if frames is None:
+            rest = self._decoder.flush()
+            if rest is None:
+                raise EOFError(f"{self.request.settings.path}: end of the log")
+            return self.block_of(rest)
+        return self.decoded(frames)
+
+    def close(self) -> None:
+        self._frames = None
+
+    def _candump(self, path: Path) -> Iterator[Frames]:
+        try:
+            with path.open(encoding="latin-1") as file:
+                for start in itertools.count(1, _BLOCK):
+                    lines = list(itertools.islice(file, _BLOCK))
+                    if not lines:
+                        return
+                    frames, bad = candump_frames(lines)
+                    self._note_lines(path, start, bad)
+                    if len(frames):
+                        yield frames
+        except OSError as error:
+            raise DriverConfigError(f"{path}: {error.strerror or error}") from error
+
+    def _note_lines(self, path: Path, start: int, bad: list[int]) -> None:
+        self.counts.faults["text"] += len(bad)
+        for place in bad[:20]:
+            self.note(f"{path}:{start + place}: is no frame; it is passed over")
+
+    def _library(self, path: Path) -> Iterator[Frames]:
+        reader = _open_log(path)
+        begun = False
+        try:
+            with reader:
+                messages = iter(reader)
+                while batch := list(itertools.islice(messages, _BLOCK)):
+                    begun = True
+                    yield _packed(batch)
+        except Exception as error:
+            if not begun:
+                raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error
+            self.counts.faults["log"] += 1
+            self.note(f"{path}: is damaged, its end is not read: {error!r}")
+
+
+def _packed(messages: "list[can.Message]") -> Frames:
+    times = np.array([message.timestamp for message in messages])
+    return frames_of([message_row(message) for message in messages], seconds_to_ns(times))
+
+
+def _open_log(path: Path) -> "can.io.generic.MessageReader":
+    import can
+
+    try:
+        return can.LogReader(path)
+    except ImportError as error:
+        raise DriverConfigError(f"{path}: needs a library that is not installed: pip install 'deltak[mf4]'") from error
+    except OSError as error:
+        raise DriverConfigError(f"{path}: {error.strerror or error}") from error
+    except Exception as error:
+        raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error

@@ -7,7 +7,9 @@ from sim_bus.device import Bench, Device
 from sim_bus.errors import SimUsageError
 
 MAKERS: Mapping[str, str] = {
+    "can": "sim_bus.can_device",
     "modbus": "sim_bus.modbus_device",
+    "serial": "sim_bus.serial_device",
 }
 """For each driver the module whose `make_devices` plays its sources."""
 

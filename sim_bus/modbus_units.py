@@ -16,6 +16,7 @@ from drivers.modbus_settings import ModbusSettings
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench
 from sim_bus.errors import SimUsageError
+from sim_bus.ranges import Runs
 from sim_bus.rigfile import Source
 from sim_bus.wire import Feed, Raw, WireNumber, split
 
@@ -46,7 +47,7 @@ class Unit(ABC):
         self.feed = feed
         self.clock = clock
         self.requests = 0
-        self.lost: list[tuple[int, int]] = []
+        self.lost = Runs()
 
     @abstractmethod
     def areas(self) -> Iterable[tuple[int, int]]:
@@ -72,7 +73,7 @@ class Unit(ABC):
             "mode": self.settings.mode,
             "requests": self.requests,
             "saturated": self.feed.saturated(played),
-            "lost": self.lost,
+            "lost": self.lost.before(played),
         }
 
 
@@ -176,7 +177,7 @@ class FifoUnit(Unit):
             return None
         head = self.clock.head_for(self.source, self._batch)
         if head - self._next > QUEUE:
-            self.lost.append((self._next, head - QUEUE - 1))
+            self.lost.add(self._next, head - QUEUE - 1)
             self._next = head - QUEUE
         end = min(head, self._next + self._batch)
         rows = self.feed.rows(self._next, end)

@@ -48,7 +48,7 @@ class Channel(_Part):
     @property
     def si_factor(self) -> float:
         """SI value of one of the channel's units."""
-        return si_factor(self.unit)
+        return si_factor(self.quantity, self.unit)
 
     @model_validator(mode="after")
     def _scale_is_usable(self) -> Self:
@@ -60,7 +60,7 @@ class Channel(_Part):
 class Mechanics(_Part):
     """Masses, springs, dampers and dry friction."""
 
-    kind: str
+    kind: str = "mass-spring-damper"
     mass: tuple[Named, ...] = ()
     spring: tuple[Element, ...] = ()
     damper: tuple[Element, ...] = ()
@@ -158,11 +158,19 @@ class RigFile(_Part):
     @property
     def source_names(self) -> tuple[str, ...]:
         """Names of the sources; an unnamed one is called after its driver, a second of a kind gets a number."""
+        taken = {source.name for source in self.source if source.name}
         names: list[str] = []
         for source in self.source:
-            name = source.name or source.driver
-            names.append(name if name not in names else f"{name}-{len(names)}")
+            names.append(source.name or _free_name(source.driver, taken))
+            taken.add(names[-1])
         return tuple(names)
+
+
+def _free_name(stem: str, taken: set[str]) -> str:
+    number = 1
+    while (name := stem if number == 1 else f"{stem}-{number}") in taken:
+        number += 1
+    return name
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from sim_bus.ranges import Runs
 from sim_bus.rigfile import Channel, Quantity
 
 FloatArray = NDArray[np.float64]
@@ -64,7 +65,7 @@ class SensorChain:
         own = [sensor.noise_sd for sensor in sensors if sensor.noise_sd is not None]
         self.noise_sd = own[-1] if own else noise_si / channel.si_factor
         self._stuck_at: dict[int, float] = {}
-        self._affected: dict[str, list[tuple[int, int]]] = {}
+        self._affected: dict[str, Runs] = {}
 
     @property
     def delay_s(self) -> float:
@@ -97,23 +98,12 @@ class SensorChain:
 
     def affected_before(self, end: int) -> dict[str, list[tuple[int, int]]]:
         """Return, by kind, the runs (first, last) of samples before `end` that a fault of the sensor touched."""
-        return {
-            kind: [(first, min(last, end - 1)) for first, last in runs if first < end]
-            for kind, runs in self._affected.items()
-        }
+        touched = {kind: runs.before(end) for kind, runs in self._affected.items()}
+        return {kind: runs for kind, runs in touched.items() if runs}
 
     def _note(self, kind: str, index: IntArray) -> None:
-        """Keep which samples were touched, as runs (first, last)."""
-        if not len(index):
-            return
-        runs = self._affected.setdefault(kind, [])
-        edges = np.flatnonzero(np.diff(index) > 1)
-        firsts, lasts = index[np.r_[0, edges + 1]], index[np.r_[edges, len(index) - 1]]
-        for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
-            if runs and runs[-1][1] == first - 1:
-                runs[-1] = (runs[-1][0], last)
-            else:
-                runs.append((first, last))
+        """Keep which samples were touched."""
+        self._affected.setdefault(kind, Runs()).add_each(index)
 
 
 def noise_for(channel: Channel, noise: Mapping[Quantity, float]) -> float:

@@ -1,34 +1,39 @@
-"""Units of channels: how many SI units one of them is. Units that are not listed are kept as they are (factor 1)."""
+"""Units of channels: how many SI units one of them is. Text that is no known unit is kept as it is (factor 1)."""
 
 from collections.abc import Mapping
 
-SI_FACTORS: Mapping[str, float] = {
-    "N": 1.0,
-    "mN": 1e-3,
-    "kN": 1e3,
-    "MN": 1e6,
-    "m": 1.0,
-    "cm": 1e-2,
-    "mm": 1e-3,
-    "um": 1e-6,
-    "µm": 1e-6,
-    "μm": 1e-6,
-    "nm": 1e-9,
-    "m/s": 1.0,
-    "mm/s": 1e-3,
-    "um/s": 1e-6,
-    "µm/s": 1e-6,
-    "μm/s": 1e-6,
-    "m/s2": 1.0,
-    "m/s^2": 1.0,
-    "m/s²": 1.0,
-    "mm/s2": 1e-3,
-    "mm/s^2": 1e-3,
-    "mm/s²": 1e-3,
-    "g": 9.80665,
+_PREFIXES: Mapping[str, float] = {"k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "": 1.0}
+_LENGTHS: Mapping[str, float] = {f"{prefix}m": factor for prefix, factor in _PREFIXES.items()} | {
+    "in": 0.0254,
+    "inch": 0.0254,
+    "mil": 0.0254e-3,
+    "ft": 0.3048,
 }
+_FORCES: Mapping[str, float] = {
+    "N": 1.0,
+    "MN": 1e6,
+    "kN": 1e3,
+    "daN": 10.0,
+    "mN": 1e-3,
+    "uN": 1e-6,
+    "kgf": 9.80665,
+    "kp": 9.80665,
+    "lbf": 0.45359237 * 9.80665,
+    "kip": 453.59237 * 9.80665,
+}
+_STANDARD_GRAVITY = {"g": 9.80665, "gn": 9.80665, "mg": 9.80665e-3}
+SI_FACTORS: Mapping[str, Mapping[str, float]] = {
+    "force": _FORCES,
+    "displacement": _LENGTHS,
+    "velocity": {f"{unit}/s": factor for unit, factor in _LENGTHS.items()} | {"km/h": 1.0 / 3.6},
+    "acceleration": {
+        f"{unit}{per}": factor for unit, factor in _LENGTHS.items() for per in ("/s2", "/s^2", "/s/s", " s-2")
+    }
+    | _STANDARD_GRAVITY,
+}
+_SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "2", "·": "*"})
 
 
-def si_factor(unit: str) -> float:
-    """Return the SI value of one `unit`; 1.0 for text that is no known unit."""
-    return SI_FACTORS.get(unit, 1.0)
+def si_factor(quantity: str, unit: str) -> float:
+    """Return the SI value of one `unit` of a quantity; 1.0 for text that is no unit of it."""
+    return SI_FACTORS[quantity].get(unit.strip().translate(_SPELLINGS), 1.0)

@@ -1,0 +1,79 @@
+"""Simulated CAN devices: on a socketcand daemon of our own, or on a vcan interface of the kernel."""
+
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from drivers.can import CanSettings
+from sim_bus import guard
+from sim_bus.can_packing import Packing, load_database
+from sim_bus.clock import PlayClock
+from sim_bus.device import Bench, Device
+from sim_bus.errors import SimUsageError
+from sim_bus.kernel_can import KernelFrames, KernelOutlet
+from sim_bus.socketcand_device import Endpoint, FrameText, SocketcandDevice
+from sim_bus.stream import Stream
+from sim_bus.wire import Feed
+
+_STOP_S = 5.0
+
+
+class KernelDevice(Device):
+    """One source on a CAN interface of the kernel; a thread sends at the samples' times."""
+
+    def __init__(self, clock: PlayClock, stream: Stream, channel: str, frame_size: int) -> None:
+        super().__init__(clock)
+        self._stream = stream
+        self._channel = channel
+        self._outlet = KernelOutlet(channel, frame_size)
+        self._heard = False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="can device", daemon=True)
+
+    def start(self) -> None:
+        if self.clock.fast:
+            raise SimUsageError(f'source "{self._stream.source}": --fast needs a bus whose reader can hold it back')
+        self._outlet.open()
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._stream.wait_s()):
+            if not self._heard and self._outlet.has_listener():
+                self._heard = True
+                self._stream.add(self._outlet)
+            self._stream.step()
+
+    def stop(self) -> None:
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(_STOP_S)
+        self._outlet.close()
+
+    def ledger(self) -> Mapping[str, dict[str, Any]]:
+        facts = {"bus": f"socketcan {self._channel}", "frames_not_sent": self._outlet.not_sent}
+        return {self._stream.source: facts | self._stream.ledger()}
+
+
+def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
+    """Return a daemon for each socketcand address, and a device for each other bus."""
+    daemons: dict[Endpoint, dict[str, Stream]] = {}
+    devices: list[Device] = []
+    for number in numbers:
+        keys, source = bench.settings(CanSettings, number), bench.source(number)
+        where = f"source[{number}]"
+        database = load_database(bench.rig.folder / keys.dbc, f"{where}.dbc")
+        packing = Packing(database, source, fd=keys.fd)
+        feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack)
+        if keys.interface == "socketcand":
+            endpoint = Endpoint(guard.loopback(keys.host, f"{where}.host"), keys.port)
+            stream = Stream(source.name, feed, bench.clock, FrameText(packing.kinds, bench.clock))
+            if keys.channel in daemons.setdefault(endpoint, {}):
+                raise SimUsageError(f"{where}.channel: {keys.channel} is played for another source already")
+            daemons[endpoint][keys.channel] = stream
+        else:
+            guard.virtual_can(keys.interface, keys.channel, f"{where}.channel")
+            render = KernelFrames(packing.kinds)
+            stream = Stream(source.name, feed, bench.clock, render)
+            devices.append(KernelDevice(bench.clock, stream, keys.channel, render.size))
+    devices += [SocketcandDevice(bench.clock, endpoint, buses) for endpoint, buses in daemons.items()]
+    return devices

@@ -1,0 +1,153 @@
+"""Samples as CAN frames by what a DBC file says: every signal's bits set in all frames at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bus.errors import SimUsageError
+from sim_bus.rigfile import Source
+from sim_bus.wire import NumberArray, Raw, WireNumber
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
+
+FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
+_FLOATS = {32: (np.float32, np.uint32), 64: (np.float64, np.uint64)}
+
+
+@dataclass(frozen=True, slots=True)
+class FrameKind:
+    """One message: identifier, whether it is extended and FD, and its bytes on the wire."""
+
+    name: str
+    identifier: int
+    extended: bool
+    fd: bool
+    size: int
+
+
+def load_database(path: Path, key: str) -> "Database":
+    """Return the DBC file's content; SimUsageError when it cannot be read."""
+    import cantools
+    from cantools.database.can import Database
+    from cantools.database.errors import Error
+
+    try:
+        database = cantools.database.load_file(str(path), prune_choices=False)
+    except (OSError, Error, ValueError, LookupError, AttributeError) as error:
+        raise SimUsageError(f"{key}: {path}: {error}") from error
+    if not isinstance(database, Database):
+        raise SimUsageError(f"{key}: {path}: no messages of a bus are in it")
+    return database
+
+
+class Packing:
+    """The messages that carry one source's fields.
+
+    Args:
+        database: the DBC file's content.
+        source: the source, its map naming fields as "Message.Signal".
+        fd: whether the bus carries FD frames.
+    """
+
+    def __init__(self, database: "Database", source: Source, *, fd: bool) -> None:
+        fields = [*source.map.values(), *([source.counter] if source.counter else [])]
+        names = dict.fromkeys(field.partition(".")[0] for field in fields)
+        self._messages = [_message(database, name, source.name) for name in names]
+        self.kinds = tuple(_kind(message, fd=fd) for message in self._messages)
+        self._places = {
+            f"{message.name}.{signal.name}": _places(signal) for message in self._messages for signal in message.signals
+        }
+        self._check(fields, source.name)
+
+    def _check(self, fields: Sequence[str], source: str) -> None:
+        signals = {f"{m.name}.{s.name}": s for m in self._messages for s in m.signals}
+        lost = [field for field in fields if field not in signals]
+        if lost:
+            raise SimUsageError(f'source "{source}": no signal is called {", ".join(lost)} in its DBC file')
+        switched = [field for field in fields if signals[field].multiplexer_ids]
+        if switched:
+            raise SimUsageError(f'source "{source}": {", ".join(switched)}: multiplexed signals cannot be simulated')
+
+    @property
+    def numbers(self) -> list[WireNumber]:
+        """Every signal as a field on the wire."""
+        return [_number(message, signal) for message in self._messages for signal in message.signals]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all frames of one sample."""
+        return sum(kind.size for kind in self.kinds)
+
+    def pack(self, raw: Raw) -> list[bytes]:
+        """Return the frames' data of each sample, one after another."""
+        samples = len(next(iter(raw.values())))
+        parts = [
+            self._packed(message, kind, raw, samples) for message, kind in zip(self._messages, self.kinds, strict=True)
+        ]
+        data, size = np.hstack(parts).tobytes(), self.size
+        return [data[start : start + size] for start in range(0, len(data), size)]
+
+    def _packed(self, message: "Message", kind: FrameKind, raw: Raw, samples: int) -> NDArray[np.uint8]:
+        bits = np.zeros((samples, 8 * kind.size), dtype=np.uint8)
+        for signal in message.signals:
+            if not signal.multiplexer_ids:
+                field = f"{message.name}.{signal.name}"
+                bits[:, self._places[field]] = _bits(raw[field], signal)
+        return np.packbits(bits, axis=1)
+
+
+def _message(database: "Database", name: str, source: str) -> "Message":
+    for message in database.messages:
+        if message.name == name:
+            return message
+    known = ", ".join(message.name for message in database.messages[:20])
+    raise SimUsageError(f'source "{source}": no message is called "{name}"; messages are {known}')
+
+
+def _kind(message: "Message", *, fd: bool) -> FrameKind:
+    size = message.length
+    if fd and size > 8:
+        size = min(length for length in FD_LENGTHS if length >= size)
+    if size > (64 if fd else 8):
+        raise SimUsageError(f'message "{message.name}" has {size} bytes; classic frames carry 8, set fd = true for 64')
+    return FrameKind(message.name, message.frame_id, message.is_extended_frame, fd, size)
+
+
+def _number(message: "Message", signal: "Signal") -> WireNumber:
+    name = f"{message.name}.{signal.name}"
+    if signal.is_float:
+        return WireNumber(name, None, None, float(signal.scale), float(signal.offset))
+    top = 1 << signal.length
+    low, high = (-top // 2, top // 2 - 1) if signal.is_signed else (0, top - 1)
+    return WireNumber(name, low, high, float(signal.scale), float(signal.offset))
+
+
+def _places(signal: "Signal") -> list[int]:
+    """Return where each bit of a signal lies in the frame, most significant first, counted along the wire.
+
+    A DBC file numbers bits from the least significant of byte 0. Little-endian signals are given by their lowest bit
+    and grow upwards; big-endian ones by their highest, going down to bit 0 of a byte and on at bit 7 of the next.
+    """
+    if signal.byte_order == "little_endian":
+        numbers = [signal.start + k for k in reversed(range(signal.length))]
+    else:
+        numbers = [signal.start]
+        while len(numbers) < signal.length:
+            numbers.append(numbers[-1] - 1 if numbers[-1] % 8 else numbers[-1] + 15)
+    return [8 * (number // 8) + 7 - number % 8 for number in numbers]
+
+
+def _bits(raw: NumberArray, signal: "Signal") -> NDArray[np.uint8]:
+    """Return the bits of raw numbers (n, length), most significant first."""
+    if signal.is_float:
+        number, word = _FLOATS[signal.length]
+        words = raw.astype(number).view(word).astype(np.uint64)
+    else:
+        words = raw.astype(np.int64).view(np.uint64)
+    shifts = np.arange(signal.length - 1, -1, -1, dtype=np.uint64)
+    return ((words[:, None] >> shifts) & np.uint64(1)).astype(np.uint8)

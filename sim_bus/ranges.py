@@ -1,0 +1,35 @@
+"""Runs of sample numbers, kept as (first, last), for the ledger."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST = 10_000
+
+
+class Runs:
+    """Sample numbers that only grow, as runs; beyond MOST runs only the number of samples is kept on."""
+
+    def __init__(self) -> None:
+        self._runs: list[tuple[int, int]] = []
+        self.samples = 0
+
+    def add(self, first: int, last: int) -> None:
+        """Add first .. last."""
+        self.samples += last - first + 1
+        if self._runs and first <= self._runs[-1][1] + 1:
+            self._runs[-1] = (self._runs[-1][0], max(last, self._runs[-1][1]))
+        elif len(self._runs) < MOST:
+            self._runs.append((first, last))
+
+    def add_each(self, index: NDArray[np.int64]) -> None:
+        """Add single numbers, in order."""
+        if not len(index):
+            return
+        edges = np.flatnonzero(np.diff(index) > 1)
+        firsts, lasts = index[np.r_[0, edges + 1]], index[np.r_[edges, len(index) - 1]]
+        for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
+            self.add(first, last)
+
+    def before(self, end: int) -> list[tuple[int, int]]:
+        """Return the runs below `end`."""
+        return [(first, min(last, end - 1)) for first, last in self._runs if first < end]

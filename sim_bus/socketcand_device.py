@@ -1,0 +1,186 @@
+"""A socketcand daemon on loopback: serves simulated CAN buses in raw mode, several buses and clients at once."""
+
+import re
+import selectors
+import socket
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sim_bus.can_packing import FrameKind
+from sim_bus.clock import PlayClock
+from sim_bus.device import Device
+from sim_bus.errors import SimBusError
+from sim_bus.stream import Outlet, Stream
+
+_COMMAND = re.compile(rb"<\s*(\w+)\s*([^<>]*?)\s*>")
+_STOP_S = 5.0
+
+
+class FrameText:
+    """Frames of one sample as the daemon writes them in raw mode.
+
+    Args:
+        kinds: the frames of a sample.
+        clock: for the time stamps: when the sample was taken, by the wall clock at the start.
+    """
+
+    def __init__(self, kinds: Sequence[FrameKind], clock: PlayClock) -> None:
+        self._heads: list[tuple[bytes, int]] = []
+        for kind in kinds:
+            digits = f"{kind.identifier:08X}" if kind.extended else f"{kind.identifier:03X}"
+            self._heads.append((digits.encode(), kind.size))
+        self._clock = clock
+        self._period_us = 1e6 / clock.sample_rate_hz
+
+    def __call__(self, index: int, row: bytes) -> bytes:
+        stamp = self._clock.start_wall_ns // 1000 + round(index * self._period_us)
+        time = b"%d.%06d" % divmod(stamp, 1_000_000)
+        out = []
+        for digits, size in self._heads:
+            data, row = row[:size], row[size:]
+            out.append(b"< frame %s %s %s >" % (digits, time, data.hex().upper().encode()))
+        return b"".join(out)
+
+
+class Client(Outlet):
+    """One connection: first the handshake, then frames."""
+
+    def __init__(self, connection: socket.socket, buses: Mapping[str, Stream]) -> None:
+        super().__init__()
+        self.socket = connection
+        self._buses = buses
+        self._bus: Stream | None = None
+        self._input = b""
+        self.sent_frames = 0
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._answer(b"< hi >")
+
+    def receive(self) -> None:
+        """Read and carry out what the client asks."""
+        try:
+            data = self.socket.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        self.gone = self.gone or not data
+        self._input = (self._input + data)[-4096:]
+        while match := _COMMAND.search(self._input):
+            self._input = self._input[match.end() :]
+            self._carry_out(match[1], match[2])
+
+    def _carry_out(self, command: bytes, argument: bytes) -> None:
+        if command == b"open" and argument.decode("ascii", "replace") in self._buses:
+            self._bus = self._buses[argument.decode()]
+            self._answer(b"< ok >")
+        elif command == b"rawmode" and self._bus is not None:
+            self._answer(b"< ok >")
+            self._bus.add(self)
+        elif command == b"echo":
+            self._answer(b"< echo >")
+        elif command == b"send":
+            self.sent_frames += 1
+        else:
+            self._answer(b"< error could not carry out %s >" % command)
+
+    def _answer(self, text: bytes) -> None:
+        self.put(text)
+        self.flush()
+
+    def _send(self, data: bytes) -> int:
+        try:
+            return self.socket.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self.gone = True
+            return 0
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """Where a daemon listens."""
+
+    host: str
+    port: int
+
+
+class SocketcandDevice(Device):
+    """One daemon; one thread accepts, answers and sends.
+
+    Args:
+        clock: shared by all devices.
+        endpoint: where it listens.
+        buses: the stream of each bus by its name.
+    """
+
+    def __init__(self, clock: PlayClock, endpoint: Endpoint, buses: Mapping[str, Stream]) -> None:
+        super().__init__(clock)
+        self._endpoint = endpoint
+        self._buses = buses
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._listener: socket.socket | None = None
+        self._clients: list[Client] = []
+        self._written_to_bus = 0
+
+    def start(self) -> None:
+        family = socket.AF_INET6 if ":" in self._endpoint.host else socket.AF_INET
+        listener = socket.socket(family)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((self._endpoint.host, self._endpoint.port))
+            listener.listen()
+        except OSError as error:
+            listener.close()
+            words = f"port {self._endpoint.port} on {self._endpoint.host} cannot be opened: {error.strerror}"
+            raise SimBusError(f'source "{next(iter(self._buses.values())).source}": {words}') from error
+        listener.setblocking(False)
+        self._listener = listener
+        self._thread = threading.Thread(target=self._run, args=(listener,), name="socketcand device", daemon=True)
+        self._thread.start()
+
+    def _run(self, listener: socket.socket) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(listener, selectors.EVENT_READ)
+            while not self._stop.is_set():
+                for key, _ in selector.select(min(stream.wait_s() for stream in self._buses.values())):
+                    self._serve(key, listener, selector)
+                for stream in self._buses.values():
+                    stream.step()
+                self._drop_gone(selector)
+            for client in self._clients:
+                client.socket.close()
+
+    def _serve(self, key: selectors.SelectorKey, listener: socket.socket, selector: selectors.BaseSelector) -> None:
+        if isinstance(key.data, Client):
+            key.data.receive()
+            return
+        client = Client(listener.accept()[0], self._buses)
+        self._clients.append(client)
+        selector.register(client.socket, selectors.EVENT_READ, client)
+
+    def _drop_gone(self, selector: selectors.BaseSelector) -> None:
+        for client in [client for client in self._clients if client.gone]:
+            selector.unregister(client.socket)
+            client.socket.close()
+            self._clients.remove(client)
+            self._written_to_bus += client.sent_frames
+
+    def stop(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(_STOP_S)
+        if self._listener is not None:
+            self._listener.close()
+
+    def ledger(self) -> Mapping[str, dict[str, Any]]:
+        written = self._written_to_bus + sum(client.sent_frames for client in self._clients)
+        where = f"socketcand {self._endpoint.host}:{self._endpoint.port}"
+        return {
+            stream.source: {"bus": f"{where} {name}", "frames_from_clients": written, **stream.ledger()}
+            for name, stream in self._buses.items()
+        }

@@ -59,8 +59,9 @@ def solve_windows(window: Summary, n: int, prior: FloatArray | None = None) -> W
     if prior is not None:
         H = H + np.diag(prior)
     covariance, solvable = _inverse(H)
-    delta = np.einsum("nij,nj->ni", covariance, g)
-    residual = np.maximum(reduced[:, 0, 0] - np.einsum("ni,ni->n", g, delta), 0.0)
+    # what a window cannot tell explains nothing of its residual either
+    delta = np.einsum("nij,nj->ni", np.where(np.isfinite(covariance), covariance, 0.0), g)
+    residual = np.maximum(reduced[:, 0, 0] - np.einsum("ni,ni->n", g, np.where(solvable, delta, 0.0)), 0.0)
     delta = np.where(solvable, delta, np.nan)
     return WindowSolution(delta, covariance, residual, e0, H)
 

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.fit import Linearised, linearise
 from agent.numerics.hops import HopPlan
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.observer import STRICTLY_STABLE, kalman_gain, spectral_radius, start_gain
+from agent.numerics.observer import STRICTLY_STABLE, kalman_gain, poles_gain, spectral_radius, start_gain
+from agent.numerics.sensitivity import SensitivityFilter, sensitivity_filter
 from agent.numerics.statespace import Discrete, discretise, simulate
 from agent.numerics.window_ml import Gains, WindowSettings
 from tests.unit.numerics.paper_rig import rig
@@ -84,6 +86,26 @@ def matched_gain(discrete: Discrete, process_sd: float, sigma: float) -> FloatAr
     direction = disturbance(rig())
     process = direction @ direction.T * (process_sd * discrete.period_s) ** 2
     return kalman_gain(discrete.model, process, sigma**2 * np.eye(discrete.model.p))
+
+
+def filters(discrete: Discrete, gain: FloatArray, sigma: float) -> SensitivityFilter:
+    return sensitivity_filter(discrete.model, gain, np.full(discrete.model.p, 1 / sigma))
+
+
+def linearised(discrete: Discrete, gain: FloatArray, sigma: float, v: FloatArray, x0: FloatArray) -> Linearised:
+    return linearise(discrete.model, gain, np.full(discrete.model.p, 1 / sigma), v, x0)
+
+
+KINDS = ("zero", "kalman", "poles")
+
+
+def gain_of(kind: str, discrete: Discrete, sigma: float) -> FloatArray:
+    """Each kind of observer that a configuration may ask for."""
+    if kind == "zero":
+        return zero_gain(discrete)
+    if kind == "kalman":
+        return matched_gain(discrete, 0.5, sigma)
+    return poles_gain(discrete.model, [-45.0, -40.0, -35.0, -30.0], discrete.period_s)
 
 
 def settings(

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from agent.numerics.cells import Summary, cell_operators, merge, propagate, run_cells, sliding, summarise_cells
-from agent.numerics.sensitivity import SensitivityFilter, sensitivity_filter
+from agent.numerics.sensitivity import SensitivityFilter
 from agent.numerics.statespace import discretise
-from tests.unit.numerics.rigs import FloatArray, matched_gain, noisy, sampled, zero_gain
+from tests.unit.numerics.rigs import FloatArray, filters, gain_of, noisy, sampled
 from tests.unit.numerics.test_statespace import widest_model
 
 
@@ -31,12 +31,12 @@ def assert_same(summary: Summary, at: int, o: FloatArray, G: FloatArray) -> None
 @pytest.mark.parametrize("kind", ["zero", "kalman", "widest"])
 def test_cells_summaries_merged_and_slid_equal_direct_computation(kind: str, rng: np.random.Generator) -> None:
     if kind == "widest":
-        model = discretise(widest_model().continuous(widest_model().nominal), 0.01).model
-        f = sensitivity_filter(model, 0.01 * rng.standard_normal((model.n, model.p)), np.ones(model.p))
-        v = rng.standard_normal((9 * 21, model.p + model.m))
+        d = discretise(widest_model().continuous(widest_model().nominal), 0.01)
+        f = filters(d, 0.01 * rng.standard_normal((d.model.n, d.model.p)), 1.0)
+        v = rng.standard_normal((9 * 21, d.model.p + d.model.m))
     else:
         d = sampled()
-        f = sensitivity_filter(d.model, zero_gain(d) if kind == "zero" else matched_gain(d, 0.5, 1e-6), np.full(2, 1e6))
+        f = filters(d, gain_of(kind, d, 1e-6), 1e-6)
         v = noisy(rng, 9 * 21, 1e-6).v
     lengths, z = [12, 9], 0.01 * rng.standard_normal(len(f.F))
     operators = cell_operators(f, lengths)
@@ -65,7 +65,7 @@ def test_cells_summaries_merged_and_slid_equal_direct_computation(kind: str, rng
 
 def test_merge_any_grouping_gives_the_same(rng: np.random.Generator) -> None:
     d = sampled()
-    f = sensitivity_filter(d.model, matched_gain(d, 0.5, 1e-6), np.full(2, 1e6))
+    f = filters(d, gain_of("kalman", d, 1e-6), 1e-6)
     cells = summarise_cells(cell_operators(f, [8])[8], noisy(rng, 24, 1e-6).v.reshape(3, -1), np.zeros((3, len(f.F))))
     a, b, c = (cells.part(slice(i, i + 1)) for i in range(3))
     left, right = merge(merge(a, b), c), merge(a, merge(b, c))

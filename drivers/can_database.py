@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.can_frames import ERROR, EXTENDED, EXTENDED_MASK, FD_LENGTHS, REMOTE, STANDARD_MASK, FrameTable
+from drivers.can_frames import ERROR, EXTENDED, EXTENDED_MASK, FD_LENGTHS, REMOTE, FrameTable
 from drivers.can_signals import SignalCodec
 from drivers.port import DriverConfigError, FloatArray
 
@@ -185,7 +185,7 @@ def _lengths(length: int) -> tuple[int, ...]:
 def _identity(message: "Message") -> tuple[int, int]:
     """Return identifier and mask. A J1939 message comes with any priority and source, and to any destination."""
     if not message.is_extended_frame:
-        return message.frame_id, EXTENDED | STANDARD_MASK
+        return message.frame_id, EXTENDED | EXTENDED_MASK
     if message.protocol != "j1939":
         return message.frame_id | EXTENDED, EXTENDED | EXTENDED_MASK
     group = 0x3FFFF00 if (message.frame_id >> 16) & 0xFF >= _J1939_BROADCAST else 0x3FF0000

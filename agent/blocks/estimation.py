@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from agent.numerics.window_ml import Rows
+from agent.numerics.rows import Rows
 from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from agent.config import RigConfig
 from agent.config.tables import LinearModel, MechanicsModel, Parameter
+from agent.numerics.gains import AutomaticGains, Gains, KalmanGains, PlacedGains
 from agent.numerics.hops import HopPlan
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.observer import STRICTLY_STABLE, kalman_gain, poles_gain, spectral_radius, start_gain
 from agent.numerics.sensors import Nuisance, SensedModel
-from agent.numerics.statespace import AffineModel, Discrete, Model, affine_model
-from agent.numerics.window_ml import Gains, WindowSettings
+from agent.numerics.statespace import AffineModel, Model, affine_model
+from agent.numerics.window_ml import WindowSettings
 from agent.types import FloatArray, IntArray
 
 SENSOR_KINDS = ("bias", "gain")
@@ -145,7 +145,7 @@ def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) ->
         period_s=1.0 / config.rig.sample_rate_hz,
         plan=plan,
         hold=config.estimator.hold,
-        gains=observer_gains(config, rig, np.where(np.isfinite(sigma), sigma, 1.0), plan.window),
+        gains=observer_gains(config, rig, plan.window),
         sigma=sigma,
         floor=floor,
         scale=scale,
@@ -162,38 +162,12 @@ def _scale_columns(config: RigConfig, rig: RigModel) -> IntArray:
     return np.array([channels.index(owner) for owner in owners], dtype=np.int64)
 
 
-def observer_gains(config: RigConfig, rig: RigModel, sigma: FloatArray, window: int) -> Gains:
-    """Return the observer's gains as the configuration asks for them.
-
-    "auto" starts with a Kalman gain and, about a fitted model that is strictly stable, runs without correction:
-    with sensor noise alone that is the efficient choice, and any correction loses information.
-    """
+def observer_gains(config: RigConfig, rig: RigModel, window: int) -> Gains:
+    """Return the rule of the observer's gain that the configuration asks for; window in samples."""
     observer = config.estimator.observer
     if observer.gain == "poles":
-        poles = observer.poles
-
-        def placed(discrete: Discrete) -> FloatArray:
-            return poles_gain(discrete.model, poles, discrete.period_s)
-
-        return Gains(placed, placed)
+        return PlacedGains(observer.poles)
     if observer.gain == "kalman" and observer.process_sd is not None:
-        intensity = np.broadcast_to(np.asarray(observer.process_sd, dtype=float), (rig.disturbance.shape[1],))
-
-        def filtered(discrete: Discrete) -> FloatArray:
-            process = (rig.disturbance * intensity) @ (rig.disturbance * intensity).T * discrete.period_s**2
-            return kalman_gain(discrete.model, process, np.diag(sigma**2))
-
-        return Gains(filtered, filtered)
-    return _automatic(rig, sigma, window)
-
-
-def _automatic(rig: RigModel, sigma: FloatArray, window: int) -> Gains:
-    def start(discrete: Discrete) -> FloatArray:
-        return start_gain(discrete, rig.disturbance, sigma, window)
-
-    def settled(discrete: Discrete) -> FloatArray:
-        if spectral_radius(discrete.model.A) < STRICTLY_STABLE:
-            return np.zeros((discrete.model.n, discrete.model.p))
-        return start(discrete)
-
-    return Gains(start, settled)
+        process = np.broadcast_to(np.asarray(observer.process_sd, dtype=float), (rig.disturbance.shape[1],))
+        return KalmanGains(rig.disturbance, process)
+    return AutomaticGains(rig.disturbance, window)

@@ -5,13 +5,14 @@ iterates to the maximum, from a wide basin (with an observer that corrects) to t
 model allows it), and works on samples, so that it resolves residuals far below what a Gram matrix does.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.cells import cell_operators, propagate, run_cells
+from agent.numerics.observer import Gain
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, StateSpace
 
@@ -51,6 +52,7 @@ class Fit:
         x0: (n,) shifted state at the window's first sample.
         covariance: (q, q) for unit noise variance; inf on the diagonal where nothing is known.
         residual: (W, p) innovations left, in units of their standard deviation.
+        psi: (W p, q) sensitivities, the initial state projected out.
         steps: Gauss-Newton steps taken.
         converged: the last step was below the tolerance.
     """
@@ -59,6 +61,7 @@ class Fit:
     x0: FloatArray
     covariance: FloatArray
     residual: FloatArray
+    psi: FloatArray
     steps: int
     converged: bool
 
@@ -70,21 +73,19 @@ class Problem:
     Attributes:
         sample: theta (q,) -> the sampled model there.
         v: (W, p+m) outputs and inputs.
-        weight: (p,) 1/sigma of each output.
         scale: (q,) size of each parameter, for tolerances and the weak prior that keeps what is unexcited in place.
         lower: (q,) bounds from below; -inf where there is none.
     """
 
     sample: Callable[[FloatArray], Discrete]
     v: FloatArray
-    weight: FloatArray
     scale: FloatArray
     lower: FloatArray
 
 
-def linearise(model: StateSpace, gain: FloatArray, weight: FloatArray, v: FloatArray, x0: FloatArray) -> Linearised:
+def linearise(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray) -> Linearised:
     """Run observer (from x0) and sensitivities over a window v (W, p+m) and project the initial state out."""
-    o, G = _outputs(model, gain, weight, v, x0)
+    o, G = _outputs(model, gain, v, x0)
     n, width = model.n, 1 + model.q
     Gamma = G[:, :n]
     left, pinv = _orthogonal(Gamma)
@@ -97,11 +98,9 @@ def linearise(model: StateSpace, gain: FloatArray, weight: FloatArray, v: FloatA
     return Linearised(moved[:, 0], moved[:, 1:], e0, e0_by_theta)
 
 
-def _outputs(
-    model: StateSpace, gain: FloatArray, weight: FloatArray, v: FloatArray, x0: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _outputs(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return [e psi] (W p, 1+q) and G (W p, n(1+q)) over the window."""
-    system = sensitivity_filter(model, gain, weight)
+    system = sensitivity_filter(model, gain.L, gain.whitening)
     whole, rest = divmod(len(v), CELL)
     operators = cell_operators(system, [length for length in (CELL if whole else 0, rest) if length])
     z = np.zeros(len(system.F))
@@ -133,30 +132,30 @@ def _orthogonal(Gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def fit_window(
-    problem: Problem, theta: FloatArray, x0: FloatArray, gains: list[Callable[[Discrete], FloatArray]],
+    problem: Problem, theta: FloatArray, x0: FloatArray, gains: Sequence[Callable[[Discrete], Gain]],
     max_steps: int = 12, tolerance: float = 1e-5,
 ) -> Fit:  # fmt: skip
     """Maximise the likelihood of a window from (theta, x0), one stage a gain, the last one's maximum is returned.
 
     Each gain is a function of the sampled model at the stage's first point; within a stage it stays fixed.
     """
-    fit = Fit(theta, x0, np.zeros((0, 0)), np.zeros((0, 0)), 0, False)
+    fit = Fit(theta, x0, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), 0, False)
     for stage, gain_at in enumerate(gains):
         last = stage == len(gains) - 1
         fit = _stage(problem, fit, gain_at(problem.sample(fit.theta)), max_steps, tolerance if last else 1e-2)
     return fit
 
 
-def _stage(problem: Problem, start: Fit, gain: FloatArray, max_steps: int, tolerance: float) -> Fit:
+def _stage(problem: Problem, start: Fit, gain: Gain, max_steps: int, tolerance: float) -> Fit:
     theta, x0, damping, converged = start.theta, start.x0, 0.0, False
-    here = linearise(problem.sample(theta).model, gain, problem.weight, problem.v, x0)
+    here = linearise(problem.sample(theta).model, gain, problem.v, x0)
     steps = 0
     while steps < max_steps and not converged:
         steps += 1
         step = _damped_step(here, damping, problem.scale)
         moved = np.maximum(theta + step, problem.lower)
         x_moved = x0 + here.e0 + here.e0_by_theta @ (moved - theta)
-        there = linearise(problem.sample(moved).model, gain, problem.weight, problem.v, x_moved)
+        there = linearise(problem.sample(moved).model, gain, problem.v, x_moved)
         small = bool(np.all(np.abs(moved - theta) <= tolerance * problem.scale))
         if there.cost <= here.cost * (1 + 1e-9) or small:
             theta, x0, here, converged = moved, x_moved, there, small
@@ -183,10 +182,10 @@ def _finish(problem: Problem, fit: Fit, here: Linearised) -> Fit:
     scale = np.where(norms > 0, 1.0 / np.where(norms > 0, norms, 1.0), 0.0)
     left, values, right = np.linalg.svd(here.psi * scale, full_matrices=False)
     sound = bool(norms.all()) and values[-1] > 1e-7 * values[0]
-    p = len(problem.weight)
+    p = len(here.e) // len(problem.v)
     if not sound:
         unknown = np.full((len(norms), len(norms)), np.inf)
-        return replace(fit, x0=fit.x0 + here.e0, covariance=unknown, residual=here.e.reshape(-1, p))
+        return replace(fit, x0=fit.x0 + here.e0, covariance=unknown, residual=here.e.reshape(-1, p), psi=here.psi)
     root = scale[:, None] * (right.T / values)
     step = root @ (left.T @ here.e)
     if not np.all(np.abs(step) <= 1e-2 * problem.scale):
@@ -194,4 +193,5 @@ def _finish(problem: Problem, fit: Fit, here: Linearised) -> Fit:
     theta = np.maximum(fit.theta + step, problem.lower)
     x0 = fit.x0 + here.e0 + here.e0_by_theta @ (theta - fit.theta)
     residual = here.e - here.psi @ (theta - fit.theta)
-    return replace(fit, theta=theta, x0=x0, covariance=root @ root.T, residual=residual.reshape(-1, p))
+    covariance = root @ root.T
+    return replace(fit, theta=theta, x0=x0, covariance=covariance, residual=residual.reshape(-1, p), psi=here.psi)

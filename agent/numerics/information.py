@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.fit import linearise
+from agent.numerics.observer import plain_gain
 from agent.numerics.statespace import Discrete, simulate
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +26,7 @@ def window_information(discrete: Discrete, x0: FloatArray, u: FloatArray, sigma:
     _, y = simulate(discrete, x0, u)
     model = discrete.model
     shifted = x0 - discrete.B1 @ u[0]
-    window = linearise(model, np.zeros((model.n, model.p)), 1.0 / sigma, np.hstack([y, u]), shifted)
+    window = linearise(model, plain_gain(np.zeros((model.n, model.p)), sigma), np.hstack([y, u]), shifted)
     return window.psi.T @ window.psi
 
 

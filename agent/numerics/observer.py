@@ -4,6 +4,7 @@ The observer is the paper's (2): x(k+1) = A x + B u + L (y - C x - D u), with L 
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,24 +36,74 @@ def poles_gain(model: StateSpace, poles: Sequence[complex], period_s: float) -> 
     return np.ascontiguousarray(place_poles(model.A.T, model.C.T, placed).gain_matrix.T)
 
 
-def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the steady-state predictor gain L = A P C' (C P C' + R)^-1, (n, p).
+def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the steady-state predictor gain L = A P C' S^-1, (n, p), and the innovations' S = C P C' + R, (p, p).
 
     Args:
         model: the sampled model.
         process: (n, n) covariance of the process noise a sample.
-        noise: (p, p) covariance of the sensor noise.
+        noise: (p, p) covariance R of the sensor noise.
 
     Raises ValueError when the Riccati equation has no stabilising solution.
     """
     try:
         P = solve_discrete_are(model.A.T, model.C.T, process, noise)
-    except (np.linalg.LinAlgError, ValueError) as error:
+    except np.linalg.LinAlgError as error:
         raise ValueError(f"no stabilising observer gain: {error}") from error
-    gain = np.linalg.solve(model.C @ P @ model.C.T + noise, model.C @ P @ model.A.T).T
-    if not spectral_radius(model.A - gain @ model.C) < 1.0:
-        raise ValueError("no stabilising observer gain: the outputs do not show a mode that does not decay")
-    return np.asarray(gain, dtype=np.float64)
+    S = model.C @ P @ model.C.T + noise
+    L = np.linalg.solve(S, model.C @ P @ model.A.T).T
+    return np.asarray(L, dtype=np.float64), np.asarray(S, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The disturbances of a rig.
+
+    Attributes:
+        sigma: (p,) standard deviation of each output's white noise.
+        process: (d,) standard deviation of the unknown force in each direction, constant over a sample, white.
+    """
+
+    sigma: FloatArray
+    process: FloatArray
+
+    @property
+    def forced(self) -> bool:
+        """Whether any unknown force is assumed."""
+        return bool(np.any(self.process > 0))
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """An observer gain L (n, p) and the whitening (p, p) that makes its innovations unit noise."""
+
+    L: FloatArray
+    whitening: FloatArray
+
+
+def plain_gain(L: FloatArray, sigma: FloatArray) -> Gain:
+    """Return a gain whose innovations are weighed by the sensors' noise alone."""
+    return Gain(L, np.diag(1.0 / sigma))
+
+
+def matched_gain(discrete: Discrete, disturbance: FloatArray, noise: Noise) -> Gain:
+    """Return the steady-state Kalman gain of a rig's disturbances and the whitening of its innovations.
+
+    Args:
+        discrete: the sampled model.
+        disturbance: (n, d) how a force in each direction pushes the state, a second.
+        noise: the disturbances.
+
+    Raises ValueError when the Riccati equation has no stabilising solution.
+    """
+    model = discrete.model
+    # in units of the sensors' noise, which keeps the Riccati equation well conditioned
+    unit = float(np.sqrt(np.mean(noise.sigma**2)))
+    push = disturbance * noise.process * discrete.period_s / unit
+    R = np.diag((noise.sigma / unit) ** 2)
+    L, S = kalman_gain(model, push @ push.T, R)
+    whitening = np.linalg.inv(np.linalg.cholesky(0.5 * (S + S.T))) / unit
+    return Gain(L, np.asarray(whitening, dtype=np.float64))
 
 
 def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, window: int) -> FloatArray:
@@ -68,28 +119,18 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
     Raises ValueError when no intensity gives a stable observer.
     """
     model = discrete.model
-    direction = disturbance @ disturbance.T * discrete.period_s
-    # only the ratio of the two covariances matters: noise of the size 1 keeps the Riccati equation well conditioned
-    noise = np.diag(np.asarray(sigma) ** 2 / np.mean(np.asarray(sigma) ** 2))
-    unit = 1.0 / max(float(np.trace(direction)), 1e-300)
+    strength = np.ones(disturbance.shape[1])
+    unit = float(np.sqrt(np.mean(sigma**2)) / max(np.linalg.norm(disturbance) * discrete.period_s, 1e-300))
     target = np.exp(-6.0 / window)
-    low, high = -4.0, 16.0
-    for _ in range(12):
+    low, high = -4.0, 8.0
+    for _ in range(10):
         middle = 0.5 * (low + high)
-        if _forgets(model, 10.0**middle * unit * direction, noise, target):
+        gain = matched_gain(discrete, disturbance, Noise(sigma, 10.0**middle * unit * strength)).L
+        if spectral_radius(model.A - gain @ model.C) < target:
             high = middle
         else:
             low = middle
-    return kalman_gain(model, 10.0**high * unit * direction, noise)
-
-
-def _forgets(model: StateSpace, process: FloatArray, noise: FloatArray, target: float) -> bool:
-    """Tell whether the Kalman gain exists and puts every pole inside the radius `target`."""
-    try:
-        gain = kalman_gain(model, process, noise)
-    except ValueError:
-        return False
-    return spectral_radius(model.A - gain @ model.C) < target
+    return matched_gain(discrete, disturbance, Noise(sigma, 10.0**high * unit * strength)).L
 
 
 def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance: float = 1e-9) -> list[str]:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.hops import HopPlan
+from agent.numerics.rows import Rows
 from agent.numerics.seed import Batch, Descent, Stopping, Structured, descend, general_solution, observe, structured
 from agent.numerics.statespace import Hold, Model, StateSpace, discretise
-from agent.numerics.window_ml import Rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -48,7 +48,7 @@ class SeedSettings:
     gain: FloatArray
     passes: int
     scale: FloatArray
-    settled: float = 1e-9
+    settled: float = 1e-6
     rank: int | None = None
     stopping: Stopping = field(default_factory=Stopping)
     read: Callable[[FloatArray], FloatArray] | None = None

@@ -36,8 +36,8 @@ class SensitivityFilter:
     q: int
 
 
-def sensitivity_filter(model: StateSpace, gain: FloatArray, weight: FloatArray) -> SensitivityFilter:
-    """Build the filters of a sampled model for gain L (n, p); outputs are multiplied by weight (p,), 1/sigma."""
+def sensitivity_filter(model: StateSpace, gain: FloatArray, whitening: FloatArray) -> SensitivityFilter:
+    """Build the filters of a sampled model for gain L (n, p); outputs are multiplied by whitening (p, p)."""
     n, m, p, q = model.n, model.m, model.p, model.q
     Phi = model.A - gain @ model.C
     F = np.asarray(np.kron(np.eye(1 + q), Phi), dtype=np.float64)
@@ -54,6 +54,6 @@ def sensitivity_filter(model: StateSpace, gain: FloatArray, weight: FloatArray) 
         H[:, 1 + i, rows] = model.C
         H[:, 1 + i, :n] = model.dC[i]
         J[:, 1 + i, p:] = model.dD[i]
-    H *= weight[:, None, None]
-    J *= weight[:, None, None]
-    return SensitivityFilter(F, N, H.reshape(p * (1 + q), -1), J.reshape(p * (1 + q), -1), n, p, q)
+    H = np.tensordot(whitening, H, axes=1).reshape(p * (1 + q), -1)
+    J = np.tensordot(whitening, J, axes=1).reshape(p * (1 + q), -1)
+    return SensitivityFilter(F, N, H, J, n, p, q)

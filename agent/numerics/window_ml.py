@@ -4,16 +4,20 @@ Samples go in, one row of estimates comes out a hop. A row is one exact projecte
 block summaries; the policy decides when a window straddles a change and when theta_r is moved by an iterated fit.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.calibrate import Calibrator
 from agent.numerics.cells import Summary
-from agent.numerics.fit import Fit, Problem, fit_window
+from agent.numerics.colour import Colour, colour_of
+from agent.numerics.fit import Fit, Problem, fit_window, linearise
+from agent.numerics.gains import Gains
 from agent.numerics.hops import HopOperators, HopPlan, Segment
+from agent.numerics.observer import Noise
 from agent.numerics.reference import Reference, combined, mean_and_sd
+from agent.numerics.rows import Rows
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
@@ -26,16 +30,10 @@ UNITS_MIN, UNITS_MAX = 32, 1024
 """Hops computed at once: few after a re-centring (which throws the rest of them away), more while nothing happens."""
 LONG = 4096
 """Samples beyond which a fit iterates on summaries instead of samples."""
-ROUND_OFF = 1e-12
-"""Least noise that arithmetic can tell from zero, as a share of the signal."""
-
-
-@dataclass(frozen=True, slots=True)
-class Gains:
-    """How the observer is set: before the first fit, and about a fitted model."""
-
-    start: Callable[[Discrete], FloatArray]
-    settled: Callable[[Discrete], FloatArray]
+RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
+"""The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
+RECOLOUR = 65_536
+"""Samples between two looks at the colour of a residual that was white; one that was not is looked at every window."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,48 +66,6 @@ class WindowSettings:
     scale_column: IntArray | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Estimates at N hops.
-
-    Attributes:
-        index: (N,) newest sample of each window, counted from the run's first.
-        theta, sd: (N, q); NaN while warming.
-        dof: (N,) degrees of freedom of the residual variance.
-        full: (N,) a whole window was there.
-        changing, mismatch: (N,) the window is not to be believed: since less than a window's length, or for longer.
-        ratio: (N,) residual variance over the reference.
-    """
-
-    index: IntArray
-    theta: FloatArray
-    sd: FloatArray
-    dof: FloatArray
-    full: BoolArray
-    changing: BoolArray
-    mismatch: BoolArray
-    ratio: FloatArray
-
-    @classmethod
-    def warming(cls, index: IntArray, q: int) -> "Rows":
-        """Return rows without estimates."""
-        nothing, no = np.full((len(index), q), np.nan), np.zeros(len(index), dtype=bool)
-        unknown = np.full(len(index), np.nan)
-        return cls(index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy())
-
-    @classmethod
-    def joined(cls, pieces: "list[Rows]", q: int) -> "Rows":
-        """Return rows one after the other."""
-        if len(pieces) == 1:
-            return pieces[0]
-        pieces = [cls.warming(np.zeros(0, np.int64), q), *pieces]
-        return cls(*(np.concatenate([getattr(piece, f.name) for piece in pieces]) for f in fields(cls)))
-
-    def part(self, stop: int) -> "Rows":
-        """Return the first `stop` rows."""
-        return Rows(*(getattr(self, f.name)[:stop] for f in fields(self)))
-
-
 class WindowML:
     """Sliding-window maximum likelihood over a stream of samples; deterministic however the stream is cut."""
 
@@ -117,21 +73,28 @@ class WindowML:
         self.model = model
         self.settings = settings
         self.theta = np.array(model.nominal, dtype=float)
-        self.sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
+        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor)
+        directions = settings.gains.disturbance
+        unforced = np.zeros(0 if directions is None else directions.shape[1])
+        self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)
         self.scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
-        self.learns_noise = not bool(np.all(np.isfinite(settings.sigma)))
-        self.calibrated = not self.learns_noise
+        self.colour = Colour.white(len(self.theta))
         self.settled = False
         self.recentred = 0
         self._units = UNITS_MIN
         self._onset: int | None = None
-        self._last_fit = -(10**18)
+        self._last_fit = self._coloured_at = self._steady_since = -(10**18)
+        self._searched = directions is None
         self._anchored = False
         self._segment: Segment | None = None
         self._reference = Reference.empty(len(self.theta))
         self._rebuild()
-        self._dof = float(settings.plan.window * len(self.sigma) - self._n - len(self.theta))
-        self._gate = 1.0 + 4.0 * np.sqrt(2.0 / max(self._dof, 1.0))
+        self._dof = max(float(settings.plan.window * len(self.noise.sigma) - self._n - len(self.theta)), 1.0)
+
+    @property
+    def _gate(self) -> float:
+        """Largest residual variance, in units of the reference, of an undisturbed window."""
+        return 1.0 + 4.0 * float(np.sqrt(2.0 / (self._dof * self.colour.share)))
 
     def sampled(self, theta: FloatArray) -> Discrete:
         """Return the sampled model at theta (q,)."""
@@ -141,8 +104,8 @@ class WindowML:
         """Make gain and operators about theta_r."""
         discrete = self.sampled(self.theta)
         gains = self.settings.gains
-        self.gain = (gains.settled if self.settled else gains.start)(discrete)
-        system = sensitivity_filter(discrete.model, self.gain, 1.0 / self.sigma)
+        self.gain = (gains.settled if self.settled else gains.start)(discrete, self.noise)
+        system = sensitivity_filter(discrete.model, self.gain.L, self.gain.whitening)
         self._operators = HopOperators(system, self.settings.plan)
         self._n, self._inputs = discrete.model.n, discrete.model.m
 
@@ -155,19 +118,23 @@ class WindowML:
     def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
         v = np.hstack([y, with_constant(u, self._inputs)])
-        q = len(self.theta)
+        q, plan = len(self.theta), self.settings.plan
         pieces: list[Rows] = []
         if self._segment is None:
-            self._segment = Segment(self.settings.plan, index, v.shape[1])
+            self._segment = Segment(plan, index, v.shape[1])
         first_row = self._segment.first if self._segment.head is None else index
-        due = self.settings.plan.rows_between(index, min(first_row, index + len(v)))
+        due = plan.rows_between(index, min(first_row, index + len(v)))
         if len(due):
             pieces.append(Rows.warming(due, q))
         self._segment.append(index, v)
         while self._segment.ready():
             pieces.append(self._advance(self._segment))
-        self._segment.trim(self.settings.plan.window + self.settings.plan.hop)
+        self._segment.trim(plan.window + plan.hop if self._searched else max(self._record(), plan.window) + plan.hop)
         return Rows.joined(pieces, q)
+
+    def _record(self) -> int:
+        """Samples of the record on which unknown forces are searched."""
+        return min(RECORD_WINDOWS * self.settings.plan.window, RECORD_SAMPLES)
 
     def _advance(self, segment: Segment) -> Rows:
         """Summarise what is ready, judge each row, act at the first that asks for it, return the rows settled."""
@@ -175,7 +142,7 @@ class WindowML:
         rows, information = self._rows(index, windows)
         moved_at = self._judge(segment, rows, information)
         if moved_at is None:
-            self._units = min(2 * self._units, UNITS_MAX)
+            self._units = min(2 * self._units, max(UNITS_MAX, 2 * self.settings.plan.fulls))
             return rows
         # rows after the one that moved theta_r belong to the old operators and are computed again
         self._units = UNITS_MIN
@@ -193,34 +160,53 @@ class WindowML:
         variance = np.einsum("nii->ni", solution.covariance) * np.maximum(s2, self._floor_ratio())[:, None]
         new = slice(len(index) - len(windows), None)
         rows.theta[new] = self.theta + solution.delta
-        rows.sd[new] = np.sqrt(variance)
-        rows.dof[new], rows.full[new], rows.ratio[new] = self._dof, True, s2
+        rows.sd[new] = np.sqrt(variance) * self.colour.inflation
+        rows.dof[new], rows.full[new], rows.ratio[new] = self._dof * self.colour.share, True, s2
         information[new] = solution.information * np.outer(self.scale, self.scale)
         return rows, information
 
     def _floor_ratio(self) -> float:
         """Least residual variance that the wire allows, in units of the reference."""
-        return float(np.mean((self.settings.floor / self.sigma) ** 2))
+        return float(np.mean((self.settings.floor / self.noise.sigma) ** 2))
 
     def _judge(self, segment: Segment, rows: Rows, information: FloatArray) -> int | None:
         """Give the verdicts in order; return the row at which theta_r was moved (those after it are void), or None."""
-        passes = rows.ratio <= self._gate
-        eventful = rows.full & (~passes | self._far(rows) | self._quieter(rows))
-        slow = self._drifted(rows, information, passes)
         trusted = self._anchored  # rows about a theta_r that was never fitted say nothing to remember
+        healthy, wanting = self._first_looks(rows, information)
         position, count = 0, len(rows.index)
         while position < count:
-            events = (eventful | slow)[position:] if self._anchored else rows.full[position:]
+            events = (~healthy | wanting | self._chores(rows))[position:] & rows.full[position:]
+            events = events if self._anchored else rows.full[position:]
             ahead = int(np.argmax(events)) if events.any() else count - position
             if ahead:
                 self._onset = None
             position += ahead
-            if position < count and self._act(segment, rows, position, bool(passes[position])):
-                self._remember(rows, information, passes & trusted, position)
+            if position == count:
+                break
+            if healthy[position] and self._anchored and self._recolour(segment, rows, position):
+                healthy, wanting = self._first_looks(rows, information)
+            if self._act(segment, rows, position, healthy=bool(healthy[position]), wants=bool(wanting[position])):
+                self._remember(rows, information, healthy & trusted, position)
                 return position
             position += 1
-        self._remember(rows, information, passes & trusted, count)
+        self._remember(rows, information, healthy & trusted, count)
         return None
+
+    def _first_looks(self, rows: Rows, information: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """Return which rows pass the gate (N,), and which of them want theta_r moved (N,)."""
+        passes = rows.ratio <= self._gate
+        moves = self._far(rows) | self._quieter(rows) | self._drifted(rows, information, passes)
+        return passes, np.asarray(moves & passes)
+
+    def _chores(self, rows: Rows) -> BoolArray:
+        """(N,) rows from which on the residual's colour is due for a look, or unknown forces for a search."""
+        recolour = rows.index - self._coloured_at >= self._recolour_every()
+        search = (not self._searched) & (rows.index - self._steady_since >= self._record())
+        return np.asarray(recolour | search)
+
+    def _recolour_every(self) -> int:
+        white = bool(np.all(self.colour.inflation == 1.0))
+        return max(RECOLOUR, self.settings.plan.window) if white else self.settings.plan.window
 
     def _far(self, rows: Rows) -> BoolArray:
         """(N,) some estimate is so far from theta_r, and so surely, that the linearisation should move at once."""
@@ -231,49 +217,51 @@ class WindowML:
     def _share(self) -> FloatArray:
         """(q,) changes below this do not matter to the linearisation; without correction the observer feels more."""
         size = np.maximum(np.abs(self.theta), 0.1 * self.scale)
-        return np.asarray((0.02 if self.gain.any() else 0.005) * size)
+        return np.asarray((0.02 if self.gain.L.any() else 0.005) * size)
 
     def _quieter(self, rows: Rows) -> BoolArray:
         """(N,) the residual is so far below a learnt reference that the reference was learnt in a disturbance."""
-        return np.asarray(self.learns_noise & (rows.ratio < 2.0 - self._gate))
+        return np.asarray(self.calibrator.learns & (rows.ratio < 2.0 - self._gate))
 
-    def _disjoint(self, rows: Rows, passes: BoolArray) -> IntArray:
-        """Rows whose windows follow each other without overlap and pass the gate: one in ceil(W/H)."""
-        stride = self.settings.plan.fulls + 1
+    def _disjoint(self, rows: Rows, healthy: BoolArray) -> IntArray:
+        """Healthy rows whose windows follow each other without overlap: one in ceil(W/H)."""
         number = rows.index // self.settings.plan.hop
-        return np.flatnonzero((number % stride == 0) & passes & rows.full & np.isfinite(rows.theta).all(axis=1))
+        chosen = number % (self.settings.plan.fulls + 1) == 0
+        return np.flatnonzero(chosen & healthy & rows.full & np.isfinite(rows.theta).all(axis=1))
 
-    def _drifted(self, rows: Rows, information: FloatArray, passes: BoolArray) -> BoolArray:
+    def _drifted(self, rows: Rows, information: FloatArray, healthy: BoolArray) -> BoolArray:
         """(N,) the windows up to a row, together, put theta away from theta_r."""
         drifted = np.zeros(len(rows.index), dtype=bool)
-        chosen = self._disjoint(rows, passes)
+        chosen = self._disjoint(rows, healthy)
         if len(chosen):
-            scale = self.scale
-            A, b = self._reference.with_windows(information[chosen], rows.theta[chosen] / scale)
+            A, b = self._reference.with_windows(information[chosen], rows.theta[chosen] / self.scale)
             mean, sd = mean_and_sd(A, b)
-            change = np.abs(mean * scale - self.theta)
-            known = sd * scale < self.settings.enough_sd
-            drifted[chosen] = np.any(known & (change > 3 * sd * scale) & (change > self._share()), axis=1)
+            change = np.abs(mean * self.scale - self.theta)
+            known = sd * self.scale < self.settings.enough_sd
+            drifted[chosen] = np.any(known & (change > 3 * sd * self.scale) & (change > self._share()), axis=1)
         return drifted
 
-    def _remember(self, rows: Rows, information: FloatArray, passes: BoolArray, stop: int) -> None:
+    def _remember(self, rows: Rows, information: FloatArray, healthy: BoolArray, stop: int) -> None:
         """Add the disjoint healthy windows among the first `stop` rows to the reference."""
-        chosen = self._disjoint(rows, passes)
+        chosen = self._disjoint(rows, healthy)
         chosen = chosen[chosen < stop]
         if len(chosen):
             A, b = self._reference.with_windows(information[chosen], rows.theta[chosen] / self.scale)
             self._reference = Reference(A[-1], b[-1])
 
-    def _act(self, segment: Segment, rows: Rows, row: int, passes: bool) -> bool:
+    def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
         index, plan = int(rows.index[row]), self.settings.plan
         due = index - self._last_fit >= plan.window // 4
-        if self._anchored and passes:
+        if self._anchored and healthy:
             self._onset = None
-            return due and self._fit(segment, rows, row)
+            if not self._searched and index - self._steady_since >= self._record():
+                return self._search(segment, rows, row)
+            return wants and due and self._fit(segment, rows, row)
         starting = not self._anchored and (due or self._onset is None)
         if self._onset is None:
             self._onset = index
+        self._steady_since = index
         since = index - self._onset
         # the window that begins after the onset is the first that can be free of it
         clean = self._anchored and since >= plan.window - plan.hop and (due or since < plan.window)
@@ -281,8 +269,41 @@ class WindowML:
             self._onset = None
             return True
         excited = bool(np.any(rows.sd[row] < self.settings.enough_sd))
-        if not passes or excited:
+        if not healthy or excited:
             rows.changing[row], rows.mismatch[row] = since < plan.window, since >= plan.window
+        return False
+
+    def _recolour(self, segment: Segment, rows: Rows, row: int) -> bool:
+        """Look at the colour of a healthy row's residual when that is due; widen this row's and later intervals."""
+        index = int(rows.index[row])
+        if index - self._coloured_at < self._recolour_every():
+            return False
+        before, window = self.colour, min(self.settings.plan.window, LONG)
+        here = linearise(self.sampled(self.theta).model, self.gain, segment.samples(index + 1 - window, index + 1),
+                         np.zeros(self._n))  # fmt: skip
+        covariance = np.linalg.pinv(here.psi.T @ here.psi, hermitian=True)
+        delta = covariance @ (here.psi.T @ here.e)
+        residual = (here.e - here.psi @ delta).reshape(-1, len(self.noise.sigma))
+        self._take_colour(colour_of(here.psi, residual, np.asarray(covariance)), index)
+        rows.sd[row:] *= self.colour.inflation / before.inflation
+        rows.dof[row:] *= self.colour.share / before.share
+        return True
+
+    def _take_colour(self, colour: Colour, index: int) -> None:
+        self.colour, self._coloured_at = colour, index
+
+    def _search(self, segment: Segment, rows: Rows, row: int) -> bool:
+        """Search a long undisturbed record for unknown forces; where there are some, go on with their gain."""
+        index = int(rows.index[row])
+        self._searched = True
+        v = segment.samples(max(segment.first, index + 1 - self._record()), index + 1)
+        found = self.calibrator.forces_in(self._problem(v), self.theta, np.zeros(self._n), self.noise)
+        if found is None:
+            return False
+        before, self.noise = self.noise, found
+        if self._fit(segment, rows, row):
+            return True
+        self.noise = before
         return False
 
     def _fit(self, segment: Segment, rows: Rows, row: int) -> bool:
@@ -293,16 +314,19 @@ class WindowML:
         v = segment.samples(start, index + 1)
         if not self.settled:
             self._size_offsets(v)
-        learns = self.learns_noise and (not self.calibrated or bool(self._quieter(rows)[row]))
-        before = (self.theta, self.sigma, self.settled)
-        fit = self._learn(v[-LONG:]) if learns else self._maximise(v[-LONG:])
-        accepted = fit.converged and self._place(segment, fit, start, long=len(v) > LONG)
-        if not accepted:
-            self.theta, self.sigma, self.settled = before
+        before = (self.theta, self.noise, self.settled, self.colour)
+        fit = self._maximise(v[-LONG:], afresh=not self.settled or bool(self._quieter(rows)[row]))
+        if not (fit.converged and self._place(segment, fit, start, long=len(v) > LONG)):
+            self.theta, self.noise, self.settled, self.colour = before
             return False
-        self.calibrated = self._anchored = True
+        self._coloured_at = index
+        if not self._anchored or self._onset is not None:
+            self._steady_since = index
+        self._anchored = True
         self.recentred += 1
-        self._write(rows, row)
+        rows.theta[row], rows.sd[row], rows.ratio[row] = self._outcome
+        rows.dof[row] = self._dof * self.colour.share
+        rows.changing[row] = rows.mismatch[row] = False
         return True
 
     def _size_offsets(self, v: FloatArray) -> None:
@@ -312,26 +336,40 @@ class WindowML:
         rms = np.sqrt(np.mean(v**2, axis=0))[self.settings.scale_column]
         self.scale = np.where(np.isfinite(self.settings.scale), self.settings.scale, np.maximum(rms, 1e-300))
 
+    def _problem(self, v: FloatArray) -> Problem:
+        return Problem(self.sampled, v, self.scale, self.settings.lower)
+
+    def _maximise(self, v: FloatArray, *, afresh: bool) -> Fit:
+        """Fit samples v; afresh also learns what disturbs them."""
+        if afresh:
+            calibration = self.calibrator.calibrate(self._problem(v), self.theta)
+            self.noise = calibration.noise
+            return calibration.fit
+        gains, noise = self.settings.gains, self.noise
+        stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
+        return fit_window(self._problem(v), self.theta, np.zeros(self._n), stages)
+
     def _place(self, segment: Segment, fit: Fit, start: int, *, long: bool) -> bool:
         """Linearise about a fit if it passes the gate; a long window is iterated on its summaries first."""
+        if not np.all(np.isfinite(fit.covariance)):
+            return False
+        self.colour = colour_of(fit.psi, fit.residual, fit.covariance)
         if long:
             return self._place_long(segment, fit, start)
         s2 = float(np.sum(fit.residual**2)) / self._dof
         variance = np.diag(fit.covariance) * max(s2, self._floor_ratio())
         if not (s2 <= self._gate and np.all(np.isfinite(variance))):
             return False
-        scale = self.scale
-        scaled = fit.covariance / np.outer(scale, scale)
+        scaled = fit.covariance / np.outer(self.scale, self.scale)
         information = np.asarray(np.linalg.pinv(scaled, hermitian=True), dtype=np.float64)
-        self._outcome = (fit.theta, np.sqrt(variance), s2)
+        self._outcome = (fit.theta, np.sqrt(variance) * self.colour.inflation, s2)
         self._centre(segment, start, fit.x0, information)
         return True
 
     def _centre(self, segment: Segment, start: int, x0: FloatArray, information: FloatArray) -> None:
         """Move theta_r to what window and reference say together and summarise the window anew."""
-        scale = self.scale
-        centre, self._reference = combined(self._reference, information, self._outcome[0] / scale)
-        self.theta = np.maximum(centre * scale, self.settings.lower)
+        centre, self._reference = combined(self._reference, information, self._outcome[0] / self.scale)
+        self.theta = np.maximum(centre * self.scale, self.settings.lower)
         self.settled = True
         self._rebuild()
         self._resummarise(segment, start, x0)
@@ -362,36 +400,9 @@ class WindowML:
             step = np.clip(solution.delta[0], -0.5 * self.scale, self.scale)
             x0 = x0 + solution.e0[0]
             if np.all(np.abs(step) < 0.1 * sd) and s2 <= self._gate:
-                scale = self.scale
-                self._outcome = (self.theta + step, sd, s2)
-                self._centre(segment, start, x0, solution.information[0] * np.outer(scale, scale))
+                self._outcome = (self.theta + step, sd * self.colour.inflation, s2)
+                self._centre(segment, start, x0, solution.information[0] * np.outer(self.scale, self.scale))
                 return True
             self.theta = np.maximum(self.theta + step, self.settings.lower)
         segment.done, segment.z, segment.fulls, segment.head, self._operators, self.gain = kept
         return False
-
-    def _write(self, rows: Rows, row: int) -> None:
-        """Put the outcome of an accepted fit into its row."""
-        rows.theta[row], rows.sd[row], rows.ratio[row] = self._outcome
-        rows.changing[row] = rows.mismatch[row] = False
-
-    def _maximise(self, v: FloatArray) -> Fit:
-        s = self.settings
-        problem = Problem(self.sampled, v, 1.0 / self.sigma, self.scale, s.lower)
-        return fit_window(problem, self.theta, np.zeros(self._n), [s.gains.start, s.gains.settled])
-
-    def _learn(self, v: FloatArray) -> Fit:
-        """Fit with unknown noise: the residual of each output sets its sigma, then the fit is done again."""
-        known = np.isfinite(self.settings.sigma)
-        y = v[:, : len(known)]
-        signal = np.maximum(np.std(y, axis=0), 1e-3 * np.std(y) + 1e-300)
-        self.sigma = np.where(known, self.settings.sigma, 1e-3 * signal)
-        # arithmetic cannot resolve less than this of the signal, whatever the residual says
-        least = np.maximum(self.settings.floor, ROUND_OFF * np.abs(y).max(axis=0) + 1e-300)
-        fit = self._maximise(v)
-        for _ in range(2):
-            share = max(1.0 - (self._n + len(self.theta)) / v[:, : len(known)].size, 0.1)
-            seen = np.sqrt(np.mean(fit.residual**2, axis=0) / share) * self.sigma
-            self.sigma = np.where(known, self.settings.sigma, np.maximum(seen, least))
-            fit = self._maximise(v)
-        return fit

@@ -6,6 +6,7 @@ from agent.blocks.estimation import Estimation, Estimator, Labels
 from agent.blocks.rig_model import RigModel, rig_model, window_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
+from agent.numerics.observer import Noise
 from agent.numerics.statespace import discretise
 from agent.numerics.window_ml import WindowML
 from agent.types import FloatArray
@@ -51,7 +52,9 @@ def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray) -> Esti
         return WindowML(rig.model, settings)
     from agent.numerics.seed_window import SeedSettings, SeedWindow
 
-    gain = settings.gains.start(discretise(rig.model.continuous(rig.model.nominal), settings.period_s, settings.hold))
+    sampled = discretise(rig.model.continuous(rig.model.nominal), settings.period_s, settings.hold)
+    sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
+    gain = settings.gains.start(sampled, Noise(sigma, np.zeros(rig.disturbance.shape[1]))).L
     passes = config.estimator.passes
     seed = SeedSettings(settings.period_s, settings.plan, settings.hold, gain, passes, settings.scale)
     return SeedWindow(rig.model, seed)

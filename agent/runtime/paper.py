@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from agent.errors import Fault, UsageError
+from agent.numerics.gains import AutomaticGains
 from agent.numerics.hops import HopPlan
 from agent.numerics.margins import condition_3, condition_8
-from agent.numerics.observer import start_gain
+from agent.numerics.rows import Rows
 from agent.numerics.seed import read_off
 from agent.numerics.seed_window import SeedFit, SeedSettings, fit_passes
-from agent.numerics.statespace import Discrete, discretise
-from agent.numerics.window_ml import Gains, Rows, WindowML, WindowSettings
+from agent.numerics.statespace import discretise
+from agent.numerics.window_ml import WindowML, WindowSettings
 from agent.runtime import paper_cases as cases
 from agent.runtime.paper_table import table
 from agent.types import FloatArray
@@ -126,17 +127,11 @@ def valid_changes(rows: Rows) -> FloatArray:
 
 
 def _product_settings(window: int, hop: int) -> WindowSettings:
-    unknown, disturbance = np.full(2, np.nan), np.vstack([np.diag([1 / cases.MASS_1, 1 / 3.0]), np.zeros((2, 2))])
-
-    def start(discrete: Discrete) -> FloatArray:
-        return start_gain(discrete, disturbance, np.ones(2), window)
-
-    def settled(discrete: Discrete) -> FloatArray:
-        return np.zeros((discrete.model.n, discrete.model.p))
-
+    disturbance = np.vstack([np.diag([1 / cases.MASS_1, 1 / 3.0]), np.zeros((2, 2))])
     return WindowSettings(
-        period_s=cases.PERIOD_S, plan=HopPlan(window, hop), hold="zero", gains=Gains(start, settled), sigma=unknown,
-        floor=np.zeros(2), scale=cases.NOMINAL, lower=0.02 * cases.NOMINAL, enough_sd=0.033 * cases.NOMINAL,
+        period_s=cases.PERIOD_S, plan=HopPlan(window, hop), hold="zero", gains=AutomaticGains(disturbance, window),
+        sigma=np.full(2, np.nan), floor=np.zeros(2), scale=cases.NOMINAL, lower=0.02 * cases.NOMINAL,
+        enough_sd=0.033 * cases.NOMINAL,
     )  # fmt: skip
 
 

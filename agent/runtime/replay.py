@@ -28,7 +28,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     """
     rig = load(config)
     started = time.monotonic()
-    drivers = [_opened(rig, path) for path in recordings]
+    drivers = [opened(rig, path) for path in recordings]
     pipeline = make_pipeline(rig)
     summary = RunSummary(rig, db=None if db is None else str(db))
     writer = _writer(rig, db)
@@ -58,7 +58,8 @@ def make_pipeline(rig: RigConfig) -> Pipeline:
     return Pipeline(rig, known, {SOURCE: names})
 
 
-def _opened(rig: RigConfig, path: Path) -> Driver:
+def opened(rig: RigConfig, path: Path) -> Driver:
+    """Return the driver of a recording, open. Raises RecordingError."""
     recording = driver_class(SOURCE)
     columns = dict(rig.columns.names)
     settings = recording.settings_model(

@@ -7,7 +7,7 @@ from agent.numerics.hops import HopPlan
 from agent.numerics.observer import poles_gain
 from agent.numerics.seed_window import SeedSettings, SeedWindow, settling
 from agent.numerics.statespace import discretise, simulate
-from agent.numerics.window_ml import Rows
+from agent.numerics.rows import Rows
 from tests.unit.numerics.paper_rig import GAIN, NOMINAL, PERIOD, free_decay, rig
 
 TRUE = NOMINAL + np.array([5.0, -10.0, 1.0, -0.5])

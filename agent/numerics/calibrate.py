@@ -1,0 +1,139 @@
+"""The first fit of a rig: parameters, sensor noise and unknown forces from one record.
+
+At nominal parameters the search for unknown forces takes model error for noise, so it alternates with fits of theta.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.fit import Fit, Problem, fit_window
+from agent.numerics.gains import Gains
+from agent.numerics.noise import EVIDENCE, Record, find_process, likelihood, sensor_noise
+from agent.numerics.observer import Gain, Noise
+from agent.numerics.statespace import Discrete
+
+FloatArray = NDArray[np.float64]
+ROUND_OFF = 1e-12
+"""Least noise that arithmetic can tell from zero, as a share of the signal."""
+QUIET = 1.21
+"""A residual variance up to this over what the sensors' noise explains needs no unknown force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a record says: the fit and the disturbances under which it was made."""
+
+    fit: Fit
+    noise: Noise
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrator:
+    """Fits records of a rig.
+
+    Attributes:
+        gains: the observer's rule.
+        stated: (p,) noise sd of each output where it is known, NaN where it is to be learnt.
+        floor: (p,) least sd that the wire's resolution allows.
+    """
+
+    gains: Gains
+    stated: FloatArray
+    floor: FloatArray
+
+    @property
+    def learns(self) -> bool:
+        """Whether some output's noise is to be learnt."""
+        return not bool(np.all(np.isfinite(self.stated)))
+
+    def first_noise(self, v: FloatArray) -> Noise:
+        """Return the noise to begin with: as stated, else what the record's fastest differences show."""
+        y = v[:, : len(self.stated)]
+        guess = np.maximum(sensor_noise(y), self._least(v))
+        directions = self.gains.disturbance
+        count = 0 if directions is None else directions.shape[1]
+        return Noise(np.where(np.isfinite(self.stated), self.stated, guess), np.zeros(count))
+
+    def _least(self, v: FloatArray) -> FloatArray:
+        peak = np.abs(v[:, : len(self.stated)]).max(axis=0)
+        return np.asarray(np.maximum(self.floor, ROUND_OFF * peak + 1e-300))
+
+    def calibrate(self, problem: Problem, theta: FloatArray) -> Calibration:
+        """Fit a record from theta (q,): without unknown forces where that explains it, else with those found."""
+        noise = self.first_noise(problem.v)
+        x0 = np.zeros(problem.sample(theta).model.n)
+        quiet = fit_window(problem, theta, x0, self._stages(noise))
+        explained = quiet.converged and float(np.mean(quiet.residual**2)) < QUIET
+        if explained or self.gains.disturbance is None:
+            return self._learnt(problem, quiet, noise)
+        # the wide-basin gain alone: without correction a disturbed rig may not have converged at all
+        wide = fit_window(problem, theta, x0, [self._start(noise)])
+        forced = self._alternate(problem, wide, noise, self.gains.disturbance)
+        return forced if self._better(problem, forced, quiet, noise) else self._learnt(problem, quiet, noise)
+
+    def _start(self, noise: Noise) -> Callable[[Discrete], Gain]:
+        return lambda discrete: self.gains.start(discrete, noise)
+
+    def _stages(self, noise: Noise) -> list[Callable[[Discrete], Gain]]:
+        return [self._start(noise), lambda discrete: self.gains.settled(discrete, noise)]
+
+    def _learnt(self, problem: Problem, fit: Fit, noise: Noise) -> Calibration:
+        """Take the residual of each output whose noise is unknown for its noise, and fit again."""
+        if not self.learns:
+            return Calibration(fit, noise)
+        for _ in range(2):
+            unknowns = fit.residual.shape[0] * fit.residual.shape[1] - len(fit.theta) - len(fit.x0)
+            share = max(unknowns / max(fit.residual.size, 1), 0.1)
+            seen = np.sqrt(np.mean(fit.residual**2, axis=0) / share) * noise.sigma
+            sigma = np.where(np.isfinite(self.stated), self.stated, np.maximum(seen, self._least(problem.v)))
+            noise = replace(noise, sigma=sigma)
+            fit = fit_window(problem, fit.theta, fit.x0, self._stages(noise)[1:])
+        return Calibration(fit, noise)
+
+    def _alternate(self, problem: Problem, fit: Fit, noise: Noise, disturbance: FloatArray) -> Calibration:
+        for _ in range(2):
+            record = Record(problem.v, fit.x0)
+            searched = find_process(
+                problem.sample(fit.theta), disturbance, noise.sigma, record, scale_known=not self.learns
+            )
+            if searched is None:
+                break
+            found = searched[0]
+
+            def matched(discrete: Discrete, found: Noise = found) -> Gain:
+                return self.gains.settled(discrete, found)
+
+            fit = fit_window(problem, fit.theta, fit.x0, [matched])
+            noise = found
+        return Calibration(fit, noise)
+
+    def _better(self, problem: Problem, forced: Calibration, quiet: Fit, noise: Noise) -> bool:
+        """Whether unknown forces make the record so much more likely that they are to be believed."""
+        if not forced.fit.converged:
+            return False
+        if not quiet.converged:
+            return True
+        values = []
+        for fit, model in ((forced.fit, forced.noise), (quiet, noise)):
+            discrete = problem.sample(fit.theta)
+            gain = self.gains.settled(discrete, model)
+            record = Record(problem.v, fit.x0)
+            values.append(likelihood(discrete, gain, record, scale_known=not self.learns).value)
+        return bool(values[0] - values[1] > EVIDENCE * np.count_nonzero(forced.noise.process))
+
+    def forces_in(self, problem: Problem, theta: FloatArray, x0: FloatArray, noise: Noise) -> Noise | None:
+        """Return disturbances that explain a longer record decisively better than those assumed, else None."""
+        if self.gains.disturbance is None:
+            return None
+        discrete, record = problem.sample(theta), Record(problem.v, x0)
+        known, directions = not self.learns, self.gains.disturbance
+        now = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
+        searched = find_process(
+            discrete, directions, noise.sigma, record, scale_known=known, unless_above=now + 0.5 * EVIDENCE
+        )
+        if searched is None or searched[1] - now <= EVIDENCE * np.count_nonzero(searched[0].process):
+            return None
+        return searched[0]

@@ -1,0 +1,90 @@
+"""Coloured residuals: how much wider an honest interval is than white noise would have it.
+
+The covariance of a least-squares estimate under noise of autocovariance r is H^-1 (psi' R psi) H^-1. r comes from an
+autoregressive fit to the window's residual (Yule-Walker, order by Schwarz's criterion), and the middle is summed in
+the frequency domain (Ljung, System Identification, 2nd ed. 1999, section 9.4).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+
+FloatArray = NDArray[np.float64]
+MOST_LAGS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """What a window's residual says about its colour.
+
+    Attributes:
+        inflation: (q,) honest sd over the white one.
+        share: effective degrees of freedom of the residual variance over their count, 0..1.
+    """
+
+    inflation: FloatArray
+    share: float
+
+    @classmethod
+    def white(cls, q: int) -> "Colour":
+        """Return the colour of white noise."""
+        return cls(np.ones(q), 1.0)
+
+
+def autoregression(e: FloatArray, most: int = MOST_LAGS) -> tuple[FloatArray, float]:
+    """Fit e(k) = sum a_j e(k-j) + w(k) to one series (N,); return a (order,) and the variance of w.
+
+    Order 0 is white; the order minimises Schwarz's criterion.
+    """
+    count = len(e)
+    most = min(most, max(count // 10, 0))
+    r = np.array([e[: count - lag] @ e[lag:] for lag in range(most + 1)]) / count
+    best, chosen = np.inf, (np.zeros(0), float(r[0]))
+    for order in range(most + 1):
+        a = solve_toeplitz(r[:order], r[1 : order + 1]) if order else np.zeros(0)
+        variance = float(r[0] - a @ r[1 : order + 1])
+        if variance <= 0:
+            break
+        criterion = count * np.log(variance) + order * np.log(count)
+        if criterion < best:
+            best, chosen = criterion, (np.asarray(a, dtype=np.float64), variance)
+    return chosen
+
+
+def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray) -> Colour:
+    """Return the colour of a window.
+
+    Args:
+        psi: (W p, q) sensitivities with the initial state projected out, in units of the noise.
+        residual: (W, p) what the fit left.
+        covariance: (q, q) H^-1.
+    """
+    count, p = residual.shape
+    q = psi.shape[1]
+    middle, correlation, white = np.zeros((q, q)), 0.0, True
+    for channel in range(p):
+        a, variance = autoregression(residual[:, channel])
+        white = white and not len(a)
+        density, total = _spectrum(a, variance, 2 * count)
+        spectrum = np.fft.rfft(psi.reshape(count, p, q)[:, channel], n=2 * count, axis=0)
+        weights = np.full(len(spectrum), 2.0)
+        weights[[0, -1]] = 1.0
+        middle += np.real((spectrum.conj() * (density * weights)[:, None]).T @ spectrum) / (2 * count)
+        correlation += total / p
+    if white:
+        return Colour.white(q)
+    s2 = float(np.mean(residual**2))
+    honest = np.diag(covariance @ middle @ covariance)
+    inflation = np.sqrt(np.maximum(honest, 0.0) / np.maximum(np.diag(covariance) * s2, 1e-300))
+    return Colour(np.clip(inflation, 0.3, 30.0), 1.0 / correlation)
+
+
+def _spectrum(a: FloatArray, variance: float, size: int) -> tuple[FloatArray, float]:
+    """Return the spectral density (size / 2 + 1,) and the sum of squared correlations over all lags."""
+    transfer = np.fft.rfft(np.concatenate([[1.0], -a]), n=size)
+    density = variance / np.abs(transfer) ** 2
+    correlations = np.fft.irfft(density)
+    correlations = correlations / correlations[0]
+    return np.asarray(density), float(correlations @ correlations)

@@ -1,0 +1,126 @@
+"""What disturbs a rig: white sensor noise and unknown forces, found by the likelihood of the innovations.
+
+An observer without correction is efficient under sensor noise alone; with unknown forces only the Kalman gain of the
+right intensities is. One intensity a mass, each of which may be nothing (Ljung, System Identification, 2nd ed. 1999,
+sections 7.4 and 10.5).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from agent.numerics.fit import linearise
+from agent.numerics.observer import Gain, Noise, matched_gain
+from agent.numerics.statespace import Discrete, StateSpace
+
+FloatArray = NDArray[np.float64]
+
+EVIDENCE = 12.0
+"""Gain in log likelihood that an unknown force must bring for each mass that it is assumed on."""
+_QUIETEST = -8.0  # decades of force noise below the strongest that is tried
+_SCAN = (-6.5, -5.0, -3.5, -2.0, -0.5)
+
+
+def sensor_noise(y: FloatArray) -> FloatArray:
+    """Return the noise sd (p,) that fourth differences of y (N, p) show: motion is smooth over five samples."""
+    differences = np.diff(y, n=4, axis=0)
+    spread = np.median(np.abs(differences - np.median(differences, axis=0)), axis=0) / 0.6745
+    return np.asarray(spread / np.sqrt(70.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A calibration record: v (N, p+m), and where the observer starts, x0 (n,)."""
+
+    v: FloatArray
+    x0: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Likelihood:
+    """Log likelihood of a noise model, and the factor on all its standard deviations that maximises it."""
+
+    value: float
+    scale: float
+
+
+def likelihood(discrete: Discrete, gain: Gain, record: Record, *, scale_known: bool) -> Likelihood:
+    """Return the log likelihood of the innovations under a gain, the initial state projected out."""
+    model = _without_parameters(discrete.model)
+    e = linearise(model, gain, record.v, record.x0).e
+    count, squares = e.size - model.n, float(e @ e)
+    log_det = len(record.v) * np.log(np.linalg.det(gain.whitening))
+    if scale_known:
+        return Likelihood(float(log_det - 0.5 * squares), 1.0)
+    scale2 = max(squares / count, 1e-300)
+    return Likelihood(float(log_det - 0.5 * count * (np.log(scale2) + 1.0)), float(np.sqrt(scale2)))
+
+
+def _without_parameters(model: StateSpace) -> StateSpace:
+    return replace(model, dA=model.dA[:0], dB=model.dB[:0], dC=model.dC[:0], dD=model.dD[:0])
+
+
+def find_process(
+    discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, record: Record, *,
+    scale_known: bool, unless_above: float | None = None,
+) -> tuple[Noise, float] | None:  # fmt: skip
+    """Return the disturbances that are most likely, with at least one unknown force, and their log likelihood.
+
+    Intensities are continuous in their logarithm; the search starts with equal ones and with each direction alone.
+    With unless_above, None where a coarse scan does not come near that log likelihood.
+    """
+    directions = disturbance.shape[1]
+    strongest = _strongest(discrete, disturbance, sigma)
+
+    def value(process: FloatArray) -> float:
+        try:
+            gain = matched_gain(discrete, disturbance, Noise(sigma, process))
+        except ValueError:
+            return -np.inf
+        return likelihood(discrete, gain, record, scale_known=scale_known).value
+
+    starts = [np.ones(directions)]
+    starts += [np.eye(directions)[i] for i in range(directions) if directions > 1]
+    if unless_above is not None and not any(_worth(value, start * strongest, unless_above) for start in starts):
+        return None
+    found = [_climb(value, start * strongest) for start in starts]
+    best, process = max(found, key=lambda item: item[0] - EVIDENCE * np.count_nonzero(item[1]))
+    noise = Noise(sigma, process)
+    if scale_known:
+        return noise, best
+    scale = likelihood(discrete, matched_gain(discrete, disturbance, noise), record, scale_known=False).scale
+    return Noise(sigma * scale, process * scale), best
+
+
+def _strongest(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Forces (d,) whose displacement within one sample would be like the sensors' noise: no stronger are searched."""
+    effect = np.linalg.norm(discrete.model.C @ discrete.model.A @ disturbance, axis=0) * discrete.period_s
+    return np.asarray(np.sqrt(np.mean(sigma**2)) / np.maximum(effect, 1e-300))
+
+
+def _worth(value: Callable[[FloatArray], float], strongest: FloatArray, above: float) -> bool:
+    return any(value(strongest * 10.0**exponent) > above for exponent in _SCAN)
+
+
+def _climb(value: Callable[[FloatArray], float], strongest: FloatArray) -> tuple[float, FloatArray]:
+    """Maximise over the logarithms of the nonzero intensities: a scan together, then a simplex for each its own."""
+    active = strongest > 0
+
+    def process(exponents: FloatArray) -> FloatArray:
+        full = np.zeros(len(strongest))
+        full[active] = strongest[active] * 10.0 ** np.clip(exponents, _QUIETEST, 1.0)
+        return full
+
+    count = int(active.sum())
+    together = max(_SCAN, key=lambda exponent: value(process(np.full(count, exponent))))
+
+    def cost(exponents: FloatArray) -> float:
+        return -value(process(exponents))
+
+    start = np.full(count, together)
+    options = {"xatol": 0.05, "fatol": 0.1, "maxfev": 60 * count}
+    result = minimize(cost, start, method="Nelder-Mead", options=options)
+    return float(-result.fun), process(np.asarray(result.x))

@@ -1,0 +1,52 @@
+"""What an estimation method gives: rows of estimates, one a hop."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Estimates at N hops.
+
+    Attributes:
+        index: (N,) newest sample of each window, counted from the run's first.
+        theta, sd: (N, q); NaN while warming.
+        dof: (N,) degrees of freedom of the residual variance.
+        full: (N,) a whole window was there.
+        changing, mismatch: (N,) the window is not to be believed: since less than a window's length, or for longer.
+        ratio: (N,) residual variance over the reference.
+    """
+
+    index: IntArray
+    theta: FloatArray
+    sd: FloatArray
+    dof: FloatArray
+    full: BoolArray
+    changing: BoolArray
+    mismatch: BoolArray
+    ratio: FloatArray
+
+    @classmethod
+    def warming(cls, index: IntArray, q: int) -> "Rows":
+        """Return rows without estimates."""
+        nothing, no = np.full((len(index), q), np.nan), np.zeros(len(index), dtype=bool)
+        unknown = np.full(len(index), np.nan)
+        return cls(index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy())
+
+    @classmethod
+    def joined(cls, pieces: "list[Rows]", q: int) -> "Rows":
+        """Return rows one after the other."""
+        if len(pieces) == 1:
+            return pieces[0]
+        pieces = [cls.warming(np.zeros(0, np.int64), q), *pieces]
+        return cls(*(np.concatenate([getattr(piece, f.name) for piece in pieces]) for f in fields(cls)))
+
+    def part(self, stop: int) -> "Rows":
+        """Return the first `stop` rows."""
+        return Rows(*(getattr(self, f.name)[:stop] for f in fields(self)))

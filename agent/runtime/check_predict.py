@@ -1,0 +1,170 @@
+"""The standard deviations that a rig's windows can be expected to give: the Cramer-Rao bound under an excitation."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.blocks.rig_model import RigModel, hop_plan, output_noise
+from agent.config import RigConfig
+from agent.numerics.information import bound_sd, window_information
+from agent.numerics.sensors import with_constant
+from agent.numerics.statespace import Discrete, discretise, simulate
+from agent.runtime.check_recording import Recorded
+from agent.types import FloatArray
+
+FORCE_RMS = 1.0
+"""N (or the input's own unit): what is assumed where no recording says how the rig is excited."""
+DECAY_FROM = 0.01
+"""m (or the state's own unit): where a rig without a measured force is let go."""
+GUESSED_NOISE = 1e-3
+"""Of an output's rms, where nothing is known of its noise."""
+SETTLE_MOST = 50_000
+SPAN_MOST = 40_000
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """What moves the rig.
+
+    Attributes:
+        u, x: (N, m) inputs and (N, n) states.
+        starts: window length -> samples at which windows may begin.
+        words: for people.
+    """
+
+    u: FloatArray
+    x: FloatArray
+    starts: Callable[[int], Sequence[int]]
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """The sd to expect of every parameter, (q,), from a window of that length under what is assumed."""
+
+    window: int
+    sd: FloatArray
+    assumes: str
+
+
+def windows(config: RigConfig) -> list[int]:
+    """Return the lengths of a rig's windows, samples."""
+    rate = config.rig.sample_rate_hz
+    return [max(1, round(w * rate)) for w in config.estimator.windows_s] or [hop_plan(config).window]
+
+
+def predictions(
+    config: RigConfig, rig: RigModel, resolution: FloatArray, recorded: Recorded | None
+) -> list[Prediction]:
+    """Predict for each window; resolution (p,) is the wire's smallest step of each output, SI."""
+    discrete = discretise(rig.model.continuous(rig.model.nominal), 1.0 / config.rig.sample_rate_hz, config.estimator.hold)
+    lengths = windows(config)
+    excitation = _recorded(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
+    sigma, noise_words = _noise(config, resolution, excitation, discrete, recorded)
+    words = f"{excitation.words}; {noise_words}"
+    return [Prediction(length, _expected(discrete, excitation, sigma, length), words) for length in lengths]
+
+
+def _expected(discrete: Discrete, excitation: Excitation, sigma: FloatArray, window: int) -> FloatArray:
+    """Return the rms of the bound (q,) over the windows of an excitation; NaN where none fits into it."""
+    bounds = []
+    for start in excitation.starts(window):
+        u = excitation.u[start : start + window]
+        bounds.append(bound_sd(window_information(discrete, excitation.x[start], u, sigma)))
+    if not bounds:
+        return np.full(discrete.model.q, np.nan)
+    return np.asarray(np.sqrt(np.mean(np.square(bounds), axis=0)))
+
+
+def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
+    if not config.inputs:
+        return _decay(discrete, rig, longest)
+    rng = np.random.default_rng(0)
+    settle = _settling(discrete, longest)
+    count = settle + longest + min(8 * longest, SPAN_MOST)
+    u = FORCE_RMS * rng.standard_normal((count, len(config.inputs)))
+    u = with_constant(u, discrete.model.m)
+    x, _ = simulate(discrete, np.zeros(discrete.model.n), u)
+    inputs = " and ".join(f"{FORCE_RMS:g} {channel.si_unit} rms" for channel in config.inputs)
+    kind = "force" if config.inputs[0].quantity == "force" else "input"
+    return Excitation(u, x, lambda window: _spread(settle, count - window, window), f"white {kind} of {inputs}")
+
+
+def _decay(discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
+    names = rig.model.state_names
+    x0 = np.array([0.0 if name.startswith("velocity") else DECAY_FROM for name in names])
+    u = with_constant(np.zeros((longest, 0)), discrete.model.m)
+    x, _ = simulate(discrete, x0, u)
+    unit = "m" if names[-1].startswith("displacement") else "in every state"
+    return Excitation(u, x, lambda _window: [0], f"free decay from {DECAY_FROM:g} {unit}, first window")
+
+
+def _recorded(discrete: Discrete, recorded: Recorded) -> Excitation:
+    """Let the recorded force move the nominal model from rest; windows begin once it has settled."""
+    u = with_constant(recorded.u, discrete.model.m)
+    x = np.vstack([simulate(discrete, recorded.first_state(discrete, a, b), u[a:b])[0] for a, b in recorded.pieces])
+
+    def starts(window: int) -> list[int]:
+        found = [_spread(a, b - window, window) for a, b in recorded.pieces]
+        return [start for piece in found for start in piece]
+
+    return Excitation(u, x, starts, f"the excitation of {recorded.name}")
+
+
+def _settling(discrete: Discrete, window: int) -> int:
+    """Samples until the slowest mode that decays has settled, within reason."""
+    radius = np.abs(np.linalg.eigvals(discrete.model.A))
+    decaying = radius[radius < 1 - 1e-9]
+    slowest = -1.0 / np.log(max(float(decaying.max(initial=0.0)), 1e-12))
+    return int(np.clip(5 * slowest, window, SETTLE_MOST))
+
+
+def _spread(first: int, last: int, window: int) -> list[int]:
+    """Return up to eight window starts from first to last, both included; fewer for long windows."""
+    if last < first:
+        return []
+    wanted = 8 if window <= 5000 else 3
+    return sorted({round(place) for place in np.linspace(first, last, wanted).tolist()})
+
+
+def _noise(
+    config: RigConfig, resolution: FloatArray, excitation: Excitation, discrete: Discrete, recorded: Recorded | None
+) -> tuple[FloatArray, str]:
+    """Return sigma (p,) and how it was come by, the same words for all outputs that share a way."""
+    stated, floor = output_noise(config, resolution)
+    y = excitation.x @ discrete.model.C.T + excitation.u @ (discrete.model.D - discrete.model.C @ discrete.B1).T
+    rms = np.sqrt(np.mean(y**2, axis=0))
+    sigma, ways = stated.copy(), {}
+    for r in np.flatnonzero(~np.isfinite(stated)):
+        seen = recorded.noise[r] if recorded is not None else 0.0
+        sigma[r], ways[config.outputs[r].name] = _guess(float(seen), float(floor[r]), float(rms[r]))
+    known = [c.name for c in config.outputs if c.name not in ways]
+    return sigma, "; ".join(_way(list(ways), ways, known))
+
+
+def _guess(seen: float, floor: float, rms: float) -> tuple[float, str]:
+    if seen > floor:
+        return seen, "noise as the recording shows it"
+    if floor > 0:
+        return floor, "noise not known, so no more than the wire's resolution"
+    return max(GUESSED_NOISE * rms, 1e-300), f"noise not known, taken as {GUESSED_NOISE:.1%} of the signal"
+
+
+def _way(names: list[str], ways: Mapping[str, str], known: list[str]) -> list[str]:
+    said = [f"noise of {', '.join(known)} as configured"] if known and names else []
+    if not names:
+        return ["noise as configured"]
+    return said + [f"{', '.join(n for n in names if ways[n] == way)}: {way}" for way in dict.fromkeys(ways.values())]
+
+
+def rows(predicted: Sequence[Prediction], config: RigConfig, rig: RigModel) -> list[dict[str, Any]]:
+    """Return the rows of the document's `predicted_sd`."""
+    rate = config.rig.sample_rate_hz
+    return [
+        {"window_s": p.window / rate, "parameter": parameter.name, "sd": sd, "unit": parameter.unit, "assumes": p.assumes}
+        for p in predicted
+        for parameter, sd in zip(rig.parameters, p.sd.tolist(), strict=True)
+    ]
+

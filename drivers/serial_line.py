@@ -13,7 +13,7 @@ from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSetting
 from drivers.serial_codec import BinaryDecoder, SerialDecoder, TextDecoder
 
 _GATHER_S = 0.01
-_FEW_BYTES = 4096
+_FEW_BYTES = 1024
 
 
 def _known_crc(name: str | None) -> str | None:

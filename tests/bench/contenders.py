@@ -1,0 +1,146 @@
+"""Everything that takes part in the comparison, brought to one form, and how each was tuned.
+
+Tuning is by search on a record of its own, played with the same schedule and noise but another seed than the records
+that are scored: the random walk of the joint filters, memory and observer poles of recursive least squares, observer
+poles of the re-centred seed. The seed as printed keeps the paper's poles. window-ml is not tuned: it takes the noise
+from its configuration, its window is the paper's.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from agent.config import load
+from agent.numerics.hops import HopPlan
+from agent.numerics.observer import poles_gain
+from agent.numerics.seed_window import SeedSettings, SeedWindow
+from agent.numerics.statespace import discretise
+from agent.runtime.methods import make_estimation
+from agent.types import Samples, Status
+from tests.bench import rivals
+from tests.bench.scene import HOP, NOMINAL, PERIOD, WINDOW, Record, rig
+
+FloatArray = NDArray[np.float64]
+PRINTED_POLES = -np.array([45.0, 40.0, 35.0, 30.0])
+POLE_SCALES = (1.0, 2.0, 3.0, 6.0)
+WALKS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+MEMORIES = (0.98, 0.99, 0.996, 0.998)
+PASSES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """Rows of one run.
+
+    Attributes:
+        index: (N,) newest sample of each row.
+        theta, half: (N, q) estimates and half the width of their 95 % intervals.
+        valid: (N, q) what the method itself says it is sure of; the rivals always are.
+        microseconds: run time a sample.
+    """
+
+    index: NDArray[np.int64]
+    theta: FloatArray
+    half: FloatArray
+    valid: NDArray[np.bool_]
+    microseconds: float
+
+
+Run = Callable[[Record], Estimates]
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """A method with the figures that it was tuned to."""
+
+    name: str
+    run: Run
+    tuning: str
+
+
+def contenders(sigma: float, tuning_record: Record, score: Callable[[Estimates], float]) -> list[Contender]:
+    """Return every method, tuned for a sensor noise on a record of its own."""
+
+    def best(name: str, choices: Iterable[tuple[str, Run]]) -> Contender:
+        scored = [(score(run(tuning_record)), text, run) for text, run in choices]
+        _, text, run = min(scored, key=lambda entry: entry[0])
+        return Contender(name, run, text)
+
+    return [
+        Contender("seed as printed", seed_run(1.0, 1), "the paper's poles, one pass"),
+        best("seed re-centred", [(f"poles x {s:g}, {PASSES} passes", seed_run(s, PASSES)) for s in POLE_SCALES]),
+        best("RLS", [(f"poles x {s:g}, forgets {m:g}", rls_run(s, m)) for s in POLE_SCALES for m in MEMORIES]),
+        best("joint EKF", [(f"walk {w:g}", joint_run(rivals.run_ekf, sigma, w)) for w in WALKS]),
+        best("joint UKF", [(f"walk {w:g}", joint_run(rivals.run_ukf, sigma, w)) for w in WALKS]),
+        Contender("window-ml 0.25 s", product_run(sigma, 0.25), "not tuned"),
+        Contender("window-ml 0.5 s", product_run(sigma, 0.5), "not tuned"),
+    ]
+
+
+def gain(scale: float) -> FloatArray:
+    """An observer gain with the paper's poles times a scale."""
+    model = discretise(rig().continuous(NOMINAL), PERIOD, "first").model
+    return poles_gain(model, (scale * PRINTED_POLES).tolist(), PERIOD)
+
+
+def seed_run(scale: float, passes: int) -> Run:
+    settings = SeedSettings(PERIOD, HopPlan(WINDOW, HOP), "first", gain(scale), passes, NOMINAL, settled=1e-3)
+
+    def run(record: Record) -> Estimates:
+        start = time.perf_counter()
+        rows = SeedWindow(rig(), settings).step(0, record.y, record.u)
+        spent = time.perf_counter() - start
+        valid = np.isfinite(rows.theta) & rows.full[:, None]
+        half = np.where(np.isfinite(rows.dof), stdtrit(np.nan_to_num(rows.dof, nan=1.0), 0.975), 0.0)[:, None] * rows.sd
+        return Estimates(rows.index, rows.theta, half, valid, 1e6 * spent / len(record.y))
+
+    return run
+
+
+def rls_run(scale: float, memory: float) -> Run:
+    L = gain(scale)
+    return _tracked(lambda record: rivals.run_rls(rig(), PERIOD, L, memory, record.y, record.u))
+
+
+def joint_run(runner: Callable[..., rivals.Track], sigma: float, walk: float) -> Run:
+    polynomial, tuning = rivals.Polynomial(rig(), PERIOD), rivals.Tuning(walk)
+    return _tracked(lambda record: runner(polynomial, sigma, tuning, record.y, record.u))
+
+
+def _tracked(track: Callable[[Record], rivals.Track]) -> Run:
+    def run(record: Record) -> Estimates:
+        start = time.perf_counter()
+        theta, sd = track(record)
+        spent = time.perf_counter() - start
+        index = np.arange(HOP - 1, len(record.y), HOP)
+        everything = np.ones((len(index), theta.shape[1]), dtype=bool)
+        return Estimates(index, theta[index], 1.96 * sd[index], everything, 1e6 * spent / len(record.y))
+
+    return run
+
+
+def product_run(sigma: float, window_s: float) -> Run:
+    text = (Path(__file__).parent / "scene.toml").read_text(encoding="utf-8")
+    text = text.replace("@NOISE@", f"{sigma!r}").replace("@WINDOW@", f"{window_s!r}")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.toml"
+        file.write_text(text, encoding="utf-8")
+        config = load(file)
+
+    def run(record: Record) -> Estimates:
+        block = make_estimation(config, np.zeros(2))
+        index = np.arange(len(record.y), dtype=np.int64)
+        start = time.perf_counter()
+        batch = block.step(Samples(index, index * 1_000_000, record.u, record.y, segment=0))
+        spent = time.perf_counter() - start
+        assert batch is not None
+        valid = batch.status == Status.VALID
+        return Estimates(batch.index, batch.value, batch.upper - batch.value, valid, 1e6 * spent / len(record.y))
+
+    return run

@@ -73,7 +73,8 @@ def identifier(digits: str, extended: bool) -> int:
 
 
 _SOCKETCAND = re.compile(
-    rb"< *(?:frame ([0-9A-Fa-f]{1,8}) (\d{1,12})\.(\d{1,9}) ?((?:[0-9A-Fa-f]{2} ?){0,64})|(error|hi|ok|echo) ?[^<>]*)>"
+    rb"< *(?:frame ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) (\d{1,12})\.(\d{1,9}) *((?:[0-9A-Fa-f]{2} ?){0,64}) *"
+    rb"|(error|hi|ok|echo) ?[^<>]*)>"
 )
 
 
@@ -95,20 +96,19 @@ class DaemonText:
         whole, self._rest = text[:end], text[end:][-_LONGEST_MESSAGE:]
         rows: list[bytes] = []
         times: list[int] = []
-        for match in _SOCKETCAND.finditer(whole):
-            self._add(match, rows, times)
-        self.bad += whole.count(b">") - len(rows)
+        known = sum(self._add(match, rows, times) for match in _SOCKETCAND.finditer(whole))
+        self.bad += whole.count(b">") - known
         return frames_of(rows, np.array(times, np.int64)) if rows else no_frames()
 
-    def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> None:
-        if match[5] == b"error":
-            rows.append(pack_frame(ERROR, b""))
-            times.append(0)
-            return
-        row = None if match[5] else _daemon_row(match[1], match[4])
+    def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> bool:
+        """Add a message's frame, if it is one; tell whether the message makes sense."""
+        row = pack_frame(ERROR, b"") if match[5] == b"error" else None
+        if match[5] is None:
+            row = _daemon_row(match[1], match[4])
         if row is not None:
             rows.append(row)
-            times.append(int(match[2]) * 10**9 + int(match[3].ljust(9, b"0")))
+            times.append(int(match[2]) * 10**9 + int(match[3].ljust(9, b"0")) if match[2] else 0)
+        return row is not None or match[5] is not None
 
 
 _LONGEST_MESSAGE = 400

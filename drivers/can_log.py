@@ -1,9 +1,10 @@
 """Recorded CAN logs as a source that ends: candump text read here, .asc, .blf, .trc and .mf4 by python-can."""
 
+import gzip
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import IO, TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
@@ -42,8 +43,7 @@ class CanLogDriver(DbcDriver):
         self.prepare()
         self._decoder.restart()
         path = self.request.folder / self.request.settings.path
-        kind = path.suffixes[-2:-1] if path.suffix == ".gz" else [path.suffix]
-        if not kind or kind[0].lower() not in SUFFIXES:
+        if _kind(path) not in SUFFIXES:
             raise DriverConfigError(f"{path}: is no CAN log that can be read; {', '.join(SUFFIXES)} are")
         reader = self._candump(path) if path.suffix.lower() == ".log" else self._library(path)
         first = next(reader, None)
@@ -85,15 +85,20 @@ class CanLogDriver(DbcDriver):
             self.note(f"{path}:{start + place}: is no frame; it is passed over")
 
     def _library(self, path: Path) -> Iterator[Frames]:
-        reader = _open_log(path)
         begun = False
         try:
-            with reader:
+            # the library leaves the file open when it cannot read it: it is opened, and so closed, here
+            with _open_file(path) as file, _reader(path)(file) as reader:
                 messages = iter(reader)
                 while batch := list(itertools.islice(messages, _BLOCK)):
                     begun = True
                     yield _packed(batch)
         except Exception as error:
+            if isinstance(error, ImportError):
+                words = "needs a library that is not installed: pip install 'deltak[mf4]'"
+                raise DriverConfigError(f"{path}: {words}") from error
+            if isinstance(error, FileNotFoundError):
+                raise DriverConfigError(f"{path}: {error.strerror}") from error
             if not begun:
                 raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error
             self.counts.faults["log"] += 1
@@ -105,14 +110,28 @@ def _packed(messages: "list[can.Message]") -> Frames:
     return frames_of([message_row(message) for message in messages], seconds_to_ns(times))
 
 
-def _open_log(path: Path) -> "can.io.generic.MessageReader":
+def _open_file(path: Path) -> IO[Any]:
+    opener = gzip.open if path.suffix == ".gz" else open
+    if _kind(path) in (".blf", ".mf4"):
+        return cast("IO[Any]", opener(path, "rb"))
+    return cast("IO[Any]", opener(path, "rt", encoding="utf-8", errors="replace"))
+
+
+def _kind(path: Path) -> str:
+    """Return the suffix that names the format, below the .gz of a compressed log."""
+    kinds = path.suffixes[-2:-1] if path.suffix == ".gz" else [path.suffix]
+    return kinds[0].lower() if kinds else ""
+
+
+def _reader(path: Path) -> "Callable[[IO[Any]], can.io.generic.MessageReader]":
     import can
 
-    try:
-        return can.LogReader(path)
-    except ImportError as error:
-        raise DriverConfigError(f"{path}: needs a library that is not installed: pip install 'deltak[mf4]'") from error
-    except OSError as error:
-        raise DriverConfigError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:
-        raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error
+    readers: dict[str, Any] = {
+        ".asc": can.ASCReader,
+        ".blf": can.BLFReader,
+        ".log": can.CanutilsLogReader,
+        ".mf4": can.MF4Reader,
+        ".trc": can.TRCReader,
+    }
+    reader: Callable[[IO[Any]], can.io.generic.MessageReader] = readers[_kind(path)]
+    return reader

@@ -1,0 +1,153 @@
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import can
+import cantools
+import numpy as np
+import pytest
+
+from drivers.can_log import CanLogDriver, CanLogSettings
+from drivers.port import DriverConfigError, SampleBlock, SourceRequest
+from tests import peers
+
+# Every log of python-can's own corner cases: frames in it, and those of them that are errors or ask for data.
+CORNER_CASES = {
+    "issue_1256.asc": (1457, 0, 0),
+    "issue_1299.asc": (4, 0, 0),
+    "issue_1905.blf": (22, 0, 0),
+    "logfile.asc": (20, 4, 4),
+    "logfile_errorframes.asc": (12, 3, 2),
+    "single_frame.asc": (1, 0, 0),
+    "single_frame_us_locale.asc": (1, 0, 0),
+    "test_CanErrorFrameExt.blf": (2, 2, 0),
+    "test_CanErrorFrames.asc": (4, 4, 0),
+    "test_CanFdMessage.asc": (3, 0, 0),
+    "test_CanFdMessage.blf": (2, 0, 0),
+    "test_CanFdMessage64.asc": (2, 0, 0),
+    "test_CanFdMessage64.blf": (2, 0, 2),
+    "test_CanFdRemoteMessage.asc": (1, 0, 1),
+    "test_CanMessage.asc": (2, 0, 0),
+    "test_CanMessage.asc.gz": (2, 0, 0),
+    "test_CanMessage.blf": (2, 0, 0),
+    "test_CanMessage.trc": (2, 0, 0),
+    "test_CanMessage2.blf": (2, 0, 0),
+    "test_CanMessage_V1_0_BUS1.trc": (11, 0, 1),
+    "test_CanMessage_V1_1.trc": (11, 0, 1),
+    "test_CanMessage_V1_3.trc": (11, 0, 1),
+    "test_CanMessage_V2_0_BUS1.trc": (11, 0, 1),
+    "test_CanMessage_V2_1.trc": (11, 0, 1),
+    "test_CanRemoteMessage.asc": (3, 0, 3),
+}
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: A
+BO_ 9 TRUCK: 8 A
+ SG_ n : 0|8@1+ (1,0) [0|0] "" A
+ SG_ a : 15|16@0- (0.125,-3) [0|0] "" A
+ SG_ b : 28|30@1+ (0.1,0) [0|0] "" A
+"""
+
+
+@pytest.fixture
+def dbc(tmp_path: Path) -> Path:
+    path = tmp_path / "truck.dbc"
+    path.write_text(DBC)
+    return path
+
+
+def driver(log: Path, dbc: Path, *fields: str, counter: str | None = None) -> CanLogDriver:
+    settings = CanLogSettings(path=log, dbc=dbc)
+    return CanLogDriver(SourceRequest("log", settings, fields or ("TRUCK.a", "TRUCK.b"), counter))
+
+
+def blocks_of(log: CanLogDriver) -> list[SampleBlock]:
+    log.open()
+    blocks = []
+    while True:
+        try:
+            blocks.append(log.read(0.0))
+        except EOFError:
+            return blocks
+
+
+def test_real_truck_log_as_text_and_mf4_reads_what_cantools_reads(dbc: Path) -> None:
+    database: Any = cantools.database.load_file(dbc)
+    for name in ("can/j1939_2F6913DB.log", "can/j1939_2F6913DB.MF4"):
+        if name.endswith("MF4"):
+            need_mf4()
+        path = peers.data(name)
+        with can.LogReader(path) as reader:
+            frames = [message for message in reader if message.arbitration_id == 9 and not message.is_extended_id]
+        expected = [database.decode_message(9, message.data) for message in frames]
+        log = driver(path, dbc, counter="TRUCK.n")
+        got = np.concatenate([block.values for block in blocks_of(log)])
+        assert len(got) == 4724
+        np.testing.assert_array_equal(got, [[row["a"], row["b"]] for row in expected])
+        assert log.counts.received == 4724
+
+
+def need_mf4() -> None:
+    if importlib.util.find_spec("asammdf") is None:
+        peers.missing("MF4 logs: asammdf is not installed (pip install deltak[mf4])")
+
+
+@pytest.mark.parametrize("name", sorted(CORNER_CASES))
+def test_corner_case_log_is_read_to_its_last_frame(name: str, dbc: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = driver(peers.data(f"can/{name}"), dbc)
+    frames = []
+    monkeypatch.setattr(log, "decoded", lambda batch: frames.append(batch) or SampleBlock(np.empty((0, 2)), 0))
+    blocks_of(log)
+    table = np.concatenate([batch.table for batch in frames])
+    errors, remote = (table["id"] & 0x20000000) != 0, (table["id"] & 0x40000000) != 0
+    assert (len(table), int(errors.sum()), int(remote.sum())) == CORNER_CASES[name]
+
+
+def test_every_corner_case_log_there_is_stands_in_the_list() -> None:
+    there = {path.name for path in peers.data("can").iterdir() if path.suffix not in (".dbc", ".MF4", ".log")}
+    assert there == set(CORNER_CASES)
+
+
+@pytest.mark.parametrize("suffix", ["asc", "blf", "log", "trc"])
+def test_log_of_every_format_reads_the_same_samples(tmp_path: Path, dbc: Path, suffix: str) -> None:
+    rng = np.random.default_rng(1)
+    path = tmp_path / f"a.{suffix}"
+    messages = [
+        can.Message(1.5 + i / 1000, 9, is_extended_id=False, data=rng.integers(0, 256, 8, np.uint8).tobytes())
+        for i in range(100)
+    ]
+    with can.Logger(path) as writer:
+        for message in messages:
+            writer(message)
+    blocks = blocks_of(driver(path, dbc, counter="TRUCK.n"))
+    counter = np.concatenate([block.counter for block in blocks if block.counter is not None])
+    assert counter.tolist() == [message.data[0] for message in messages]
+    t_ns = np.concatenate([block.t_ns for block in blocks if block.t_ns is not None])
+    np.testing.assert_allclose(np.diff(t_ns), 1e6, atol=200_000)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.db", "a", "a.gz"])
+def test_log_of_an_unknown_format_is_refused_in_words(tmp_path: Path, dbc: Path, name: str) -> None:
+    with pytest.raises(DriverConfigError, match="is no CAN log that can be read"):
+        driver(tmp_path / name, dbc).open()
+
+
+@pytest.mark.parametrize("suffix", ["asc", "blf", "log", "trc", "mf4"])
+def test_log_that_is_missing_empty_or_rubbish_is_refused_in_words(tmp_path: Path, dbc: Path, suffix: str) -> None:
+    with pytest.raises(DriverConfigError):
+        driver(tmp_path / f"none.{suffix}", dbc).open()
+    for number, content in enumerate((b"", bytes(range(256)) * 40)):
+        path = tmp_path / f"{number}.{suffix}"
+        path.write_bytes(content)
+        with pytest.raises(DriverConfigError, match=path.name):
+            driver(path, dbc).open()
+
+
+def test_log_damaged_further_on_is_read_up_to_there_and_says_so(tmp_path: Path, dbc: Path) -> None:
+    path = tmp_path / "a.log"
+    path.write_text("(1.0) can0 009#0102030405060708\nrubbish\n(1.1) can0 009#0202030405060708\n")
+    log = driver(path, dbc, counter="TRUCK.n")
+    assert sum(map(len, blocks_of(log))) == 2
+    assert log.counts.faults == {"text": 1}
+    assert log.take_notes() == [f"{path}:2: is no frame; it is passed over"]

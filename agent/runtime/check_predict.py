@@ -49,6 +49,12 @@ class Prediction:
     assumes: str
 
 
+def sampled(config: RigConfig, rig: RigModel) -> Discrete:
+    """Return the nominal model as the estimator samples it."""
+    continuous = rig.model.continuous(rig.model.nominal)
+    return discretise(continuous, 1.0 / config.rig.sample_rate_hz, config.estimator.hold)
+
+
 def windows(config: RigConfig) -> list[int]:
     """Return the lengths of a rig's windows, samples."""
     rate = config.rig.sample_rate_hz
@@ -59,7 +65,7 @@ def predictions(
     config: RigConfig, rig: RigModel, resolution: FloatArray, recorded: Recorded | None
 ) -> list[Prediction]:
     """Predict for each window; resolution (p,) is the wire's smallest step of each output, SI."""
-    discrete = discretise(rig.model.continuous(rig.model.nominal), 1.0 / config.rig.sample_rate_hz, config.estimator.hold)
+    discrete = sampled(config, rig)
     lengths = windows(config)
     excitation = _recorded(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
     sigma, noise_words = _noise(config, resolution, excitation, discrete, recorded)
@@ -163,8 +169,10 @@ def rows(predicted: Sequence[Prediction], config: RigConfig, rig: RigModel) -> l
     """Return the rows of the document's `predicted_sd`."""
     rate = config.rig.sample_rate_hz
     return [
-        {"window_s": p.window / rate, "parameter": parameter.name, "sd": sd, "unit": parameter.unit, "assumes": p.assumes}
-        for p in predicted
-        for parameter, sd in zip(rig.parameters, p.sd.tolist(), strict=True)
-    ]
-
+        {
+            "window_s": found.window / rate, "parameter": parameter.name, "sd": sd, "unit": parameter.unit,
+            "assumes": found.assumes,
+        }
+        for found in predicted
+        for parameter, sd in zip(rig.parameters, found.sd.tolist(), strict=True)
+    ]  # fmt: skip

@@ -21,6 +21,8 @@ def print_check(document: Document) -> None:
         show(f"states are {'' if document['observable'] else 'not '}observable from the channels")
     _print_poles(document.get("poles") or [])
     _print_conditions(document)
+    _print_box(document.get("box_margin"))
+    _print_recording(document.get("recording"))
     _print_predicted(document.get("predicted_sd") or [])
     if document.get("bytes_per_rig_year"):
         show(f"the database grows by about {document['bytes_per_rig_year'] / 1e6:.0f} MB a year")
@@ -55,6 +57,23 @@ def _print_conditions(document: Document) -> None:
     if eighth:
         sizes = f"perturbation {number(eighth.get('perturbation_norm'))}, margin {number(eighth.get('delta'))}"
         show(f"condition (8) {_holds(eighth)}: {sizes}")
+
+
+def _print_box(box: Document | None) -> None:
+    if box:
+        reach = ", ".join(f"{name} ± {number(value, 3)}" for name, value in box["reach"].items())
+        words = f"stable whatever the parameters do within {reach}"
+        show(f"{words} ({number(100 * box['share'], 3)} % of the limits)" if box["share"] > 0 else "no margin is proven")
+
+
+def _print_recording(facts: Document | None) -> None:
+    if not facts:
+        return
+    columns = ("channel", "unit", "samples a second", "least", "most", "noise sd")
+    keys = ("rate_hz", "min", "max", "noise_sd")
+    rows = ((c["name"], c["unit"], *(number(c[key], 4) for key in keys)) for c in facts["channels"])
+    ledger = f"{facts['used']:,} samples in {number(facts['span_s'], 4)} s, {facts['gaps']} gaps"
+    print_table(f"the recording: {ledger}", columns, rows, right=columns[2:])
 
 
 def _holds(condition: Document) -> str:

@@ -9,15 +9,17 @@ from agent.errors import Fault, ModelError
 from agent.numerics.observer import Noise
 from agent.numerics.statespace import discretise
 from agent.numerics.window_ml import WindowML
+from agent.runtime.check_model import require_observable
 from agent.types import FloatArray
 
 
 def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
     """Build the estimation block of a rig; resolution (p,) is the wire's smallest step of each output, SI.
 
-    Raises ModelError where a window has fewer readings than unknowns.
+    Raises ModelError where a window has fewer readings than unknowns, or the channels cannot tell what is asked.
     """
     rig = rig_model(config)
+    require_observable(config, rig)
     settings = window_settings(config, rig, resolution)
     unknowns = len(rig.model.state_names) + len(rig.parameters)
     readings = settings.plan.window * len(config.outputs)

@@ -1,0 +1,144 @@
+"""`deltak check`: what a configuration can and cannot do, before anything is connected."""
+
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.blocks.rig_model import RigModel, rig_model, window_settings
+from agent.config import RigConfig, load
+from agent.errors import ConfigError, Fault, UsageError
+from agent.numerics.margins import condition_3, condition_8, worst_perturbation_norm
+from agent.numerics.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
+from agent.numerics.observer import Noise
+from agent.numerics.statespace import Discrete, discretise
+from agent.runtime.check_advice import warnings
+from agent.runtime.check_model import hidden_states, model_faults
+from agent.runtime.check_predict import predictions, rows, sampled
+from agent.runtime.check_recording import Recorded, read_recording
+from agent.runtime.sources import wire_steps
+from agent.storage.retention import Retention, bytes_per_rig_year
+from agent.types import FloatArray
+from drivers.port import DriverConfigError
+
+_NOTHING: dict[str, Any] = {
+    "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "box_margin": None,
+    "predicted_sd": [], "recording": None, "bytes_per_rig_year": None,
+}  # fmt: skip
+
+
+def check(*, config: Path, recording: Path | None, probe: bool) -> dict[str, Any]:
+    """Check a configuration; return the document of CONTRACT section 8, with "ok" false and every fault in "errors".
+
+    Args:
+        config: the file.
+        recording: judge with its excitation and noise instead of a white force of 1 N rms.
+        probe: listen to the sources; not in this version.
+
+    Raises UsageError for probe, RecordingError for a recording that cannot be used.
+    """
+    if probe:
+        advice = "`deltak run CONFIG --duration 5 --json` counts what arrives"
+        raise UsageError.at("--probe", "is not in this version", advice)
+    try:
+        rig_config = load(config)
+        resolution = _resolution(rig_config)
+    except ConfigError as error:
+        return {"ok": False, "errors": [_fault(fault) for fault in error.faults], "warnings": []} | _NOTHING
+    return _document(rig_config, resolution, recording)
+
+
+def _fault(fault: Fault) -> dict[str, str]:
+    return {"path": fault.path, "message": fault.message, "advice": fault.advice}
+
+
+def _resolution(config: RigConfig) -> FloatArray:
+    """The wire's smallest step of each output (p,), SI."""
+    try:
+        steps = wire_steps(config)
+    except DriverConfigError as error:
+        raise ConfigError([Fault("source", str(error), "mend it and check again")]) from error
+    return np.array([steps.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in config.outputs])
+
+
+def _document(config: RigConfig, resolution: FloatArray, recording: Path | None) -> dict[str, Any]:
+    rig = rig_model(config)
+    faults = model_faults(config, rig)
+    document = {"ok": not faults, "errors": [_fault(fault) for fault in faults], "warnings": []} | _NOTHING
+    document |= {"observable": not hidden_states(rig.model), "poles": poles(rig)}
+    document |= {"bytes_per_rig_year": _bytes(config, rig)}
+    recorded = None if recording is None else read_recording(config, recording)
+    document |= {"recording": None if recorded is None else recorded.facts}
+    return document if faults else document | _dynamic(config, rig, resolution, recorded)
+
+
+def poles(rig: RigModel) -> list[dict[str, float | None]]:
+    """Return the continuous-time poles of the nominal model, slowest first."""
+    found = np.linalg.eigvals(rig.model.continuous(rig.model.nominal).A)
+    return [
+        {
+            "re": float(pole.real), "im": float(pole.imag), "freq_hz": abs(pole) / (2 * pi),
+            "damping_ratio": float(-pole.real / abs(pole)) if abs(pole) > 0 else None,
+        }
+        for pole in sorted(found.tolist(), key=lambda pole: (abs(pole), pole.imag))
+    ]  # fmt: skip
+
+
+def _bytes(config: RigConfig, rig: RigModel) -> int:
+    keep, store = config.store.keep, config.store
+    retention = Retention(keep.full, keep.minute, keep.hour, store.max_mb * 1e6)
+    sources = max(1, len(config.source))
+    return bytes_per_rig_year(len(rig.parameters), store.every_s, config.estimator.hop_s, retention, sources)
+
+
+def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, recorded: Recorded | None) -> dict[str, Any]:
+    """What only a model without faults has: observer, conditions, the sd to expect, warnings."""
+    discrete = sampled(config, rig)
+    settings = window_settings(config, rig, resolution)
+    sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
+    noise = Noise(sigma, np.zeros(rig.disturbance.shape[1]))
+    gain, start = settings.gains.settled(discrete, noise).L, settings.gains.start(discrete, noise).L
+    predicted = predictions(config, rig, resolution, recorded)
+    return {
+        "observer": _observer(discrete, gain) | {"start": _observer(discrete, start)},
+        "condition_3": _condition_3(discrete, gain),
+        "condition_8": _condition_8(config, rig, discrete, gain),
+        "box_margin": _box(rig),
+        "predicted_sd": rows(predicted, config, rig),
+        "warnings": [_fault(fault) for fault in warnings(config, rig, predicted, recorded)],
+    }
+
+
+def _observer(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
+    found = np.linalg.eigvals(discrete.model.A - gain @ discrete.model.C).tolist()
+    return {"gain": gain.tolist(), "poles_z": [{"re": float(z.real), "im": float(z.imag)} for z in found]}
+
+
+def _condition_3(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
+    found = condition_3(discrete.model.A, gain, discrete.model.C)
+    return {"holds": found.holds, "radius_model": found.radius_model, "radius_observer": found.radius_observer}
+
+
+def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: FloatArray) -> dict[str, Any] | None:
+    """Evaluate (8) for parameters anywhere within their alarm limits; None where these are too many."""
+    if np.count_nonzero(rig.limits) > MOST_PARAMETERS:
+        return None
+    period_s, hold = 1.0 / config.rig.sample_rate_hz, config.estimator.hold
+    continuous = [rig.model.continuous(corner) for corner in vertices(rig.model, rig.limits)]
+    corners = [discretise(corner, period_s, hold).model for corner in continuous]
+    size = worst_perturbation_norm(discrete.model, corners, gain)
+    none = np.zeros_like(discrete.model.A)
+    margin = condition_8(discrete.model.A, gain, discrete.model.C, none, np.zeros_like(discrete.model.C))
+    return {
+        "delta": margin.delta, "h_infinity": margin.h_infinity, "perturbation_norm": size, "holds": size < margin.delta,
+    }  # fmt: skip
+
+
+def _box(rig: RigModel) -> dict[str, Any] | None:
+    """The polytopic margin in shares of the alarm limits; None without the design tools or where it cannot be had."""
+    try:
+        found = polytopic_margin(rig.model, np.maximum(rig.limits, 0.0))
+    except (DesignToolsMissingError, ValueError):
+        return None
+    return {"share": found.share, "reach": dict(found.reach)}

@@ -66,14 +66,19 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
         feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack)
         if keys.interface == "socketcand":
             endpoint = Endpoint(guard.loopback(keys.host, f"{where}.host"), keys.port)
-            stream = Stream(source.name, feed, bench.clock, FrameText(packing.kinds, bench.clock))
+            stream = Stream(source.name, feed, bench.clock, FrameText(packing.kinds, bench.clock), bench.faults(number))
             if keys.channel in daemons.setdefault(endpoint, {}):
                 raise SimUsageError(f"{where}.channel: {keys.channel} is played for another source already")
             daemons[endpoint][keys.channel] = stream
         else:
             guard.virtual_can(keys.interface, keys.channel, f"{where}.channel")
             render = KernelFrames(packing.kinds)
-            stream = Stream(source.name, feed, bench.clock, render)
+            faults = bench.faults(number)
+            faults.refuse(
+                ("corrupt", "truncate", "garbage", "disconnect"),
+                "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
+            )
+            stream = Stream(source.name, feed, bench.clock, render, faults)
             devices.append(KernelDevice(bench.clock, stream, keys.channel, render.size))
     devices += [SocketcandDevice(bench.clock, endpoint, buses) for endpoint, buses in daemons.items()]
     return devices

@@ -8,7 +8,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from sim_bus.clock import PlayClock
+from sim_bus.faults import LineFaults, strikes
 from sim_bus.rigfile import RigFile, Source, checked
+from sim_bus.scenario import Scenario
 from sim_bus.tape import Tape
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
@@ -41,11 +43,19 @@ class Bench:
         rig: the configuration.
         tape: what is played.
         clock: how much of it there is by now.
+        scenario: its faults and seed.
     """
 
     rig: RigFile
     tape: Tape
     clock: PlayClock
+    scenario: Scenario
+
+    def faults(self, number: int) -> LineFaults:
+        """Return the faults of a source."""
+        source = self.source(number)
+        struck = strikes(self.scenario, source.driver, source.name, self.clock.sample_rate_hz)
+        return LineFaults(struck, self.scenario.seed + number)
 
     def settings(self, model: type[SettingsType], number: int) -> SettingsType:
         """Return a source's own keys as the driver's settings; SimUsageError lists every fault."""

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerType
@@ -27,6 +27,7 @@ from sim_bus.pty_line import PtyLine, join
 Action = Callable[[int, int, int, int, list[int], list[int] | list[bool] | None], Awaitable[ExcCodes | None]]
 _READ = frozenset({3, 4})
 _STOP_S = 5.0
+_LOOK_S = 0.02
 
 
 def _sim_device(unit: Unit) -> SimDevice:
@@ -38,9 +39,13 @@ def _sim_device(unit: Unit) -> SimDevice:
         unit.asked()
         if function not in _READ or values is not None:
             return ExcCodes.ILLEGAL_FUNCTION
-        unit.bring_up(memory, start, address, count)
+        if unit.suffers("busy"):
+            return ExcCodes.DEVICE_BUSY
+        if not unit.suffers("hang"):
+            unit.bring_up(memory, start, address, count)
         return None
 
+    unit.renew()
     areas = sorted(unit.areas()) or [(65535, 1)]
     data = [SimData(address, count=count, values=0, datatype=DataType.REGISTERS) for address, count in areas]
     return SimDevice(unit.settings.device_id, simdata=data, action=action)
@@ -66,12 +71,16 @@ def _fifo_request(units: Mapping[int, Unit]) -> type[ReadFifoQueueRequest]:
 class ModbusDevice(Device):
     """The units that share one TCP port or one serial line, served by a thread with an event loop of its own."""
 
+    unit_at: ClassVar[int]
+    """Where in a packet the unit's number stands."""
+
     def __init__(self, clock: PlayClock, units: Sequence[Unit]) -> None:
         super().__init__(clock)
         self.units = tuple(units)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="modbus device", daemon=True)
         self._server: ModbusBaseServer | None = None
+        self._keeper: asyncio.Task[None] | None = None
 
     def start(self) -> None:
         self._thread.start()
@@ -83,8 +92,32 @@ class ModbusDevice(Device):
             raise SimBusError(f'source "{self.units[0].source}": {self.address} cannot be served: {error}') from error
 
     async def _serve(self) -> None:
-        self._server = self._make_server([_sim_device(unit) for unit in self.units], self._custom())
-        await self._server.serve_forever(background=True)
+        self._server = await ModbusDevice._plug(self)
+        self._keeper = asyncio.create_task(self._keep_plugged())
+
+    async def _keep_plugged(self) -> None:
+        """Let the server die, and come back, when faults say so."""
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            gone = any(unit.suffers("disconnect") for unit in self.units)
+            if gone and self._server is not None:
+                server, self._server = self._server, None
+                await self._unplug(server)
+            elif not gone and self._server is None:
+                self._server = await self._plug()
+
+    async def _unplug(self, server: ModbusBaseServer) -> None:
+        await server.shutdown()  # type: ignore[no-untyped-call]  # the library's has no annotation
+
+    async def _plug(self) -> ModbusBaseServer:
+        server = self._make_server([_sim_device(unit) for unit in self.units], self._custom())
+        await server.serve_forever(background=True)
+        return server
+
+    def _on_packet(self, sending: bool, data: bytes) -> bytes:
+        """Let no answer out while its unit is silent."""
+        mute = {unit.settings.device_id for unit in self.units if unit.suffers("silent")}
+        return b"" if sending and data and data[self.unit_at] in mute else data
 
     def _custom(self) -> list[type[ModbusPDU]]:
         return [_fifo_request({unit.settings.device_id: unit for unit in self.units})]
@@ -106,12 +139,12 @@ class ModbusDevice(Device):
         self._loop.close()
 
     async def _shut_down(self) -> None:
-        if self._server is not None:
-            await self._server.shutdown()  # type: ignore[no-untyped-call]  # the library's has no annotation
         rest = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
         for task in rest:
             task.cancel()
         await asyncio.gather(*rest, return_exceptions=True)
+        if self._server is not None:
+            await self._server.shutdown()  # type: ignore[no-untyped-call]  # the library's has no annotation
 
     def ledger(self) -> Mapping[str, dict[str, Any]]:
         return {unit.source: {"bus": self.address} | unit.ledger() for unit in self.units}
@@ -119,6 +152,8 @@ class ModbusDevice(Device):
 
 class ModbusTcpDevice(ModbusDevice):
     """Units behind one TCP port."""
+
+    unit_at = 6
 
     def __init__(self, clock: PlayClock, units: Sequence[Unit], host: str, port: int) -> None:
         super().__init__(clock, units)
@@ -144,11 +179,15 @@ class ModbusTcpDevice(ModbusDevice):
                 raise SimBusError(f'source "{self.units[0].source}": {words}') from error
 
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
-        return ModbusTcpServer(devices, address=(self._host, self._port), custom_pdu=custom)
+        return ModbusTcpServer(
+            devices, address=(self._host, self._port), custom_pdu=custom, trace_packet=self._on_packet
+        )
 
 
 class ModbusRtuDevice(ModbusDevice):
     """Units on one serial line: a pseudo-terminal, joined to a second one on whose far end the library listens."""
+
+    unit_at = 0
 
     def __init__(self, clock: PlayClock, units: Sequence[Unit], line: PtyLine) -> None:
         super().__init__(clock, units)
@@ -175,8 +214,21 @@ class ModbusRtuDevice(ModbusDevice):
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
         baudrate = self.units[0].settings.baudrate
         return ModbusSerialServer(
-            devices, framer=FramerType.RTU, port=str(self._inner.path), baudrate=baudrate, custom_pdu=custom
+            devices,
+            framer=FramerType.RTU,
+            port=str(self._inner.path),
+            baudrate=baudrate,
+            custom_pdu=custom,
+            trace_packet=self._on_packet,
         )
+
+    async def _unplug(self, server: ModbusBaseServer) -> None:
+        self._line.close()
+        await super()._unplug(server)
+
+    async def _plug(self) -> ModbusBaseServer:
+        self._line.open()
+        return await super()._plug()
 
 
 def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
@@ -185,7 +237,7 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
     lines: dict[Path, list[Unit]] = {}
     for number in numbers:
         settings = bench.settings(ModbusSettings, number)
-        unit = make_unit(bench, bench.source(number), settings)
+        unit = make_unit(bench, number, settings)
         if settings.transport == "tcp":
             host = guard.loopback(settings.host, f"source[{number}].host")
             ports.setdefault((host, int(settings.port)), []).append(unit)

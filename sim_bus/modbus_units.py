@@ -16,8 +16,8 @@ from drivers.modbus_settings import ModbusSettings
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench
 from sim_bus.errors import SimUsageError
+from sim_bus.faults import LineFaults
 from sim_bus.ranges import Runs
-from sim_bus.rigfile import Source
 from sim_bus.wire import Feed, Raw, WireNumber, split
 
 FIFO_REGISTERS = 31
@@ -39,10 +39,12 @@ class Unit(ABC):
         settings: the source's Modbus keys.
         feed: its samples as bytes.
         clock: says how many there are.
+        faults: what goes wrong with it.
     """
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
         self.source = source
+        self.faults = faults
         self.settings = settings
         self.feed = feed
         self.clock = clock
@@ -61,6 +63,13 @@ class Unit(ABC):
         """Return the registers that function 24 answers with; None where there is no queue."""
         return None
 
+    def renew(self) -> None:
+        """Forget what the registers hold: they are new and empty."""
+
+    def suffers(self, name: str) -> bool:
+        """Tell whether a fault lasts at this time."""
+        return self.clock.started.is_set() and self.faults.at_time(name, self.clock.played() - 1)
+
     def asked(self) -> None:
         """Count a request: the unit has a reader."""
         self.requests += 1
@@ -74,14 +83,15 @@ class Unit(ABC):
             "requests": self.requests,
             "saturated": self.feed.saturated(played),
             "lost": self.lost.before(played),
+            "faults": self.faults.ledger(played),
         }
 
 
 class RingUnit(Unit):
     """mode "ring": an index, and the newest samples in slots."""
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
-        super().__init__(source, settings, feed, clock)
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
+        super().__init__(source, settings, feed, clock, faults)
         if settings.ring is None or settings.index is None:
             raise SimUsageError(f'source "{source}": mode "ring" needs index and ring')
         index = FieldSpec(name="index", type=settings.index.type)
@@ -105,6 +115,9 @@ class RingUnit(Unit):
             self._advance(memory, start)
         if self.clock.fast:
             self._note_taken(address, count)
+
+    def renew(self) -> None:
+        self._written = 0
 
     def _advance(self, memory: list[int], start: int) -> None:
         head = self.clock.head_for(self.source, self._room)
@@ -132,11 +145,14 @@ class RingUnit(Unit):
 class PollUnit(Unit):
     """mode "poll": each field at an address of its own; a request sees the newest sample."""
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
-        super().__init__(source, settings, feed, clock)
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
+        super().__init__(source, settings, feed, clock, faults)
         self._fields = settings.fields
         self._lowest = min(field.address or 0 for field in settings.fields)
         self._stride = max(1, round(settings.period_s * clock.sample_rate_hz))
+        self._shown = -1
+
+    def renew(self) -> None:
         self._shown = -1
 
     def areas(self) -> Iterable[tuple[int, int]]:
@@ -161,8 +177,8 @@ class PollUnit(Unit):
 class FifoUnit(Unit):
     """mode "fifo": function 24 takes whole samples from a queue, as many as 31 registers hold."""
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock) -> None:
-        super().__init__(source, settings, feed, clock)
+    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
+        super().__init__(source, settings, feed, clock, faults)
         self._batch = FIFO_REGISTERS // (slot_layout(settings.fields, settings.word_order).size // 2)
         self._next = 0
 
@@ -189,11 +205,12 @@ class FifoUnit(Unit):
 UNITS: dict[str, type[Unit]] = {"ring": RingUnit, "poll": PollUnit, "fifo": FifoUnit}
 
 
-def make_unit(bench: Bench, source: Source, settings: ModbusSettings) -> Unit:
+def make_unit(bench: Bench, number: int, settings: ModbusSettings) -> Unit:
     """Return the device of one Modbus source; SimUsageError when the map names fields that there are not."""
+    source = bench.source(number)
     numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
     feed = Feed(bench.tape, bench.rig, source, numbers, _packer(settings))
-    return UNITS[settings.mode](source.name, settings, feed, bench.clock)
+    return UNITS[settings.mode](source.name, settings, feed, bench.clock, bench.faults(number))
 
 
 def _packer(settings: ModbusSettings) -> "_Packer":

@@ -8,6 +8,7 @@ from typing import Any
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench, Device
 from sim_bus.factory import make_devices
+from sim_bus.faults import check
 from sim_bus.rigfile import RigFile
 from sim_bus.scenario import Scenario
 from sim_bus.tape import CHUNK, Rig, Tape
@@ -39,6 +40,7 @@ class Player:
         fast: bool = False,
         truth: Path | None = None,
     ) -> None:
+        check(scenario, [source.driver for source in rig_file.source])
         self._scenario = scenario
         self._rig_file = rig_file
         rate = rig_file.rig.sample_rate_hz
@@ -49,7 +51,7 @@ class Player:
         self.tape = Tape(self.rig, self._truth.keep if truth else None)
         total = round(seconds * rate) if seconds else None
         self.clock = PlayClock(rate, total, rig_file.source_names, scenario.start, fast=fast)
-        self.devices: Sequence[Device] = make_devices(Bench(rig_file, self.tape, self.clock))
+        self.devices: Sequence[Device] = make_devices(Bench(rig_file, self.tape, self.clock, scenario))
         self._open: list[Device] = []
 
     def start(self) -> None:

@@ -22,11 +22,18 @@ class PtyLine:
         self._link = link
         self._master = -1
         self._far = ""
+        # a line may be hung up by one thread while another carries bytes over it
+        self._lock = threading.RLock()
 
     @property
     def path(self) -> str:
         """Where readers open the line."""
         return str(self._link or self._far)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the line is there."""
+        return self._master >= 0
 
     def open(self) -> None:
         """Make the line, raw and without echo; SimBusError when the link cannot be made."""
@@ -50,43 +57,50 @@ class PtyLine:
 
     def has_reader(self) -> bool:
         """Tell whether somebody has the far end open."""
-        poll = select.poll()
-        poll.register(self._master, 0)
-        return not any(event & select.POLLHUP for _, event in poll.poll(0))
+        with self._lock:
+            if not self.is_open:
+                return False
+            poll = select.poll()
+            poll.register(self._master, 0)
+            return not any(event & select.POLLHUP for _, event in poll.poll(0))
 
     def write(self, data: bytes, timeout_s: float = 0.0) -> int:
         """Write as much as the line takes within timeout_s; return how many bytes that were."""
-        _, ready, _ = select.select([], [self._master], [], timeout_s)
-        if not ready:
-            return 0
-        try:
-            return os.write(self._master, data)
-        except BlockingIOError:
-            return 0
+        with self._lock:
+            if not self.is_open or not select.select([], [self._master], [], timeout_s)[1]:
+                return 0
+            try:
+                return os.write(self._master, data)
+            except BlockingIOError:
+                return 0
 
-    def read(self, timeout_s: float) -> bytes:
-        """Return what readers have written, waiting at most timeout_s; b"" for nothing."""
-        ready, _, _ = select.select([self._master], [], [], timeout_s)
-        if not ready:
-            return b""
-        try:
-            return os.read(self._master, _BLOCK)
-        except OSError:
-            # nobody has the far end open: the system says so at once and again and again
-            return b""
+    def read(self) -> bytes:
+        """Return what readers have written; b"" for nothing."""
+        with self._lock:
+            try:
+                return os.read(self._master, _BLOCK)
+            except OSError:
+                # nothing has come, nobody has the far end open, or the line is hung up
+                return b""
 
     def close(self) -> None:
         """Hang up and remove the link; harmless when closed already."""
-        if self._master < 0:
-            return
-        os.close(self._master)
-        self._master = -1
+        with self._lock:
+            if self._master < 0:
+                return
+            os.close(self._master)
+            self._master = -1
         if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self._far:
             self._link.unlink()
 
-    def fileno(self) -> int:
-        """Return the descriptor of the device's end."""
-        return self._master
+    def wait(self, other: "PtyLine", timeout_s: float) -> None:
+        """Return when something has come over this line or the other, or after timeout_s."""
+        with self._lock:
+            descriptors = [line._master for line in (self, other) if line.is_open]  # noqa: SLF001 (of its own kind)
+        poll = select.poll()
+        for descriptor in descriptors:
+            poll.register(descriptor, select.POLLIN)
+        poll.poll(timeout_s * 1000.0)
 
 
 def join(outer: PtyLine, inner: PtyLine, stop: threading.Event) -> None:
@@ -95,12 +109,12 @@ def join(outer: PtyLine, inner: PtyLine, stop: threading.Event) -> None:
         if not outer.has_reader():
             stop.wait(0.005)
             continue
-        select.select([outer, inner], [], [], 0.05)
+        outer.wait(inner, 0.05)
         _carry(outer, inner)
         _carry(inner, outer)
 
 
 def _carry(source: PtyLine, sink: PtyLine) -> None:
-    data = source.read(0.0)
+    data = source.read()
     while data and sink.has_reader():
         data = data[sink.write(data, 0.1) :]

@@ -79,7 +79,7 @@ class Scenario(BaseModel):
         return [(force, node) for force in self.force for node in ([force.at] if force.at else sensed)]
 
     def with_faults(self, texts: Sequence[str]) -> Self:
-        """Return the scenario with more faults, each as NAME@SECONDS or NAME@SECONDSs."""
+        """Return the scenario with more faults, each as NAME@SECONDS or NAME@SECONDS+HOW_LONG."""
         return self.model_copy(update={"fault": (*self.fault, *(_fault_of(text) for text in texts))})
 
     def fits(self, rig: RigFile) -> None:
@@ -120,10 +120,14 @@ def load_scenario(name_or_file: str, environment: Mapping[str, str] = os.environ
 
 
 def _fault_of(text: str) -> FaultAt:
-    match = re.fullmatch(r"(?P<name>[a-z][a-z0-9.-]*)@(?P<at>[0-9]+(\.[0-9]+)?)s?", text)
+    match = re.fullmatch(
+        r"(?P<name>[a-z][a-z0-9.-]*)@(?P<at>[0-9]+(\.[0-9]+)?)s?(\+(?P<long>[0-9]+(\.[0-9]+)?)s?)?", text
+    )
     if match is None:
-        raise SimUsageError(f'--fault: "{text}" is not of the form NAME@SECONDS; e.g. serial.garbage@10s')
-    return FaultAt(name=match["name"], at_s=float(match["at"]))
+        raise SimUsageError(
+            f'--fault: "{text}" is not of the form NAME@SECONDS or NAME@SECONDS+HOW_LONG; e.g. serial.garbage@10s'
+        )
+    return FaultAt(name=match["name"], at_s=float(match["at"]), for_s=float(match["long"] or 0.0))
 
 
 def _seed_of(environment: Mapping[str, str]) -> dict[str, int]:

@@ -65,7 +65,8 @@ class SerialDevice(Device):
 
     def _watch_reader(self) -> None:
         """Begin to send some time after the line was opened, and stop when it is closed."""
-        if not self._line.has_reader():
+        self._plug(not self._stream.disconnected)
+        if not self._line.is_open or not self._line.has_reader():
             if self._outlet is not None:
                 self._outlet.gone = True
             self._outlet = self._opened_at = None
@@ -75,6 +76,12 @@ class SerialDevice(Device):
             self._outlet = PtyOutlet(self._line)
             self._outlet.put(self._greeting)
             self._stream.add(self._outlet)
+
+    def _plug(self, plugged: bool) -> None:
+        if plugged and not self._line.is_open:
+            self._line.open()
+        elif not plugged:
+            self._line.close()
 
     def stop(self) -> None:
         self._stop.set()
@@ -151,7 +158,13 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
         if link in taken:
             raise SimUsageError(f"source[{number}].port: {settings.port} is played for another source already")
         taken.add(link)
-        stream = Stream(source.name, _feed(bench, bench.rig, source, settings), bench.clock, lambda _index, row: row)
+        stream = Stream(
+            source.name,
+            _feed(bench, bench.rig, source, settings),
+            bench.clock,
+            lambda _index, row: row,
+            bench.faults(number),
+        )
         # an empty line tells a reader of text that the next one is whole
         greeting = b"\r\n" if settings.format == "text" else b""
         devices.append(SerialDevice(bench.clock, stream, PtyLine(link), greeting))

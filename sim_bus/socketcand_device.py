@@ -128,40 +128,59 @@ class SocketcandDevice(Device):
         self._written_to_bus = 0
 
     def start(self) -> None:
-        family = socket.AF_INET6 if ":" in self._endpoint.host else socket.AF_INET
-        listener = socket.socket(family)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            listener.bind((self._endpoint.host, self._endpoint.port))
-            listener.listen()
+            self._listener = self._listen()
         except OSError as error:
-            listener.close()
             words = f"port {self._endpoint.port} on {self._endpoint.host} cannot be opened: {error.strerror}"
             raise SimBusError(f'source "{next(iter(self._buses.values())).source}": {words}') from error
-        listener.setblocking(False)
-        self._listener = listener
-        self._thread = threading.Thread(target=self._run, args=(listener,), name="socketcand device", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="socketcand device", daemon=True)
         self._thread.start()
 
-    def _run(self, listener: socket.socket) -> None:
+    def _listen(self) -> socket.socket:
+        listener = socket.socket(socket.AF_INET6 if ":" in self._endpoint.host else socket.AF_INET)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind((self._endpoint.host, self._endpoint.port))
+            listener.listen()
+        except OSError:
+            listener.close()
+            raise
+        listener.setblocking(False)
+        return listener
+
+    def _run(self) -> None:
         with selectors.DefaultSelector() as selector:
-            selector.register(listener, selectors.EVENT_READ)
+            if self._listener is not None:
+                selector.register(self._listener, selectors.EVENT_READ)
             while not self._stop.is_set():
                 for key, _ in selector.select(min(stream.wait_s() for stream in self._buses.values())):
-                    self._serve(key, listener, selector)
+                    self._serve(key, selector)
                 for stream in self._buses.values():
                     stream.step()
+                self._plug(selector, plugged=not any(stream.disconnected for stream in self._buses.values()))
                 self._drop_gone(selector)
             for client in self._clients:
                 client.socket.close()
 
-    def _serve(self, key: selectors.SelectorKey, listener: socket.socket, selector: selectors.BaseSelector) -> None:
+    def _plug(self, selector: selectors.BaseSelector, *, plugged: bool) -> None:
+        """Let the daemon die, or come back."""
+        if plugged and self._listener is None:
+            self._listener = self._listen()
+            selector.register(self._listener, selectors.EVENT_READ)
+        elif not plugged and self._listener is not None:
+            selector.unregister(self._listener)
+            self._listener.close()
+            self._listener = None
+            for client in self._clients:
+                client.gone = True
+
+    def _serve(self, key: selectors.SelectorKey, selector: selectors.BaseSelector) -> None:
         if isinstance(key.data, Client):
             key.data.receive()
-            return
-        client = Client(listener.accept()[0], self._buses)
-        self._clients.append(client)
-        selector.register(client.socket, selectors.EVENT_READ, client)
+        elif self._listener is not None:
+            client = Client(self._listener.accept()[0], self._buses)
+            self._clients.append(client)
+            selector.register(client.socket, selectors.EVENT_READ, client)
 
     def _drop_gone(self, selector: selectors.BaseSelector) -> None:
         for client in [client for client in self._clients if client.gone]:

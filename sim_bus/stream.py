@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sim_bus.clock import PlayClock
+from sim_bus.faults import LineFaults
 from sim_bus.ranges import Runs
 from sim_bus.wire import Feed
 
@@ -93,14 +94,18 @@ class Stream:
         feed: its samples as rows.
         clock: says which of them have been taken.
         render: makes what goes over the line from a sample's number and row.
+        faults: what goes wrong on the line.
     """
 
-    def __init__(self, source: str, feed: Feed, clock: PlayClock, render: Callable[[int, bytes], bytes]) -> None:
+    def __init__(
+        self, source: str, feed: Feed, clock: PlayClock, render: Callable[[int, bytes], bytes], faults: LineFaults
+    ) -> None:
         self.source = source
         self.outlets: list[Outlet] = []
         self._feed = feed
         self._clock = clock
         self._render = render
+        self._faults = faults
         self._next = 0
         self._frames = 0
         self._unheard = Runs()
@@ -111,6 +116,11 @@ class Stream:
         """Begin to send to an outlet."""
         self.outlets.append(outlet)
         self._clock.meet(self.source)
+
+    @property
+    def disconnected(self) -> bool:
+        """Whether the line is to be gone at this time."""
+        return self._clock.started.is_set() and self._faults.at_time("disconnect", self._clock.played() - 1)
 
     def step(self) -> None:
         """Hand the samples that are due to the outlets, and send what they take."""
@@ -135,7 +145,7 @@ class Stream:
             self._unheard.add(first, end - 1)
             return
         for number, row in enumerate(self._feed.rows(first, end), first):
-            data = self._render(number, row)
+            data = self._faults.apply(number, self._render(number, row))
             taken = [outlet.put(data) for outlet in self.outlets]
             if all(taken):
                 self._frames += 1
@@ -163,4 +173,5 @@ class Stream:
             "lost": self._overflow.before(played),
             "lateness": self._lateness.summary(),
             "saturated": self._feed.saturated(played),
+            "faults": self._faults.ledger(played),
         }

@@ -1,0 +1,153 @@
+"""Faults on real lines: what a reader meets, and that the ledger agrees with it to the sample."""
+
+import socket
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tests.sim.rigs import LIMIT_S, MODEL, RawModbus, Simulator, free_port, ring_config, simulator, until
+from tests.sim.test_serial_device import BINARY, opened, read
+from tests.sim.test_socketcand_device import daemon, played
+
+Connect = Callable[[int], RawModbus]
+FRAME = 18
+
+
+def numbers(data: bytes) -> np.ndarray:
+    """Return the counters of whole frames."""
+    return (
+        np.frombuffer(data[: len(data) // FRAME * FRAME], np.uint8).reshape(-1, FRAME)[:, 2:4].copy().view("<u2")[:, 0]
+    )
+
+
+def test_serial_dropped_samples_are_missing_and_in_the_ledger(tmp_path: Path) -> None:
+    text = (MODEL + BINARY).format(rate=1000.0)
+    with simulator(tmp_path, text, "--fault", "serial.drop@0.1s+0.02s", "--fault", "serial.drop@0.2") as sim:
+        with opened(tmp_path / "line") as line:
+            data = read(line, 300 * FRAME)
+        assert sim.stop() == 0
+    missing = sorted(set(range(300)) - set(numbers(data).tolist()))
+    assert missing == [*range(100, 120), 200]
+    ledger = sim.ledger()["sources"]["line"]
+    assert ledger["faults"] == [
+        {"fault": "drop", "samples": [[100, 119]]},
+        {"fault": "drop", "samples": [[200, 200]]},
+    ]
+
+
+def test_serial_line_that_is_unplugged_comes_back_under_its_name(tmp_path: Path) -> None:
+    text = (MODEL + BINARY).format(rate=1000.0)
+    with simulator(tmp_path, text, "--fault", "serial.disconnect@0.1+0.2") as sim:
+        with opened(tmp_path / "line") as line:
+            before = read(line, 50 * FRAME)
+            until(lambda: not (tmp_path / "line").is_symlink())
+        until((tmp_path / "line").exists)
+        with opened(tmp_path / "line") as line:
+            after = read(line, 50 * FRAME)
+        assert sim.stop() == 0
+    start = after.index(b"\xaa\x55")
+    resumed = int(numbers(after[start:])[0])
+    assert numbers(before)[0] == 0
+    assert resumed > 300
+    assert any(last == resumed - 1 for _, last in sim.ledger()["sources"]["line"]["unheard"])
+
+
+def test_socketcand_that_dies_refuses_and_comes_back(tmp_path: Path) -> None:
+    options = ("--scenario", "steady", "--fault", "can.disconnect@0.1+0.2")
+    with played(tmp_path, *options) as (sim, port):
+        with daemon(port) as one, daemon(port, "can1"):
+            one.frames(50)
+            one.socket.settimeout(LIMIT_S)
+            while one.socket.recv(1 << 16):
+                pass
+
+        def back() -> bool:
+            try:
+                socket.create_connection(("127.0.0.1", port), LIMIT_S).close()
+            except ConnectionRefusedError:
+                return False
+            return True
+
+        until(back)
+        with daemon(port) as again:
+            resumed = int.from_bytes(again.frames(1)[0][2][:2], "little")
+        assert sim.stop() == 0
+    assert resumed >= 290
+    assert any(last == resumed - 1 for _, last in sim.ledger()["sources"]["canbus"]["unheard"])
+
+
+def index_or_none(connect: Connect, port: int) -> int | None:
+    try:
+        return connect(port).index()
+    except (OSError, AssertionError):
+        return None
+
+
+def test_modbus_server_that_dies_refuses_and_comes_back_with_its_ring(tmp_path: Path, connect: Connect) -> None:
+    port = free_port()
+    with simulator(tmp_path, ring_config(port), "--fault", "modbus.disconnect@0.1+0.3") as sim:
+        assert connect(port).index() == 1
+        until(lambda: index_or_none(connect, port) is None)
+        until(lambda: index_or_none(connect, port) is not None)
+        index = connect(port).index()
+        first = connect(port).registers(16, 3)
+        assert sim.stop() == 0
+    assert index >= 390
+    truth = np.rint(sim.truth()["readings"][0] / [1e-3, 2e-6, 2e-3]).astype(int)
+    assert first == (truth & 0xFFFF).tolist()
+
+
+def test_modbus_busy_answers_exception_6_and_recovers(tmp_path: Path, connect: Connect) -> None:
+    port = free_port()
+    with simulator(tmp_path, ring_config(port), "--fault", "modbus.busy@0.1+0.2") as sim:
+        client = connect(port)
+        ask = struct.pack(">BHH", 4, 0, 2)
+        until(lambda: client.request(ask) == bytes([0x84, 6]))
+        until(lambda: client.request(ask)[0] == 4)
+        assert client.index() >= 300
+        assert sim.stop() == 0
+    assert sim.ledger()["sources"]["plc"]["faults"] == [{"fault": "busy", "samples": [[100, 299]]}]
+
+
+def test_modbus_hanging_device_shows_old_registers(tmp_path: Path, connect: Connect) -> None:
+    port = free_port()
+    with simulator(tmp_path, ring_config(port), "--fault", "modbus.hang@0.1+0.2") as sim:
+        client = connect(port)
+        seen = [client.index()]
+        while seen[-1] < 310:
+            seen.append(client.index())
+        assert sim.stop() == 0
+    assert not any(105 < index < 295 for index in seen)
+
+
+def test_modbus_silent_device_does_not_answer(tmp_path: Path, connect: Connect) -> None:
+    port = free_port()
+    with simulator(tmp_path, ring_config(port), "--fault", "modbus.silent@0.1+0.3") as sim:
+        client = connect(port)
+        longest = 0.0
+        while client.index() < 450:
+            begun = time.monotonic()
+            client._socket.settimeout(0.15)
+            try:
+                client.index()
+            except TimeoutError:
+                client.close()
+                client = connect(port)
+                client._socket.settimeout(0.5)
+                try:
+                    client.index()
+                except TimeoutError:
+                    client = connect(port)
+            longest = max(longest, time.monotonic() - begun)
+        assert sim.stop() == 0
+    assert longest > 0.14
+
+
+def test_sim_unknown_fault_names_those_there_are(tmp_path: Path) -> None:
+    sim = Simulator(tmp_path, ring_config(free_port()), "--fault", "modbus.melt@1")
+    assert sim.end() == 2
+    assert "no fault is called modbus.melt" in sim.err
+    assert "modbus.disconnect" in sim.err

@@ -60,10 +60,12 @@ def _print_conditions(document: Document) -> None:
 
 
 def _print_box(box: Document | None) -> None:
-    if box:
-        reach = ", ".join(f"{name} ± {number(value, 3)}" for name, value in box["reach"].items())
-        words = f"stable whatever the parameters do within {reach}"
-        show(f"{words} ({number(100 * box['share'], 3)} % of the limits)" if box["share"] > 0 else "no margin is proven")
+    if not box:
+        return
+    reach = ", ".join(f"{name} ± {number(value, 3)}" for name, value in box["reach"].items())
+    share = f"{number(100 * box['share'], 3)} % of the limits"
+    proven = f"stable however the parameters move within {reach} ({share})"
+    show(proven if box["share"] > 0 else "no range in which parameters may move at will is proven stable")
 
 
 def _print_recording(facts: Document | None) -> None:

@@ -142,6 +142,7 @@ def test_descend_stops_at_the_step_the_cost_or_the_count_whichever_is_met_first(
     assert loose.step <= 1e-6
     assert loose.iterations < descend(batch, solution).iterations
     assert by_cost.converged
+    assert by_cost.iterations < descend(batch, solution).iterations
     assert cost(batch, by_cost.M) <= 1e-15
     assert (by_count.iterations, by_count.converged) == (3, False)
 

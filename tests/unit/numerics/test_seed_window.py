@@ -5,9 +5,9 @@ import pytest
 
 from agent.numerics.hops import HopPlan
 from agent.numerics.observer import poles_gain
-from agent.numerics.seed_window import SeedSettings, SeedWindow, settling
-from agent.numerics.statespace import discretise, simulate
 from agent.numerics.rows import Rows
+from agent.numerics.seed_window import SeedSettings, SeedWindow, regression, settling
+from agent.numerics.statespace import discretise, simulate
 from tests.unit.numerics.paper_rig import GAIN, NOMINAL, PERIOD, free_decay, rig
 
 TRUE = NOMINAL + np.array([5.0, -10.0, 1.0, -0.5])
@@ -55,7 +55,7 @@ def test_seed_window_does_not_depend_on_how_the_stream_is_cut(rng: np.random.Gen
     y, u = forced(rng, 1500)
     y = y + rng.normal(scale=1e-6, size=y.shape)
     whole = rows_of(SeedWindow(rig(), exact_settings(passes)), y, u, [])
-    cut = rows_of(SeedWindow(rig(), exact_settings(passes)), y, u, [1, 49, 50, 333, 1000])
+    cut = rows_of(SeedWindow(rig(), exact_settings(passes)), y, u, [1, 49, 50, 260, 333, 1000, 1270, 1290])
     assert np.array_equal(whole.index, cut.index)
     assert np.array_equal(whole.full, cut.full)
     full = whole.full
@@ -82,3 +82,11 @@ def test_settling_of_an_unstable_observer_is_refused() -> None:
     model = discretise(rig().continuous(NOMINAL), PERIOD, "euler").model
     with pytest.raises(ValueError, match="not stable"):
         settling(model, -GAIN, 1e-9)
+
+
+@pytest.mark.parametrize(("hold", "columns"), [("euler", 4), ("zero", 5), ("first", 5)])
+def test_regression_takes_the_input_in_where_its_matrix_depends_on_the_parameters(hold: str, columns: int) -> None:
+    model = discretise(rig().continuous(NOMINAL), PERIOD, hold).model
+    batch, derivatives = regression(model, np.ones((11, 4)), np.ones((10, 1)))
+    assert batch.regressors.shape == (10, columns)
+    assert derivatives.shape == (4, 4, columns)

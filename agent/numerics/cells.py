@@ -147,6 +147,25 @@ def merge(first: Summary, second: Summary) -> Summary:
     )
 
 
+def joined(first: Summary, second: Summary) -> Summary:
+    """Append stretches in time, all of equal length."""
+    gram = np.concatenate([first.gram, second.gram])
+    return Summary(gram, np.concatenate([first.moment, second.moment], axis=1), second.Pi, second.GG)
+
+
+def repeated(stretch: Summary, count: int) -> Summary:
+    """Return Pi and GG of `count` stretches on end, without data."""
+    power = Summary(np.zeros_like(stretch.gram[:1]), np.zeros_like(stretch.moment[:, :1]), stretch.Pi, stretch.GG)
+    total: Summary | None = None
+    while True:
+        if count & 1:
+            total = power if total is None else merge(total, power)
+        count >>= 1
+        if not count:
+            return total if total is not None else power
+        power = merge(power, power)
+
+
 def sliding(hops: Summary, count: int) -> Summary:
     """Return the summaries of every `count` consecutive stretches, N - count + 1 of them, by doubling.
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.cells import CellOperator, Summary, cell_operators, merge, propagate, sliding, summarise_cells
+from agent.numerics.cells import CellOperator, Summary, cell_operators, joined, merge, propagate, summarise_cells
 from agent.numerics.sensitivity import SensitivityFilter
+from agent.numerics.sliding import Kept, slide
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -96,7 +97,7 @@ class Segment:
         self.done = self.first
         self.v: FloatArray = np.zeros((0, width))
         self.z: FloatArray | None = None
-        self.fulls: Summary | None = None
+        self.kept = Kept()
         self.head: Summary | None = None
 
     def append(self, index: int, v: FloatArray) -> None:
@@ -124,7 +125,8 @@ class Segment:
 
     def restart(self, start: int, z: FloatArray) -> None:
         """Begin again at sample `start` with filter state z (nz,): the summaries belong to other operators."""
-        self.fulls = self.head = None
+        self.head = None
+        self.kept = Kept()
         self.done, self.z = start, z
 
     def advance(self, operators: HopOperators, units: int) -> tuple[IntArray, Summary | None]:
@@ -139,12 +141,12 @@ class Segment:
         if split:
             rest, states = operators.summarise(operators.rest, v[:, :split], states)
         heads, _ = operators.summarise(operators.head, v[:, split:], states)
-        finished = _joined(self.head, heads.part(slice(0, -1)))
-        self.fulls = _joined(self.fulls, finished if rest is None else merge(finished, rest))
+        finished = joined(self.head, heads.part(slice(0, -1)))
+        windows = self._windows(finished if rest is None else merge(finished, rest), heads)
         self.head = heads.part(slice(-1, None))
         index = self.done + plan.hop * np.arange(1, units + 1, dtype=np.int64) - 1
         self.done += units * plan.hop
-        return index, self._windows(heads)
+        return index, windows
 
     def _first_head(self, operators: HopOperators) -> tuple[IntArray, Summary | None]:
         v = self.samples(self.done, self.done + self.plan.head)
@@ -157,23 +159,9 @@ class Segment:
         """The filters' state after the newest sample summarised; zero before the first."""
         return np.zeros(operators.nz) if self.z is None else self.z
 
-    def _windows(self, heads: Summary) -> Summary | None:
+    def _windows(self, finished: Summary, heads: Summary) -> Summary | None:
         """Join whole hops and a head into windows, for as many of the newest rows as there are enough hops."""
-        F, fulls = self.plan.fulls, self.fulls
-        if F == 0 or fulls is None:
-            self.fulls = None
+        if not self.plan.fulls:
             return heads
-        self.fulls = fulls.part(slice(max(0, len(fulls) - F), None))
-        usable = min(len(fulls), F - 1 + len(heads))
-        if usable < F:
-            return None
-        slid = sliding(fulls.part(slice(len(fulls) - usable, None)), F)
-        return merge(slid, heads.part(slice(len(heads) - len(slid), None)))
-
-
-def _joined(first: Summary | None, second: Summary) -> Summary:
-    """Append stretches in time."""
-    if first is None:
-        return second
-    gram = np.concatenate([first.gram, second.gram])
-    return Summary(gram, np.concatenate([first.moment, second.moment], axis=1), second.Pi, second.GG)
+        self.kept, slid = slide(self.kept, finished, self.plan.fulls)
+        return None if slid is None else merge(slid, heads.part(slice(len(heads) - len(slid), None)))

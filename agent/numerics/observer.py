@@ -48,10 +48,12 @@ def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> tu
     """
     try:
         P = solve_discrete_are(model.A.T, model.C.T, process, noise)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(f"no stabilising observer gain: {error}") from error
     S = model.C @ P @ model.C.T + noise
     L = np.linalg.solve(S, model.C @ P @ model.A.T).T
+    if not spectral_radius(model.A - L @ model.C) < 1.0:
+        raise ValueError("no stabilising observer gain: the outputs do not show a mode that does not decay")
     return np.asarray(L, dtype=np.float64), np.asarray(S, dtype=np.float64)
 
 
@@ -118,19 +120,26 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
     The one free figure, the intensity of the disturbance, is searched by bisection of its logarithm.
     Raises ValueError when no intensity gives a stable observer.
     """
-    model = discrete.model
     strength = np.ones(disturbance.shape[1])
     unit = float(np.sqrt(np.mean(sigma**2)) / max(np.linalg.norm(disturbance) * discrete.period_s, 1e-300))
     target = np.exp(-6.0 / window)
     low, high = -4.0, 8.0
     for _ in range(10):
         middle = 0.5 * (low + high)
-        gain = matched_gain(discrete, disturbance, Noise(sigma, 10.0**middle * unit * strength)).L
-        if spectral_radius(model.A - gain @ model.C) < target:
+        if _forgets(discrete, disturbance, Noise(sigma, 10.0**middle * unit * strength), target):
             high = middle
         else:
             low = middle
     return matched_gain(discrete, disturbance, Noise(sigma, 10.0**high * unit * strength)).L
+
+
+def _forgets(discrete: Discrete, disturbance: FloatArray, noise: Noise, target: float) -> bool:
+    """Tell whether the matched gain exists and puts every pole inside the radius `target`."""
+    try:
+        gain = matched_gain(discrete, disturbance, noise).L
+    except ValueError:
+        return False
+    return spectral_radius(discrete.model.A - gain @ discrete.model.C) < target
 
 
 def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance: float = 1e-9) -> list[str]:

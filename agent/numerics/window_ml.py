@@ -89,12 +89,17 @@ class WindowML:
         self._segment: Segment | None = None
         self._reference = Reference.empty(len(self.theta))
         self._rebuild()
-        self._dof = max(float(settings.plan.window * len(self.noise.sigma) - self._n - len(self.theta)), 1.0)
+        self._unknowns = self._n + len(self.theta)
+        self._dof = max(float(settings.plan.window * len(self.noise.sigma) - self._unknowns), 1.0)
 
     @property
     def _gate(self) -> float:
-        """Largest residual variance, in units of the reference, of an undisturbed window."""
-        return 1.0 + 4.0 * float(np.sqrt(2.0 / (self._dof * self.colour.share)))
+        """Largest residual variance, in units of the reference, of an undisturbed window.
+
+        A reference that was learnt from one window is as uncertain as what it is compared with.
+        """
+        doubt = 2.0 if self.calibrator.learns else 1.0
+        return 1.0 + 4.0 * float(np.sqrt(2.0 * doubt / (self._dof * self.colour.share)))
 
     def sampled(self, theta: FloatArray) -> Discrete:
         """Return the sampled model at theta (q,)."""
@@ -284,7 +289,7 @@ class WindowML:
         covariance = np.linalg.pinv(here.psi.T @ here.psi, hermitian=True)
         delta = covariance @ (here.psi.T @ here.e)
         residual = (here.e - here.psi @ delta).reshape(-1, len(self.noise.sigma))
-        self._take_colour(colour_of(here.psi, residual, np.asarray(covariance)), index)
+        self._take_colour(colour_of(here.psi, residual, np.asarray(covariance), self._unknowns), index)
         rows.sd[row:] *= self.colour.inflation / before.inflation
         rows.dof[row:] *= self.colour.share / before.share
         return True
@@ -353,7 +358,7 @@ class WindowML:
         """Linearise about a fit if it passes the gate; a long window is iterated on its summaries first."""
         if not np.all(np.isfinite(fit.covariance)):
             return False
-        self.colour = colour_of(fit.psi, fit.residual, fit.covariance)
+        self.colour = colour_of(fit.psi, fit.residual, fit.covariance, self._unknowns)
         if long:
             return self._place_long(segment, fit, start)
         s2 = float(np.sum(fit.residual**2)) / self._dof
@@ -388,7 +393,7 @@ class WindowML:
 
     def _place_long(self, segment: Segment, fit: Fit, start: int) -> bool:
         """Carry a fit of the newest LONG samples to the whole window by steps on its summaries."""
-        kept = (segment.done, segment.z, segment.fulls, segment.head, self._operators, self.gain)
+        kept = (segment.done, segment.z, segment.kept, segment.head, self._operators, self.gain)
         self.theta, self.settled, x0 = fit.theta, True, np.zeros(self._n)
         for _ in range(8):
             self._rebuild()
@@ -404,5 +409,5 @@ class WindowML:
                 self._centre(segment, start, x0, solution.information[0] * np.outer(self.scale, self.scale))
                 return True
             self.theta = np.maximum(self.theta + step, self.settings.lower)
-        segment.done, segment.z, segment.fulls, segment.head, self._operators, self.gain = kept
+        segment.done, segment.z, segment.kept, segment.head, self._operators, self.gain = kept
         return False

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fit import Linearised, linearise
+from agent.numerics.gains import AutomaticGains, Gains
 from agent.numerics.hops import HopPlan
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.observer import STRICTLY_STABLE, kalman_gain, poles_gain, spectral_radius, start_gain
+from agent.numerics.observer import Gain, Noise, matched_gain, plain_gain, poles_gain
 from agent.numerics.sensitivity import SensitivityFilter, sensitivity_filter
 from agent.numerics.statespace import Discrete, discretise, simulate
-from agent.numerics.window_ml import Gains, WindowSettings
+from agent.numerics.window_ml import WindowSettings
 from tests.unit.numerics.paper_rig import rig
 
 FloatArray = NDArray[np.float64]
@@ -69,55 +69,47 @@ def zero_gain(discrete: Discrete) -> FloatArray:
     return np.zeros((discrete.model.n, discrete.model.p))
 
 
-def usual_gains(model: MassSpringDamper, sigma: FloatArray, window: int) -> Gains:
-    """A Kalman start, then no correction where the model is stable."""
+@dataclass(frozen=True)
+class FixedGains:
+    """The same kind of gain from the first sample on."""
 
-    def start(discrete: Discrete) -> FloatArray:
-        return start_gain(discrete, disturbance(model), sigma, window)
+    kind: str
+    disturbance: None = None
 
-    def settled(discrete: Discrete) -> FloatArray:
-        return zero_gain(discrete) if spectral_radius(discrete.model.A) < STRICTLY_STABLE else start(discrete)
+    def start(self, discrete: Discrete, noise: Noise) -> Gain:
+        return gain_of(self.kind, discrete, float(noise.sigma[0]))
 
-    return Gains(start, settled)
-
-
-def matched_gain(discrete: Discrete, process_sd: float, sigma: float) -> FloatArray:
-    """The paper's rig with white force noise on both masses."""
-    direction = disturbance(rig())
-    process = direction @ direction.T * (process_sd * discrete.period_s) ** 2
-    return kalman_gain(discrete.model, process, sigma**2 * np.eye(discrete.model.p))
+    def settled(self, discrete: Discrete, noise: Noise) -> Gain:
+        return self.start(discrete, noise)
 
 
-def filters(discrete: Discrete, gain: FloatArray, sigma: float) -> SensitivityFilter:
-    return sensitivity_filter(discrete.model, gain, np.full(discrete.model.p, 1 / sigma))
-
-
-def linearised(discrete: Discrete, gain: FloatArray, sigma: float, v: FloatArray, x0: FloatArray) -> Linearised:
-    return linearise(discrete.model, gain, np.full(discrete.model.p, 1 / sigma), v, x0)
+def filters(discrete: Discrete, gain: Gain) -> SensitivityFilter:
+    return sensitivity_filter(discrete.model, gain.L, gain.whitening)
 
 
 KINDS = ("zero", "kalman", "poles")
 
 
-def gain_of(kind: str, discrete: Discrete, sigma: float) -> FloatArray:
-    """Each kind of observer that a configuration may ask for."""
+def gain_of(kind: str, discrete: Discrete, sigma: float) -> Gain:
+    """Each kind of observer that a configuration may ask for; "kalman" expects 0.5 N on both masses."""
+    noise = np.full(discrete.model.p, sigma)
     if kind == "zero":
-        return zero_gain(discrete)
+        return plain_gain(np.zeros((discrete.model.n, discrete.model.p)), noise)
     if kind == "kalman":
-        return matched_gain(discrete, 0.5, sigma)
-    return poles_gain(discrete.model, [-45.0, -40.0, -35.0, -30.0], discrete.period_s)
+        return matched_gain(discrete, disturbance(rig()), Noise(noise, np.full(2, 0.5)))
+    return plain_gain(poles_gain(discrete.model, [-45.0, -40.0, -35.0, -30.0], discrete.period_s), noise)
 
 
 def settings(
     window: int, hop: int, sigma: float = 1e-6, limit: float = 0.1, gains: Gains | None = None
 ) -> WindowSettings:
-    """The paper's rig; limit: alarm limit as a share of nominal; sigma NaN: to be learnt."""
-    model, noise = rig(), np.full(2, sigma)
-    known = np.where(np.isfinite(noise), noise, 1.0)
+    """The paper's rig; limit: alarm limit as a share of nominal; sigma NaN: to be learnt; gains: automatic."""
+    model = rig()
     return WindowSettings(
         period_s=PERIOD, plan=HopPlan(window, hop), hold="first",
-        gains=gains or usual_gains(model, known, window), sigma=noise, floor=np.zeros(2),
-        scale=model.nominal, lower=0.02 * model.nominal, enough_sd=0.33 * limit * model.nominal,
+        gains=gains or AutomaticGains(disturbance(model), window), sigma=np.full(2, sigma), floor=np.zeros(2),
+        scale=model.nominal, scale_column=np.full(4, -1), lower=0.02 * model.nominal,
+        enough_sd=0.33 * limit * model.nominal,
     )  # fmt: skip
 
 

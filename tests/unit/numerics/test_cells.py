@@ -1,10 +1,14 @@
 """Lifted cells, merged summaries and sliding windows against sample-by-sample computation."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from agent.numerics.cells import Summary, cell_operators, merge, propagate, run_cells, sliding, summarise_cells
+from agent.numerics.observer import plain_gain
 from agent.numerics.sensitivity import SensitivityFilter
+from agent.numerics.sliding import Kept, slide
 from agent.numerics.statespace import discretise
 from tests.unit.numerics.rigs import FloatArray, filters, gain_of, noisy, sampled
 from tests.unit.numerics.test_statespace import widest_model
@@ -32,11 +36,11 @@ def assert_same(summary: Summary, at: int, o: FloatArray, G: FloatArray) -> None
 def test_cells_summaries_merged_and_slid_equal_direct_computation(kind: str, rng: np.random.Generator) -> None:
     if kind == "widest":
         d = discretise(widest_model().continuous(widest_model().nominal), 0.01)
-        f = filters(d, 0.01 * rng.standard_normal((d.model.n, d.model.p)), 1.0)
+        f = filters(d, plain_gain(0.01 * rng.standard_normal((d.model.n, d.model.p)), np.ones(d.model.p)))
         v = rng.standard_normal((9 * 21, d.model.p + d.model.m))
     else:
         d = sampled()
-        f = filters(d, gain_of(kind, d, 1e-6), 1e-6)
+        f = filters(d, gain_of(kind, d, 1e-6))
         v = noisy(rng, 9 * 21, 1e-6).v
     lengths, z = [12, 9], 0.01 * rng.standard_normal(len(f.F))
     operators = cell_operators(f, lengths)
@@ -65,7 +69,7 @@ def test_cells_summaries_merged_and_slid_equal_direct_computation(kind: str, rng
 
 def test_merge_any_grouping_gives_the_same(rng: np.random.Generator) -> None:
     d = sampled()
-    f = filters(d, gain_of("kalman", d, 1e-6), 1e-6)
+    f = filters(d, gain_of("kalman", d, 1e-6))
     cells = summarise_cells(cell_operators(f, [8])[8], noisy(rng, 24, 1e-6).v.reshape(3, -1), np.zeros((3, len(f.F))))
     a, b, c = (cells.part(slice(i, i + 1)) for i in range(3))
     left, right = merge(merge(a, b), c), merge(a, merge(b, c))
@@ -83,3 +87,25 @@ def test_propagate_any_count_equals_a_plain_loop(count: int, rng: np.random.Gene
         np.testing.assert_allclose(states[k], z, rtol=1e-10, atol=1e-12)
         z = F @ z + forced[k]
     np.testing.assert_allclose(last, z, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 16, 17, 31, 32, 100, 128, 150])
+@pytest.mark.parametrize("cut", ["whole", "singly", "anyhow"])
+def test_slide_any_length_and_any_cut_equals_doubling(count: int, cut: str, rng: np.random.Generator) -> None:
+    total, nz = count + 70, 6
+    Pi = 0.5 * rng.standard_normal((nz, nz)) / np.sqrt(nz)
+    gram, moment = rng.standard_normal((total, 3, 3)), rng.standard_normal((nz, total, 3))
+    hops = Summary(gram, moment, Pi, np.eye(nz))
+    sizes = {"whole": [total], "singly": [1] * total, "anyhow": rng.integers(1, 90, total).tolist()}[cut]
+    edges = np.minimum(np.cumsum([0, *sizes]), total)
+    kept, pieces = Kept(), []
+    for start, stop in pairwise(edges.tolist()):
+        if stop > start:
+            kept, windows = slide(kept, hops.part(slice(start, stop)), count)
+            assert (0 if windows is None else len(windows)) == max(0, min(stop - start, stop - count + 1))
+            pieces += [] if windows is None else [windows]
+    expected = sliding(hops, count)
+    np.testing.assert_allclose(np.concatenate([w.gram for w in pieces]), expected.gram, atol=1e-11)
+    np.testing.assert_allclose(np.concatenate([w.moment for w in pieces], axis=1), expected.moment, atol=1e-11)
+    np.testing.assert_allclose(pieces[-1].Pi, expected.Pi, atol=1e-14)
+    np.testing.assert_allclose(pieces[-1].GG, expected.GG, atol=1e-11)

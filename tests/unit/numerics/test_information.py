@@ -27,10 +27,12 @@ def test_bound_sd_nothing_known_is_infinite() -> None:
     np.testing.assert_allclose(bound_sd(np.diag([4.0, 0.25])), [0.5, 2.0])
 
 
-def test_expected_sd_white_force_agrees_with_windows_drawn_anew(rng: np.random.Generator) -> None:
-    expected = expected_sd(sampled(), np.array([5.0]), np.full(2, 1e-6), 1000, windows=100)
+def test_expected_sd_white_force_lies_among_windows_drawn_anew(rng: np.random.Generator) -> None:
+    """Windows shorter than the slowest period differ by factors, so it can only be an expectation."""
+    expected = expected_sd(sampled(), np.array([5.0]), np.full(2, 1e-6), 1000)
     force, drawn = record(sampled(), 5.0 * rng.standard_normal((50_000, 1))), []
     for start in rng.integers(10_000, 49_000, 100):
         u = force.u[start : start + 1000]
         drawn.append(bound_sd(window_information(sampled(), force.states[start], u, np.full(2, 1e-6))))
-    np.testing.assert_allclose(expected, np.sqrt(np.mean(np.square(drawn), axis=0)), rtol=0.5)
+    assert np.all(expected > np.quantile(drawn, 0.1, axis=0))
+    assert np.all(expected < np.quantile(drawn, 0.95, axis=0))

@@ -37,7 +37,9 @@ def test_kalman_gain_equals_the_recursion_run_to_its_end() -> None:
     for _ in range(20_000):
         K = model.A @ P @ model.C.T @ np.linalg.inv(model.C @ P @ model.C.T + R)
         P = (model.A - K @ model.C) @ P @ (model.A - K @ model.C).T + K @ R @ K.T + Q
-    np.testing.assert_allclose(kalman_gain(model, Q, R), K, rtol=1e-7)
+    gain, S = kalman_gain(model, Q, R)
+    np.testing.assert_allclose(gain, K, rtol=1e-7)
+    np.testing.assert_allclose(S, model.C @ P @ model.C.T + R, rtol=1e-7)
 
 
 def test_kalman_gain_hidden_mode_that_grows_is_refused() -> None:

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from agent.numerics.cells import Summary, cell_operators, merge, summarise_cells
+from agent.numerics.fit import linearise
 from agent.numerics.sensitivity import SensitivityFilter
 from agent.numerics.window import solve_windows
 from tests.unit.numerics.paper_rig import NOMINAL
-from tests.unit.numerics.rigs import KINDS, FloatArray, filters, gain_of, linearised, noisy, sampled
+from tests.unit.numerics.rigs import KINDS, FloatArray, filters, gain_of, noisy, sampled
 
 SIGMA = 1e-6
 REFERENCE = NOMINAL * [1.02, 0.99, 0.97, 1.01]
@@ -39,7 +40,7 @@ def test_solve_windows_identical_data_two_pasts_gives_the_same_estimate(kind: st
     and the sensitivities' states at its start. Compared: the solution of the window, in its standard deviations.
     """
     d = sampled(REFERENCE)
-    f = filters(d, gain_of(kind, d, SIGMA), SIGMA)
+    f = filters(d, gain_of(kind, d, SIGMA))
     window, deltas = noisy(rng, 500, SIGMA).v, []
     pasts = [np.zeros((1, 3)), noisy(rng, 800, SIGMA).v, noisy(rng, 300, SIGMA, 1.5 * NOMINAL).v * 2.0]
     for past in pasts:
@@ -54,12 +55,12 @@ def test_solve_windows_identical_data_two_pasts_gives_the_same_estimate(kind: st
 def test_solve_windows_gram_form_equals_least_squares_on_samples(kind: str, rng: np.random.Generator) -> None:
     d = sampled(REFERENCE)
     gain = gain_of(kind, d, SIGMA)
-    f = filters(d, gain, SIGMA)
+    f = filters(d, gain)
     v = noisy(rng, 400, SIGMA).v
     z = np.zeros(20)
     z[:4] = 1e-3
     solution = solve_windows(summary_of(f, v, z), 4)
-    left = linearised(d, gain, SIGMA, v, z[:4])
+    left = linearise(d.model, gain, v, z[:4])
     delta, residual, _, _ = np.linalg.lstsq(left.psi, left.e, rcond=None)
     sd = np.sqrt(np.diag(np.linalg.inv(left.psi.T @ left.psi)))
     np.testing.assert_allclose(solution.delta[0] / sd, delta / sd, atol=1e-6)
@@ -70,7 +71,7 @@ def test_solve_windows_gram_form_equals_least_squares_on_samples(kind: str, rng:
 
 def test_solve_windows_wrong_start_is_found_as_the_states_error(rng: np.random.Generator) -> None:
     truth, d = noisy(rng, 500, 0.0), sampled()
-    f = filters(d, gain_of("zero", d, SIGMA), SIGMA)
+    f = filters(d, gain_of("zero", d, SIGMA))
     wrong, z = np.array([1e-2, -2e-2, 1e-3, 5e-4]), np.zeros(20)
     z[:4] = truth.states[0] - d.B1 @ truth.u[0] + wrong
     solution = solve_windows(summary_of(f, truth.v, z), 4)
@@ -80,7 +81,7 @@ def test_solve_windows_wrong_start_is_found_as_the_states_error(rng: np.random.G
 
 def test_solve_windows_silent_window_says_nothing_and_a_prior_is_what_is_left() -> None:
     d = sampled()
-    f = filters(d, gain_of("kalman", d, SIGMA), SIGMA)
+    f = filters(d, gain_of("kalman", d, SIGMA))
     silent = summary_of(f, np.zeros((100, 3)), np.zeros(20))
     solution = solve_windows(silent, 4)
     assert np.isnan(solution.delta).all()

@@ -63,6 +63,7 @@ class Unit(ABC):
         """Return the registers that function 24 answers with; None where there is no queue."""
         return None
 
+    @abstractmethod
     def renew(self) -> None:
         """Forget what the registers hold: they are new and empty."""
 
@@ -184,6 +185,9 @@ class FifoUnit(Unit):
 
     def areas(self) -> Iterable[tuple[int, int]]:
         return ()
+
+    def renew(self) -> None:
+        """A queue lies in no register."""
 
     def bring_up(self, memory: list[int], start: int, address: int, count: int) -> None:
         """Nothing lies in registers."""

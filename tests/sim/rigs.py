@@ -11,11 +11,15 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
+from typer.testing import CliRunner
 
+from sim_bus.commands import sim
 from sim_bus.rigfile import RigFile, checked
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -140,6 +144,25 @@ class Simulator:
     def ledger(self) -> dict[str, Any]:
         """Return the ledger in the truth file."""
         return dict(json.loads(str(self.truth()["ledger"])))
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """How `sim` ended that never began."""
+
+    code: int
+    out: str
+    err: str
+
+
+def refused(folder: Path, config: str, *options: str) -> Refusal:
+    """Run `sim` in this process on what it must refuse before it opens anything."""
+    (folder / "rig.toml").write_text(config, encoding="utf-8")
+    app = typer.Typer()
+    app.command()(sim)
+    result = CliRunner().invoke(app, [str(folder / "rig.toml"), *options])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return Refusal(result.exit_code, result.stdout, result.stderr)
 
 
 @contextmanager

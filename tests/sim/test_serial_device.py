@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tests import peers
-from tests.sim.rigs import INT16, LIMIT_S, MODEL, RING, Simulator, int16, simulator
+from tests.sim.rigs import INT16, LIMIT_S, MODEL, RING, int16, refused, simulator
 
 BINARY = """
 [[source]]
@@ -124,7 +124,7 @@ def test_line_is_paced_and_what_nobody_heard_is_in_the_ledger(tmp_path: Path) ->
         with opened(tmp_path / "line") as line:
             second = read(line, 100 * 18)
         assert sim.stop() == 0
-    assert took == pytest.approx(0.5, abs=0.2)
+    assert 0.35 < took < 2.0
     start = second.index(b"\xaa\x55")
     resumed = struct.unpack_from("<H", second, start + 2)[0]
     heard = len(first) // 18
@@ -188,7 +188,7 @@ def test_rtu_read_by_mbpoll_holds_the_truth(tmp_path: Path) -> None:
 
 def test_sim_real_device_in_place_of_the_line_is_refused(tmp_path: Path) -> None:
     (tmp_path / "line").touch()
-    sim = Simulator(tmp_path, (MODEL + BINARY).format(rate=1000.0))
-    assert sim.end() == 2
+    sim = refused(tmp_path, (MODEL + BINARY).format(rate=1000.0))
+    assert sim.code == 2
     assert "source[0].port: this looks like a real bus; sim never transmits on one" in sim.err
     assert (tmp_path / "line").is_file()

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.colour import coloured_likelihood
 from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.gains import Gains
 from agent.numerics.noise import EVIDENCE, Record, find_process, likelihood, sensor_noise
@@ -69,10 +70,12 @@ class Calibrator:
         explained = quiet.converged and float(np.mean(quiet.residual**2)) < QUIET
         if explained or self.gains.disturbance is None:
             return self._learnt(problem, quiet, noise)
+        # coloured sensor noise is the other explanation: unknown forces must beat it
+        coloured = coloured_likelihood(quiet.residual, noise.sigma) if quiet.converged else -np.inf
         # the wide-basin gain alone: without correction a disturbed rig may not have converged at all
         wide = fit_window(problem, theta, x0, [self._start(noise)])
-        forced = self._alternate(problem, wide, noise, self.gains.disturbance)
-        return forced if self._better(problem, forced, quiet, noise) else self._learnt(problem, quiet, noise)
+        forced = self._alternate(problem, wide, noise, self.gains.disturbance, coloured)
+        return self._learnt(problem, quiet, noise) if forced is None else forced
 
     def _start(self, noise: Noise) -> Callable[[Discrete], Gain]:
         return lambda discrete: self.gains.start(discrete, noise)
@@ -93,36 +96,30 @@ class Calibrator:
             fit = fit_window(problem, fit.theta, fit.x0, self._stages(noise)[1:])
         return Calibration(fit, noise)
 
-    def _alternate(self, problem: Problem, fit: Fit, noise: Noise, disturbance: FloatArray) -> Calibration:
-        for _ in range(2):
-            record = Record(problem.v, fit.x0)
+    def _alternate(
+        self, problem: Problem, fit: Fit, noise: Noise, disturbance: FloatArray, coloured: float
+    ) -> Calibration | None:
+        """Search forces and fit theta, twice; None where coloured sensor noise explains the record as well."""
+        known = not self.learns
+        for turn in range(2):
+            discrete, record = problem.sample(fit.theta), Record(problem.v, fit.x0)
+            # at the first turn theta is rough and the likelihood of forces only a lower bound of what they can do
+            bar = coloured + EVIDENCE if turn else None
             searched = find_process(
-                problem.sample(fit.theta), disturbance, noise.sigma, record, scale_known=not self.learns
+                discrete, disturbance, noise.sigma, record, scale_known=known, unless_above=bar
             )
             if searched is None:
-                break
-            found = searched[0]
+                return None
+            noise = searched[0]
 
-            def matched(discrete: Discrete, found: Noise = found) -> Gain:
+            def matched(discrete: Discrete, found: Noise = noise) -> Gain:
                 return self.gains.settled(discrete, found)
 
             fit = fit_window(problem, fit.theta, fit.x0, [matched])
-            noise = found
-        return Calibration(fit, noise)
-
-    def _better(self, problem: Problem, forced: Calibration, quiet: Fit, noise: Noise) -> bool:
-        """Whether unknown forces make the record so much more likely that they are to be believed."""
-        if not forced.fit.converged:
-            return False
-        if not quiet.converged:
-            return True
-        values = []
-        for fit, model in ((forced.fit, forced.noise), (quiet, noise)):
-            discrete = problem.sample(fit.theta)
-            gain = self.gains.settled(discrete, model)
-            record = Record(problem.v, fit.x0)
-            values.append(likelihood(discrete, gain, record, scale_known=not self.learns).value)
-        return bool(values[0] - values[1] > EVIDENCE * np.count_nonzero(forced.noise.process))
+        value = likelihood(problem.sample(fit.theta), matched(problem.sample(fit.theta)), Record(problem.v, fit.x0),
+                           scale_known=known).value  # fmt: skip
+        worth = value - coloured > EVIDENCE * np.count_nonzero(noise.process)
+        return Calibration(fit, noise) if fit.converged and worth else None
 
     def forces_in(self, problem: Problem, theta: FloatArray, x0: FloatArray, noise: Noise) -> Noise | None:
         """Return disturbances that explain a longer record decisively better than those assumed, else None."""

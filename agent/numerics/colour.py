@@ -53,13 +53,33 @@ def autoregression(e: FloatArray, most: int = MOST_LAGS) -> tuple[FloatArray, fl
     return chosen
 
 
-def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray) -> Colour:
+def coloured_likelihood(residual: FloatArray, sigma: FloatArray) -> float:
+    """Return the log likelihood of residuals (W, p), in units of sigma (p,), as one autoregression an output."""
+    variances = np.array([autoregression(residual[:, channel])[1] for channel in range(residual.shape[1])])
+    return float(-0.5 * len(residual) * np.sum(np.log(np.maximum(variances, 1e-300) * sigma**2) + 1.0))
+
+
+def _unbiased(a: FloatArray, count: int, lost: float) -> FloatArray:
+    """Undo the bias towards white of an autoregression fitted to residuals of slow regressors.
+
+    The sum of the coefficients, which decides the spectrum at low frequency, comes out lower by about
+    (lost (1 + a) + 2 a) / count (as in Kendall's formula, a regressor a lost degree of freedom).
+    """
+    total = float(a.sum())
+    if not 0.0 < total < 1.0:
+        return a
+    mended = total + (lost * (1.0 + total) + 2.0 * total) / count
+    return np.asarray(a * min(mended, 1.0 - 0.5 * (1.0 - total)) / total)
+
+
+def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray, unknowns: int) -> Colour:
     """Return the colour of a window.
 
     Args:
         psi: (W p, q) sensitivities with the initial state projected out, in units of the noise.
         residual: (W, p) what the fit left.
         covariance: (q, q) H^-1.
+        unknowns: parameters and initial states that the fit took from the window.
     """
     count, p = residual.shape
     q = psi.shape[1]
@@ -67,6 +87,7 @@ def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray) -> 
     for channel in range(p):
         a, variance = autoregression(residual[:, channel])
         white = white and not len(a)
+        a = _unbiased(a, count, unknowns / p)
         density, total = _spectrum(a, variance, 2 * count)
         spectrum = np.fft.rfft(psi.reshape(count, p, q)[:, channel], n=2 * count, axis=0)
         weights = np.full(len(spectrum), 2.0)

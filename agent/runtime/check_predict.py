@@ -29,14 +29,17 @@ class Excitation:
     """What moves the rig.
 
     Attributes:
-        u, x: (N, m) inputs and (N, n) states.
+        u: (N, m) inputs.
         starts: window length -> samples at which windows may begin.
+        state: the state (n,) at the start of a window: (first sample, length) -> x.
+        rms: (p,) of the outputs.
         words: for people.
     """
 
     u: FloatArray
-    x: FloatArray
     starts: Callable[[int], Sequence[int]]
+    state: Callable[[int, int], FloatArray]
+    rms: FloatArray
     words: str
 
 
@@ -68,7 +71,7 @@ def predictions(
     discrete = sampled(config, rig)
     lengths = windows(config)
     excitation = _recorded(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
-    sigma, noise_words = _noise(config, resolution, excitation, discrete, recorded)
+    sigma, noise_words = _noise(config, resolution, excitation, recorded)
     words = f"{excitation.words}; {noise_words}"
     return [Prediction(length, _expected(discrete, excitation, sigma, length), words) for length in lengths]
 
@@ -78,7 +81,7 @@ def _expected(discrete: Discrete, excitation: Excitation, sigma: FloatArray, win
     bounds = []
     for start in excitation.starts(window):
         u = excitation.u[start : start + window]
-        bounds.append(bound_sd(window_information(discrete, excitation.x[start], u, sigma)))
+        bounds.append(bound_sd(window_information(discrete, excitation.state(start, window), u, sigma)))
     if not bounds:
         return np.full(discrete.model.q, np.nan)
     return np.asarray(np.sqrt(np.mean(np.square(bounds), axis=0)))
@@ -92,31 +95,43 @@ def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int)
     count = settle + longest + min(8 * longest, SPAN_MOST)
     u = FORCE_RMS * rng.standard_normal((count, len(config.inputs)))
     u = with_constant(u, discrete.model.m)
-    x, _ = simulate(discrete, np.zeros(discrete.model.n), u)
+    x, y = simulate(discrete, np.zeros(discrete.model.n), u)
     inputs = " and ".join(f"{FORCE_RMS:g} {channel.si_unit} rms" for channel in config.inputs)
     kind = "force" if config.inputs[0].quantity == "force" else "input"
-    return Excitation(u, x, lambda window: _spread(settle, count - window, window), f"white {kind} of {inputs}")
+    return Excitation(
+        u, lambda window: _spread(settle, count - window, window), lambda start, _: x[start], _rms(y[settle:]),
+        f"white {kind} of {inputs}",
+    )  # fmt: skip
 
 
 def _decay(discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
     names = rig.model.state_names
     x0 = np.array([0.0 if name.startswith("velocity") else DECAY_FROM for name in names])
     u = with_constant(np.zeros((longest, 0)), discrete.model.m)
-    x, _ = simulate(discrete, x0, u)
+    _, y = simulate(discrete, x0, u)
     unit = "m" if names[-1].startswith("displacement") else "in every state"
-    return Excitation(u, x, lambda _window: [0], f"free decay from {DECAY_FROM:g} {unit}, first window")
+    words = f"free decay from {DECAY_FROM:g} {unit}, first window"
+    return Excitation(u, lambda _: [0], lambda *_: x0, _rms(y), words)
 
 
 def _recorded(discrete: Discrete, recorded: Recorded) -> Excitation:
-    """Let the recorded force move the nominal model from rest; windows begin once it has settled."""
-    u = with_constant(recorded.u, discrete.model.m)
-    x = np.vstack([simulate(discrete, recorded.first_state(discrete, a, b), u[a:b])[0] for a, b in recorded.pieces])
+    """Let the recorded force move the nominal model, in each window from the state that its readings show."""
 
     def starts(window: int) -> list[int]:
         found = [_spread(a, b - window, window) for a, b in recorded.pieces]
         return [start for piece in found for start in piece]
 
-    return Excitation(u, x, starts, f"the excitation of {recorded.name}")
+    def state(start: int, window: int) -> FloatArray:
+        return recorded.first_state(discrete, start, start + window)
+
+    u = with_constant(recorded.u, discrete.model.m)
+    return Excitation(
+        u, starts, state, _rms(recorded.y), f"the excitation of {recorded.name}, no disturbance beside it"
+    )
+
+
+def _rms(signal: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.mean(signal**2, axis=0)))
 
 
 def _settling(discrete: Discrete, window: int) -> int:
@@ -136,16 +151,14 @@ def _spread(first: int, last: int, window: int) -> list[int]:
 
 
 def _noise(
-    config: RigConfig, resolution: FloatArray, excitation: Excitation, discrete: Discrete, recorded: Recorded | None
+    config: RigConfig, resolution: FloatArray, excitation: Excitation, recorded: Recorded | None
 ) -> tuple[FloatArray, str]:
     """Return sigma (p,) and how it was come by, the same words for all outputs that share a way."""
     stated, floor = output_noise(config, resolution)
-    y = excitation.x @ discrete.model.C.T + excitation.u @ (discrete.model.D - discrete.model.C @ discrete.B1).T
-    rms = np.sqrt(np.mean(y**2, axis=0))
     sigma, ways = stated.copy(), {}
     for r in np.flatnonzero(~np.isfinite(stated)):
         seen = recorded.noise[r] if recorded is not None else 0.0
-        sigma[r], ways[config.outputs[r].name] = _guess(float(seen), float(floor[r]), float(rms[r]))
+        sigma[r], ways[config.outputs[r].name] = _guess(float(seen), float(floor[r]), float(excitation.rms[r]))
     known = [c.name for c in config.outputs if c.name not in ways]
     return sigma, "; ".join(_way(list(ways), ways, known))
 

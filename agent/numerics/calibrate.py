@@ -121,16 +121,22 @@ class Calibrator:
         worth = value - coloured > EVIDENCE * np.count_nonzero(noise.process)
         return Calibration(fit, noise) if fit.converged and worth else None
 
-    def forces_in(self, problem: Problem, theta: FloatArray, x0: FloatArray, noise: Noise) -> Noise | None:
-        """Return disturbances that explain a longer record decisively better than those assumed, else None."""
+    def forces_in(self, problem: Problem, theta: FloatArray, noise: Noise) -> Noise | None:
+        """Return unknown forces that explain a longer record decisively better than what is assumed, else None."""
         if self.gains.disturbance is None:
             return None
-        discrete, record = problem.sample(theta), Record(problem.v, x0)
-        known, directions = not self.learns, self.gains.disturbance
-        now = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
+        x0 = np.zeros(problem.sample(theta).model.n)
+        # theta_r comes from one window: over many, its error would look like a force
+        fit = fit_window(problem, theta, x0, self._stages(noise)[1:])
+        if not fit.converged:
+            return None
+        discrete, record, known = problem.sample(fit.theta), Record(problem.v, fit.x0), not self.learns
+        assumed = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
+        coloured = coloured_likelihood(fit.residual, noise.sigma) if not noise.forced else assumed
+        bar = max(assumed, coloured)
         searched = find_process(
-            discrete, directions, noise.sigma, record, scale_known=known, unless_above=now + 0.5 * EVIDENCE
+            discrete, self.gains.disturbance, noise.sigma, record, scale_known=known, unless_above=bar + 0.5 * EVIDENCE
         )
-        if searched is None or searched[1] - now <= EVIDENCE * np.count_nonzero(searched[0].process):
+        if searched is None or searched[1] - bar <= EVIDENCE * np.count_nonzero(searched[0].process):
             return None
         return searched[0]

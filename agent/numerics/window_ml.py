@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agent.numerics.calibrate import Calibrator
 from agent.numerics.cells import Summary
 from agent.numerics.colour import Colour, colour_of
+from agent.numerics.commission import Commission
 from agent.numerics.fit import Fit, Problem, fit_window, linearise
 from agent.numerics.gains import Gains
 from agent.numerics.hops import HopOperators, HopPlan, Segment
@@ -79,6 +80,7 @@ class WindowML:
         self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)
         self.scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
         self.colour = Colour.white(len(self.theta))
+        self.commission = Commission(np.ones(len(self.theta)))
         self.settled = False
         self.recentred = 0
         self._units = UNITS_MIN
@@ -165,10 +167,14 @@ class WindowML:
         variance = np.einsum("nii->ni", solution.covariance) * np.maximum(s2, self._floor_ratio())[:, None]
         new = slice(len(index) - len(windows), None)
         rows.theta[new] = self.theta + solution.delta
-        rows.sd[new] = np.sqrt(variance) * self.colour.inflation
+        rows.sd[new] = np.sqrt(variance) * self._widening()
         rows.dof[new], rows.full[new], rows.ratio[new] = self._dof * self.colour.share, True, s2
         information[new] = solution.information * np.outer(self.scale, self.scale)
         return rows, information
+
+    def _widening(self) -> FloatArray:
+        """(q,) honest sd over what white noise would have it."""
+        return np.asarray(self.colour.inflation * self.commission.factor)
 
     def _floor_ratio(self) -> float:
         """Least residual variance that the wire allows, in units of the reference."""
@@ -188,7 +194,7 @@ class WindowML:
             position += ahead
             if position == count:
                 break
-            if healthy[position] and self._anchored and self._recolour(segment, rows, position):
+            if healthy[position] and self._anchored and self._keep_house(segment, rows, position):
                 healthy, wanting = self._first_looks(rows, information)
             if self._act(segment, rows, position, healthy=bool(healthy[position]), wants=bool(wanting[position])):
                 self._remember(rows, information, healthy & trusted, position)
@@ -206,8 +212,11 @@ class WindowML:
     def _chores(self, rows: Rows) -> BoolArray:
         """(N,) rows from which on the residual's colour is due for a look, or unknown forces for a search."""
         recolour = rows.index - self._coloured_at >= self._recolour_every()
+        commission = np.zeros(len(rows.index), dtype=bool)
+        if not self.commission.known:
+            commission[self._disjoint(rows, rows.ratio <= self._gate)] = True
         search = (not self._searched) & (rows.index - self._steady_since >= self._record())
-        return np.asarray(recolour | search)
+        return np.asarray(recolour | search | commission)
 
     def _recolour_every(self) -> int:
         white = bool(np.all(self.colour.inflation == 1.0))
@@ -267,6 +276,7 @@ class WindowML:
         if self._onset is None:
             self._onset = index
         self._steady_since = index
+        self.commission.restart()
         since = index - self._onset
         # the window that begins after the onset is the first that can be free of it
         clean = self._anchored and since >= plan.window - plan.hop and (due or since < plan.window)
@@ -277,6 +287,16 @@ class WindowML:
         if not healthy or excited:
             rows.changing[row], rows.mismatch[row] = since < plan.window, since >= plan.window
         return False
+
+    def _keep_house(self, segment: Segment, rows: Rows, row: int) -> bool:
+        """See to colour and commissioning at a healthy row; return whether later rows must be looked at anew."""
+        recoloured = self._recolour(segment, rows, row)
+        if self.commission.known or row not in self._disjoint(rows, rows.ratio <= self._gate):
+            return recoloured
+        if not self.commission.add(rows.theta[row : row + 1], rows.sd[row : row + 1]):
+            return recoloured
+        rows.sd[row + 1 :] *= self.commission.factor
+        return True
 
     def _recolour(self, segment: Segment, rows: Rows, row: int) -> bool:
         """Look at the colour of a healthy row's residual when that is due; widen this row's and later intervals."""
@@ -302,7 +322,7 @@ class WindowML:
         index = int(rows.index[row])
         self._searched = True
         v = segment.samples(max(segment.first, index + 1 - self._record()), index + 1)
-        found = self.calibrator.forces_in(self._problem(v), self.theta, np.zeros(self._n), self.noise)
+        found = self.calibrator.forces_in(self._problem(v), self.theta, self.noise)
         if found is None:
             return False
         before, self.noise = self.noise, found
@@ -367,7 +387,7 @@ class WindowML:
             return False
         scaled = fit.covariance / np.outer(self.scale, self.scale)
         information = np.asarray(np.linalg.pinv(scaled, hermitian=True), dtype=np.float64)
-        self._outcome = (fit.theta, np.sqrt(variance) * self.colour.inflation, s2)
+        self._outcome = (fit.theta, np.sqrt(variance) * self._widening(), s2)
         self._centre(segment, start, fit.x0, information)
         return True
 
@@ -405,7 +425,7 @@ class WindowML:
             step = np.clip(solution.delta[0], -0.5 * self.scale, self.scale)
             x0 = x0 + solution.e0[0]
             if np.all(np.abs(step) < 0.1 * sd) and s2 <= self._gate:
-                self._outcome = (self.theta + step, sd * self.colour.inflation, s2)
+                self._outcome = (self.theta + step, sd * self._widening(), s2)
                 self._centre(segment, start, x0, solution.information[0] * np.outer(self.scale, self.scale))
                 return True
             self.theta = np.maximum(self.theta + step, self.settings.lower)

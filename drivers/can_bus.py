@@ -190,9 +190,12 @@ class DaemonBus(CanBus):
 
 
 class PythonCanBus(CanBus):
-    """Any other interface of python-can."""
+    """Any other interface of python-can.
 
-    def __init__(self, keys: BusKeys, filters: Filters) -> None:
+    The library's filters are not used: with them `recv` says that nothing came when a foreign frame did.
+    """
+
+    def __init__(self, keys: BusKeys) -> None:
         import can
 
         self._name = f"{keys.interface} {keys.channel}"
@@ -204,7 +207,6 @@ class PythonCanBus(CanBus):
             raise DriverConfigError(f'python-can has no interface "{keys.interface}" here: {error}') from error
         except self._errors as error:
             raise DriverIOError(f"{self._name}: {error}") from error
-        self._bus.set_filters([_library_filter(number, mask) for number, mask in filters])
 
     def frames(self, deadline: float) -> Frames:
         rows: list[bytes] = []
@@ -225,11 +227,6 @@ class PythonCanBus(CanBus):
             os.sched_yield()  # a bus that is gone cannot be shut down: nothing is left to release
 
 
-def _library_filter(number: int, mask: int) -> "can.typechecking.CanFilter":
-    bits = 0x1FFFFFFF
-    return {"can_id": number & bits, "can_mask": mask & bits, "extended": bool(number & EXTENDED)}
-
-
 def message_row(message: "can.Message") -> bytes:
     """Return a message of python-can as a row of a frame table."""
     number = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
@@ -244,4 +241,4 @@ def open_bus(keys: BusKeys, filters: Filters, counts: Counts) -> CanBus:
         return KernelBus(keys, filters, counts)
     if keys.interface == "socketcand":
         return DaemonBus(keys, counts)
-    return PythonCanBus(keys, filters)
+    return PythonCanBus(keys)

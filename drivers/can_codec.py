@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.can_database import MessageCodec, is_remote
 from drivers.can_frames import ERROR, Frames, FrameTable
@@ -53,9 +54,9 @@ class FrameDecoder:
 
     def decode(self, frames: Frames) -> Decoded:
         """Return the samples that are whole now."""
-        self._count_errors(frames.table)
         if self._joiner is None:
             return self._single(frames)
+        self._count_errors(frames.table)
         parts = [self._part(number, message, frames) for number, message in enumerate(self._messages)]
         return self._joiner.join([part for part in parts if len(part.keys)])
 
@@ -65,8 +66,9 @@ class FrameDecoder:
         return rest if rest is not None and len(rest.values) else None
 
     def _count_errors(self, table: FrameTable) -> None:
-        errors = int(((table["id"] & np.uint32(ERROR)) != 0).sum())
-        self._reject("error frame", errors)
+        errors = table["id"] & np.uint32(ERROR)
+        if errors.any():
+            self._reject("error frame", int(np.count_nonzero(errors)))
 
     def _reject(self, reason: str, count: int) -> None:
         if count:
@@ -75,31 +77,39 @@ class FrameDecoder:
 
     def _sound(self, message: MessageCodec, frames: Frames) -> Frames:
         """Return the message's frames that can be read; the others are counted."""
-        mine = message.mine(frames.table)
-        table, t_ns = frames.table[mine], frames.t_ns[mine]
-        remote = is_remote(table)
-        wrong = ~remote & ~np.isin(table["length"], message.lengths)
+        frames = _picked(frames, message.mine(frames.table))
+        remote = is_remote(frames.table)
+        right = message.right_length(frames.table)
         self._reject("remote frame", int(remote.sum()))
+        wrong = ~right & ~remote
         self._reject("dlc", int(wrong.sum()))
-        good = ~(remote | wrong)
-        return Frames(table[good], t_ns[good])
+        return _picked(frames, right & ~remote)
 
     def _single(self, frames: Frames) -> Decoded:
         (message,) = self._messages
-        sound = self._sound(message, frames)
+        sound = frames
+        if not message.all_sound(frames.table):
+            self._count_errors(frames.table)
+            sound = self._sound(message, frames)
         values = message.values(sound.table, self._columns)
-        # a frame that carries other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
-        bare = np.isnan(values).all(axis=1) & bool(message.switches)
-        self._reject("mux", int((bare & ~message.knows(sound.table)).sum()))
-        table, values, t_ns = sound.table[~bare], values[~bare], sound.t_ns[~bare]
+        if message.switches:
+            # a frame of other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
+            bare = np.isnan(values).all(axis=1)
+            self._reject("mux", int((bare & ~message.knows(sound.table)).sum()))
+            sound, values = _picked(sound, ~bare), values[~bare]
         self._counts.received += len(values)
-        return Decoded(values, message.counter.counter(table) if message.counter else None, t_ns)
+        return Decoded(values, message.counter.counter(sound.table) if message.counter else None, sound.t_ns)
 
     def _part(self, number: int, message: MessageCodec, frames: Frames) -> "Part":
         sound = self._sound(message, frames)
         counter = message.counter.counter(sound.table) if message.counter else np.zeros(len(sound), np.int64)
         columns = np.array([signal.column for signal in message.selected])
         return Part(number, counter, message.values(sound.table, self._columns)[:, columns], columns, sound.t_ns)
+
+
+def _picked(frames: Frames, mask: NDArray[np.bool_]) -> Frames:
+    """Return the frames that are picked; the usual case, all of them, costs no copy."""
+    return frames if mask.all() else Frames(frames.table[mask], frames.t_ns[mask])
 
 
 @dataclass(frozen=True, slots=True)

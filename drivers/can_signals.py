@@ -37,6 +37,16 @@ class SignalCodec:
         # bits of the eight bytes read that lie below the signal
         self._below = (64 - bit - self.length) if self._big else bit
         self._scale, self._offset = signal.scale, signal.offset
+        # adding an offset of 0 still turns -0.0 into 0.0
+        self._may_add_nothing = not self._float and self._offset == 0 and self._scale > 0
+        self._whole = self._number_type(bit)
+
+    def _number_type(self, bit: int) -> np.dtype[np.generic] | None:
+        """Return the type under which numpy reads the signal at once: whole bytes of a size that it knows."""
+        if bit or self.length not in (8, 16, 32, 64):
+            return None
+        kind = "f" if self._float else "i" if self._signed else "u"
+        return np.dtype(f"{'>' if self._big else '<'}{kind}{self.length // 8}")
 
     @property
     def resolution(self) -> float:
@@ -56,6 +66,8 @@ class SignalCodec:
 
     def raw(self, table: FrameTable) -> NDArray[np.generic]:
         """Return the unscaled numbers, (n,): uint64, int64 or a float type."""
+        if self._whole is not None and len(table):
+            return self._at(table, self._whole)
         bits = self.bits(table)
         if self._float:
             return bits.astype(_INTS[self.length]).view(_FLOATS[self.length])
@@ -66,6 +78,8 @@ class SignalCodec:
 
     def counter(self, table: FrameTable) -> IntArray:
         """Return the bits as numbers that count, (n,)."""
+        if self._whole is not None and not self._signed and len(table):
+            return self._at(table, self._whole).astype(np.int64)
         return self.bits(table).astype(np.int64)
 
     def values(self, table: FrameTable) -> FloatArray:
@@ -75,7 +89,10 @@ class SignalCodec:
             return raw.astype(np.float64)
         if self._float or not isinstance(self._scale, int):
             with np.errstate(invalid="ignore", over="ignore"):  # any bits may be a float: NaN and inf are judged later
-                return raw.astype(np.float64) * float(self._scale) + float(self._offset)
+                values: FloatArray = np.multiply(raw, float(self._scale), dtype=np.float64)
+                if self._may_add_nothing:
+                    return values
+                return np.add(values, float(self._offset), out=values)
         return self._exact(raw)
 
     def _exact(self, raw: NDArray[np.generic]) -> FloatArray:
@@ -92,9 +109,11 @@ class SignalCodec:
     def _word(self, table: FrameTable) -> NDArray[np.uint64]:
         if not len(table):
             return np.empty(0, np.uint64)
-        kind = ">u8" if self._big else "<u8"
-        place = np.ndarray(len(table), kind, table.data, _DATA_AT + self._byte, (FRAME.itemsize,))
-        return place.astype(np.uint64)
+        return self._at(table, np.dtype(">u8" if self._big else "<u8")).astype(np.uint64)
+
+    def _at(self, table: FrameTable, kind: np.dtype[np.generic]) -> NDArray[np.generic]:
+        """Return the numbers of this type that begin at the signal's first byte, (n,)."""
+        return np.ndarray(len(table), kind, table.data, _DATA_AT + self._byte, (FRAME.itemsize,))
 
     def _next_byte(self, table: FrameTable) -> NDArray[np.uint64]:
         column: NDArray[np.uint8] = table["data"][:, self._byte + 8]

@@ -12,7 +12,7 @@ from drivers.port import DriverError
 
 READ_FUNCTIONS = frozenset({1, 2, 3, 4, 24})
 _REQUEST_BYTES = {1: 5, 2: 5, 3: 5, 4: 5, 24: 3}
-_SOCKETCAND = re.compile(rb"(< (open [A-Za-z0-9_.-]{1,32}|rawmode|echo) >)+")
+_SOCKETCAND = re.compile(rb"(< (open [A-Za-z0-9_.-]{1,32}|rawmode) >)+")
 
 
 class ForbiddenWriteError(DriverError):

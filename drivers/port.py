@@ -23,6 +23,7 @@ IntArray = NDArray[np.int64]
 
 LISTENER_WRITES: Mapping[str, str] = {
     "modbus": "read requests: function codes 1, 2, 3, 4 and 24",
+    "socketcand": "its handshake, which puts no frame on the bus: < open BUS > and < rawmode >",
 }
 """What each protocol may write, in words; the suite traces every write to a bus descriptor against it."""
 

@@ -83,7 +83,7 @@ class FrameDecoder:
         self._reject("remote frame", int(remote.sum()))
         wrong = ~right & ~remote
         self._reject("dlc", int(wrong.sum()))
-        return _picked(frames, right & ~remote)
+        return _picked(frames, np.logical_and(right, np.logical_not(remote)))
 
     def _single(self, frames: Frames) -> Decoded:
         (message,) = self._messages

@@ -83,7 +83,7 @@ class FrameDecoder:
         self._reject("remote frame", int(remote.sum()))
         wrong = ~right & ~remote
         self._reject("dlc", int(wrong.sum()))
-        return _picked(frames, np.logical_and(right, np.logical_not(remote)))
+        return _picked(frames, right & ~remote)
 
     def _single(self, frames: Frames) -> Decoded:
         (message,) = self._messages
@@ -94,7 +94,7 @@ class FrameDecoder:
         values = message.values(sound.table, self._columns)
         if message.switches:
             # a frame of other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
-            bare = np.isnan(values).all(axis=1)
+            bare: NDArray[np.bool_] = np.isnan(values).all(axis=1)
             self._reject("mux", int((bare & ~message.knows(sound.table)).sum()))
             sound, values = _picked(sound, ~bare), values[~bare]
         self._counts.received += len(values)

@@ -35,6 +35,7 @@ class Labels:
     baseline_id: int | None
     window_s: float
     window: int
+    rate_hz: float
     enough_sd: FloatArray
 
 
@@ -75,12 +76,14 @@ class Estimation:
         with np.errstate(invalid="ignore"):
             half = stdtrit(rows.dof, 0.975)[:, None] * sd
         count, labels = len(rows.index), self.labels
-        used = np.where(rows.full, labels.window, np.minimum(rows.index - samples.index[0] + 1, labels.window))
+        longest = np.maximum(rows.window.max(axis=1), labels.window)
+        used = np.where(rows.full, longest, np.minimum(rows.index - samples.index[0] + 1, labels.window))
+        window_s = np.where(rows.window > 0, rows.window / labels.rate_hz, labels.window_s)
         return EstimateBatch(
             rig=labels.rig, method=labels.method, parameters=labels.parameters, units=labels.units,
             reference=labels.reference, baseline_id=labels.baseline_id, index=rows.index, t_ns=t_ns,
             value=value, sd=sd, lower=value - half, upper=value + half, status=status, reason=reason,
-            held=held, held_age_s=age, window_s=np.full((count, len(labels.parameters)), labels.window_s),
+            held=held, held_age_s=age, window_s=window_s,
             n_used=used.astype(np.int64), n_missing=np.zeros(count, dtype=np.int64), dof=rows.dof,
         )  # fmt: skip
 

@@ -126,11 +126,34 @@ def output_noise(config: RigConfig, resolution: FloatArray) -> tuple[FloatArray,
     return np.hypot(stated, floor), floor
 
 
+AUTOMATIC_WINDOWS = 5
+"""Windows of "auto": each twice the one before."""
+
+
+def windows_s(config: RigConfig) -> tuple[float, ...]:
+    """Return the windows' lengths, s, shortest first; "auto" begins at a quarter of the slowest period."""
+    if config.estimator.windows_s:
+        return config.estimator.windows_s
+    model = rig_model(config).model
+    poles = np.linalg.eigvals(model.continuous(model.nominal).A)
+    speeds = np.abs(poles)
+    slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))
+    readings = (len(poles) + len(model.parameters)) / max(len(config.outputs), 1)
+    shortest = max(0.5 * np.pi / slowest, 10 * readings / config.rig.sample_rate_hz, config.estimator.hop_s)
+    return tuple(shortest * 2.0**i for i in range(AUTOMATIC_WINDOWS))
+
+
 def hop_plan(config: RigConfig) -> HopPlan:
-    """Return window and hop in samples."""
+    """Return the shortest window and the hop in samples."""
     rate = config.rig.sample_rate_hz
-    window_s = config.estimator.windows_s[0] if config.estimator.windows_s else 1.0
-    return HopPlan(max(1, round(window_s * rate)), max(1, round(config.estimator.hop_s * rate)))
+    return HopPlan(max(1, round(windows_s(config)[0] * rate)), max(1, round(config.estimator.hop_s * rate)))
+
+
+def longer_windows(config: RigConfig, plan: HopPlan) -> tuple[int, ...]:
+    """Return the further windows in samples, each longer than the plan's by whole hops so that all end together."""
+    wanted = [round(length * config.rig.sample_rate_hz) for length in windows_s(config)[1:]]
+    hops = [max(1, round((samples - plan.window) / plan.hop)) for samples in wanted]
+    return tuple(dict.fromkeys(plan.window + count * plan.hop for count in hops))
 
 
 def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) -> WindowSettings:
@@ -150,6 +173,8 @@ def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) ->
         floor=floor,
         scale=scale,
         scale_column=_scale_columns(config, rig),
+        longer=longer_windows(config, plan),
+        wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
         lower=np.where(physical & (nominal != 0), 0.02 * scale, -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
     )

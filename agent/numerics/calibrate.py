@@ -67,7 +67,8 @@ class Calibrator:
         noise = self.first_noise(problem.v)
         x0 = np.zeros(problem.sample(theta).model.n)
         quiet = fit_window(problem, theta, x0, self._stages(noise))
-        explained = quiet.converged and float(np.mean(quiet.residual**2)) < QUIET
+        # a fit that found no maximum but leaves nothing to explain (standstill) is no reason to search either
+        explained = float(np.mean(quiet.residual**2)) < QUIET
         if explained or self.gains.disturbance is None:
             return self._learnt(problem, quiet, noise)
         # coloured sensor noise is the other explanation: unknown forces must beat it

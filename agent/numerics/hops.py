@@ -5,6 +5,7 @@ last hop of a window is taken only that far) and a rest; a window is F whole hop
 are fixed pieces of heads and rests, so results do not depend on how the stream was cut on arrival.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,10 +90,21 @@ class HopOperators:
 
 
 class Segment:
-    """Samples of one uninterrupted stretch and the summaries of its hops."""
+    """Samples of one uninterrupted stretch and the summaries of its hops.
 
-    def __init__(self, plan: HopPlan, index: int, width: int) -> None:
+    Args:
+        plan: the hop and the window that rows are made of.
+        index: number of the first sample that will be appended.
+        width: channels.
+        more: whole hops before the head in each further, longer window; `longer` holds the newest summaries of those,
+            None for each that is not whole yet.
+    """
+
+    def __init__(self, plan: HopPlan, index: int, width: int, more: Sequence[int] = ()) -> None:
         self.plan = plan
+        self._more = tuple(more)
+        self._kept_more = [Kept() for _ in self._more]
+        self.longer: list[Summary | None] = [None for _ in self._more]
         self.first = -(-index // plan.hop) * plan.hop
         self.done = self.first
         self.v: FloatArray = np.zeros((0, width))
@@ -127,6 +139,7 @@ class Segment:
         """Begin again at sample `start` with filter state z (nz,): the summaries belong to other operators."""
         self.head = None
         self.kept = Kept()
+        self._kept_more = [Kept() for _ in self._more]
         self.done, self.z = start, z
 
     def advance(self, operators: HopOperators, units: int) -> tuple[IntArray, Summary | None]:
@@ -142,7 +155,11 @@ class Segment:
             rest, states = operators.summarise(operators.rest, v[:, :split], states)
         heads, _ = operators.summarise(operators.head, v[:, split:], states)
         finished = joined(self.head, heads.part(slice(0, -1)))
-        windows = self._windows(finished if rest is None else merge(finished, rest), heads)
+        whole = finished if rest is None else merge(finished, rest)
+        windows = self._windows(whole, heads)
+        for i, fulls in enumerate(self._more):
+            self._kept_more[i], slid = slide(self._kept_more[i], whole, fulls)
+            self.longer[i] = None if slid is None else _with_heads(slid, heads)
         self.head = heads.part(slice(-1, None))
         index = self.done + plan.hop * np.arange(1, units + 1, dtype=np.int64) - 1
         self.done += units * plan.hop
@@ -150,6 +167,7 @@ class Segment:
 
     def _first_head(self, operators: HopOperators) -> tuple[IntArray, Summary | None]:
         v = self.samples(self.done, self.done + self.plan.head)
+        self.longer = [None for _ in self._more]
         self.head, ends = operators.summarise(operators.head, v[None], self._state(operators)[None])
         self.z = ends[0]
         self.done += self.plan.head
@@ -164,4 +182,9 @@ class Segment:
         if not self.plan.fulls:
             return heads
         self.kept, slid = slide(self.kept, finished, self.plan.fulls)
-        return None if slid is None else merge(slid, heads.part(slice(len(heads) - len(slid), None)))
+        return None if slid is None else _with_heads(slid, heads)
+
+
+def _with_heads(slid: Summary, heads: Summary) -> Summary:
+    """Put the newest hops' heads behind as many runs of whole hops."""
+    return merge(slid, heads.part(slice(len(heads) - len(slid), None)))

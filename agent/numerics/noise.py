@@ -121,6 +121,6 @@ def _climb(value: Callable[[FloatArray], float], strongest: FloatArray) -> tuple
         return -value(process(exponents))
 
     start = np.full(count, together)
-    options = {"xatol": 0.05, "fatol": 0.1, "maxfev": 60 * count}
-    result = minimize(cost, start, method="Nelder-Mead", options=options)
+    tolerances = {"xatol": 0.05, "fatol": 0.1, "maxfev": 60 * count}
+    result = minimize(cost, start, method="Nelder-Mead", options=tolerances)  # type: ignore[call-overload]
     return float(-result.fun), process(np.asarray(result.x))

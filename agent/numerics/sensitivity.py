@@ -54,6 +54,7 @@ def sensitivity_filter(model: StateSpace, gain: FloatArray, whitening: FloatArra
         H[:, 1 + i, rows] = model.C
         H[:, 1 + i, :n] = model.dC[i]
         J[:, 1 + i, p:] = model.dD[i]
-    H = np.tensordot(whitening, H, axes=1).reshape(p * (1 + q), -1)
-    J = np.tensordot(whitening, J, axes=1).reshape(p * (1 + q), -1)
-    return SensitivityFilter(F, N, H, J, n, p, q)
+    size = p * (1 + q)
+    white_H = np.tensordot(whitening, H, axes=1).reshape(size, -1)
+    white_J = np.tensordot(whitening, J, axes=1).reshape(size, -1)
+    return SensitivityFilter(F, N, white_H, white_J, n, p, q)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.calibrate import Calibrator
 from agent.numerics.cells import Summary
+from agent.numerics.choice import Candidate, candidate, choose, gate
 from agent.numerics.colour import Colour, colour_of
 from agent.numerics.commission import Commission
 from agent.numerics.fit import Fit, Problem, fit_window, linearise
@@ -31,6 +32,8 @@ UNITS_MIN, UNITS_MAX = 32, 1024
 """Hops computed at once: few after a re-centring (which throws the rest of them away), more while nothing happens."""
 LONG = 4096
 """Samples beyond which a fit iterates on summaries instead of samples."""
+MOST_FAILED = 6
+"""First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
 RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
 """The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
 RECOLOUR = 65_536
@@ -53,6 +56,8 @@ class WindowSettings:
         enough_sd: (q,) sd above which a window cannot judge a parameter ("unexcited").
         scale_column: (q,) the channel (outputs, then inputs) whose rms in the first window fitted is the size of a
             parameter without one (an offset); None where every parameter has a size.
+        longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
+            shortest that knows it to wanted_sd (q,).
     """
 
     period_s: float
@@ -65,6 +70,8 @@ class WindowSettings:
     lower: FloatArray
     enough_sd: FloatArray
     scale_column: IntArray | None = None
+    longer: tuple[int, ...] = ()
+    wanted_sd: FloatArray | None = None
 
 
 class WindowML:
@@ -84,6 +91,7 @@ class WindowML:
         self.settled = False
         self.recentred = 0
         self._units = UNITS_MIN
+        self._failed = 0
         self._onset: int | None = None
         self._last_fit = self._coloured_at = self._steady_since = -(10**18)
         self._searched = directions is None
@@ -96,12 +104,12 @@ class WindowML:
 
     @property
     def _gate(self) -> float:
-        """Largest residual variance, in units of the reference, of an undisturbed window.
+        """Largest residual variance, in units of the reference, of an undisturbed window."""
+        return float(gate(self._dof * self.colour.share, self._doubt))
 
-        A reference that was learnt from one window is as uncertain as what it is compared with.
-        """
-        doubt = 2.0 if self.calibrator.learns else 1.0
-        return 1.0 + 4.0 * float(np.sqrt(2.0 * doubt / (self._dof * self.colour.share)))
+    @property
+    def _doubt(self) -> float:
+        return 2.0 if self.calibrator.learns else 1.0
 
     def sampled(self, theta: FloatArray) -> Discrete:
         """Return the sampled model at theta (q,)."""
@@ -128,7 +136,8 @@ class WindowML:
         q, plan = len(self.theta), self.settings.plan
         pieces: list[Rows] = []
         if self._segment is None:
-            self._segment = Segment(plan, index, v.shape[1])
+            more = [(window - plan.head) // plan.hop for window in self.settings.longer]
+            self._segment = Segment(plan, index, v.shape[1], more)
         first_row = self._segment.first if self._segment.head is None else index
         due = plan.rows_between(index, min(first_row, index + len(v)))
         if len(due):
@@ -147,13 +156,24 @@ class WindowML:
         """Summarise what is ready, judge each row, act at the first that asks for it, return the rows settled."""
         index, windows = segment.advance(self._operators, min(segment.ready(), self._units))
         rows, information = self._rows(index, windows)
+        white_sd, candidates = rows.sd / self._widening(), self._candidates(segment)
         moved_at = self._judge(segment, rows, information)
+        if candidates and self.settings.wanted_sd is not None:
+            with np.errstate(invalid="ignore"):
+                widening = np.where(white_sd > 0, rows.sd / white_sd, 1.0)
+            choose(rows, widening, rows.dof / self._dof, candidates, self.settings.wanted_sd, self._doubt)
         if moved_at is None:
             self._units = min(2 * self._units, max(UNITS_MAX, 2 * self.settings.plan.fulls))
             return rows
         # rows after the one that moved theta_r belong to the old operators and are computed again
         self._units = UNITS_MIN
         return rows.part(moved_at + 1)
+
+    def _candidates(self, segment: Segment) -> list[Candidate]:
+        """What the longer windows that are whole say at the newest rows."""
+        pairs = zip(self.settings.longer, segment.longer, strict=True)
+        theta, outputs, least = self.theta, len(self.noise.sigma), self._floor_ratio()
+        return [candidate(s, window, theta, self._n, outputs, least) for window, s in pairs if s is not None]
 
     def _rows(self, index: IntArray, windows: Summary | None) -> tuple[Rows, FloatArray]:
         """Turn the windows' summaries into rows and scaled information (rows, q, q); the verdicts come later."""
@@ -164,11 +184,14 @@ class WindowML:
             return rows, information
         solution = solve_windows(windows, self._n)
         s2 = solution.residual / self._dof
-        variance = np.einsum("nii->ni", solution.covariance) * np.maximum(s2, self._floor_ratio())[:, None]
+        # a residual of exactly nothing leaves what is unknown unknown
+        s2_floored = np.maximum(s2, max(self._floor_ratio(), 1e-300))
+        variance = np.einsum("nii->ni", solution.covariance) * s2_floored[:, None]
         new = slice(len(index) - len(windows), None)
         rows.theta[new] = self.theta + solution.delta
         rows.sd[new] = np.sqrt(variance) * self._widening()
         rows.dof[new], rows.full[new], rows.ratio[new] = self._dof * self.colour.share, True, s2
+        rows.window[new] = self.settings.plan.window
         information[new] = solution.information * np.outer(self.scale, self.scale)
         return rows, information
 
@@ -196,9 +219,12 @@ class WindowML:
                 break
             if healthy[position] and self._anchored and self._keep_house(segment, rows, position):
                 healthy, wanting = self._first_looks(rows, information)
+            before = self._reference
+            # what came before this row is remembered first: a fit that contradicts it must forget it too
+            self._remember(rows, information, healthy & trusted, position)
             if self._act(segment, rows, position, healthy=bool(healthy[position]), wants=bool(wanting[position])):
-                self._remember(rows, information, healthy & trusted, position)
                 return position
+            self._reference = before
             position += 1
         self._remember(rows, information, healthy & trusted, count)
         return None
@@ -266,7 +292,7 @@ class WindowML:
     def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
         index, plan = int(rows.index[row]), self.settings.plan
-        due = index - self._last_fit >= plan.window // 4
+        due = index - self._last_fit >= (plan.window // 4) << self._failed
         if self._anchored and healthy:
             self._onset = None
             if not self._searched and index - self._steady_since >= self._record():
@@ -343,8 +369,10 @@ class WindowML:
         fit = self._maximise(v[-LONG:], afresh=not self.settled or bool(self._quieter(rows)[row]))
         if not (fit.converged and self._place(segment, fit, start, long=len(v) > LONG)):
             self.theta, self.noise, self.settled, self.colour = before
+            # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is
+            self._failed = 0 if self.settled else min(self._failed + 1, MOST_FAILED)
             return False
-        self._coloured_at = index
+        self._coloured_at, self._failed = index, 0
         if not self._anchored or self._onset is not None:
             self._steady_since = index
         self._anchored = True

@@ -1,0 +1,71 @@
+"""Several windows at once: each estimate is taken from the shortest window that knows it well enough."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.cells import Summary
+from agent.numerics.rows import Rows
+from agent.numerics.window import solve_windows
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """What one longer window says at the newest N of a batch of rows.
+
+    Attributes:
+        window: its length, samples.
+        dof: degrees of freedom of its residual variance.
+        theta, sd: (N, q) estimates and their sd under white noise.
+        ratio: (N,) residual variance over the reference.
+    """
+
+    window: int
+    dof: float
+    theta: FloatArray
+    sd: FloatArray
+    ratio: FloatArray
+
+
+def candidate(summary: Summary, window: int, theta_r: FloatArray, n: int, outputs: int, least: float) -> Candidate:
+    """Solve the windows of one length; theta_r (q,) is where they were linearised, least the smallest variance."""
+    solution = solve_windows(summary, n)
+    dof = max(float(window * outputs - n - len(theta_r)), 1.0)
+    ratio = solution.residual / dof
+    variance = np.einsum("nii->ni", solution.covariance) * np.maximum(ratio, least)[:, None]
+    return Candidate(window, dof, theta_r + solution.delta, np.sqrt(variance), ratio)
+
+
+def gate(dof: FloatArray | float, doubt: float) -> FloatArray:
+    """Largest residual variance, in units of the reference, of an undisturbed window with dof degrees of freedom.
+
+    doubt is 2 where the reference was learnt from a window, which is as uncertain as what it is compared with.
+    """
+    return np.asarray(1.0 + 4.0 * np.sqrt(2.0 * doubt / np.asarray(dof)))
+
+
+def choose(
+    rows: Rows, widening: FloatArray, share: FloatArray, found: Sequence[Candidate], wanted_sd: FloatArray, doubt: float
+) -> None:
+    """Replace estimates of rows in place by those of longer windows where the shorter ones are not sure enough.
+
+    Args:
+        rows: judged rows of the shortest window, its length filled in.
+        widening: (N, q) honest sd over the white one.
+        share: (N,) effective degrees of freedom over their count.
+        found: longer windows, shortest first, for the newest of these rows.
+        wanted_sd: (q,) an estimate this sure needs no longer window; the longest undisturbed one serves where none is.
+        doubt: see `gate`.
+    """
+    usable = rows.full & ~rows.changing & ~rows.mismatch
+    for longer in found:
+        new = slice(len(rows.index) - len(longer.ratio), None)
+        passes = usable[new] & (longer.ratio <= gate(longer.dof * share[new], doubt))
+        take = passes[:, None] & ~(rows.sd[new] <= wanted_sd) & np.isfinite(longer.sd)
+        rows.theta[new] = np.where(take, longer.theta, rows.theta[new])
+        rows.sd[new] = np.where(take, longer.sd * widening[new], rows.sd[new])
+        rows.window[new] = np.where(take, longer.window, rows.window[new])

@@ -1,0 +1,169 @@
+"""Dry friction: the sign of a velocity that nobody measures, as one more input of known shape.
+
+The velocity comes from an observer of its own: the nominal model without friction, corrected fast. It is causal, knows
+the forces (so it does not lag at a reversal) and does not depend on what is being estimated. A smooth switch in place
+of the sign biases the friction, and an integrating disturbance state in the observer would swallow it.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_lyapunov
+
+from agent.numerics.mechanics import GROUND, MassSpringDamper
+from agent.numerics.observer import start_gain
+from agent.numerics.statespace import Discrete, Hold, discretise
+
+FloatArray = NDArray[np.float64]
+
+SPEED = 100.0
+"""Slowest pole of the velocity observer, 1/s."""
+SLOWEST, FASTEST = 0.02, 0.3
+"""Least and most that the slowest pole may forget in one sample, whatever the rate."""
+BLOCK = 32
+"""Samples a block, counted from the segment's first, so that results do not depend on how the stream is cut."""
+DEVIATIONS = 3.0
+"""A velocity within this many standard deviations of its own noise has no sign."""
+CREEP = 1e-3
+"""A velocity below this share of the greatest one so far has no sign either."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionFilter:
+    """x(k+1) = Phi x(k) + K v(k), w(k) = W x(k) + V v(k) with v = (y, u), lifted to blocks of BLOCK samples.
+
+    Attributes:
+        outputs: (BLOCK r, n + BLOCK (p+m)) makes of (x, v of a block) its relative velocities w, m/s.
+        state: (n, n + BLOCK (p+m)) makes of them the next block's x.
+        first: (n, p+m) the state to begin with from the first sample.
+        noise: (r,) standard deviation that the sensors' noise leaves in each velocity; 0 where it is not known.
+    """
+
+    outputs: FloatArray
+    state: FloatArray
+    first: FloatArray
+    noise: FloatArray
+
+
+def motion_filter(
+    model: MassSpringDamper, pairs: list[tuple[str, str]], period_s: float, hold: Hold, sigma: FloatArray
+) -> MotionFilter:
+    """Build the observer of relative velocities between pairs of nodes from a model's nominal values.
+
+    Args:
+        model: the rig; its friction is left out.
+        pairs: r pairs of nodes, ground among them.
+        period_s: sampling period, s.
+        hold: how the forces run between samples.
+        sigma: (p,) standard deviation of each output's noise, NaN where it is not known.
+
+    Raises ValueError when no gain gives a stable observer.
+    """
+    plain = _without_friction(model)
+    continuous = plain.continuous(plain.nominal)
+    discrete = discretise(continuous, period_s, hold)
+    d = discrete.model
+    weights = np.where(np.isfinite(sigma), sigma, np.nanmean(sigma) if np.isfinite(sigma).any() else 1.0)
+    L = start_gain(discrete, _pushes(plain), weights, _window(period_s))
+    W, V = _velocities(plain, continuous.A, continuous.B, pairs, discrete)
+    K = np.hstack([L, d.B - L @ d.D])
+    seen = np.linalg.pinv(d.C)
+    Phi = d.A - L @ d.C
+    noise = _noise(Phi, L, W, np.where(np.isfinite(sigma), sigma, 0.0))
+    outputs, state = _lifted(Phi, K, W, V)
+    return MotionFilter(outputs, state, np.hstack([seen, -seen @ d.D]), noise)
+
+
+def _lifted(Phi: FloatArray, K: FloatArray, W: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Run the filter over a block for every unit of (x, v of the block) at once."""
+    n, width = K.shape
+    x = np.hstack([np.eye(n), np.zeros((n, BLOCK * width))])
+    outputs = []
+    for k in range(BLOCK):
+        sample = np.zeros((width, x.shape[1]))
+        sample[:, n + k * width : n + (k + 1) * width] = np.eye(width)
+        outputs.append(W @ x + V @ sample)
+        x = Phi @ x + K @ sample
+    return np.vstack(outputs), x
+
+
+def _without_friction(model: MassSpringDamper) -> MassSpringDamper:
+    return replace(model, structure=replace(model.structure, frictions=()), parameters=())
+
+
+def _window(period_s: float) -> int:
+    """Samples after which `start_gain` is to have forgotten: exp(-6) at the slowest pole."""
+    return max(1, round(6.0 / min(max(SPEED * period_s, SLOWEST), FASTEST)))
+
+
+def _pushes(model: MassSpringDamper) -> FloatArray:
+    """(n, d) an unknown force on each mass, or an unknown velocity of a rig without masses."""
+    masses = np.array([m.value for m in model.structure.masses if m.value > 0])
+    n = len(model.state_names)
+    if not len(masses):
+        return np.eye(n)
+    return np.vstack([np.diag(1.0 / masses), np.zeros((n - len(masses), len(masses)))])
+
+
+def _velocities(
+    model: MassSpringDamper, A: FloatArray, B: FloatArray, pairs: list[tuple[str, str]], discrete: Discrete
+) -> tuple[FloatArray, FloatArray]:
+    """Return W (r, n), V (r, p+m): rows of x' = A x + B u for displacements, x = shifted state + B1 u."""
+    names, p = model.state_names, discrete.model.p
+    difference = np.zeros((len(pairs), len(names)))
+    for row, pair in zip(difference, pairs, strict=True):
+        for node, sign in zip(pair, (1.0, -1.0), strict=True):
+            if node != GROUND:
+                row[names.index(f"displacement of {node}")] += sign
+    W = difference @ A
+    return W, np.hstack([np.zeros((len(pairs), p)), W @ discrete.B1 + difference @ B])
+
+
+def _noise(Phi: FloatArray, L: FloatArray, W: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return the sd (r,) that white sensor noise leaves in W x."""
+    covariance = solve_discrete_lyapunov(Phi, L @ np.diag(sigma**2) @ L.T)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", W, covariance, W), 0.0)))
+
+
+@dataclass(slots=True)
+class FrictionInputs:
+    """Puts the sign of each friction element's velocity beside the inputs of a stream.
+
+    Deterministic to the last bit however the stream is cut: whole blocks are counted from the segment's first sample,
+    and an unfinished one is computed anew when it goes on.
+    """
+
+    motion: MotionFilter
+    _state: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _greatest: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _pending: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def start_segment(self) -> None:
+        """Forget the samples before a gap."""
+        self._state = np.zeros(0)
+
+    def beside(self, y: FloatArray, u: FloatArray) -> FloatArray:
+        """Return inputs (N, m + r): u (N, m), then the signs -1, 0, 1 of the velocities seen in y (N, p)."""
+        v = np.hstack([y, u])
+        if not self._state.size:
+            self._state = self.motion.first @ v[0]
+            self._greatest = np.zeros(len(self.motion.noise))
+            self._pending = v[:0]
+        known = len(self._pending)
+        stream = np.vstack([self._pending, v])
+        signs = [self._block(stream[start : start + BLOCK]) for start in range(0, len(stream), BLOCK)]
+        self._pending = stream[len(stream) - len(stream) % BLOCK :]
+        return np.hstack([u, np.vstack(signs)[known:]])
+
+    def _block(self, v: FloatArray) -> FloatArray:
+        """Return the signs (N, r) of up to BLOCK samples; a whole block moves the state on."""
+        motion, block = self.motion, np.zeros((BLOCK, v.shape[1]))
+        block[: len(v)] = v
+        stretch = np.concatenate([self._state, block.ravel()])
+        velocities = (motion.outputs @ stretch).reshape(BLOCK, -1)[: len(v)]
+        greatest = np.maximum.accumulate(np.vstack([self._greatest, np.abs(velocities)]))[1:]
+        if len(v) == BLOCK:
+            self._state, self._greatest = motion.state @ stretch, greatest[-1]
+        least = np.maximum(DEVIATIONS * motion.noise, CREEP * greatest)
+        return np.asarray(np.where(np.abs(velocities) > least, np.sign(velocities), 0.0))

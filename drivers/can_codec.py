@@ -94,7 +94,7 @@ class FrameDecoder:
         values = message.values(sound.table, self._columns)
         if message.switches:
             # a frame of other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
-            bare: NDArray[np.bool_] = np.isnan(values).all(axis=1)
+            bare = np.logical_and.reduce(np.isnan(values), axis=1)
             self._reject("mux", int((bare & ~message.knows(sound.table)).sum()))
             sound, values = _picked(sound, ~bare), values[~bare]
         self._counts.received += len(values)

@@ -4,10 +4,10 @@ A missing reading is filled with its cubic interpolant, and what the interpolant
 
     e = Gamma e0 + U d + sum psi_i delta_i + noise
 
-A missing output says nothing at all (d is free: for an observer without correction the same as leaving its row out, for
-a Kalman gain the likelihood of what was seen). A missing input lies near its interpolant, as near as interpolants of the
-same gap lie to the readings elsewhere in the window, which gives d a prior (Ljung, System Identification, 2nd ed. 1999,
-section 14.2). To believe an interpolated force would make intervals far too narrow.
+A missing output says nothing at all (d is free: for an observer without correction the same as leaving its row out,
+for a Kalman gain the likelihood of what was seen). A missing input lies near its interpolant, as near as interpolants
+of such gaps lie to the readings elsewhere in the window, which gives d a prior (Ljung, System Identification, 2nd ed.
+1999, section 14.2). To believe an interpolated force would make intervals far too narrow.
 """
 
 from dataclasses import dataclass

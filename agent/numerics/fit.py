@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.bridge import Bridge, Shrinkage, responses, shrinkage
 from agent.numerics.cells import cell_operators, propagate, run_cells
 from agent.numerics.observer import Gain
 from agent.numerics.sensitivity import sensitivity_filter
@@ -75,27 +76,66 @@ class Problem:
         v: (W, p+m) outputs and inputs.
         scale: (q,) size of each parameter, for tolerances and the weak prior that keeps what is unexcited in place.
         lower: (q,) bounds from below; -inf where there is none.
+        bridge: the readings that v lacks, where it was filled.
     """
 
     sample: Callable[[FloatArray], Discrete]
     v: FloatArray
     scale: FloatArray
     lower: FloatArray
+    bridge: Bridge | None = None
+
+    def at(self, theta: FloatArray, gain: Gain, x0: FloatArray) -> Linearised:
+        """Linearise the window about (theta, x0)."""
+        return linearise(self.sample(theta).model, gain, self.v, x0, self.bridge)
 
 
-def linearise(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray) -> Linearised:
-    """Run observer (from x0) and sensitivities over a window v (W, p+m) and project the initial state out."""
+def linearise(
+    model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge | None = None
+) -> Linearised:
+    """Run observer (from x0) and sensitivities over a window v (W, p+m) and project the initial state out.
+
+    What the window lacks (bridge) is eliminated too, by its prior where it has one.
+    """
     o, G = _outputs(model, gain, v, x0)
     n, width = model.n, 1 + model.q
     Gamma = G[:, :n]
-    left, pinv = _orthogonal(Gamma)
-    e0 = pinv @ o[:, 0]
+    unknowns = _unknowns(Gamma, None if bridge is None else responses(model, gain, bridge, len(v)), bridge)
+    e0 = unknowns.initial_state(o[:, 0])
     moved = o.copy()
     moved[:, 0] -= Gamma @ e0
     moved[:, 1:] += G[:, n:].reshape(len(G), width - 1, n) @ e0
-    e0_by_theta = -pinv @ moved[:, 1:]
-    moved -= left @ (left.T @ moved)
+    e0_by_theta = -unknowns.initial_state(moved[:, 1:])
+    moved = unknowns.left_of(moved)
     return Linearised(moved[:, 0], moved[:, 1:], e0, e0_by_theta)
+
+
+@dataclass(frozen=True, slots=True)
+class _Unknowns:
+    """What is eliminated: the initial state (left, pinv of Gamma), and readings that lack, with responses U."""
+
+    left: FloatArray
+    pinv: FloatArray
+    U: FloatArray | None
+    lacking: Shrinkage | None
+
+    def initial_state(self, columns: FloatArray) -> FloatArray:
+        """Return the initial state that fits columns best, together with the other unknowns."""
+        if self.U is not None and self.lacking is not None:
+            columns = columns - self.U @ (self.lacking.unknowns @ columns)
+        return np.asarray(self.pinv @ columns)
+
+    def left_of(self, columns: FloatArray) -> FloatArray:
+        """Return what the unknowns leave of columns (W p, k)."""
+        columns = columns - self.left @ (self.left.T @ columns)
+        return columns if self.lacking is None else self.lacking.left_of(columns)
+
+
+def _unknowns(Gamma: FloatArray, U: FloatArray | None, bridge: Bridge | None) -> _Unknowns:
+    left, pinv = _orthogonal(Gamma)
+    if U is None or bridge is None:
+        return _Unknowns(left, pinv, None, None)
+    return _Unknowns(left, pinv, U, shrinkage(U - left @ (left.T @ U), bridge.sd))
 
 
 def _outputs(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -148,14 +188,14 @@ def fit_window(
 
 def _stage(problem: Problem, start: Fit, gain: Gain, max_steps: int, tolerance: float) -> Fit:
     theta, x0, damping, converged = start.theta, start.x0, 0.0, False
-    here = linearise(problem.sample(theta).model, gain, problem.v, x0)
+    here = problem.at(theta, gain, x0)
     steps = 0
     while steps < max_steps and not converged:
         steps += 1
         step = _damped_step(here, damping, problem.scale)
         moved = np.maximum(theta + step, problem.lower)
         x_moved = x0 + here.e0 + here.e0_by_theta @ (moved - theta)
-        there = linearise(problem.sample(moved).model, gain, problem.v, x_moved)
+        there = problem.at(moved, gain, x_moved)
         small = bool(np.all(np.abs(moved - theta) <= tolerance * problem.scale))
         if there.cost <= here.cost * (1 + 1e-9) or small:
             theta, x0, here, converged = moved, x_moved, there, small

@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from agent.errors import StoreError
 from agent.storage.files import Kind, beside, check_place, kind_of, refuse, sync_folder
-from agent.storage.schema import PAGE_SIZE, SCHEMA_VERSION, upgrade
+from agent.storage.schema import PAGE_SIZE, SCHEMA_VERSION, upgrade, version_of
 
 WAL_BOUND = 16 * 1024 * 1024
 """Bytes that the write-ahead log may take whatever readers do."""
@@ -107,7 +107,7 @@ def connect_reader(path: Path) -> sqlite3.Connection:
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         connection = sqlite3.connect(_uri(path, mode), uri=True, isolation_level=None, timeout=5.0)
         try:
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
+            version = version_of(connection)
             connection.execute("SELECT count(*) FROM v_meta").fetchone()
         except sqlite3.Error as error:
             connection.close()

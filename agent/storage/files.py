@@ -8,12 +8,14 @@ from enum import Enum
 from pathlib import Path
 
 from agent.errors import StoreError
-from agent.storage.schema import APPLICATION_ID, SCHEMA_VERSION
+from agent.storage.schema import APPLICATION_ID, PAGE_SIZE, SCHEMA_VERSION, version_mark
 
 BALLAST_BYTES = 256 * 1024
 """Freed when the disk is full: SQLite needs room even to delete (measured: 200 kB are enough)."""
 _MAGIC = b"SQLite format 3\0"
 _OURS_WRITTEN = b"CREATE VIEW v_estimates_windows"
+_FIXED = ((16, PAGE_SIZE.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))), (44, b"\0\0\0\4"), (56, b"\0\0\0\1"))
+"""Header bytes that every file of ours has; SQLite takes some of them, when wrong, for a file it may not write to."""
 _HEAD = 256 * 1024
 
 
@@ -60,10 +62,12 @@ def kind_of(path: Path) -> Kind:
 
 
 def _version_kind(head: bytes) -> Kind:
-    version = int.from_bytes(head[60:64], "big")
-    if SCHEMA_VERSION < version < 1 << 16:
-        return Kind.NEWER
-    return Kind.OURS if 0 < version <= SCHEMA_VERSION else Kind.DAMAGED
+    version = int.from_bytes(head[62:64], "big")
+    if int.from_bytes(head[60:64], "big") != version_mark(version):
+        return Kind.DAMAGED
+    if any(head[place : place + len(fixed)] != fixed for place, fixed in _FIXED):
+        return Kind.DAMAGED
+    return Kind.NEWER if version > SCHEMA_VERSION else Kind.OURS
 
 
 def _was_ours(path: Path, head: bytes) -> bool:

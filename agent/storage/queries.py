@@ -184,7 +184,8 @@ def _tiered(connection: sqlite3.Connection, rig: str, parameter: str, first: int
 def _bounds(connection: sqlite3.Connection, rig: str, span: int, first: int, last: int) -> tuple[int, int] | None:
     """Return the oldest instant of a tier in a stretch and how many instants it has there."""
     query = (
-        "SELECT min(h.t_ns), count(*) FROM rigs g JOIN runs r ON r.rig_id = g.seq JOIN hops h ON h.run_id = r.seq "
+        "SELECT min(h.t_ns), count(*) FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq "
+        "CROSS JOIN hops h ON h.run_id = r.seq "
         "WHERE g.name = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ?"
     )
     oldest, count = connection.execute(query, (rig, span, first, last)).fetchone()
@@ -195,10 +196,10 @@ def _tier_points(
     connection: sqlite3.Connection, rig: str, parameter: str, span: int, first: int, last: int
 ) -> list[tuple[Any, ...]]:
     query = (
-        "SELECT h.t_ns + h.span * 500000000, e.value, e.sd, h.span FROM rigs g JOIN runs r ON r.rig_id = g.seq "
-        "JOIN hops h ON h.run_id = r.seq "
-        "JOIN series s ON s.run_id = r.seq JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 "
-        "AND e.series_id = s.seq JOIN fits f ON f.seq = e.fit_id "
+        "SELECT h.t_ns + h.span * 500000000, e.value, e.sd, h.span FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq "
+        "CROSS JOIN hops h ON h.run_id = r.seq "
+        "CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 "
+        "CROSS JOIN series s ON s.seq = e.series_id CROSS JOIN fits f ON f.seq = e.fit_id "
         "WHERE g.name = ? AND s.parameter = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND e.verdict_id = 256 "
         "AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o WHERE o.run_id = h.run_id "
         "AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"

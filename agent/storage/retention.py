@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from agent.storage.checksum import row_crc
 from agent.storage.rows import Plan
-from agent.storage.schema import COLUMN_BITS, PAGE_SIZE, columns_of
+from agent.storage.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
 from agent.storage.tiers import HOUR, MINUTE, SECOND, add_groups, aggregate
 
 if TYPE_CHECKING:
@@ -244,8 +244,8 @@ class Upkeep:
             names = columns_of("runs")[:-1]
             cells = connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE seq = ?", (run_id,)).fetchone()  # noqa: S608
             connection.execute("UPDATE runs SET crc = ? WHERE seq = ?", (row_crc(cells), run_id))
-        for number, table in enumerate(("hops", "health"), 1):
-            cells = (number, table, self._store.numbers.high(table))
+        for table in ("hops", "health"):
+            cells = (list(TABLES).index(table) + 1, table, self._store.numbers.high(table))
             connection.execute("INSERT OR REPLACE INTO sequences VALUES (?, ?, ?, ?)", (*cells, row_crc(cells)))
 
 

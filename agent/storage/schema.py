@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
 SCHEMA_VERSION = 1
-"""The file's user_version: 100 x major + n; a reader refuses what is greater than its own."""
+"""Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
 COLUMN_BITS = 10
@@ -97,7 +97,17 @@ def _tables_views_and_marks(db: "Database") -> None:
 def _mark(connection: sqlite3.Connection, version: int) -> None:
     """Write the file's marks; they are part of the transaction like any row."""
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-    connection.execute(f"PRAGMA user_version = {version}")
+    connection.execute(f"PRAGMA user_version = {version_mark(version)}")
+
+
+def version_mark(version: int) -> int:
+    """Return the file's user_version: the version, and its complement so that a flipped bit is no other version."""
+    return (0x7FFF ^ version) << 16 | version
+
+
+def version_of(connection: sqlite3.Connection) -> int:
+    """Return the version of an open file; 0 when it has none."""
+    return int(connection.execute("PRAGMA user_version").fetchone()[0]) & 0xFFFF
 
 
 def migrations() -> "Migrations":
@@ -114,7 +124,7 @@ def upgrade(connection: sqlite3.Connection) -> None:
 
     sqlite-utils takes half a second to import, so it is not touched on an ordinary start.
     """
-    if connection.execute("PRAGMA user_version").fetchone()[0] == SCHEMA_VERSION:
+    if version_of(connection) == SCHEMA_VERSION:
         return
     from sqlite_utils import Database
 

@@ -4,6 +4,7 @@ import sqlite3
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -13,14 +14,16 @@ from agent.errors import StoreError
 from agent.storage.alarms import AlarmBook, AlarmRow, standing_alarms
 from agent.storage.batches import joined_runs, take
 from agent.storage.checksum import row_crc
-from agent.storage.connect import cause_of, connect_writer, create, is_damage, may_pass, unreadable
+from agent.storage.connect import cause_of, connect_writer, create, is_damage, may_pass
 from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
 from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse
 from agent.storage.retention import Retention, Upkeep
 from agent.storage.rows import Names, Numbers, Plan
+from agent.storage.salvage import Recovery, finish_interrupted, recover
 from agent.storage.schema import insert_sql, upgrade
 from agent.storage.status import add_event, add_health
+from agent.storage.verify import Scrubber, problems_at_start
 from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Record, RunInfo
 
 _CELLS_A_COMMIT = 50_000  # about 3 MB of write-ahead log
@@ -47,7 +50,11 @@ class Store:
         self._books: dict[int, AlarmBook] = {}
         self._coverage: dict[int, Coverage] = {}
         self._since_checkpoint = [0, 0]
+        self._keep = keep
         self._upkeep = Upkeep(self, keep)
+        self._scrubber = Scrubber()
+        self.recovery: Recovery | None = None
+        """What became of a damaged file that was found here; told in the next run that begins."""
 
     @classmethod
     def open(cls, path: Path | str, keep: Retention = _FOR_EVER) -> Self:
@@ -71,22 +78,52 @@ class Store:
         return store
 
     def _attach(self) -> None:
-        """Open the file, bring it up to date and learn what it names."""
+        """Open the file, bring it up to date and learn what it names; a damaged one is replaced by what it tells."""
+        aside = finish_interrupted(self.path)
+        if aside is not None:
+            self.recovery = Recovery(aside, "its replacement had been interrupted", 0, 0)
         kind = kind_of(self.path)
         refuse(self.path, kind)
         if kind is Kind.MISSING:
             create(self.path)
+        damage = "its header is damaged" if kind is Kind.DAMAGED else self._connect()
+        if damage:
+            self._replace(damage)
+        self._ballast.lay()
+
+    def _connect(self) -> str | None:
+        """Open the file; returns what is wrong with it, None when nothing was found."""
         try:
             self._connection = connect_writer(self.path)
             upgrade(self._connection)
+            found = problems_at_start(self._connection)
+            if found:
+                return found[0]
             self.numbers.load(self._connection)
             self.names.load(self._connection)
             self._upkeep.load()
         except sqlite3.Error as error:
-            if may_pass(error) or is_damage(error):
-                raise
-            raise unreadable(self.path, error) from error
-        self._ballast.lay()
+            if is_damage(error) or (not may_pass(error) and isinstance(error, sqlite3.OperationalError)):
+                return str(error)
+            raise
+        return None
+
+    def _replace(self, damage: str) -> None:
+        """Go on in a new file with the rows that could be saved; runs must be begun again."""
+        self._disconnect()
+        self.recovery = recover(self.path, damage)
+        self.names = Names(self.numbers)
+        self._books.clear()
+        self._coverage.clear()
+        self._upkeep = Upkeep(self, self._keep)
+        problem = self._connect()
+        if problem is not None:
+            raise StoreError.at(str(self.path), f"the database cannot be repaired ({problem})", "replace its disk")
+
+    def recover(self, cause: str) -> None:
+        """Replace the file because damage was met while it was open; runs must be begun again."""
+        with self._mutex:
+            self._replace(cause)
 
     @property
     def connection(self) -> sqlite3.Connection:
@@ -104,7 +141,18 @@ class Store:
             plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
             self.commit([plan])
             self.adopt_run(run_id, run)
+            self._tell_recovery(run_id, run)
             return run_id
+
+    def _tell_recovery(self, run_id: int, run: RunInfo) -> None:
+        """Record that a damaged file was replaced: an event, and an alarm that is over but not acknowledged."""
+        if self.recovery is None:
+            return
+        told, t_ns = str(self.recovery), run.started_ns
+        raised = AlarmTransition(run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", told)
+        over = replace(raised, from_state="UNACK", to_state="RTNUN", cause="replaced")
+        self.write(run_id, [HealthEvent(run.rig, "store", t_ns, "damaged", told), raised, over])
+        self.recovery = None
 
     def adopt_run(self, run_id: int, run: RunInfo) -> None:
         """Go on with a run that is in the file already."""
@@ -210,13 +258,22 @@ class Store:
         """Do what can be done after a failed write, then open the file anew."""
         with self._mutex:
             if cause_of(error) == "disk full":
-                self._ballast.drop()
-            self.reopen()
+                self._make_room()
+            else:
+                self.reopen()
+
+    def _make_room(self) -> None:
+        """Drop the ballast, which gives room to delete the oldest rows and empty the log, then open the file anew."""
+        self._ballast.drop()
+        self.reopen()
+        self._upkeep.make_room()
+        self.checkpoint("TRUNCATE")
 
     def maintain(self, *, finish: bool = False) -> None:
         """Make the minutes and hours that are over and purge what is too old or too much; cheap when nothing is due."""
         with self._mutex:
             self._upkeep.step(finish=finish)
+            self._scrubber.step(self.connection)
 
     def wal_bytes(self) -> int:
         """Return the size of the write-ahead log's file."""

@@ -26,13 +26,15 @@ _NORMAL_DOF = 1e9
 
 _FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used, f.n_missing,
  1, e.verdict_id = 256, e.value, e.value, e.verdict_id
- FROM hops h JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 JOIN fits f ON f.seq = e.fit_id
+ FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
+ CROSS JOIN fits f ON f.seq = e.fit_id
  WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? AND f.chosen = 1 ORDER BY e.series_id, h.t_ns"""
 
 _MINUTE_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used,
  f.n_missing, p.n, p.n_valid, p.low, p.high, p.worst_id
- FROM hops h JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 JOIN fits f ON f.seq = e.fit_id
- JOIN spreads p ON p.seq = e.seq
+ FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
+ CROSS JOIN fits f ON f.seq = e.fit_id
+ CROSS JOIN spreads p ON p.seq = e.seq
  WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? ORDER BY e.series_id, h.t_ns"""
 
 

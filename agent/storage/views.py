@@ -28,43 +28,46 @@ _ESTIMATE_COLUMNS = f"""g.name AS rig, r.seq AS run_id, {time_text("h.t_ns")} AS
  v.status AS status, v.reason AS reason, e.held AS held, e.held_age_s AS held_age_s, f.window_s AS window_s,
  f.n_used AS n_used, f.n_missing AS n_missing, h.span AS span_s, s.method AS method"""
 
-_ESTIMATE_JOINS = """JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
- JOIN series s ON s.seq = e.series_id
- JOIN fits f ON f.seq = e.fit_id
- JOIN verdicts v ON v.seq = e.verdict_id"""
+# CROSS JOIN keeps SQLite to this order: rig, run, time, rows, names. Left to itself it may begin with the names.
+_ESTIMATE_JOINS = """CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
+ CROSS JOIN series s ON s.seq = e.series_id
+ CROSS JOIN fits f ON f.seq = e.fit_id
+ CROSS JOIN verdicts v ON v.seq = e.verdict_id"""
 
 _TIER_SHOWN = """h.span IN (0, 60, 3600) AND (h.span = 0 OR (h.span = 60 AND h.t_ns < r.full_from_ns)
  OR (h.span = 3600 AND h.t_ns < r.minute_from_ns))"""
 
 _WINDOWS = f"""SELECT {_ESTIMATE_COLUMNS}, f.chosen AS chosen
- FROM rigs g JOIN runs r ON r.rig_id = g.seq JOIN hops h ON h.run_id = r.seq {_ESTIMATE_JOINS}
+ FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq CROSS JOIN hops h ON h.run_id = r.seq {_ESTIMATE_JOINS}
  WHERE {_TIER_SHOWN} AND NOT {_covered("h.run_id", "h.t_ns")}"""
 
 _ESTIMATES = f"""SELECT {_ESTIMATE_COLUMNS}
- FROM rigs g JOIN runs r ON r.rig_id = g.seq JOIN hops h ON h.run_id = r.seq {_ESTIMATE_JOINS}
+ FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq CROSS JOIN hops h ON h.run_id = r.seq {_ESTIMATE_JOINS}
  WHERE {_TIER_SHOWN} AND f.chosen = 1 AND NOT {_covered("h.run_id", "h.t_ns")}"""
 
 # The run whose last row is the newest is never covered by a newer one at that row, so this needs no look at overlaps.
 _NEWEST_OF_RUN = """SELECT m.seq FROM hops m WHERE m.run_id = x.seq AND m.span = 0
-   AND EXISTS (SELECT 1 FROM estimates c JOIN series y ON y.seq = c.series_id JOIN fits d ON d.seq = c.fit_id
+   AND EXISTS (SELECT 1 FROM estimates c CROSS JOIN series y ON y.seq = c.series_id
+     CROSS JOIN fits d ON d.seq = c.fit_id
      WHERE c.seq BETWEEN m.seq * 1024 AND m.seq * 1024 + 1023 AND y.parameter = q.parameter AND d.chosen = 1)
    ORDER BY m.t_ns DESC, m.seq DESC LIMIT 1"""
 
 _LATEST_HOPS = f"""SELECT q.rig_id AS rig_id, q.parameter AS parameter,
- (SELECT k.seq FROM runs x JOIN hops k ON k.seq = ({_NEWEST_OF_RUN})
+ (SELECT k.seq FROM runs x CROSS JOIN hops k ON k.seq = ({_NEWEST_OF_RUN})
    WHERE x.rig_id = q.rig_id AND EXISTS (SELECT 1 FROM series z WHERE z.run_id = x.seq AND z.parameter = q.parameter)
    ORDER BY k.t_ns DESC, x.seq DESC LIMIT 1) AS hop
  FROM (SELECT DISTINCT r.rig_id AS rig_id, s.parameter AS parameter FROM series s JOIN runs r ON r.seq = s.run_id) q"""
 
 _LATEST = f"""SELECT {_ESTIMATE_COLUMNS}
- FROM ({_LATEST_HOPS}) n JOIN hops h ON h.seq = n.hop JOIN runs r ON r.seq = h.run_id JOIN rigs g ON g.seq = r.rig_id
+ FROM ({_LATEST_HOPS}) n CROSS JOIN hops h ON h.seq = n.hop CROSS JOIN runs r ON r.seq = h.run_id
+ CROSS JOIN rigs g ON g.seq = r.rig_id
  {_ESTIMATE_JOINS} WHERE s.parameter = n.parameter AND f.chosen = 1"""
 
 _TIERS = f"""SELECT g.name AS rig, r.seq AS run_id, {time_text("h.t_ns")} AS time, h.t_ns AS t_ns,
  s.parameter AS parameter, s.unit AS unit, h.span AS span_s, p.n AS n, p.n_valid AS n_valid, e.value AS value,
  e.sd AS sd, p.low AS low, p.high AS high, w.status AS worst_status, w.reason AS worst_reason
- FROM rigs g JOIN runs r ON r.rig_id = g.seq JOIN hops h ON h.run_id = r.seq AND h.span > 0
- {_ESTIMATE_JOINS} JOIN spreads p ON p.seq = e.seq JOIN verdicts w ON w.seq = p.worst_id
+ FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq CROSS JOIN hops h ON h.run_id = r.seq AND h.span > 0
+ {_ESTIMATE_JOINS} CROSS JOIN spreads p ON p.seq = e.seq CROSS JOIN verdicts w ON w.seq = p.worst_id
  WHERE NOT {_covered("h.run_id", "h.t_ns")}"""
 
 _ALARMS = f"""SELECT a.seq AS id, g.name AS rig, a.run_id AS run_id, a.kind AS kind, a.parameter AS parameter,

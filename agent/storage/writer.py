@@ -237,16 +237,16 @@ class StoreWriter:
             return
         try:
             if is_damage(error):
-                self._replace_file()
+                self._replace_file(str(error))
             else:
                 self._store.revive(error)
         except _FAILURE as second:
             self._pause.failed(cause_of(second))
 
-    def _replace_file(self) -> None:
+    def _replace_file(self, cause: str) -> None:
         """Go on in a new file that holds what could be read of the damaged one; rows in flight are stored anew."""
         assert self._store is not None  # noqa: S101 - checked by the caller
-        self._store.reopen()
+        self._store.recover(cause)
         self.run_ids.clear()
         self._plans = []
 

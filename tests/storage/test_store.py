@@ -12,7 +12,7 @@ import pytest
 from agent.errors import StoreError
 from agent.storage import connect, queries
 from agent.storage.checksum import column_crc, row_crc
-from agent.storage.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of
+from agent.storage.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of, version_mark
 from agent.storage.store import Store
 from agent.types import EstimateBatch, HealthEvent, Reason, Status
 from tests.storage.rows import HOP, PARAMETERS, START, batch, ledger, run_info, select, step, warming
@@ -66,7 +66,7 @@ def test_marks_say_whose_file_it_is_and_which_version(path: Path) -> None:
     stored(path)
     head = path.read_bytes()[:100]
     assert int.from_bytes(head[68:72], "big") == APPLICATION_ID
-    assert int.from_bytes(head[60:64], "big") == SCHEMA_VERSION
+    assert int.from_bytes(head[60:64], "big") == version_mark(SCHEMA_VERSION)
     assert select(path, "SELECT value FROM v_meta WHERE key = 'schema_version'") == [(str(SCHEMA_VERSION),)]
 
 
@@ -272,7 +272,8 @@ def test_seq_never_goes_back_after_everything_was_deleted(path: Path) -> None:
     connection = sqlite3.connect(path)
     with connection:
         connection.execute("DELETE FROM hops")
-        connection.execute("INSERT INTO sequences VALUES (1, 'hops', ?, 0)", (before,))
+        connection.execute("DELETE FROM estimates")
+        connection.execute("INSERT INTO sequences VALUES (1, 'hops', ?, ?)", (before, row_crc((1, "hops", before))))
     connection.close()
     stored(path, batch(1))
     assert select(path, "SELECT min(seq) FROM hops") == [(before + 1,)]
@@ -310,7 +311,7 @@ def foreign(path: Path) -> None:
 def newer(path: Path) -> None:
     stored(path)
     connection = sqlite3.connect(path)
-    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+    connection.execute(f"PRAGMA user_version = {version_mark(SCHEMA_VERSION + 1)}")
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     connection.close()
     (path.parent / f"{path.name}.lock").unlink()

@@ -36,7 +36,7 @@ def demo(*, bus: str, scenario: str | None, fast: bool, db: Path | None) -> dict
     """
     name = scenario or ("random" if "DELTAK_SEED" in os.environ else "default")
     folder = Path(tempfile.mkdtemp(prefix="deltak-demo-"))
-    made = write_config(bus, FINE if name == "paper" else COARSE, folder)
+    made = write_config(bus, FINE if name == "paper" else COARSE, folder, fast=fast)
     sys.stderr.write(f"bus: {made.words}; files in {folder}\n")
     config = load(made.config)
     database = (db or folder / "demo.db").absolute()

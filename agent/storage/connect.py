@@ -109,7 +109,7 @@ def connect_reader(path: Path) -> sqlite3.Connection:
         try:
             version = version_of(connection)
             connection.execute("SELECT count(*) FROM v_meta").fetchone()
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             connection.close()
             problem = error
             continue
@@ -117,9 +117,10 @@ def connect_reader(path: Path) -> sqlite3.Connection:
     raise unreadable(path, problem)
 
 
-def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
+def unreadable(path: Path, error: Exception) -> StoreError:
     """Return the error of a file that SQLite cannot read."""
-    advice = "run `deltak db repair`" if is_damage(error) else "look at its permissions and its disk"
+    damaged = is_damage(error) or isinstance(error, UnicodeDecodeError)
+    advice = "run `deltak db repair`" if damaged else "look at its permissions and its disk"
     fault = StoreError.at(str(path), f"the database cannot be read ({error})", advice)
     assert isinstance(fault, StoreError)  # noqa: S101 - `at` makes an error of its own class
     return fault

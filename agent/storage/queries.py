@@ -50,7 +50,7 @@ def reading(db: Path | str) -> Iterator[sqlite3.Connection]:
     with closing(connect_reader(Path(db))) as connection:
         try:
             yield connection
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
             raise unreadable(Path(db), error) from error
 
 

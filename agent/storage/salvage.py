@@ -141,12 +141,12 @@ def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> int:
 
 def _readable_source(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
     """Yield a connection whose schema can be read; nothing when it cannot."""
-    with suppress(sqlite3.Error):
+    with suppress(sqlite3.Error, UnicodeDecodeError):
         source = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True, isolation_level=None)
         source.text_factory = lambda octets: octets.decode("utf-8", "surrogateescape")
         try:
             source.execute("SELECT count(*) FROM (SELECT 1 FROM meta LIMIT 0)").fetchone()
-        except sqlite3.Error:
+        except (sqlite3.Error, UnicodeDecodeError):
             source.close()
             raise
         yield source
@@ -166,7 +166,7 @@ def _readable(source: sqlite3.Connection, table: str) -> Iterator[list[Row]]:
             while rows := _some(cursor):
                 first = rows[-1][0] + 1
                 yield rows
-        except (sqlite3.Error, OverflowError):
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError):
             failures += 1
             if last - first > wide:
                 middle = (first + last) // 2
@@ -181,7 +181,7 @@ def _some(cursor: sqlite3.Cursor) -> list[Row]:
             rows.append(row)
             if len(rows) == _AT_ONCE:
                 break
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):
         if not rows:
             raise
     return rows
@@ -189,11 +189,11 @@ def _some(cursor: sqlite3.Cursor) -> list[Row]:
 
 def _newest(source: sqlite3.Connection, table: str) -> int:
     """Return the highest seq; where the end of the table is sick, a number beyond it."""
-    with suppress(sqlite3.Error):
+    with suppress(sqlite3.Error, UnicodeDecodeError):
         found = source.execute(f"SELECT max(seq) FROM {table}").fetchone()[0]  # noqa: S608 - own name
         return found if isinstance(found, int) else 0
     if table in _LONG:
-        with suppress(sqlite3.Error):
+        with suppress(sqlite3.Error, UnicodeDecodeError):
             return (int(source.execute("SELECT max(seq) FROM hops").fetchone()[0]) + 1) << COLUMN_BITS
     return 1 << (44 if table in _LONG else 34)
 
@@ -213,7 +213,7 @@ def _insert(target: sqlite3.Connection, table: str, rows: list[Row], verb: str) 
 
 def _insert_consumers(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
     """Copy the cursors of consumers; one that is lost makes its consumer fetch rows again, which is allowed."""
-    with suppress(sqlite3.Error):
+    with suppress(sqlite3.Error, UnicodeDecodeError):
         for row in source.execute("SELECT name, last_seq, topic FROM consumers").fetchall():
             target.execute("INSERT OR IGNORE INTO consumers (name, last_seq, topic) VALUES (?, ?, ?)", row)
 

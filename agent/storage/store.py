@@ -106,6 +106,8 @@ class Store:
             if is_damage(error) or (not may_pass(error) and isinstance(error, sqlite3.OperationalError)):
                 return str(error)
             raise
+        except UnicodeDecodeError:  # SQLite quotes the damaged schema in its message
+            return "its schema is damaged"
         return None
 
     def _replace(self, damage: str) -> None:

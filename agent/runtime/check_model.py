@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.blocks.friction import mechanics_of, signals
 from agent.blocks.rig_model import SENSOR_KINDS, RigModel
 from agent.config import RigConfig
-from agent.config.tables import MechanicsModel, Parameter
+from agent.config.tables import Parameter
 from agent.errors import Fault, ModelError
 from agent.numerics.identifiability import Identifiability, identifiability
 from agent.numerics.mechanics import MassSpringDamper, Output
@@ -28,9 +29,6 @@ def require_observable(config: RigConfig, rig: RigModel) -> None:
 
 def model_faults(config: RigConfig, rig: RigModel) -> list[Fault]:
     """Return what the structure of the model makes impossible, each with what would help."""
-    if isinstance(config.model, MechanicsModel) and config.model.friction:
-        advice = "take the element out; a model without it tells of dry friction by the reason mismatch"
-        return [Fault("model.friction", "dry friction is not estimated in this version", advice)]
     hidden = hidden_states(rig.model)
     faults = [_hidden_fault(hidden, rig)] if hidden else []
     return faults + list(_parameter_faults(config, rig))
@@ -48,7 +46,7 @@ def _hidden_fault(hidden: list[str], rig: RigModel) -> Fault:
 
 
 def _parameter_faults(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
-    measured, scale = len(config.inputs), _scale(rig)
+    measured, scale = signals(config), _scale(rig)
     found = identifiability(rig.model, measured, scale)
     for number in found.silent:
         name = rig.parameters[number].name
@@ -99,7 +97,7 @@ def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Id
 
     if not config.inputs and (forced := _with_force(rig)) is not None and fewer(forced, 1):
         ways.append("measure a force that moves it")
-    if nodes := _nodes_that_help(rig, lambda model: fewer(model, len(config.inputs))):
+    if nodes := _nodes_that_help(rig, lambda model: fewer(model, signals(config))):
         ways.append(f"measure the displacement of {_either(nodes)}")
     if any(p.kind == "bias" for p in chosen):
         ways.append("measure the rest position or the unloaded force")
@@ -114,7 +112,7 @@ def _out(chosen: list[Parameter]) -> str:
 
 def _nodes_that_help(rig: RigModel, helped: Callable[[Model], bool]) -> list[str]:
     """Return the masses whose displacement, measured as well, would help."""
-    mechanics = _mechanics(rig.model)
+    mechanics = mechanics_of(rig.model)
     if mechanics is None:
         return []
     outputs = mechanics.outputs
@@ -127,18 +125,13 @@ def _place(node: str) -> Output:
     return Output("displacement", node)
 
 
-def _mechanics(model: Model) -> MassSpringDamper | None:
-    inner = model.model if isinstance(model, SensedModel) else model
-    return inner if isinstance(inner, MassSpringDamper) else None
-
-
 def _put(model: Model, mechanics: MassSpringDamper) -> Model:
     return replace(model, model=mechanics) if isinstance(model, SensedModel) else mechanics
 
 
 def _with_force(rig: RigModel) -> Model | None:
     """Return the model with a measured force on its last mass."""
-    mechanics = _mechanics(rig.model)
+    mechanics = mechanics_of(rig.model)
     if mechanics is None:
         return None
     return _put(rig.model, replace(mechanics, forces=(mechanics.structure.masses[-1].name,)))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, output_noise
 from agent.config import RigConfig
 from agent.numerics.information import bound_sd, window_information
@@ -89,12 +90,12 @@ def _expected(discrete: Discrete, excitation: Excitation, sigma: FloatArray, win
 
 def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
     if not config.inputs:
-        return _decay(discrete, rig, longest)
+        return _decay(config, discrete, rig, longest)
     rng = np.random.default_rng(0)
     settle = _settling(discrete, longest)
     count = settle + longest + min(8 * longest, SPAN_MOST)
     u = FORCE_RMS * rng.standard_normal((count, len(config.inputs)))
-    u = with_constant(u, discrete.model.m)
+    u = _completed(config, discrete, np.zeros(discrete.model.n), u)
     x, y = simulate(discrete, np.zeros(discrete.model.n), u)
     inputs = " and ".join(f"{FORCE_RMS:g} {channel.si_unit} rms" for channel in config.inputs)
     kind = "force" if config.inputs[0].quantity == "force" else "input"
@@ -104,14 +105,24 @@ def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int)
     )  # fmt: skip
 
 
-def _decay(discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
+def _decay(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
     names = rig.model.state_names
     x0 = np.array([0.0 if name.startswith("velocity") else DECAY_FROM for name in names])
-    u = with_constant(np.zeros((longest, 0)), discrete.model.m)
+    u = _completed(config, discrete, x0, np.zeros((longest, 0)))
     _, y = simulate(discrete, x0, u)
     unit = "m" if names[-1].startswith("displacement") else "in every state"
     words = f"free decay from {DECAY_FROM:g} {unit}, first window"
     return Excitation(u, lambda _: [0], lambda *_: x0, _rms(y), words)
+
+
+def _completed(config: RigConfig, discrete: Discrete, x0: FloatArray, u: FloatArray) -> FloatArray:
+    """Put the signs of dry friction, of the motion without it, and the constant 1 beside inputs (N, m)."""
+    friction = friction_inputs(config, np.zeros(discrete.model.p))
+    if friction is not None:
+        still = np.hstack([u, np.zeros((len(u), signals(config) - u.shape[1]))])
+        _, y = simulate(discrete, x0, with_constant(still, discrete.model.m))
+        u = friction.beside(y, u)
+    return with_constant(u, discrete.model.m)
 
 
 def _recorded(discrete: Discrete, recorded: Recorded) -> Excitation:

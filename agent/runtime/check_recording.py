@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
+from agent.blocks.friction import dry_friction
 from agent.config import RigConfig
 from agent.errors import RecordingError
 from agent.numerics.sensors import with_constant
@@ -26,7 +27,7 @@ class Recorded:
 
     Attributes:
         name: of the file.
-        u, y: (N, m) inputs, (N, p) outputs.
+        u, y: (N, m) the model's inputs (with the signs of dry friction), (N, p) outputs.
         pieces: uninterrupted stretches as (first, end) rows.
         noise: (p,) standard deviation of each output's noise as its high frequencies show it; 0 where too short.
         facts: for the document.
@@ -64,10 +65,12 @@ def read_recording(config: RigConfig, path: Path) -> Recorded:
     if not aligned:
         raise RecordingError.at(str(path), "holds no sample with every channel", "see that channels and columns fit")
     u, y = np.vstack([a.u for a in aligned]), np.vstack([a.y for a in aligned])
+    friction = dry_friction(config, np.zeros(y.shape[1]))
+    inputs = np.vstack([friction.step(a) for a in aligned])
     index = np.concatenate([a.index for a in aligned])
     noise = np.array([_noise(y[:, r]) for r in range(y.shape[1])])
     facts = _facts(config, acquisition, driver, (u, y, index), noise)
-    return Recorded(path.name, u, y, _pieces(aligned), noise, facts)
+    return Recorded(path.name, inputs, y, _pieces(aligned), noise, facts)
 
 
 def _acquisition(config: RigConfig) -> Acquisition:

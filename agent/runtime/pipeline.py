@@ -14,6 +14,7 @@ import numpy as np
 from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
 from agent.blocks.alarm import LevelAlarms
 from agent.blocks.estimation import Estimation
+from agent.blocks.friction import dry_friction
 from agent.config import RigConfig
 from agent.runtime.methods import make_estimation
 from agent.types import Health, IntArray, Record, Samples
@@ -55,6 +56,7 @@ class Pipeline:
         rig = config.rig
         self.acquisition = Acquisition(plans, len(channels), len(config.inputs), rig.clock, rig.sample_rate_hz)
         steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in config.outputs])
+        self.friction = dry_friction(config, steps)
         self.estimation: Estimation = make_estimation(config, steps)
         self.newest_ns = 0
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
@@ -68,7 +70,8 @@ class Pipeline:
         for aligned in self.acquisition.step(source, block, modulus):
             t_ns = self._stamps(aligned) if label is None else label(aligned.index)
             self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
-            batch = self.estimation.step(Samples(aligned.index, t_ns, aligned.u, aligned.y, aligned.segment))
+            u = self.friction.step(aligned)
+            batch = self.estimation.step(Samples(aligned.index, t_ns, u, aligned.y, aligned.segment))
             if batch is not None:
                 records.append(batch)
                 records.extend(self.alarms.step(batch))

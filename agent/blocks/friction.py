@@ -1,0 +1,60 @@
+"""Data manipulation: rigs with dry friction get the sign of each friction's velocity as a further input."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.blocks.acquisition import Aligned
+from agent.blocks.rig_model import output_noise, rig_model
+from agent.config import RigConfig
+from agent.config.tables import MechanicsModel
+from agent.numerics.friction import FrictionInputs, motion_filter
+from agent.numerics.mechanics import MassSpringDamper
+from agent.numerics.sensors import SensedModel
+from agent.numerics.statespace import Model
+from agent.types import FloatArray
+
+
+@dataclass(slots=True)
+class DryFriction:
+    """Completes the inputs of one rig; without friction elements they pass as they are."""
+
+    inputs: FrictionInputs | None = None
+    _segment: int | None = None
+
+    def step(self, aligned: Aligned) -> FloatArray:
+        """Return the model's inputs (n, m + frictions) for samples of one segment."""
+        if self.inputs is None:
+            return aligned.u
+        if self._segment != aligned.segment:
+            self._segment = aligned.segment
+            self.inputs.start_segment()
+        return self.inputs.beside(aligned.y, aligned.u)
+
+
+def dry_friction(config: RigConfig, resolution: FloatArray) -> DryFriction:
+    """Build the block of a rig; resolution (p,) is the wire's smallest step of each output, SI."""
+    return DryFriction(friction_inputs(config, resolution))
+
+
+def friction_inputs(config: RigConfig, resolution: FloatArray) -> FrictionInputs | None:
+    """Return what puts the signs beside a rig's inputs; None without friction elements."""
+    model = mechanics_of(rig_model(config).model)
+    if model is None or not model.structure.frictions:
+        return None
+    sigma, floor = output_noise(config, resolution)
+    known = np.where(np.isfinite(sigma), sigma, np.where(floor > 0, floor, np.nan))
+    pairs = [element.between for element in model.structure.frictions]
+    period_s = 1.0 / config.rig.sample_rate_hz
+    return FrictionInputs(motion_filter(model, pairs, period_s, config.estimator.hold, known))
+
+
+def signals(config: RigConfig) -> int:
+    """Return how many of the model's inputs differ from sample to sample: those measured and the signs."""
+    return len(config.inputs) + (len(config.model.friction) if isinstance(config.model, MechanicsModel) else 0)
+
+
+def mechanics_of(model: Model) -> MassSpringDamper | None:
+    """Return the masses, springs and dampers of a rig's model without its sensor constants; None for a linear one."""
+    inner = model.model if isinstance(model, SensedModel) else model
+    return inner if isinstance(inner, MassSpringDamper) else None

@@ -19,10 +19,15 @@ class Wire:
     length_step: str
 
     @property
+    def type(self) -> str:
+        """The integer's name."""
+        return f"int{self.bits}"
+
+    @property
     def marks(self) -> Marks:
         """What fills the templates' places for numbers; on CAN a counter and three numbers make one frame."""
         return {
-            "TYPE": f"int{self.bits}", "FORCE_STEP": self.force_step, "LENGTH_STEP": self.length_step,
+            "TYPE": self.type, "FORCE_STEP": self.force_step, "LENGTH_STEP": self.length_step,
             "BITS": str(self.bits), "AT_X1": str(2 * self.bits), "AT_X2": str(3 * self.bits),
             "FRAME_BYTES": str(self.bits // 2), "FD": "true" if self.bits > 16 else "false",
         }  # fmt: skip

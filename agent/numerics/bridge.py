@@ -44,6 +44,17 @@ class Bridge:
         """Unknowns without a prior: each costs a degree of freedom."""
         return int(np.isinf(self.sd).sum())
 
+    def split(self, gain: Gain) -> "tuple[Bridge, IntArray]":
+        """Return the readings that must be unknowns under a gain, and the rows (k,) of a window that can be left out.
+
+        A missing output that nothing is corrected by, and no other output is weighed with, touches its own row only.
+        """
+        p = len(gain.whitening)
+        alone = not gain.L.any() and not np.any(gain.whitening - np.diag(np.diag(gain.whitening)))
+        out = alone & (self.channel < p)
+        rows = self.sample[out] * p + self.channel[out]
+        return Bridge(self.sample[~out], self.channel[~out], self.sd[~out]), rows
+
 
 def bridge_over(v: FloatArray, missing: BoolArray, outputs: int) -> Bridge | None:
     """Return what a window v (W, p+m), filled where missing (W, p+m), lacks; None when it is complete.

@@ -103,7 +103,7 @@ class Calibrator:
         """Search forces and fit theta, twice; None where coloured sensor noise explains the record as well."""
         known = not self.learns
         for turn in range(2):
-            discrete, record = problem.sample(fit.theta), Record(problem.v, fit.x0)
+            discrete, record = problem.sample(fit.theta), Record(problem.v, fit.x0, problem.bridge)
             # at the first turn theta is rough and the likelihood of forces only a lower bound of what they can do
             bar = coloured + EVIDENCE if turn else None
             searched = find_process(
@@ -117,8 +117,8 @@ class Calibrator:
                 return self.gains.settled(discrete, found)
 
             fit = fit_window(problem, fit.theta, fit.x0, [matched])
-        value = likelihood(problem.sample(fit.theta), matched(problem.sample(fit.theta)), Record(problem.v, fit.x0),
-                           scale_known=known).value  # fmt: skip
+        discrete, record = problem.sample(fit.theta), Record(problem.v, fit.x0, problem.bridge)
+        value = likelihood(discrete, matched(discrete), record, scale_known=known).value
         worth = value - coloured > EVIDENCE * np.count_nonzero(noise.process)
         return Calibration(fit, noise) if fit.converged and worth else None
 
@@ -131,7 +131,7 @@ class Calibrator:
         fit = fit_window(problem, theta, x0, self._stages(noise)[1:])
         if not fit.converged:
             return None
-        discrete, record, known = problem.sample(fit.theta), Record(problem.v, fit.x0), not self.learns
+        discrete, record, known = problem.sample(fit.theta), Record(problem.v, fit.x0, problem.bridge), not self.learns
         assumed = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
         coloured = coloured_likelihood(fit.residual, noise.sigma) if not noise.forced else assumed
         bar = max(assumed, coloured)

@@ -99,8 +99,9 @@ def linearise(
     """
     o, G = _outputs(model, gain, v, x0)
     n, width = model.n, 1 + model.q
+    U, sd = _lacking(model, gain, bridge, (o, G))
     Gamma = G[:, :n]
-    unknowns = _unknowns(Gamma, None if bridge is None else responses(model, gain, bridge, len(v)), bridge)
+    unknowns = _unknowns(Gamma, U, sd)
     e0 = unknowns.initial_state(o[:, 0])
     moved = o.copy()
     moved[:, 0] -= Gamma @ e0
@@ -116,12 +117,12 @@ class _Unknowns:
 
     left: FloatArray
     pinv: FloatArray
-    U: FloatArray | None
+    U: FloatArray
     lacking: Shrinkage | None
 
     def initial_state(self, columns: FloatArray) -> FloatArray:
         """Return the initial state that fits columns best, together with the other unknowns."""
-        if self.U is not None and self.lacking is not None:
+        if self.lacking is not None:
             columns = columns - self.U @ (self.lacking.unknowns @ columns)
         return np.asarray(self.pinv @ columns)
 
@@ -131,11 +132,23 @@ class _Unknowns:
         return columns if self.lacking is None else self.lacking.left_of(columns)
 
 
-def _unknowns(Gamma: FloatArray, U: FloatArray | None, bridge: Bridge | None) -> _Unknowns:
+def _unknowns(Gamma: FloatArray, U: FloatArray, sd: FloatArray) -> _Unknowns:
     left, pinv = _orthogonal(Gamma)
-    if U is None or bridge is None:
-        return _Unknowns(left, pinv, None, None)
-    return _Unknowns(left, pinv, U, shrinkage(U - left @ (left.T @ U), bridge.sd))
+    return _Unknowns(left, pinv, U, shrinkage(U - left @ (left.T @ U), sd) if len(sd) else None)
+
+
+def _lacking(
+    model: StateSpace, gain: Gain, bridge: Bridge | None, filled: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return responses U (W p, c) and priors (c,) of what lacks, having emptied the rows that can be left out."""
+    rows = len(filled[0])
+    if bridge is None:
+        return np.zeros((rows, 0)), np.zeros(0)
+    unknown, out = bridge.split(gain)
+    U = responses(model, gain, unknown, rows // model.p)
+    for columns in (*filled, U):
+        columns[out] = 0.0
+    return U, unknown.sd
 
 
 def _outputs(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from agent.numerics.bridge import Bridge
 from agent.numerics.fit import linearise
 from agent.numerics.observer import Gain, Noise, matched_gain
 from agent.numerics.statespace import Discrete, StateSpace
@@ -33,10 +34,11 @@ def sensor_noise(y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A calibration record: v (N, p+m), and where the observer starts, x0 (n,)."""
+    """A calibration record: v (N, p+m), where the observer starts, x0 (n,), and what v lacks."""
 
     v: FloatArray
     x0: FloatArray
+    bridge: Bridge | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +52,9 @@ class Likelihood:
 def likelihood(discrete: Discrete, gain: Gain, record: Record, *, scale_known: bool) -> Likelihood:
     """Return the log likelihood of the innovations under a gain, the initial state projected out."""
     model = _without_parameters(discrete.model)
-    e = linearise(model, gain, record.v, record.x0).e
-    count, squares = e.size - model.n, float(e @ e)
+    e = linearise(model, gain, record.v, record.x0, record.bridge).e
+    free = 0 if record.bridge is None else record.bridge.free
+    count, squares = e.size - model.n - free, float(e @ e)
     log_det = len(record.v) * np.log(np.linalg.det(gain.whitening))
     if scale_known:
         return Likelihood(float(log_det - 0.5 * squares), 1.0)

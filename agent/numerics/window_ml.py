@@ -17,6 +17,7 @@ from agent.numerics.commission import Commission
 from agent.numerics.fit import Fit, Problem, fit_window, linearise
 from agent.numerics.gains import Gains
 from agent.numerics.hops import HopOperators, HopPlan, Segment
+from agent.numerics.lacking import MOST, Answer, Lacking, answer
 from agent.numerics.observer import Noise
 from agent.numerics.reference import Reference, combined, mean_and_sd
 from agent.numerics.rows import Rows
@@ -98,6 +99,7 @@ class WindowML:
         self._anchored = False
         self._segment: Segment | None = None
         self._reference = Reference.empty(len(self.theta))
+        self._lacking = Lacking(len(self.noise.sigma))
         self._rebuild()
         self._unknowns = self._n + len(self.theta)
         self._dof = max(float(settings.plan.window * len(self.noise.sigma) - self._unknowns), 1.0)
@@ -117,7 +119,7 @@ class WindowML:
 
     def _rebuild(self) -> None:
         """Make gain and operators about theta_r."""
-        discrete = self.sampled(self.theta)
+        self._discrete = discrete = self.sampled(self.theta)
         gains = self.settings.gains
         self.gain = (gains.settled if self.settled else gains.start)(discrete, self.noise)
         system = sensitivity_filter(discrete.model, self.gain.L, self.gain.whitening)
@@ -129,9 +131,15 @@ class WindowML:
         self._segment = None
         self._onset = None
         self._anchored = False
+        self._lacking.forget()
 
-    def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
-        """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
+    def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
+        """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end.
+
+        missing (N, p+m): readings that were filled in and are to be treated as unknown.
+        """
+        if missing is not None:
+            self._lacking.append(index, missing)
         v = np.hstack([y, with_constant(u, self._inputs)])
         q, plan = len(self.theta), self.settings.plan
         pieces: list[Rows] = []
@@ -145,7 +153,9 @@ class WindowML:
         self._segment.append(index, v)
         while self._segment.ready():
             pieces.append(self._advance(self._segment))
-        self._segment.trim(plan.window + plan.hop if self._searched else max(self._record(), plan.window) + plan.hop)
+        keep = max(plan.window, *self.settings.longer, 0 if self._searched else self._record()) + plan.hop
+        self._segment.trim(keep)
+        self._lacking.trim(self._segment.first)
         return Rows.joined(pieces, q)
 
     def _record(self) -> int:
@@ -156,7 +166,9 @@ class WindowML:
         """Summarise what is ready, judge each row, act at the first that asks for it, return the rows settled."""
         index, windows = segment.advance(self._operators, min(segment.ready(), self._units))
         rows, information = self._rows(index, windows)
-        white_sd, candidates = rows.sd / self._widening(), self._candidates(segment)
+        candidates = self._candidates(segment)
+        self._mend(segment, rows, information, candidates)
+        white_sd = rows.sd / self._widening()
         moved_at = self._judge(segment, rows, information)
         if candidates and self.settings.wanted_sd is not None:
             with np.errstate(invalid="ignore"):
@@ -194,6 +206,38 @@ class WindowML:
         rows.window[new] = self.settings.plan.window
         information[new] = solution.information * np.outer(self.scale, self.scale)
         return rows, information
+
+    def _mend(self, segment: Segment, rows: Rows, information: FloatArray, candidates: list[Candidate]) -> None:
+        """Solve the windows that lack readings once more, with those as unknowns, and put that in place."""
+        window = self.settings.plan.window
+        for row in np.flatnonzero((self._lacking.count(rows.index, window) > 0) & rows.full).tolist():
+            found = self._answer(segment, int(rows.index[row]) + 1, window)
+            dof, rows.ratio[row], sd = self._judged(found, window)
+            rows.theta[row], rows.sd[row] = self.theta + found.delta, sd * self._widening()
+            rows.dof[row] = dof * self.colour.share
+            information[row] = found.information * np.outer(self.scale, self.scale)
+        for longer in candidates:
+            newest = rows.index[len(rows.index) - len(longer.ratio) :]
+            for i in np.flatnonzero(self._lacking.count(newest, longer.window) > 0).tolist():
+                found = self._answer(segment, int(newest[i]) + 1, longer.window)
+                _, longer.ratio[i], longer.sd[i] = self._judged(found, longer.window)
+                longer.theta[i] = self.theta + found.delta
+
+    def _answer(self, segment: Segment, stop: int, window: int) -> Answer:
+        """Solve one window that ends before sample `stop` about theta_r, on its samples."""
+        v, q = segment.samples(stop - window, stop), len(self.theta)
+        if self._lacking.count(np.array([stop - 1]), window)[0] > MOST * window:
+            return Answer(np.full(q, np.nan), np.full((q, q), np.inf), np.zeros((q, q)), np.inf, 0)
+        bridge = self._lacking.bridge(v, stop)
+        here = linearise(self._discrete.model, self.gain, v, np.zeros(self._n), bridge)
+        return answer(here, 0 if bridge is None else bridge.free)
+
+    def _judged(self, found: Answer, window: int) -> tuple[float, float, FloatArray]:
+        """Return degrees of freedom, residual variance and white sd (q,) of an answer."""
+        dof = max(float(window * len(self.noise.sigma) - self._unknowns - found.free), 1.0)
+        ratio = found.residual / dof
+        variance = np.diag(found.covariance) * max(ratio, self._floor_ratio(), 1e-300)
+        return dof, ratio, np.sqrt(variance)
 
     def _widening(self) -> FloatArray:
         """(q,) honest sd over what white noise would have it."""
@@ -330,8 +374,9 @@ class WindowML:
         if index - self._coloured_at < self._recolour_every():
             return False
         before, window = self.colour, min(self.settings.plan.window, LONG)
-        here = linearise(self.sampled(self.theta).model, self.gain, segment.samples(index + 1 - window, index + 1),
-                         np.zeros(self._n))  # fmt: skip
+        v = segment.samples(index + 1 - window, index + 1)
+        bridge = self._lacking.bridge(v, index + 1)
+        here = linearise(self._discrete.model, self.gain, v, np.zeros(self._n), bridge)
         covariance = np.linalg.pinv(here.psi.T @ here.psi, hermitian=True)
         delta = covariance @ (here.psi.T @ here.e)
         residual = (here.e - here.psi @ delta).reshape(-1, len(self.noise.sigma))
@@ -348,7 +393,7 @@ class WindowML:
         index = int(rows.index[row])
         self._searched = True
         v = segment.samples(max(segment.first, index + 1 - self._record()), index + 1)
-        found = self.calibrator.forces_in(self._problem(v), self.theta, self.noise)
+        found = self.calibrator.forces_in(self._problem(v, index + 1), self.theta, self.noise)
         if found is None:
             return False
         before, self.noise = self.noise, found
@@ -366,8 +411,11 @@ class WindowML:
         if not self.settled:
             self._size_offsets(v)
         before = (self.theta, self.noise, self.settled, self.colour)
-        fit = self._maximise(v[-LONG:], afresh=not self.settled or bool(self._quieter(rows)[row]))
-        if not (fit.converged and self._place(segment, fit, start, long=len(v) > LONG)):
+        whole = len(v) <= LONG or self._lacking.count(rows.index[row : row + 1], len(v))[0] > 0
+        problem = self._problem(v if whole else v[-LONG:], index + 1)
+        fit = self._maximise(problem, afresh=not self.settled or bool(self._quieter(rows)[row]))
+        dof = max(self._dof - (0 if problem.bridge is None else problem.bridge.free), 1.0)
+        if not (fit.converged and self._place(segment, fit, start, dof if whole else None)):
             self.theta, self.noise, self.settled, self.colour = before
             # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is
             self._failed = 0 if self.settled else min(self._failed + 1, MOST_FAILED)
@@ -378,7 +426,7 @@ class WindowML:
         self._anchored = True
         self.recentred += 1
         rows.theta[row], rows.sd[row], rows.ratio[row] = self._outcome
-        rows.dof[row] = self._dof * self.colour.share
+        rows.dof[row] = dof * self.colour.share
         rows.changing[row] = rows.mismatch[row] = False
         return True
 
@@ -389,27 +437,31 @@ class WindowML:
         rms = np.sqrt(np.mean(v**2, axis=0))[self.settings.scale_column]
         self.scale = np.where(np.isfinite(self.settings.scale), self.settings.scale, np.maximum(rms, 1e-300))
 
-    def _problem(self, v: FloatArray) -> Problem:
-        return Problem(self.sampled, v, self.scale, self.settings.lower)
+    def _problem(self, v: FloatArray, stop: int) -> Problem:
+        """Return the problem of fitting samples v that end before sample `stop`."""
+        return Problem(self.sampled, v, self.scale, self.settings.lower, self._lacking.bridge(v, stop))
 
-    def _maximise(self, v: FloatArray, *, afresh: bool) -> Fit:
-        """Fit samples v; afresh also learns what disturbs them."""
+    def _maximise(self, problem: Problem, *, afresh: bool) -> Fit:
+        """Fit a window; afresh also learns what disturbs it."""
         if afresh:
-            calibration = self.calibrator.calibrate(self._problem(v), self.theta)
+            calibration = self.calibrator.calibrate(problem, self.theta)
             self.noise = calibration.noise
             return calibration.fit
         gains, noise = self.settings.gains, self.noise
         stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
-        return fit_window(self._problem(v), self.theta, np.zeros(self._n), stages)
+        return fit_window(problem, self.theta, np.zeros(self._n), stages)
 
-    def _place(self, segment: Segment, fit: Fit, start: int, *, long: bool) -> bool:
-        """Linearise about a fit if it passes the gate; a long window is iterated on its summaries first."""
+    def _place(self, segment: Segment, fit: Fit, start: int, dof: float | None) -> bool:
+        """Linearise about a fit if it passes the gate; dof are the fit's degrees of freedom.
+
+        None stands for the fit of a part: the long window is then iterated on its summaries first.
+        """
         if not np.all(np.isfinite(fit.covariance)):
             return False
         self.colour = colour_of(fit.psi, fit.residual, fit.covariance, self._unknowns)
-        if long:
+        if dof is None:
             return self._place_long(segment, fit, start)
-        s2 = float(np.sum(fit.residual**2)) / self._dof
+        s2 = float(np.sum(fit.residual**2)) / dof
         variance = np.diag(fit.covariance) * max(s2, self._floor_ratio())
         if not (s2 <= self._gate and np.all(np.isfinite(variance))):
             return False

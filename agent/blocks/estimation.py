@@ -51,18 +51,19 @@ class Estimation:
     used: int = 0
     _segment: int | None = None
     _held: FloatArray = field(default_factory=lambda: np.zeros(0))
-    _held_at: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _held_ns: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _first: int = 0
 
     def __post_init__(self) -> None:
         q = len(self.labels.parameters)
-        self._held, self._held_at = np.full(q, np.nan), np.full(q, np.nan)
+        self._held, self._held_ns = np.full(q, np.nan), np.zeros(q, dtype=np.int64)
 
     def step(self, samples: Samples) -> EstimateBatch | None:
         """Take samples of one segment; return the estimates that they end, None when there are none."""
         if self._segment != samples.segment:
             if self._segment is not None:
                 self.estimator.start_segment()
-            self._segment = samples.segment
+            self._segment, self._first = samples.segment, int(samples.index[0])
         self.used += len(samples.index)
         rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u)
         return self._batch(rows, samples) if len(rows.index) else None
@@ -77,7 +78,7 @@ class Estimation:
             half = stdtrit(rows.dof, 0.975)[:, None] * sd
         count, labels = len(rows.index), self.labels
         longest = np.maximum(rows.window.max(axis=1), labels.window)
-        used = np.where(rows.full, longest, np.minimum(rows.index - samples.index[0] + 1, labels.window))
+        used = np.where(rows.full, longest, np.minimum(rows.index - self._first + 1, labels.window))
         window_s = np.where(rows.window > 0, rows.window / labels.rate_hz, labels.window_s)
         return EstimateBatch(
             rig=labels.rig, method=labels.method, parameters=labels.parameters, units=labels.units,
@@ -102,15 +103,14 @@ class Estimation:
     def _hold(self, value: FloatArray, status: CodeArray, t_ns: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return the newest valid value before each row that is not valid, and its age in seconds."""
         valid = status == Status.VALID
-        seconds = (t_ns - t_ns[0]).astype(float) / 1e9
         values = np.vstack([self._held, value])
-        times = np.vstack([self._held_at - t_ns[0] / 1e9, np.broadcast_to(seconds[:, None], value.shape)])
+        times = np.vstack([self._held_ns, np.broadcast_to(t_ns[:, None], value.shape)])
         usable = np.vstack([np.ones((1, value.shape[1]), dtype=bool), valid])
         places = np.where(usable, np.arange(len(values))[:, None], 0)
         newest = np.maximum.accumulate(places, axis=0)
         held = np.take_along_axis(values, newest, axis=0)
         since = np.take_along_axis(times, newest, axis=0)
-        self._held, self._held_at = held[-1], since[-1] + t_ns[0] / 1e9
-        age = seconds[:, None] - since[1:]
+        self._held, self._held_ns = held[-1], since[-1]
+        age = (t_ns[:, None] - since[1:]) / 1e9
         wanted = ~valid & np.isfinite(held[1:])
         return np.where(wanted, held[1:], np.nan), np.where(wanted, age, np.nan)

@@ -53,13 +53,14 @@ class Indexer:
         rows, arrival_ns = len(block), block.arrival_ns
         if not rows:
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        raw = self._readings(block.counter, block.t_ns, rows, arrival_ns)
         counted = self.clock == "counter" and block.counter is not None
-        if block.epoch != self._epoch and self._last is not None:
+        numbered = not counted and (self.clock == "uniform" or (block.t_ns is None and self.clock != "arrival"))
+        raw = self._readings(block, counted=counted, numbered=numbered)
+        if block.epoch != self._epoch and self._last is not None and not numbered:
             # the first sample of a device that began anew comes after the time that passed
             self._start_anew(int(raw[0]) - 1, counted, arrival_ns)
         self._epoch = block.epoch
-        index = self._from_counter(raw, arrival_ns) if counted else self._from_time(raw)
+        index = raw if numbered else self._from_counter(raw, arrival_ns) if counted else self._from_time(raw)
         kept = self._forward(index)
         if kept.any():
             newest = int(np.flatnonzero(kept)[-1])
@@ -68,17 +69,15 @@ class Indexer:
             self._start_anew(int(raw[-1]), counted, arrival_ns)
         return index, kept
 
-    def _readings(self, counter: IntArray | None, t_ns: IntArray | None, rows: int, arrival_ns: int) -> IntArray:
-        """What says the order: counter values, time stamps, or row numbers."""
-        if self.clock == "counter" and counter is not None:
-            return counter
-        if self.clock == "uniform" or (t_ns is None and self.clock != "arrival"):
-            return (0 if self._last is None else self._last + 1) + np.arange(rows, dtype=np.int64)
-        return t_ns if t_ns is not None else np.full(rows, arrival_ns, dtype=np.int64)
+    def _readings(self, block: SampleBlock, *, counted: bool, numbered: bool) -> IntArray:
+        """What says the order: counter values, row numbers, or time stamps."""
+        if counted and block.counter is not None:
+            return block.counter
+        if numbered:
+            return (0 if self._last is None else self._last + 1) + np.arange(len(block), dtype=np.int64)
+        return block.t_ns if block.t_ns is not None else np.full(len(block), block.arrival_ns, dtype=np.int64)
 
     def _from_time(self, raw: IntArray) -> IntArray:
-        if self.clock == "uniform":
-            return raw
         if self.origin.value is None:
             self.origin.value = int(raw[0])
         since = (raw - self.origin.value).astype(np.longdouble)

@@ -1,0 +1,112 @@
+"""What a row is worth: status, reason, held values and their ages, counts, intervals."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from agent.blocks.estimation import Estimation, Labels
+from agent.numerics.rows import Rows
+from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+
+START = 1_760_000_000_123_456_789
+HOP = 10
+
+
+@dataclass
+class Told:
+    """A method that says what it was told: a row every tenth sample."""
+
+    sd: dict[int, float] = field(default_factory=dict)
+    changing: set[int] = field(default_factory=set)
+    mismatch: set[int] = field(default_factory=set)
+    segments: int = 0
+
+    def start_segment(self) -> None:
+        self.segments += 1
+
+    def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
+        due = np.array([i for i in range(index, index + len(y)) if i % HOP == HOP - 1], dtype=np.int64)
+        rows = Rows.warming(due, 2)
+        for row, i in enumerate(due.tolist()):
+            if i >= 29:
+                rows.full[row], rows.dof[row] = True, 40.0
+                rows.theta[row], rows.sd[row] = [i, 2.0 * i], [self.sd.get(i, 0.1), 0.1]
+                rows.changing[row], rows.mismatch[row] = i in self.changing, i in self.mismatch
+        return rows
+
+
+def estimation(method: Told) -> Estimation:
+    labels = Labels(
+        "rig", "told", ("k", "B"), ("N/m", "N s/m"), np.zeros(2), None, 0.03, 30, 1000.0, np.array([1.0, 1.0])
+    )
+    return Estimation(method, labels)
+
+
+def feed(block: Estimation, cuts: list[int], total: int = 100) -> list[EstimateBatch]:
+    batches = []
+    for start, stop in zip([0, *cuts], [*cuts, total], strict=True):
+        index: IntArray = np.arange(start, stop, dtype=np.int64)
+        samples = Samples(index, START + index * 1_000_000, np.zeros((len(index), 1)), np.zeros((len(index), 1)), 0)
+        batch = block.step(samples)
+        batches += [] if batch is None else [batch]
+    return batches
+
+
+def column(batches: list[EstimateBatch], name: str) -> FloatArray:
+    return np.concatenate([getattr(b, name) for b in batches])
+
+
+def test_estimation_rows_get_their_status_and_reason() -> None:
+    method = Told(sd={49: 5.0, 59: np.inf, 69: np.nan}, changing={79}, mismatch={89})
+    batches = feed(estimation(method), [])
+    status, reason = column(batches, "status"), column(batches, "reason")
+    W, V, U, I = Status.WARMING, Status.VALID, Status.UNEXCITED, Status.INVALID
+    assert status[:, 0].tolist() == [W, W, V, V, U, U, U, I, I, V]
+    assert status[:, 1].tolist() == [W, W, V, V, V, V, V, I, I, V]
+    assert reason[:, 0].tolist() == [0, 0, 0, 0, 0, 0, 0, Reason.CHANGING, Reason.MISMATCH, 0]
+    valid = status == V
+    for name in ("value", "sd", "lower", "upper"):
+        assert np.isfinite(column(batches, name)[valid]).all()
+    assert np.isnan(column(batches, "value")[:2]).all()
+    assert np.isnan(column(batches, "value")[5:7, 0]).all()
+
+
+def test_estimation_interval_is_students() -> None:
+    (batch,) = feed(estimation(Told()), [])
+    half = student.ppf(0.975, 40) * 0.1
+    np.testing.assert_allclose(batch.upper[4] - batch.value[4], half)
+    np.testing.assert_allclose(batch.value[4] - batch.lower[4], half)
+
+
+def test_estimation_not_valid_holds_the_last_valid_with_its_age() -> None:
+    (batch,) = feed(estimation(Told(sd={49: 5.0, 59: 5.0}, changing={69})), [])
+    np.testing.assert_array_equal(batch.held[4:7], [[39, np.nan], [39, np.nan], [39, 118]])
+    np.testing.assert_array_equal(batch.held_age_s[4:7], [[0.01, np.nan], [0.02, np.nan], [0.03, 0.01]])
+    assert np.isnan(batch.held[:4]).all()
+
+
+@pytest.mark.parametrize("cuts", [[5, 50], [29, 30, 31], list(range(10, 100, 10)), list(range(1, 100))])
+def test_estimation_any_cutting_gives_the_same_rows_to_the_last_bit(cuts: list[int]) -> None:
+    def method() -> Told:
+        return Told(sd={39: 5.0, 49: 5.0}, changing={69, 79}, mismatch={89})
+
+    whole, cut = feed(estimation(method()), []), feed(estimation(method()), cuts)
+    for name in ("index", "t_ns", "value", "sd", "status", "reason", "held", "held_age_s", "n_used", "window_s"):
+        np.testing.assert_array_equal(column(cut, name), column(whole, name), err_msg=name)
+
+
+def test_estimation_gap_starts_the_method_anew_and_counts_every_sample() -> None:
+    method = Told()
+    block = estimation(method)
+    feed(block, [])
+    index: IntArray = np.arange(200, 250, dtype=np.int64)
+    block.step(Samples(index, START + index, np.zeros((50, 1)), np.zeros((50, 1)), 1))
+    assert method.segments == 1
+    assert block.used == 150
+
+
+def test_estimation_warming_row_says_how_many_samples_there_are() -> None:
+    batches = feed(estimation(Told()), [7, 13])
+    assert column(batches, "n_used").tolist() == [10, 20, 30, 30, 30, 30, 30, 30, 30, 30]

@@ -1,0 +1,123 @@
+"""Which sample is it: wraps, gaps, repeats, restarts, silences, time stamps that do not quite fit."""
+
+import numpy as np
+import pytest
+
+from agent.blocks.indexing import Clock, Indexer, Origin
+from drivers.port import IntArray, SampleBlock
+
+MS = 1_000_000
+
+
+def block(
+    counter: object = None, t_ns: object = None, arrival_ms: float = 0.0, epoch: int = 0, rows: int | None = None
+) -> SampleBlock:
+    def integers(values: object) -> IntArray | None:
+        return None if values is None else np.asarray(values, dtype=np.int64)
+
+    counts, stamps = integers(counter), integers(t_ns)
+    length = next(len(a) for a in (counts, stamps, np.zeros(rows or 0)) if a is not None)
+    return SampleBlock(np.zeros((length, 1)), round(arrival_ms * MS), counts, stamps, epoch)
+
+
+def indexer(clock: Clock = "counter", modulus: int | None = None) -> Indexer:
+    return Indexer(clock, 1000.0, modulus=modulus)
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_indexer_counter_wrap_goes_on_counting(bits: int) -> None:
+    modulus = 2**bits
+    it = indexer(modulus=modulus)
+    first = np.arange(modulus - 50, modulus + 50) % modulus
+    index, kept = it.take(block(first))
+    assert kept.all()
+    assert index.tolist() == list(range(100))
+    index, kept = it.take(block([50, 51, 53], arrival_ms=3))
+    assert index.tolist() == [100, 101, 103]
+    assert kept.all()
+    assert not it.rejected
+
+
+def test_indexer_duplicate_and_backwards_are_refused_and_counted() -> None:
+    it = indexer(modulus=256)
+    index, kept = it.take(block([10, 11, 11, 12, 9, 13]))
+    assert index[kept].tolist() == [0, 1, 2, 3]
+    assert it.rejected == {"duplicate": 1, "backwards": 1}
+    index, kept = it.take(block([13, 14], arrival_ms=1))
+    assert index[kept].tolist() == [4]
+    assert it.rejected == {"duplicate": 2, "backwards": 1}
+
+
+@pytest.mark.parametrize(("silence_ms", "step"), [(100, 101), (200, 201), (256, 257), (1000, 1001), (10_000, 10_001)])
+def test_indexer_silence_longer_than_half_a_wrap_is_told_by_the_clock(silence_ms: int, step: int) -> None:
+    it = indexer(modulus=256)
+    it.take(block(np.arange(100), arrival_ms=100))
+    index, kept = it.take(block([(99 + step) % 256], arrival_ms=100 + silence_ms + 3))
+    assert kept.all()
+    assert index.tolist() == [99 + step]
+
+
+def test_indexer_new_epoch_goes_on_after_the_time_that_passed() -> None:
+    it = indexer(modulus=2**32)
+    it.take(block(np.arange(5000, 5100), arrival_ms=100))
+    index, kept = it.take(block([0, 1, 2], arrival_ms=600, epoch=1))
+    assert kept.all()
+    assert np.diff(index).tolist() == [1, 1]
+    assert 590 <= index[0] <= 610
+    assert it.restarts == 1
+
+
+def test_indexer_device_that_counts_from_behind_has_restarted() -> None:
+    it = indexer(modulus=2**32)
+    it.take(block(np.arange(90_000, 90_100), arrival_ms=100))
+    index, kept = it.take(block(np.arange(101), arrival_ms=300))
+    assert not kept.any()
+    assert it.restarts == 1
+    index, kept = it.take(block(np.arange(101, 110), arrival_ms=310))
+    assert kept.all()
+    assert index[0] > 99
+    assert it.rejected["backwards"] == 101
+
+
+def test_indexer_device_clock_rounds_to_the_nearest_sample() -> None:
+    it = indexer("device")
+    jitter = np.array([0, 0.4, -0.4, 0.3, -0.2, 0.49])
+    index, kept = it.take(block(t_ns=7 * MS + np.rint((np.arange(6) + jitter) * MS).astype(np.int64)))
+    assert kept.all()
+    assert index.tolist() == list(range(6))
+    index, kept = it.take(block(t_ns=[7 * MS + 5 * MS, 7 * MS + 9 * MS, 7 * MS + 8 * MS]))
+    assert index[kept].tolist() == [9]
+    assert it.rejected == {"duplicate": 1, "backwards": 1}
+
+
+def test_indexer_device_clock_since_the_epoch_keeps_its_precision() -> None:
+    start = 1_760_000_000 * 10**9
+    it = indexer("device")
+    index, _ = it.take(block(t_ns=start + np.arange(0, 3_000_000_000, MS)))
+    assert index.tolist() == list(range(3000))
+
+
+def test_indexer_uniform_counts_rows_whatever_the_stamps_say() -> None:
+    it = indexer("uniform")
+    assert it.take(block(t_ns=[5, 5, 3]))[0].tolist() == [0, 1, 2]
+    assert it.take(block(rows=2))[0].tolist() == [3, 4]
+
+
+def test_indexer_counter_falls_back_to_stamps_then_to_rows() -> None:
+    assert indexer().take(block(t_ns=[0, MS, 4 * MS]))[0].tolist() == [0, 1, 4]
+    assert indexer().take(block(rows=3))[0].tolist() == [0, 1, 2]
+
+
+def test_indexer_two_sources_of_one_origin_agree() -> None:
+    origin = Origin()
+    one, two = (Indexer("counter", 1000.0, origin, modulus=256) for _ in range(2))
+    assert one.take(block([250, 251, 252]))[0].tolist() == [0, 1, 2]
+    assert two.take(block([251, 252, 253]))[0].tolist() == [1, 2, 3]
+
+
+def test_indexer_empty_block_changes_nothing() -> None:
+    it = indexer(modulus=16)
+    it.take(block([3, 4]))
+    index, kept = it.take(block([]))
+    assert len(index) == len(kept) == 0
+    assert it.take(block([5]))[0].tolist() == [2]

@@ -1,5 +1,6 @@
 """`deltak replay`: recordings through the live pipeline, as fast as it goes."""
 
+import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,10 @@ from agent.types import Record, RunInfo
 from drivers.port import Counts, Driver, DriverError, SourceRequest
 
 SOURCE = "recording"
+CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
+
+log = logging.getLogger(__name__)
+
 HEALTH_PERIOD_NS = 10_000_000_000
 
 
@@ -60,6 +65,34 @@ def make_pipeline(rig: RigConfig) -> Pipeline:
 
 def opened(rig: RigConfig, path: Path) -> Driver:
     """Return the driver of a recording, open. Raises RecordingError."""
+    driver = _can_log(rig, path) if path.suffix.lower() in CAN_LOGS else _table(rig, path)
+    try:
+        driver.open()
+    except DriverError as error:
+        raise RecordingError.at("", str(error), "give one with a column for each channel") from error
+    for note in driver.take_notes():
+        log.info("%s", note)
+    return driver
+
+
+def _can_log(rig: RigConfig, path: Path) -> Driver:
+    """The driver of a log of CAN frames, decoded as the configuration's CAN source says."""
+    sources = [source for source in rig.source if source.driver == "can"]
+    if len(sources) != 1:
+        advice = "describe the frames by one [[source]] with driver = \"can\""
+        raise RecordingError.at("", f"{path}: a CAN log needs the CAN source it was heard on", advice)
+    source, recording = sources[0], driver_class("can-log")
+    channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
+    lacking = [name for name in channels if name not in source.map]
+    if lacking:
+        raise RecordingError.at("", f"{path}: the CAN source does not carry {', '.join(lacking)}", "map every channel")
+    settings = recording.settings_model(path=path.absolute(), dbc=source.settings.dbc)  # type: ignore[call-arg]
+    fields = tuple(source.map[name] for name in channels)
+    return recording(SourceRequest(path.name, settings, fields, source.counter, rig.folder))
+
+
+def _table(rig: RigConfig, path: Path) -> Driver:
+    """The driver of a CSV or NPZ recording."""
     recording = driver_class(SOURCE)
     columns = dict(rig.columns.names)
     settings = recording.settings_model(
@@ -67,12 +100,7 @@ def opened(rig: RigConfig, path: Path) -> Driver:
         clock="uniform" if rig.rig.clock == "uniform" else "device",
     )  # type: ignore[call-arg]  # fmt: skip
     names = tuple(channel.name for channel in (*rig.inputs, *rig.outputs))
-    driver = recording(SourceRequest(path.name, settings, names))
-    try:
-        driver.open()
-    except DriverError as error:
-        raise RecordingError.at("", str(error), "give a CSV or NPZ recording with a column for each channel") from error
-    return driver
+    return recording(SourceRequest(path.name, settings, names))
 
 
 def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
@@ -112,4 +140,4 @@ def _blocks(pipeline: Pipeline, driver: Driver) -> Iterator[list[Record]]:
             return
         except DriverError as error:
             raise RecordingError.at("", str(error), "mend or cut the recording") from error
-        yield pipeline.step(SOURCE, block, None, None)
+        yield pipeline.step(SOURCE, block, driver.counter_modulus, None)

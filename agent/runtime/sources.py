@@ -104,6 +104,8 @@ class Connection:
         self.progress += 1
         for event in self._link.take_events():
             self._say(event)
+        for note in self._driver.take_notes():
+            log.info("%s: %s", self._driver.request.name, note)
         if len(block):
             self._put(block)
 

@@ -299,9 +299,15 @@ class WindowML:
         return np.asarray(np.any(known & (change > 6 * rows.sd) & (change > self._share()), axis=1))
 
     def _share(self) -> FloatArray:
-        """(q,) changes below this do not matter to the linearisation; without correction the observer feels more."""
+        """(q,) changes below this do not matter to the linearisation.
+
+        Without correction the observer feels more: its phase runs away with the angle that a mode turns in a window.
+        """
         size = np.maximum(np.abs(self.theta), 0.1 * self.scale)
-        return np.asarray((0.02 if self.gain.L.any() else 0.005) * size)
+        if self.gain.L.any():
+            return np.asarray(0.02 * size)
+        turned = self.settings.plan.window * float(np.max(np.abs(np.angle(np.linalg.eigvals(self._discrete.model.A)))))
+        return np.asarray(0.02 * float(np.clip(2.0 / max(turned, 1e-9), 0.25, 1.0)) * size)
 
     def _quieter(self, rows: Rows) -> BoolArray:
         """(N,) the residual is so far below a learnt reference that the reference was learnt in a disturbance."""
@@ -413,7 +419,10 @@ class WindowML:
         before = (self.theta, self.noise, self.settled, self.colour)
         whole = len(v) <= LONG or self._lacking.count(rows.index[row : row + 1], len(v))[0] > 0
         problem = self._problem(v if whole else v[-LONG:], index + 1)
-        fit = self._maximise(problem, afresh=not self.settled or bool(self._quieter(rows)[row]))
+        afresh = not self.settled or bool(self._quieter(rows)[row])
+        near = self._anchored and self._onset is None
+        beginning = np.where(np.isfinite(rows.theta[row]) & near, rows.theta[row], self.theta)
+        fit = self._maximise(problem, beginning, afresh=afresh, near=near)
         dof = max(self._dof - (0 if problem.bridge is None else problem.bridge.free), 1.0)
         if not (fit.converged and self._place(segment, fit, start, dof if whole else None)):
             self.theta, self.noise, self.settled, self.colour = before
@@ -441,15 +450,15 @@ class WindowML:
         """Return the problem of fitting samples v that end before sample `stop`."""
         return Problem(self.sampled, v, self.scale, self.settings.lower, self._lacking.bridge(v, stop))
 
-    def _maximise(self, problem: Problem, *, afresh: bool) -> Fit:
-        """Fit a window; afresh also learns what disturbs it."""
+    def _maximise(self, problem: Problem, theta: FloatArray, *, afresh: bool, near: bool) -> Fit:
+        """Fit a window from theta (q,); afresh also learns what disturbs it, near needs no wide basin."""
         if afresh:
-            calibration = self.calibrator.calibrate(problem, self.theta)
+            calibration = self.calibrator.calibrate(problem, theta)
             self.noise = calibration.noise
             return calibration.fit
         gains, noise = self.settings.gains, self.noise
         stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
-        return fit_window(problem, self.theta, np.zeros(self._n), stages)
+        return fit_window(problem, theta, np.zeros(self._n), stages[1:] if near else stages)
 
     def _place(self, segment: Segment, fit: Fit, start: int, dof: float | None) -> bool:
         """Linearise about a fit if it passes the gate; dof are the fit's degrees of freedom.

@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.config import RigConfig
 from agent.config.tables import LinearModel, MechanicsModel, Parameter
-from agent.numerics.gains import AutomaticGains, Gains, KalmanGains, PlacedGains
+from agent.numerics.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.hops import HopPlan
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.sensors import Nuisance, SensedModel
@@ -194,5 +194,7 @@ def observer_gains(config: RigConfig, rig: RigModel, window: int) -> Gains:
         return PlacedGains(observer.poles)
     if observer.gain == "kalman" and observer.process_sd is not None:
         process = np.broadcast_to(np.asarray(observer.process_sd, dtype=float), (rig.disturbance.shape[1],))
+        if not process.any():
+            return QuietGains(rig.disturbance, window)
         return KalmanGains(rig.disturbance, process)
     return AutomaticGains(rig.disturbance, window)

@@ -67,10 +67,10 @@ def _window(value: object) -> float | tuple[float, ...] | Literal["auto"]:
 def _intensities(value: object) -> float | tuple[float, ...]:
     wanted = "a number or a list with one number a mass"
     if not isinstance(value, list):
-        return _positive(value, wanted)
+        return 0.0 if _is_number(value) and value == 0 else _positive(value, wanted)
     numbers = tuple(_as_float(item) if _is_number(item) else math.nan for item in value)
-    if not all(math.isfinite(number) and number >= 0 for number in numbers) or not any(numbers):
-        raise ValueError(f"must be {wanted}, none negative and not all 0")
+    if not numbers or not all(math.isfinite(number) and number >= 0 for number in numbers):
+        raise ValueError(f"must be {wanted}, none negative")
     return numbers
 
 

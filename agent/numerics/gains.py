@@ -93,3 +93,25 @@ class KalmanGains:
     def settled(self, discrete: Discrete, noise: Noise) -> Gain:
         """Return the same."""
         return self.start(discrete, noise)
+
+
+@dataclass(frozen=True, slots=True)
+class QuietGains:
+    """No unknown force at all: a correction that finds its way at first, then none where the model allows it.
+
+    What such an observer leaves in its residual is whatever the model cannot do over the whole window (dry friction
+    where it is not in the model), in place of a force that explains it away sample by sample.
+    """
+
+    directions: FloatArray
+    window: int
+    disturbance: None = None
+
+    def start(self, discrete: Discrete, noise: Noise) -> Gain:
+        """Return a gain that forgets within a window."""
+        return AutomaticGains(self.directions, self.window).start(discrete, noise)
+
+    def settled(self, discrete: Discrete, noise: Noise) -> Gain:
+        """Return no gain, or for a model that is not strictly stable one that forgets within a window."""
+        unforced = Noise(noise.sigma, np.zeros(0))
+        return AutomaticGains(self.directions, self.window).settled(discrete, unforced)

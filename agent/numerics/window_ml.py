@@ -33,6 +33,8 @@ UNITS_MIN, UNITS_MAX = 32, 1024
 """Hops computed at once: few after a re-centring (which throws the rest of them away), more while nothing happens."""
 LONG = 4096
 """Samples beyond which a fit iterates on summaries instead of samples."""
+CALIBRATION = 32_768
+"""The same for a fit that learns the noise: what the newest samples leave says little of a whole long window."""
 MOST_FAILED = 6
 """First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
 RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
@@ -417,7 +419,8 @@ class WindowML:
         if not self.settled:
             self._size_offsets(v)
         before = (self.theta, self.noise, self.settled, self.colour)
-        whole = len(v) <= LONG or self._lacking.count(rows.index[row : row + 1], len(v))[0] > 0
+        most = CALIBRATION if not self.settled or self._quieter(rows)[row] else LONG
+        whole = len(v) <= most or self._lacking.count(rows.index[row : row + 1], len(v))[0] > 0
         problem = self._problem(v if whole else v[-LONG:], index + 1)
         afresh = not self.settled or bool(self._quieter(rows)[row])
         near = self._anchored and self._onset is None

@@ -13,6 +13,10 @@ from scipy.linalg import solve_toeplitz
 
 FloatArray = NDArray[np.float64]
 MOST_LAGS = 12
+SLOWER = 8
+"""Each slower look at a coloured residual takes the means of this many values of the one before."""
+LEAST_VALUES = 100
+"""Fewer values than this tell no spectrum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +93,8 @@ def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray, unk
         white = white and not len(a)
         a = _unbiased(a, count, unknowns / p)
         density, total = _spectrum(a, variance, 2 * count)
+        if len(a):
+            density = _with_slow_part(density, residual[:, channel])
         spectrum = np.fft.rfft(psi.reshape(count, p, q)[:, channel], n=2 * count, axis=0)
         weights = np.full(len(spectrum), 2.0)
         weights[[0, -1]] = 1.0
@@ -109,3 +115,20 @@ def _spectrum(a: FloatArray, variance: float, size: int) -> tuple[FloatArray, fl
     correlations = np.fft.irfft(density)
     correlations = correlations / correlations[0]
     return np.asarray(density), float(correlations @ correlations)
+
+
+def _with_slow_part(density: FloatArray, e: FloatArray) -> FloatArray:
+    """Raise a spectral density (size / 2 + 1,) to what slower looks at a series (N,) show below their own band.
+
+    A dozen lags cannot show correlations of hundreds of samples, which is where slow regressors (a spring under a slow
+    stroke, an offset) live.
+    """
+    means, factor, size = e, 1, 2 * (len(density) - 1)
+    frequency = np.arange(len(density)) / size  # cycles a sample
+    while len(means) // SLOWER >= LEAST_VALUES:
+        means, factor = means[: len(means) // SLOWER * SLOWER].reshape(-1, SLOWER).mean(axis=1), factor * SLOWER
+        a, variance = autoregression(means)
+        lags = np.exp(-2j * np.pi * factor * np.outer(frequency, np.arange(1, len(a) + 1)))
+        slow = factor * variance / np.abs(1.0 - lags @ a) ** 2
+        density = np.where(frequency < 0.5 / factor, np.maximum(density, slow), density)
+    return np.asarray(density)

@@ -1,9 +1,8 @@
 import os
 import shutil
 import sys
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -96,17 +95,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("whole") / "rig.db"
     build(path, leave_log=True)
     return path
-
-
-@pytest.fixture
-def memory(tmp_path: Path) -> Iterator[Path]:
-    """A folder in memory, where syncing is free; what is synced and what not is the power-cut tests' business."""
-    if not Path("/dev/shm").is_dir():
-        yield tmp_path
-        return
-    folder = Path(tempfile.mkdtemp(prefix="deltak-", dir="/dev/shm"))
-    yield folder
-    shutil.rmtree(folder)
 
 
 def trial(whole: Path, folder: Path, mutate: Mutate, rng: np.random.Generator, truths: list[tuple[Rows, Rows]]) -> str:

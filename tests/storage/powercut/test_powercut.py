@@ -1,0 +1,133 @@
+"""Power cuts on the product's own process: all it does on files is recorded and played to a random point."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.storage.store import Store
+from tests import peers
+from tests.storage.powercut.disk import Operation, cuts, read_log
+from tests.storage.powercut.workload import PROFILES, records
+from tests.storage.rows import batch, run_info
+
+HERE = Path(__file__).parent
+WRITES = {"live": 45, "bulk": 12, "keep": 40}
+
+
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recorder of file operations, compiled here."""
+    compiler = peers.program("cc", "gcc")
+    library = tmp_path_factory.mktemp("shim") / "oplog.so"
+    subprocess.run(
+        [compiler, "-O2", "-Wall", "-Werror", "-shared", "-fPIC", "-o", library, HERE / "oplog.c", "-ldl"], check=True
+    )
+    return library
+
+
+def record(
+    shim: Path, folder: Path, profile: str, synchronous: str = "FULL", prepare: bytes | None = None
+) -> list[Operation]:
+    """Run the workload to its end; return all it did."""
+    work = folder / "work"
+    work.mkdir()
+    if prepare is not None:
+        (work / "rig.db").write_bytes(prepare)
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": str(shim),
+        "DELTAK_OPLOG": str(folder / "log"),
+        "DELTAK_OPLOG_ROOT": str(work),
+    }
+    command = [
+        sys.executable,
+        "-m",
+        "tests.storage.powercut.workload",
+        work / "rig.db",
+        profile,
+        str(WRITES[profile]),
+        synchronous,
+    ]
+    done = subprocess.run(command, env=environment, cwd=peers.ROOT, capture_output=True, check=True)
+    operations = read_log(folder / "log")
+    assert b"".join(o.content for o in operations if o.kind == "A") == done.stdout
+    return operations
+
+
+def lay(files: dict[str, bytes], folder: Path) -> Path:
+    """Write what the disk held into an empty folder; return the database's path."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, content in files.items():
+        if not name.endswith("-shm"):  # the shared index is made anew
+            (folder / Path(name).name).write_bytes(content)
+    return folder / "rig.db"
+
+
+def lost_after(path: Path, profile: str, acknowledged: bytes) -> int:
+    """Start on a disk after a cut, as the agent does; return how many acknowledged writes are missing or incomplete."""
+    lines = acknowledged.split(b"\n")[:-1]
+    kind, count = PROFILES[profile], sum(line.isdigit() for line in lines)
+    with Store.open(path, kind.keep) as store:
+        assert store.recovery is None, f"the cut left a damaged file: {store.recovery}"
+        execute = store.connection.execute
+        kept = execute("SELECT coalesce(max(full_from_ns), -9e18) FROM runs").fetchone()[0]
+        present = dict(
+            execute(
+                "SELECT h.t_ns, count(*) FROM hops h JOIN estimates e ON e.seq >> 10 = h.seq WHERE h.span = 0 "
+                "GROUP BY h.t_ns"
+            )
+        )
+        alarms = execute("SELECT count(*) FROM alarm_events").fetchone()[0]
+        store.write(store.begin_run(run_info()), [batch(1, start=2 * 10**18)])
+    lost, expected_alarms = 0, 0
+    for number in range(count):
+        made = records(kind, number)
+        expected_alarms += sum(type(r).__name__ == "AlarmTransition" for r in made)
+        lost += any(t >= kept and present.get(int(t)) != 4 for t in made[0].t_ns)
+    return lost + max(0, expected_alarms - alarms)
+
+
+@pytest.mark.parametrize("profile", WRITES)
+@pytest.mark.parametrize("count", [667, pytest.param(16_667, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
+def test_power_cut_at_any_moment_loses_nothing_acknowledged(
+    shim: Path, memory: Path, rng: np.random.Generator, profile: str, count: int
+) -> None:
+    operations = record(shim, memory, profile)
+    for moment, files, acknowledged in cuts(operations, count, rng):
+        assert lost_after(lay(files, memory / "cut"), profile, acknowledged) == 0, f"cut at operation {moment}"
+
+
+def test_power_cuts_with_synchronous_normal_lose_rows(shim: Path, memory: Path, rng: np.random.Generator) -> None:
+    """The red twin: were the store set to NORMAL, this suite would see it."""
+    operations = record(shim, memory, "live", "NORMAL")
+    lost = [lost_after(lay(files, memory / "cut"), "live", told) for _, files, told in cuts(operations, 200, rng)]
+    assert sum(n > 0 for n in lost) > 50
+
+
+def test_power_cut_while_a_damaged_file_is_replaced_leaves_a_way_on(
+    shim: Path, memory: Path, rng: np.random.Generator
+) -> None:
+    """Old file, new file or the state between: never none of them, never rows that are neither."""
+    whole = memory / "whole.db"
+    with Store.open(whole) as store:
+        store.write(store.begin_run(run_info()), [batch(200, start=10**18)])
+    octets = bytearray(whole.read_bytes())
+    octets[40 * 1024 : 41 * 1024] = bytes(1024)
+    operations = record(shim, memory, "live", prepare=bytes(octets))
+    start = Operation("O", 10**6, 0, str(memory / "work" / "rig.db").encode())
+    first = [start, Operation("W", 10**6, 0, bytes(octets)), Operation("S", 10**6, 0, b""), Operation("D", 0, 0, b"")]
+    recovered = 0
+    for _, files, _ in cuts(first + operations, 100, rng):
+        with Store.open(lay(files, memory / "cut")) as store:
+            left = store.connection.execute("SELECT count(*) FROM hops WHERE t_ns < 1.5e18").fetchone()[0]
+            recovered += store.recovery is not None
+            assert left == 0 or left >= 150
+            aside = list((memory / "cut").glob("rig.db.corrupt-*"))
+            assert left >= 150 or aside
+    assert recovered > 5

@@ -4,6 +4,8 @@ pymodbus builds the requests and finds the frames in the stream; every field of 
 the library hands out replies of another function, unit, transaction or length as good ones. Pure: no I/O.
 """
 
+import importlib
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,7 @@ MAX_REGISTERS = 125
 FIFO = 24
 FIFO_REGISTERS = 31
 _LONGEST_TCP = 260
+_LOADING = threading.Lock()
 _EXCEPTIONS = {
     1: "illegal function",
     2: "illegal data address",
@@ -99,6 +102,7 @@ class TcpFrames:
     protocol = "modbus-tcp"
 
     def __init__(self) -> None:
+        _load_library()
         from pymodbus.framer.socket import FramerSocket
 
         self._framer: FramerBase = FramerSocket(_decoder())
@@ -139,6 +143,7 @@ class RtuFrames:
     protocol = "modbus-rtu"
 
     def __init__(self) -> None:
+        _load_library()
         from pymodbus.framer.rtu import FramerRTU
 
         self._framer: FramerBase = FramerRTU(_decoder())
@@ -186,6 +191,12 @@ def request_pdu(request: Request) -> bytes:
         kind = {3: ReadHoldingRegistersRequest, 4: ReadInputRegistersRequest}[request.function]
         pdu = kind(address=request.address, count=request.count, dev_id=request.unit)
     return bytes([request.function]) + bytes(pdu.encode())
+
+
+def _load_library() -> None:
+    """Import pymodbus from its top: threads that first meet it at different modules wait for each other's locks."""
+    with _LOADING:
+        importlib.import_module("pymodbus")
 
 
 def _decoder() -> "DecodePDU":

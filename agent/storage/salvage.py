@@ -117,23 +117,29 @@ def _copy_rows(damaged: Path, fresh: Path) -> tuple[int, int]:
         _drop_orphans(target)
         _complete(target)
         saved = sum(target.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in _TOLD)  # noqa: S608 - own
+        lost = sum(not _holds(target, table, seq) for table, seq in refused)
         target.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    return saved, refused
+    return saved, lost
 
 
-def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> int:
-    """Copy what SQLite itself can reach; returns how many rows it reached that were wrong.
+def _holds(target: sqlite3.Connection, table: str, seq: object) -> bool:
+    return target.execute(f"SELECT 1 FROM {table} WHERE seq = ?", (seq,)).fetchone() is not None  # noqa: S608 - own
+
+
+def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> set[tuple[str, object]]:
+    """Copy what SQLite itself can reach; returns the rows (table, seq) that it reached and that were wrong.
 
     With the log first, then without: where a log is torn, what it replaced may still stand in the file.
     """
-    refused = 0
+    refused: set[tuple[str, object]] = set()
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         for source in _readable_source(damaged, mode):
             with closing(source):
                 for table in TABLES:
                     for rows in _readable(source, table):
-                        good = [row for row, right in zip(rows, good_rows(table, rows), strict=True) if right]
-                        refused += len(rows) - len(good)
+                        right = good_rows(table, rows)
+                        refused.update((table, row[0]) for row, fine in zip(rows, right, strict=True) if not fine)
+                        good = [row for row, fine in zip(rows, right, strict=True) if fine]
                         _insert(target, table, good, "INSERT OR IGNORE")
                 _insert_consumers(source, target)
     return refused

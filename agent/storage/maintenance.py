@@ -1,0 +1,174 @@
+"""What `deltak db` and `deltak export` do: plain functions, each on a path."""
+
+import csv
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from agent.errors import StoreError, UsageError
+from agent.storage import queries
+from agent.storage.connect import connect_reader, connect_writer
+from agent.storage.files import Kind, Lock, beside, check_place, kind_of, refuse, sync_folder
+from agent.storage.salvage import Recovery, recover
+from agent.storage.store import Store
+from agent.storage.verify import problems
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a check found: problems in words (none: the file is sound), its size and its rows by view."""
+
+    path: Path
+    problems: list[str]
+    bytes: int
+    rows: dict[str, int]
+
+
+_COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events")
+
+
+def check(path: Path | str) -> Report:
+    """Read a whole database and say what is wrong with it; changes nothing, and may run while an agent writes.
+
+    Raises:
+        StoreError: missing, not ours, newer.
+    """
+    path = Path(path)
+    check_place(path)
+    kind = kind_of(path)
+    if kind is Kind.DAMAGED:
+        return Report(path, ["its header is damaged"], path.stat().st_size, {})
+    with closing(connect_reader(path)) as connection:
+        connection.execute("BEGIN")  # one state of the file, however long it takes
+        found = problems(connection)
+        rows = {} if found else {view: _count(connection, view) for view in _COUNTED}
+    return Report(path, found, path.stat().st_size, rows)
+
+
+def _count(connection: sqlite3.Connection, view: str) -> int:
+    return int(connection.execute(f"SELECT count(*) FROM {view}").fetchone()[0])  # noqa: S608 - own names
+
+
+def repair(path: Path | str) -> Recovery | None:
+    """Replace a damaged database by one of the rows that prove themselves; None when nothing is wrong with it.
+
+    Raises:
+        StoreError: missing, not ours, newer, or an agent writes to it.
+    """
+    path = Path(path)
+    check_place(path)
+    kind = kind_of(path)
+    refuse(path, kind)
+    if kind is Kind.MISSING:
+        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    lock = Lock(path)
+    try:
+        found = ["its header is damaged"] if kind is Kind.DAMAGED else _problems_of(path)
+        return recover(path, found[0]) if found else None
+    finally:
+        lock.release()
+
+
+def _problems_of(path: Path) -> list[str]:
+    try:
+        with closing(connect_writer(path)) as connection:
+            return problems(connection)
+    except sqlite3.DatabaseError as error:
+        return [str(error)]
+
+
+def compact(path: Path | str) -> tuple[int, int]:
+    """Give the file's free pages back to the disk; returns its size in bytes before and after.
+
+    Needs as much free space as the file takes. Raises StoreError as `Store.open` does.
+    """
+    path = Path(path)
+    check_place(path)
+    if kind_of(path) is Kind.MISSING:
+        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    before = path.stat().st_size
+    with Store.open(path) as store:
+        store.compact()
+    return before, path.stat().st_size
+
+
+def backup(path: Path | str, target: Path | str) -> int:
+    """Copy a database while an agent writes to it; returns the copy's size in bytes.
+
+    The copy is one state of the file, checked, and appears under its name only when it is whole.
+
+    Raises:
+        StoreError: the database is missing, not ours or damaged; UsageError: the target exists.
+    """
+    path, target = Path(path), Path(target)
+    check_place(target)
+    if target.exists():
+        raise UsageError.at(str(target), "exists already", "give a name that is free")
+    part = beside(target, ".part")
+    part.unlink(missing_ok=True)
+    try:
+        with closing(connect_reader(path)) as source, closing(sqlite3.connect(part)) as copy:
+            source.backup(copy)
+            found = problems(copy)
+            if found:
+                raise StoreError.at(str(path), f"the database is damaged ({found[0]})", "run `deltak db repair`")
+        part.rename(target)
+        sync_folder(target.parent)
+    finally:
+        for suffix in ("", "-wal", "-shm", "-journal"):
+            beside(part, suffix).unlink(missing_ok=True)
+    return target.stat().st_size
+
+
+_EXPORTED = ("estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers")
+
+
+def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[str], Iterator[Sequence[Any]]]:
+    """Return the columns and rows of a view for a file format; what: "estimates", "alarms" ... (without the v_).
+
+    Raises:
+        StoreError: the file; UsageError: an unknown view or rig.
+    """
+    if what not in _EXPORTED:
+        raise UsageError.at("what", f'there is no view "{what}"', f"views are {', '.join(_EXPORTED)}")
+    if rig is not None and rig not in queries.rigs(path):
+        raise UsageError.at("--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}")
+    connection = connect_reader(Path(path))
+    has_rig = what != "alarm_events"
+    condition, values = (" WHERE rig = ?", (rig,)) if rig is not None and has_rig else ("", ())
+    cursor = connection.execute(f"SELECT * FROM v_{what}{condition}", values)  # noqa: S608 - own names
+    return [column[0] for column in cursor.description], _rows(connection, cursor)
+
+
+def _rows(connection: sqlite3.Connection, cursor: sqlite3.Cursor) -> Iterator[Sequence[Any]]:
+    with closing(connection):
+        yield from cursor
+
+
+def export_csv(path: Path | str, what: str, output: IO[str], rig: str | None = None) -> int:
+    """Write a view as CSV (empty cell: NULL; floats to the last digit); returns the number of rows."""
+    columns, rows = export(path, what, rig)
+    writer = csv.writer(output, lineterminator="\n")
+    writer.writerow(columns)
+    count = 0
+    for row in rows:
+        writer.writerow(row)
+        count += 1
+    return count
+
+
+def export_parquet(path: Path | str, what: str, target: Path | str, rig: str | None = None) -> int:
+    """Write a view as a Parquet file; returns the number of rows. Raises UsageError without the extra "parquet"."""
+    try:
+        import pyarrow as arrow  # noqa: ICN001 - a word
+        from pyarrow import parquet
+    except ImportError as error:
+        raise UsageError.at("--parquet", "needs pyarrow", 'pip install "deltak[parquet]"') from error
+    columns, rows = export(path, what, rig)
+    cells = list(zip(*rows, strict=True)) or [()] * len(columns)
+    table = arrow.table({name: arrow.array(column) for name, column in zip(columns, cells, strict=True)})
+    parquet.write_table(table, str(target))
+    return int(table.num_rows)

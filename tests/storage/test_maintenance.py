@@ -1,0 +1,154 @@
+import csv
+import io
+import sqlite3
+import threading
+from pathlib import Path
+
+import pytest
+
+from agent.errors import StoreError, UsageError
+from agent.storage import maintenance, queries
+from agent.storage.retention import Retention
+from agent.storage.store import Store
+from tests.storage.rows import START, batch, ledger, run_info, select, step
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.db"
+    with Store.open(path) as store:
+        store.write(store.begin_run(run_info()), [batch(500), step("NORM", "UNACK"), ledger()])
+    return path
+
+
+def spoil(path: Path) -> None:
+    octets = bytearray(path.read_bytes())
+    place = octets.index(b"k1 fell by 16")
+    octets[place] ^= 1
+    path.write_bytes(octets)
+
+
+def test_check_of_a_sound_file_counts_its_rows(path: Path) -> None:
+    report = maintenance.check(path)
+    assert report.problems == []
+    assert report.rows["v_estimates_windows"] == 2000
+    assert report.bytes == path.stat().st_size
+
+
+def test_check_finds_one_flipped_bit_of_a_text_and_repair_leaves_that_row_out(path: Path) -> None:
+    spoil(path)
+    assert maintenance.check(path).problems == ["1 rows of alarms have a wrong checksum"]
+    result = maintenance.repair(path)
+    assert result is not None
+    assert result.refused == 1
+    assert maintenance.check(path).problems == []
+    assert len(queries.estimates(path)) == 2000
+    assert queries.alarms(path) == []
+
+
+def test_repair_of_a_sound_file_does_nothing(path: Path) -> None:
+    before = path.read_bytes()
+    assert maintenance.repair(path) is None
+    assert path.read_bytes() == before
+
+
+def test_repair_while_an_agent_writes_is_refused(path: Path) -> None:
+    with Store.open(path), pytest.raises(StoreError, match="is writing to this database"):
+        maintenance.repair(path)
+
+
+def test_compact_gives_space_back_and_keeps_every_row(path: Path) -> None:
+    with Store.open(path, Retention(full_s=3600.0)) as store:
+        run_id = store.begin_run(run_info())
+        for i in range(10):
+            store.write(run_id, [batch(1000, first=1000 * i, hop_ns=10**9)])
+            store.maintain()
+    rows = select(path, "SELECT * FROM v_estimates")
+    before, after = maintenance.compact(path)
+    assert after < 0.9 * before
+    assert select(path, "SELECT * FROM v_estimates") == rows
+    assert maintenance.check(path).problems == []
+
+
+def test_backup_while_the_agent_writes_is_one_sound_state(path: Path, tmp_path: Path) -> None:
+    with Store.open(path) as store:
+        run_id = store.begin_run(run_info(started_ns=START + 1))
+        stop = threading.Event()
+
+        def write() -> None:
+            number = 0
+            while not stop.is_set():
+                store.write(run_id, [batch(5, first=1000 + 5 * number)])
+                number += 1
+
+        thread = threading.Thread(target=write)
+        thread.start()
+        sizes = [maintenance.backup(path, tmp_path / f"copy-{i}.db") for i in range(4)]
+        stop.set()
+        thread.join()
+    assert all(size > 100_000 for size in sizes)
+    counts = [len(queries.estimates(tmp_path / f"copy-{i}.db")) for i in range(4)]
+    assert counts == sorted(counts)
+    assert all(count % 20 == 0 and count >= 2000 for count in counts)
+    assert not list(tmp_path.glob("*.part*"))
+
+
+def test_backup_refuses_an_existing_target_and_a_damaged_source(path: Path, tmp_path: Path) -> None:
+    target = tmp_path / "copy.db"
+    target.write_text("mine")
+    with pytest.raises(UsageError, match="exists already"):
+        maintenance.backup(path, target)
+    assert target.read_text() == "mine"
+    spoil(path)
+    with pytest.raises(StoreError, match="damaged"):
+        maintenance.backup(path, tmp_path / "other.db")
+    assert not (tmp_path / "other.db").exists()
+
+
+def test_export_csv_is_the_view_to_the_last_digit(path: Path) -> None:
+    output = io.StringIO()
+    assert maintenance.export_csv(path, "estimates", output, rig="press-7") == 2000
+    rows = list(csv.DictReader(io.StringIO(output.getvalue())))
+    shown = queries.estimates(path)
+    assert [float(r["value"]) for r in rows] == [r["value"] for r in shown]
+    assert rows[0]["held"] == ""
+    assert list(rows[0]) == list(shown[0])
+
+
+def test_export_parquet_is_the_view(path: Path, tmp_path: Path) -> None:
+    from pyarrow import parquet
+
+    target = tmp_path / "rows.parquet"
+    assert maintenance.export_parquet(path, "estimates", target) == 2000
+    table = parquet.read_table(target)
+    assert table.column("value").to_pylist() == [r["value"] for r in queries.estimates(path)]
+    assert table.column("reason").null_count == 2000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"), [(("nothing",), "no view"), (("estimates", "press-9"), 'no rig "press-9"')]
+)
+def test_export_of_what_is_not_there_is_refused(path: Path, arguments: tuple[str, ...], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        maintenance.export(path, *arguments)
+
+
+@pytest.mark.parametrize("act", [maintenance.check, maintenance.repair, maintenance.compact])
+def test_commands_on_what_is_not_a_database_change_nothing(tmp_path: Path, act: object) -> None:
+    assert callable(act)
+    for name, make in (("none.db", None), ("text.db", "not a database"), ("dir.db", "")):
+        path = tmp_path / name
+        if make:
+            path.write_text(make)
+        elif make == "":
+            path.mkdir()
+        before = sorted(p.name for p in tmp_path.iterdir())
+        with pytest.raises(StoreError):
+            act(path)
+        assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def test_plain_connections_of_others_may_read_views_while_a_compaction_waits(path: Path) -> None:
+    with sqlite3.connect(path) as plain:
+        assert plain.execute("SELECT count(*) FROM v_estimates").fetchone() == (2000,)
+    plain.close()

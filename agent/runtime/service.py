@@ -16,6 +16,7 @@ from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
+from agent.storage.alarms import AlarmRow
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import AlarmTransition, HealthEvent, Record, RunInfo
@@ -41,8 +42,16 @@ class RigRuntime:
         self._publish = publish
         self._lost: dict[str, bool] = {}
 
+    def restore(self, standing: Sequence[AlarmRow]) -> None:
+        """Go on with the alarms that the run before left standing."""
+        levels = {row.parameter: {"state": row.state} for row in standing if row.kind == "level"}
+        self.pipeline.alarms.restore({"alarms": levels})
+        self._lost |= {row.parameter: True for row in standing if row.kind == "source" and row.cleared_ns is None}
+
     def take(self, use: Use, arrival: Arrival) -> None:
         """Process one block of one of the rig's sources."""
+        if self._lost.get(use.source):
+            self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", 0.0))
         block = part(arrival.block, use.columns)
         offset = wall_ns() - monotonic_ns()
         records = self.pipeline.step(
@@ -100,7 +109,8 @@ class Service:
         self._stop = threading.Event()
         self.connections = connect(configs, self._wake)
         self.writers = _writers(configs, db, kind)
-        self.rigs = {c.rig.name: RigRuntime(c, self.writers[_path(c, db)].publish) for c in configs}
+        self._writer_of = {c.rig.name: self.writers[_path(c, db)] for c in configs}
+        self.rigs = {c.rig.name: RigRuntime(c, self._writer_of[c.rig.name].publish) for c in configs}
         for config in configs:
             self.rigs[config.rig.name].summary.db = str(_path(config, db))
 
@@ -128,9 +138,10 @@ class Service:
     def _start(self) -> None:
         for writer in self.writers.values():
             writer.start()
-        for rig in self.rigs.values():
-            for writer in self.writers.values():
-                rig.summary.run_id = writer.run_ids.get(rig.config.rig.name, rig.summary.run_id)
+        for name, rig in self.rigs.items():
+            writer = self._writer_of[name]
+            rig.summary.run_id = writer.run_ids.get(name)
+            rig.restore(writer.standing.get(name, []))
         for connection in self.connections:
             connection.start()
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 from agent.errors import StoreError
+from agent.storage.alarms import AlarmRow
 from agent.storage.backlog import Backlog, Pause, cells_of
 from agent.storage.connect import cause_of, is_damage
 from agent.storage.rows import Plan
@@ -62,6 +63,8 @@ class StoreWriter:
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
+        self.standing: dict[str, list[AlarmRow]] = {}
+        """The alarms that earlier live runs left standing, by rig, as they were when this one began."""
         self.progress = 0
         """Grows with every round of the thread; a watchdog may read it."""
         self.written = 0
@@ -227,6 +230,7 @@ class StoreWriter:
             self._store = self._opener()
         for rig, run in self._runs.items():
             if rig not in self.run_ids:
+                self.standing[rig] = self._store.open_alarms(rig) if run.kind == "live" else []
                 self.run_ids[rig] = self._store.begin_run(run)
 
     def _failed(self, error: BaseException) -> None:

@@ -93,10 +93,12 @@ class Estimation:
         reason = np.zeros(rows.theta.shape, dtype=np.uint8)
         with np.errstate(invalid="ignore"):
             status[~known | (rows.sd > self.labels.enough_sd)] = Status.UNEXCITED
-        disturbed = rows.changing | rows.mismatch
+        accused = rows.full & (rows.suspect > 0) & ~rows.changing
+        disturbed = rows.changing | rows.mismatch | accused
         status[disturbed] = Status.INVALID
         reason[rows.changing] = Reason.CHANGING
         reason[rows.mismatch] = Reason.MISMATCH
+        reason[accused] = rows.suspect[accused, None]
         status[~rows.full] = Status.WARMING
         return status, reason
 

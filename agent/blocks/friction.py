@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from agent.blocks.acquisition import Aligned
-from agent.blocks.rig_model import output_noise, rig_model
+from agent.blocks.rig_model import known_noise, rig_model
 from agent.config import RigConfig
 from agent.config.tables import MechanicsModel
 from agent.numerics.friction import FrictionInputs, motion_filter
@@ -42,8 +40,7 @@ def friction_inputs(config: RigConfig, resolution: FloatArray) -> FrictionInputs
     model = mechanics_of(rig_model(config).model)
     if model is None or not model.structure.frictions:
         return None
-    sigma, floor = output_noise(config, resolution)
-    known = np.where(np.isfinite(sigma), sigma, np.where(floor > 0, floor, np.nan))
+    known = known_noise(config, resolution)
     pairs = [element.between for element in model.structure.frictions]
     period_s = 1.0 / config.rig.sample_rate_hz
     return FrictionInputs(motion_filter(model, pairs, period_s, config.estimator.hold, known))

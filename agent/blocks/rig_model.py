@@ -11,6 +11,7 @@ from agent.numerics.hops import HopPlan
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.statespace import AffineModel, Model, affine_model
+from agent.numerics.suspects import suspects_of
 from agent.numerics.window_ml import WindowSettings
 from agent.types import FloatArray, IntArray
 
@@ -126,6 +127,12 @@ def output_noise(config: RigConfig, resolution: FloatArray) -> tuple[FloatArray,
     return np.hypot(stated, floor), floor
 
 
+def known_noise(config: RigConfig, resolution: FloatArray) -> FloatArray:
+    """Return the noise sd (p,) of each output: as stated, else as the wire's steps make it, else NaN."""
+    sigma, floor = output_noise(config, resolution)
+    return np.where(np.isfinite(sigma), sigma, np.where(floor > 0, floor, np.nan))
+
+
 AUTOMATIC_WINDOWS = 5
 """Windows of "auto": each twice the one before."""
 
@@ -177,6 +184,9 @@ def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) ->
         wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
         lower=np.where(physical & (nominal != 0), 0.02 * scale, -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
+        suspects=suspects_of(
+            rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, known_noise(config, resolution)
+        ),
     )
 
 

@@ -5,6 +5,7 @@ the forces (so it does not lag at a reversal) and does not depend on what is bei
 of the sign biases the friction, and an integrating disturbance state in the observer would swallow it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from agent.numerics.mechanics import GROUND, MassSpringDamper
 from agent.numerics.observer import start_gain
-from agent.numerics.statespace import Discrete, Hold, discretise
+from agent.numerics.statespace import Hold, discretise
 
 FloatArray = NDArray[np.float64]
 
@@ -34,10 +35,10 @@ class MotionFilter:
     """x(k+1) = Phi x(k) + K v(k), w(k) = W x(k) + V v(k) with v = (y, u), lifted to blocks of BLOCK samples.
 
     Attributes:
-        outputs: (BLOCK r, n + BLOCK (p+m)) makes of (x, v of a block) its relative velocities w, m/s.
+        outputs: (BLOCK r, n + BLOCK (p+m)) makes of (x, v of a block) its relative velocities w (or displacements).
         state: (n, n + BLOCK (p+m)) makes of them the next block's x.
         first: (n, p+m) the state to begin with from the first sample.
-        noise: (r,) standard deviation that the sensors' noise leaves in each velocity; 0 where it is not known.
+        noise: (r,) standard deviation that the sensors' noise leaves in each of w; 0 where it is not known.
     """
 
     outputs: FloatArray
@@ -47,8 +48,9 @@ class MotionFilter:
 
 
 def motion_filter(
-    model: MassSpringDamper, pairs: list[tuple[str, str]], period_s: float, hold: Hold, sigma: FloatArray
-) -> MotionFilter:
+    model: MassSpringDamper, pairs: Sequence[tuple[str, str]], period_s: float, hold: Hold, sigma: FloatArray,
+    *, displacements: bool = False,
+) -> MotionFilter:  # fmt: skip
     """Build the observer of relative velocities between pairs of nodes from a model's nominal values.
 
     Args:
@@ -57,6 +59,7 @@ def motion_filter(
         period_s: sampling period, s.
         hold: how the forces run between samples.
         sigma: (p,) standard deviation of each output's noise, NaN where it is not known.
+        displacements: give relative displacements instead.
 
     Raises ValueError when no gain gives a stable observer.
     """
@@ -66,7 +69,12 @@ def motion_filter(
     d = discrete.model
     weights = np.where(np.isfinite(sigma), sigma, np.nanmean(sigma) if np.isfinite(sigma).any() else 1.0)
     L = start_gain(discrete, _pushes(plain), weights, _window(period_s))
-    W, V = _velocities(plain, continuous.A, continuous.B, pairs, discrete)
+    difference = _differences(plain, pairs)
+    W, direct = difference @ continuous.A, difference @ continuous.B
+    if displacements:
+        W, direct = difference, np.zeros_like(direct)
+    # the physical state is the shifted one plus B1 u
+    V = np.hstack([np.zeros((len(pairs), d.p)), W @ discrete.B1 + direct])
     K = np.hstack([L, d.B - L @ d.D])
     seen = np.linalg.pinv(d.C)
     Phi = d.A - L @ d.C
@@ -106,24 +114,45 @@ def _pushes(model: MassSpringDamper) -> FloatArray:
     return np.vstack([np.diag(1.0 / masses), np.zeros((n - len(masses), len(masses)))])
 
 
-def _velocities(
-    model: MassSpringDamper, A: FloatArray, B: FloatArray, pairs: list[tuple[str, str]], discrete: Discrete
-) -> tuple[FloatArray, FloatArray]:
-    """Return W (r, n), V (r, p+m): rows of x' = A x + B u for displacements, x = shifted state + B1 u."""
-    names, p = model.state_names, discrete.model.p
+def _differences(model: MassSpringDamper, pairs: Sequence[tuple[str, str]]) -> FloatArray:
+    """Return (r, n) rows that take the relative displacement of each pair from the states."""
+    names = model.state_names
     difference = np.zeros((len(pairs), len(names)))
     for row, pair in zip(difference, pairs, strict=True):
         for node, sign in zip(pair, (1.0, -1.0), strict=True):
             if node != GROUND:
                 row[names.index(f"displacement of {node}")] += sign
-    W = difference @ A
-    return W, np.hstack([np.zeros((len(pairs), p)), W @ discrete.B1 + difference @ B])
+    return difference
 
 
 def _noise(Phi: FloatArray, L: FloatArray, W: FloatArray, sigma: FloatArray) -> FloatArray:
     """Return the sd (r,) that white sensor noise leaves in W x."""
     covariance = solve_discrete_lyapunov(Phi, L @ np.diag(sigma**2) @ L.T)
     return np.asarray(np.sqrt(np.maximum(np.einsum("ri,ij,rj->r", W, covariance, W), 0.0)))
+
+
+def motion(filter_: MotionFilter, y: FloatArray, u: FloatArray) -> FloatArray:
+    """Return what moves (N, r) in one stretch y (N, p), u (N, m) from its first sample on."""
+    v = np.hstack([y, u])
+    x, pieces = filter_.first @ v[0], []
+    for start in range(0, len(v), BLOCK):
+        stretch = _stretch(x, v[start : start + BLOCK])
+        pieces.append((filter_.outputs @ stretch).reshape(BLOCK, -1))
+        x = filter_.state @ stretch
+    return np.vstack(pieces)[: len(v)]
+
+
+def _stretch(x: FloatArray, v: FloatArray) -> FloatArray:
+    """Return (n + BLOCK (p+m),): a state and up to BLOCK samples, filled up with zeros."""
+    block = np.zeros((BLOCK, v.shape[1]))
+    block[: len(v)] = v
+    return np.concatenate([x, block.ravel()])
+
+
+def signs(velocities: FloatArray, noise: FloatArray, greatest: FloatArray) -> FloatArray:
+    """Return -1, 0 or 1 for velocities (N, r); `greatest` (N, r) is the greatest speed up to each sample."""
+    least = np.maximum(DEVIATIONS * noise, CREEP * greatest)
+    return np.asarray(np.where(np.abs(velocities) > least, np.sign(velocities), 0.0))
 
 
 @dataclass(slots=True)
@@ -152,18 +181,15 @@ class FrictionInputs:
             self._pending = v[:0]
         known = len(self._pending)
         stream = np.vstack([self._pending, v])
-        signs = [self._block(stream[start : start + BLOCK]) for start in range(0, len(stream), BLOCK)]
+        found = [self._block(stream[start : start + BLOCK]) for start in range(0, len(stream), BLOCK)]
         self._pending = stream[len(stream) - len(stream) % BLOCK :]
-        return np.hstack([u, np.vstack(signs)[known:]])
+        return np.hstack([u, np.vstack(found)[known:]])
 
     def _block(self, v: FloatArray) -> FloatArray:
         """Return the signs (N, r) of up to BLOCK samples; a whole block moves the state on."""
-        motion, block = self.motion, np.zeros((BLOCK, v.shape[1]))
-        block[: len(v)] = v
-        stretch = np.concatenate([self._state, block.ravel()])
-        velocities = (motion.outputs @ stretch).reshape(BLOCK, -1)[: len(v)]
+        stretch = _stretch(self._state, v)
+        velocities = (self.motion.outputs @ stretch).reshape(BLOCK, -1)[: len(v)]
         greatest = np.maximum.accumulate(np.vstack([self._greatest, np.abs(velocities)]))[1:]
         if len(v) == BLOCK:
-            self._state, self._greatest = motion.state @ stretch, greatest[-1]
-        least = np.maximum(DEVIATIONS * motion.noise, CREEP * greatest)
-        return np.asarray(np.where(np.abs(velocities) > least, np.sign(velocities), 0.0))
+            self._state, self._greatest = self.motion.state @ stretch, greatest[-1]
+        return signs(velocities, self.motion.noise, greatest)

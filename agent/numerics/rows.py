@@ -21,6 +21,7 @@ class Rows:
         full: (N,) a whole window was there.
         changing, mismatch: (N,) the window is not to be believed: since less than a window's length, or for longer.
         ratio: (N,) residual variance over the reference.
+        suspect: (N,) the Reason that a model which lacks something gives away; 0 where none does.
         window: (N, q) length of the window that each estimate is of, samples; 0 while warming.
     """
 
@@ -32,6 +33,7 @@ class Rows:
     changing: BoolArray
     mismatch: BoolArray
     ratio: FloatArray
+    suspect: IntArray
     window: IntArray
 
     @classmethod
@@ -40,7 +42,7 @@ class Rows:
         nothing, no = np.full((len(index), q), np.nan), np.zeros(len(index), dtype=bool)
         unknown = np.full(len(index), np.nan)
         return cls(index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(),
-                   np.zeros((len(index), q), dtype=np.int64))  # fmt: skip
+                   np.zeros(len(index), dtype=np.int64), np.zeros((len(index), q), dtype=np.int64))  # fmt: skip
 
     @classmethod
     def joined(cls, pieces: "list[Rows]", q: int) -> "Rows":

@@ -24,6 +24,7 @@ from agent.numerics.rows import Rows
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
+from agent.numerics.suspects import Suspects
 from agent.numerics.window import solve_windows
 
 FloatArray = NDArray[np.float64]
@@ -59,6 +60,7 @@ class WindowSettings:
         enough_sd: (q,) sd above which a window cannot judge a parameter ("unexcited").
         scale_column: (q,) the channel (outputs, then inputs) whose rms in the first window fitted is the size of a
             parameter without one (an offset); None where every parameter has a size.
+        suspects: what to look for where the model does not fit; None for nothing.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
     """
@@ -75,6 +77,7 @@ class WindowSettings:
     scale_column: IntArray | None = None
     longer: tuple[int, ...] = ()
     wanted_sd: FloatArray | None = None
+    suspects: Suspects | None = None
 
 
 class WindowML:
@@ -98,6 +101,7 @@ class WindowML:
         self._onset: int | None = None
         self._last_fit = self._coloured_at = self._steady_since = -(10**18)
         self._searched = directions is None
+        self._accused, self._accused_at = 0, -(10**18)
         self._anchored = False
         self._segment: Segment | None = None
         self._reference = Reference.empty(len(self.theta))
@@ -206,6 +210,7 @@ class WindowML:
         rows.sd[new] = np.sqrt(variance) * self._widening()
         rows.dof[new], rows.full[new], rows.ratio[new] = self._dof * self.colour.share, True, s2
         rows.window[new] = self.settings.plan.window
+        rows.suspect[new] = self._accused
         information[new] = solution.information * np.outer(self.scale, self.scale)
         return rows, information
 
@@ -364,6 +369,8 @@ class WindowML:
         excited = bool(np.any(rows.sd[row] < self.settings.enough_sd))
         if not healthy or excited:
             rows.changing[row], rows.mismatch[row] = since < plan.window, since >= plan.window
+        if since >= plan.window and index - self._accused_at >= plan.window:
+            self._accuse(segment, rows, row)
         return False
 
     def _keep_house(self, segment: Segment, rows: Rows, row: int) -> bool:
@@ -391,7 +398,21 @@ class WindowML:
         self._take_colour(colour_of(here.psi, residual, np.asarray(covariance), self._unknowns), index)
         rows.sd[row:] *= self.colour.inflation / before.inflation
         rows.dof[row:] *= self.colour.share / before.share
+        self._accuse(segment, rows, row)
         return True
+
+    def _accuse(self, segment: Segment, rows: Rows, row: int) -> None:
+        """Look for what the model lacks in the window of a row; the finding stands until the next look."""
+        index, suspects = int(rows.index[row]), self.settings.suspects
+        self._accused_at = index
+        if suspects is None:
+            return
+        v = segment.samples(index + 1 - min(self.settings.plan.window, CALIBRATION), index + 1)
+        if not np.isfinite(v).all():
+            return
+        found = suspects.accuse(self.theta, self.gain, v, self._dof * self.colour.share)
+        self._accused = 0 if found is None else int(found.suspect.reason)
+        rows.suspect[row:] = self._accused
 
     def _take_colour(self, colour: Colour, index: int) -> None:
         self.colour, self._coloured_at = colour, index
@@ -440,6 +461,7 @@ class WindowML:
         rows.theta[row], rows.sd[row], rows.ratio[row] = self._outcome
         rows.dof[row] = dof * self.colour.share
         rows.changing[row] = rows.mismatch[row] = False
+        self._accuse(segment, rows, row)
         return True
 
     def _size_offsets(self, v: FloatArray) -> None:

@@ -193,11 +193,16 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         estimator=draft.estimator.model_copy(update={"estimate": draft.estimated}),
         alarm=tuple(_with_defaults(entry.table, draft) for entry in draft.alarms),
         source=tuple(entry.table for entry in draft.sources),
-        store=draft.store.model_copy(update={"path": draft.folder / path}),
+        store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),
         columns=draft.columns,
         file=file,
         sha256=sha256,
     )
+
+
+def _store_path(path: Path) -> Path:
+    """Return the one name of a database, however its folder is written: who writes the same file shares a writer."""
+    return Path(os.path.realpath(path.parent)) / path.name
 
 
 def _with_defaults(alarm: Alarm, draft: Draft) -> Alarm:

@@ -95,9 +95,20 @@ class Connection:
         except DriverConfigError as error:
             log.warning("%s: %s", self._driver.request.name, error)
             self._say(LinkEvent("lost", f"{error} (not tried again: mend the configuration)", 0.0))
+        except Exception as error:
+            # a fault in a driver ends this source, seen by all, and no other
+            log.exception("%s: the reader ended by a fault of the driver", self._driver.request.name)
+            words = f"the reader ended: {type(error).__name__}: {error} (start the agent anew)"
+            self._say(LinkEvent("lost", words, 0.0))
         finally:
-            self._link.close()
+            self._close()
             self._wake.set()
+
+    def _close(self) -> None:
+        try:
+            self._link.close()
+        except OSError as error:
+            log.warning("%s: %s", self._driver.request.name, error)
 
     def _turn(self) -> None:
         block = self._link.read(READ_S)

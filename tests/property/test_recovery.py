@@ -1,0 +1,38 @@
+"""Noise-free records of random rigs: whatever they are made of, the fit finds it to the last digits."""
+
+import numpy as np
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from agent.numerics.fit import Problem, fit_window
+from agent.numerics.gains import AutomaticGains
+from agent.numerics.observer import Noise
+from agent.numerics.statespace import Discrete, discretise
+from tests.unit.numerics.rigs import FloatArray, disturbance, measured_model, random_structure, record
+
+
+@settings(max_examples=60)
+@given(masses=st.integers(1, 6), seed=st.integers(0, 2**32 - 1))
+@example(masses=6, seed=0)
+@example(masses=6, seed=1)
+@example(masses=1, seed=2)
+def test_fit_window_noise_free_random_graph_is_recovered(masses: int, seed: int) -> None:
+    """1-6 masses in a tree or ring, every displacement measured, a force on each, steps of up to half of nominal."""
+    rng = np.random.default_rng(seed)
+    model = measured_model(random_structure(rng, masses), tuple(f"m{i + 1}" for i in range(masses)))
+    nominal = model.nominal
+    theta = nominal * rng.uniform(0.5, 1.5, len(nominal))
+    speeds = np.abs(np.linalg.eigvals(model.continuous(np.maximum(theta, nominal)).A))
+    period, samples = 0.2 / speeds.max(), 1500
+
+    def sampled(values: FloatArray) -> Discrete:
+        return discretise(model.continuous(values), period)
+
+    truth = record(sampled(theta), rng.standard_normal((samples, masses)))
+    sigma = np.full(masses, 1e-6 * np.sqrt(np.mean(truth.y**2)))
+    gains, noise = AutomaticGains(disturbance(model), samples), Noise(sigma, np.zeros(masses))
+    stages = [lambda d: gains.start(d, noise), lambda d: gains.settled(d, noise)]
+    problem = Problem(sampled, truth.v, nominal, 0.02 * nominal)
+    fit = fit_window(problem, nominal, np.zeros(2 * masses), stages, max_steps=30)
+    np.testing.assert_allclose(fit.theta, theta, rtol=1e-8)
+    assert fit.converged

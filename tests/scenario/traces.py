@@ -1,0 +1,53 @@
+"""What a process wrote to buses, as strace saw it: every write that is to no file, pipe or output of its own."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.listening import permitted
+
+_CALL = re.compile(
+    r"\d+ +\w+\(\d+<"
+    r"(?P<what>[A-Z][A-Z0-9-]*:\[[^\]]*\]|(?:\\x[0-9a-f]{2})+(?:<char [0-9:]+>)?)"
+    r">, (?P<rest>.*)"
+)
+_QUOTED = re.compile(r'"((?:\\x[0-9a-f]{2})*)"')
+_TERMINALS = "<char 136:"
+
+
+@dataclass(frozen=True)
+class Write:
+    """One call: where to, the bytes, and the protocol whose rule permits them there ("" for none)."""
+
+    where: str
+    data: bytes
+    protocol: str
+
+
+def bus_writes(trace: Path, folder: Path) -> list[Write]:
+    """Return the writes in a trace to anything but pipes, standard output and files below a folder."""
+    found = []
+    for line in trace.read_text(encoding="ascii").splitlines():
+        if "resumed>" in line or re.match(r"\d+ +[+-]{3}", line):
+            continue
+        match = _CALL.fullmatch(line)
+        assert match, f"a line of the trace is not understood: {line}"
+        where = _plain(match["what"])
+        if not where.startswith(("pipe:", str(folder), "/dev/null", "anon_inode:")):
+            data = b"".join(bytes.fromhex(text.replace("\\x", "")) for text in _QUOTED.findall(match["rest"]))
+            found.append(Write(where, data, _protocol(where, data)))
+    return found
+
+
+def _plain(what: str) -> str:
+    return re.sub(r"\\x([0-9a-f]{2})", lambda code: chr(int(code[1], 16)), what)
+
+
+def _protocol(where: str, data: bytes) -> str:
+    fitting = ("modbus-rtu",) if _TERMINALS in where else ("modbus-tcp", "socketcand") if "TCP" in where else ()
+    return next((name for name in fitting if permitted(name, data)), "")
+
+
+def forbidden(writes: list[Write]) -> list[Write]:
+    """Return the writes that no rule permits."""
+    return [write for write in writes if not write.protocol]

@@ -203,6 +203,63 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
     commands_trend.trend(db, parameter, rig, (since, until), limit, _form(json=json, csv=csv), plot)
 
 
+@app.command()
+def export(
+    db: Database,
+    what: Annotated[
+        str, typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health or runs.")
+    ] = "estimates",
+    rig: Rig = None,
+    to: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write to FILE (.csv or .parquet), not stdout.")
+    ] = None,
+) -> None:
+    """Write a view of the database as CSV or Parquet."""
+    from agent.runtime import commands_db
+
+    commands_db.export(db, what, rig, to)
+
+
+database = typer.Typer(help="Look after a database file.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(database, name="db")
+
+
+@database.command("check")
+def db_check(db: Database, json: Json = False) -> None:
+    """Read a whole file and say what is wrong with it; it may be in use."""
+    from agent.runtime import commands_db
+
+    commands_db.check(db, as_json=json)
+
+
+@database.command("repair")
+def db_repair(db: Database, json: Json = False) -> None:
+    """Replace a damaged file by one of every row that proves itself; the damaged one is kept beside it."""
+    from agent.runtime import commands_db
+
+    commands_db.repair(db, as_json=json)
+
+
+@database.command("compact")
+def db_compact(db: Database, json: Json = False) -> None:
+    """Give the file's free pages back to the disk."""
+    from agent.runtime import commands_db
+
+    commands_db.compact(db, as_json=json)
+
+
+@database.command("backup")
+def db_backup(
+    db: Database,
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="The copy; must not exist.", show_default=False)],
+    json: Json = False,
+) -> None:
+    """Copy a file, also while an agent writes to it."""
+    from agent.runtime import commands_db
+
+    commands_db.backup(db, target, as_json=json)
+
+
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave with its exit code."""
     # two threads are ten times slower than one on the small products here; numpy reads this when it is first imported

@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Any, Literal
 
 from agent import __version__
-from agent.config import RigConfig, load_many
+from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline
@@ -197,6 +197,10 @@ def run(
 def _need_sources(rigs: Sequence[RigConfig]) -> None:
     lacking = [rig for rig in rigs if not rig.source]
     faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in lacking]
+    for rig in rigs:
+        for i, source in enumerate(rig.source):
+            if driver_class(source.driver).finite:
+                faults.append(Fault(f"source[{i}].driver", f'"{source.driver}" is a recording', "use deltak replay"))
     if faults:
         raise ConfigError(faults)
 

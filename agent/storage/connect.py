@@ -39,7 +39,8 @@ def is_damage(error: BaseException) -> bool:
 def cause_of(error: BaseException) -> str:
     """Return why a write failed, as a few words."""
     code = code_of(error)
-    if code == sqlite3.SQLITE_FULL or getattr(error, "errno", None) in {errno.ENOSPC, errno.EDQUOT}:
+    no_index = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_IOERR_SHMSIZE  # no room for the log's index
+    if code == sqlite3.SQLITE_FULL or no_index or getattr(error, "errno", None) in {errno.ENOSPC, errno.EDQUOT}:
         return "disk full"
     if code == sqlite3.SQLITE_READONLY or getattr(error, "errno", None) == errno.EROFS:
         return "read only"

@@ -10,8 +10,8 @@ from pathlib import Path
 from agent.errors import StoreError
 from agent.storage.schema import APPLICATION_ID, PAGE_SIZE, SCHEMA_VERSION, version_mark
 
-BALLAST_BYTES = 256 * 1024
-"""Freed when the disk is full: SQLite needs room even to delete (measured: 200 kB are enough)."""
+BALLAST_BYTES = 3 * 1024 * 1024
+"""Freed when the disk is full: SQLite needs room even to delete, for what the log holds already and for the deletion."""
 _MAGIC = b"SQLite format 3\0"
 _OURS_WRITTEN = b"CREATE VIEW v_estimates_windows"
 _FIXED = ((16, PAGE_SIZE.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))), (44, b"\0\0\0\4"), (56, b"\0\0\0\1"))
@@ -147,12 +147,11 @@ class Ballast:
         with suppress(FileNotFoundError):
             if self._file.stat().st_size >= BALLAST_BYTES:
                 return True
-        if not self._room():
+        if not self.room():
             return False
         try:
             with self._file.open("wb") as file:
-                file.write(bytes(BALLAST_BYTES))
-                file.flush()
+                os.posix_fallocate(file.fileno(), 0, BALLAST_BYTES)
                 os.fsync(file.fileno())
         except OSError as error:
             self.drop()
@@ -161,11 +160,15 @@ class Ballast:
             raise
         return True
 
-    def _room(self) -> bool:
+    def room(self) -> bool:
         """Tell whether there is room for the ballast without making the disk full again."""
         disk = os.statvfs(self._file.parent)
-        return disk.f_bavail * disk.f_frsize >= 4 * BALLAST_BYTES
+        return disk.f_bavail * disk.f_frsize >= 2 * BALLAST_BYTES
 
-    def drop(self) -> None:
-        with suppress(OSError):
-            self._file.unlink(missing_ok=True)
+    def drop(self) -> bool:
+        """Delete the file; True when there was one, and so there is room now."""
+        try:
+            self._file.unlink()
+        except OSError:
+            return False
+        return True

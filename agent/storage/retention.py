@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
 _STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
+_FREE_PAGES = 128
 _HOPS_A_PURGE = 50_000
 _YEAR_S = 365 * 86400
 _HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 44.0, 38.0, 60.0
@@ -186,7 +187,9 @@ class Upkeep:
             self._purge(run_id, span, (oldest // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)
 
     def make_room(self) -> None:
-        """Drop the oldest stretch of rows; for a full disk."""
+        """Drop the oldest hour of rows unless the file has free pages already; for a full disk."""
+        if self._store.connection.execute("PRAGMA freelist_count").fetchone()[0] > _FREE_PAGES:
+            return
         victim = self._oldest_anywhere()
         if victim is not None:
             self._purge(victim[0], victim[1], (victim[2] // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)

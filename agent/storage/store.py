@@ -26,9 +26,9 @@ from agent.storage.status import add_event, add_health
 from agent.storage.verify import Scrubber, problems_at_start
 from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Record, RunInfo
 
-_CELLS_A_COMMIT = 50_000  # about 3 MB of write-ahead log
+_CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 _COMMITS_A_CHECKPOINT = 300
-_CELLS_A_CHECKPOINT = 60_000
+_CELLS_A_CHECKPOINT = 20_000
 _FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
 
 
@@ -78,6 +78,19 @@ class Store:
         return store
 
     def _attach(self) -> None:
+        """Open the file; on a full disk after dropping the ballast and the oldest hour of rows."""
+        try:
+            self._open_file()
+        except (sqlite3.Error, OSError):
+            if self._ballast.room() or not self._ballast.drop():
+                raise
+            self._disconnect()
+            self._open_file()
+            self._upkeep.make_room()
+            self.checkpoint("TRUNCATE")
+        self._ballast.lay()
+
+    def _open_file(self) -> None:
         """Open the file, bring it up to date and learn what it names; a damaged one is replaced by what it tells."""
         aside = finish_interrupted(self.path)
         if aside is not None:
@@ -89,7 +102,6 @@ class Store:
         damage = "its header is damaged" if kind is Kind.DAMAGED else self._connect()
         if damage:
             self._replace(damage)
-        self._ballast.lay()
 
     def _connect(self) -> str | None:
         """Open the file; returns what is wrong with it, None when nothing was found."""
@@ -171,7 +183,7 @@ class Store:
     def write(self, run_id: int, records: Sequence[Record]) -> None:
         """Store records of a run; on return they are committed and survive a power cut.
 
-        All of them in one transaction, but that more than 50,000 estimates are cut into several.
+        All of them in one transaction, but that more than 20,000 estimates are cut into several.
         """
         with self._mutex:
             self.commit(self.encode(run_id, records))
@@ -256,20 +268,20 @@ class Store:
             self._disconnect()
             self._attach()
 
-    def revive(self, error: BaseException) -> None:
-        """Do what can be done after a failed write, then open the file anew."""
-        with self._mutex:
-            if cause_of(error) == "disk full":
-                self._make_room()
-            else:
-                self.reopen()
+    def revive(self, error: BaseException, *, pressed: bool = False) -> None:
+        """Do what can be done after a failed write, then open the file anew.
 
-    def _make_room(self) -> None:
-        """Drop the ballast, which gives room to delete the oldest rows and empty the log, then open the file anew."""
-        self._ballast.drop()
-        self.reopen()
-        self._upkeep.make_room()
-        self.checkpoint("TRUNCATE")
+        A full disk is waited for. Only when `pressed` (what waits in memory would soon be lost) the ballast is dropped,
+        which gives the room to delete the oldest hour of rows, whose place the new ones then take.
+        """
+        with self._mutex:
+            if cause_of(error) != "disk full":
+                self.reopen()
+            elif pressed:
+                self._ballast.drop()
+                self.reopen()
+                self._upkeep.make_room()
+                self.checkpoint("TRUNCATE")
 
     def compact(self) -> None:
         """Give free pages back to the disk; needs room for a second copy, and no other transaction meanwhile."""
@@ -282,6 +294,7 @@ class Store:
         with self._mutex:
             self._upkeep.step(finish=finish)
             self._scrubber.step(self.connection)
+            self._ballast.lay()
 
     def wal_bytes(self) -> int:
         """Return the size of the write-ahead log's file."""

@@ -243,9 +243,14 @@ class StoreWriter:
             if is_damage(error):
                 self._replace_file(str(error))
             else:
-                self._store.revive(error)
+                self._store.revive(error, pressed=self._pressed())
         except _FAILURE as second:
             self._pause.failed(cause_of(second))
+
+    def _pressed(self) -> bool:
+        """Tell whether what waits would soon not fit in memory any more."""
+        waiting = sum(cells_of(r) for records in self._flight.values() for r in records)
+        return max((len(b) for b in self._backlogs.values()), default=0) + waiting > self._most // 2
 
     def _replace_file(self, cause: str) -> None:
         """Go on in a new file that holds what could be read of the damaged one; rows in flight are stored anew."""

@@ -143,10 +143,10 @@ def test_estimates_before_1970_and_far_ahead_have_times(path: Path) -> None:
 def test_write_of_many_rows_is_cut_into_transactions(path: Path) -> None:
     with Store.open(path) as store:
         run_id = store.begin_run(run_info())
-        plans = store.encode(run_id, [batch(30_000), step("NORM", "UNACK")])
-        assert [len(p.rows["estimates"]) for p in plans] == [50_000, 50_000, 20_000]
+        plans = store.encode(run_id, [batch(12_000), step("NORM", "UNACK")])
+        assert [len(p.rows["estimates"]) for p in plans] == [20_000, 20_000, 8_000]
         store.commit(plans)
-    assert select(path, "SELECT count(*), count(DISTINCT seq) FROM estimates") == [(120_000, 120_000)]
+    assert select(path, "SELECT count(*), count(DISTINCT seq) FROM estimates") == [(48_000, 48_000)]
 
 
 def test_commit_twice_stores_nothing_twice(path: Path) -> None:

@@ -41,7 +41,9 @@ def hidden_states(model: Model) -> list[str]:
 
 def _hidden_fault(hidden: list[str], rig: RigModel) -> Fault:
     nodes = _nodes_that_help(rig, lambda model: not hidden_states(model))
-    advice = f"measure the displacement of {_either(nodes)}" if nodes else "measure where these move, or leave them out"
+    places = [name.removeprefix("displacement of ") for name in hidden if name.startswith("displacement of ")]
+    where = _either(nodes) if nodes else _listed(places) if places else ""
+    advice = f"measure the displacement of {where}" if where else "measure where these move, or leave them out"
     return Fault("model", f"no channel shows the {_listed(hidden)}", advice)
 
 

@@ -4,6 +4,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -33,23 +34,24 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     """
     rig = load(config)
     started = time.monotonic()
-    drivers = [opened(rig, path) for path in recordings]
-    pipeline = make_pipeline(rig)
-    summary = RunSummary(rig, db=None if db is None else str(db))
-    writer = _writer(rig, db)
-    try:
+    with ExitStack() as stack:
+        drivers = [_until_the_end(stack, opened(rig, path)) for path in recordings]
+        pipeline = make_pipeline(rig)
+        summary = RunSummary(rig, db=None if db is None else str(db))
+        writer = _writer(rig, db)
         if writer is not None:
+            stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
         for records in _records(pipeline, drivers):
             summary.take(records)
             if writer is not None:
                 writer.publish(records)
-    finally:
-        if writer is not None:
-            writer.stop(timeout_s=600.0)
-        for driver in drivers:
-            driver.close()
     return summary.document(time.monotonic() - started)
+
+
+def _until_the_end(stack: ExitStack, driver: Driver) -> Driver:
+    stack.callback(driver.close)
+    return driver
 
 
 def make_pipeline(rig: RigConfig) -> Pipeline:

@@ -46,6 +46,14 @@ class Reason(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class SensorFault:
+    """A channel that cannot be believed, and why (NO_DATA, STUCK, SATURATED, SENSOR)."""
+
+    channel: str
+    reason: Reason
+
+
+@dataclass(frozen=True, slots=True)
 class Samples:
     """Aligned samples of one rig: consecutive indices, SI units.
 
@@ -55,6 +63,10 @@ class Samples:
         u: (n, m) model inputs (forces), N.
         y: (n, p) model outputs, SI.
         segment: number of the uninterrupted segment these belong to; counts up at each gap.
+        missing: (n, p+m) readings (outputs, then inputs) that were lost or refused and are filled in; None when none.
+        suspect: (n, p+m) inputs that may be spikes, as only the motion can tell; None when none.
+        fault: a channel that spoils estimates made now; None when all are sound.
+        usable: false while a channel is at fault: nothing is to be estimated from these samples.
     """
 
     index: IntArray
@@ -62,6 +74,10 @@ class Samples:
     u: FloatArray
     y: FloatArray
     segment: int
+    missing: NDArray[np.bool_] | None = None
+    suspect: NDArray[np.bool_] | None = None
+    fault: SensorFault | None = None
+    usable: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,151 @@
+"""Data manipulation: what of the readings can be believed.
+
+Short gaps and missing readings are filled and marked, spikes are refused and treated alike; channels that are stuck,
+clipped or silent are named, and while one is nothing is estimated. Everything is decided by sample numbers and values,
+never by how the stream was cut.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.blocks.sensor_labels import Piece, SensorEvent, SensorLabels
+from agent.numerics.cleaning import Clean, Cleaner
+from agent.numerics.sensor_watch import SensorWatch
+from agent.types import FloatArray, IntArray, Samples
+
+
+@dataclass(frozen=True, slots=True)
+class QualitySettings:
+    """What `Quality` is told.
+
+    Attributes:
+        channels: (c,) names, inputs first.
+        inputs: how many of them are inputs.
+        step: (c,) the wire's smallest step of each, SI; 0 where it has none.
+        window: samples of the estimator's window.
+        bridge: samples of the longest gap that is bridged.
+    """
+
+    channels: tuple[str, ...]
+    inputs: int
+    step: FloatArray
+    window: int
+    bridge: int
+
+
+class Quality:
+    """The quality of one rig's samples.
+
+    rejected counts the instants refused here, by reason; those that arrived incomplete are not among them.
+    """
+
+    def __init__(self, settings: QualitySettings) -> None:
+        is_input = np.arange(len(settings.channels)) < settings.inputs
+        self.settings = settings
+        self.rejected: Counter[str] = Counter()
+        self._cleaner = Cleaner(is_input, settings.step)
+        self._watch = SensorWatch(is_input, settings.step, settings.window)
+        self._labels = SensorLabels(settings.channels, settings.inputs, settings.window)
+        self._open = False
+        self._newest, self._newest_ns = -1, 0
+        self._silent = np.zeros(len(settings.channels), dtype=np.int64)
+        self._index: IntArray = np.zeros(0, dtype=np.int64)  # of samples that the cleaner holds
+        self._t_ns: IntArray = np.zeros(0, dtype=np.int64)
+        self._watched = 0
+
+    def step(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+        """Take samples v (N, c), NaN where a reading is missing, with increasing numbers; return what is settled."""
+        pieces: list[Samples] = []
+        edges = [0, *(np.flatnonzero(np.diff(index) > 1) + 1).tolist(), len(index)]
+        for start, stop in pairwise(edges):
+            if stop > start:
+                pieces += self._follow(index[start:stop], t_ns[start:stop], v[start:stop])
+        return pieces
+
+    def finish(self) -> list[Samples]:
+        """Return what waits for samples that will not come."""
+        return self._end()
+
+    def take_events(self) -> list[SensorEvent]:
+        """Return what was found of the channels since the last call."""
+        return self._labels.take_events()
+
+    def _follow(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+        """Take consecutive samples: after a short gap with the gap filled, after a longer one as a new stretch."""
+        gap = int(index[0]) - self._newest - 1
+        pieces: list[Samples] = []
+        if self._open and gap > self.settings.bridge:
+            pieces = self._end()
+        elif self._open and gap > 0:
+            lost = np.arange(1, gap + 1, dtype=np.int64)
+            times = self._newest_ns + (int(t_ns[0]) - self._newest_ns) * lost // (gap + 1)
+            index, t_ns = np.concatenate([self._newest + lost, index]), np.concatenate([times, t_ns])
+            v = np.vstack([np.full((gap, v.shape[1]), np.nan), v])
+        self._newest, self._newest_ns = int(index[-1]), int(t_ns[-1])
+        for part, speaking in self._stretches(v):
+            if speaking:
+                self._open = True
+                pieces += self._clean(index[part], t_ns[part], v[part])
+            else:
+                pieces += self._end()
+                pieces += self._labels.silence(index[part], t_ns[part], v[part])
+        return pieces
+
+    def _stretches(self, v: FloatArray) -> Iterator[tuple[slice, bool]]:
+        """Cut where a channel falls silent for longer than is bridged, and where all speak again."""
+        missing = np.isnan(v)
+        start, speaking = 0, self._open
+        if not speaking or missing.any() or self._silent.any():
+            for row, lacks in enumerate(missing):
+                self._silent = np.where(lacks, self._silent + 1, 0)
+                now = self._silent.max() <= self.settings.bridge if speaking else not lacks.any()
+                if now != speaking:
+                    if row > start:
+                        yield slice(start, row), speaking
+                    start, speaking = row, bool(now)
+        yield slice(start, len(v)), speaking
+
+    def _clean(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+        self._index, self._t_ns = np.concatenate([self._index, index]), np.concatenate([self._t_ns, t_ns])
+        return self._label(self._cleaner.take(v))
+
+    def _end(self) -> list[Samples]:
+        """End the stretch; incomplete samples at its end are left out."""
+        if not self._open:
+            return []
+        self._open = False
+        clean = self._cleaner.take(np.zeros((0, len(self.settings.channels))), end=True)
+        complete = np.flatnonzero(~clean.missing.any(axis=1))
+        pieces = self._label(clean.part(int(complete[-1]) + 1 if len(complete) else 0))
+        self._index, self._t_ns = self._index[:0], self._t_ns[:0]
+        self._watched = 0
+        self._cleaner.restart()
+        self._watch.restart()
+        self._labels.new_segment()
+        return pieces
+
+    def _label(self, clean: Clean) -> list[Samples]:
+        """Hand on clean samples with what is known of their channels."""
+        count = len(clean)
+        piece = Piece(self._index[:count], self._t_ns[:count], clean)
+        self._index, self._t_ns = self._index[count:], self._t_ns[count:]
+        self.rejected["spike"] += int(clean.spike.any(axis=1).sum())
+        findings = self._watch.take(clean.v)
+        labelled = list(self._labels.labelled(piece, findings, self._watched))
+        self._watched += count
+        for samples in labelled:
+            if not samples.usable and samples.fault is not None:
+                self.rejected[samples.fault.reason.name.lower()] += int(whole(samples).sum())
+        return labelled
+
+
+def whole(samples: Samples) -> NDArray[np.bool_]:
+    """(n,) true for the instants of which nothing was lost or refused."""
+    if samples.missing is None:
+        return np.ones(len(samples.index), dtype=np.bool_)
+    return np.asarray(~samples.missing.any(axis=1))

@@ -1,0 +1,129 @@
+"""What is known of the channels, written on the samples it concerns; and said once when it begins and ends."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.numerics.cleaning import Clean
+from agent.numerics.sensor_watch import Finding
+from agent.types import FloatArray, IntArray, Reason, Samples, SensorFault
+
+REASONS = {"stuck": Reason.STUCK, "saturated": Reason.SATURATED}
+
+
+@dataclass(frozen=True, slots=True)
+class SensorEvent:
+    """At a sample (its time) a fault of a channel began to stand, or (standing False) ended."""
+
+    fault: SensorFault
+    standing: bool
+    index: int
+    t_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Clean samples with numbers and times."""
+
+    index: IntArray
+    t_ns: IntArray
+    clean: Clean
+
+
+class SensorLabels:
+    """Labels one rig's samples; inputs is the number of leading channels that are inputs, window the estimator's."""
+
+    def __init__(self, channels: Sequence[str], inputs: int, window: int) -> None:
+        self._channels, self._inputs, self._window = tuple(channels), inputs, window
+        self._segment = 1
+        self._faults: dict[str, SensorFault] = {}
+        self._standing: dict[str, SensorFault] = {}  # said and not taken back yet
+        self._last: SensorFault | None = None
+        self._affected_until = -1
+        self._silent = 0
+        self._events: list[SensorEvent] = []
+
+    def take_events(self) -> list[SensorEvent]:
+        """Return what began or ended since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def new_segment(self) -> None:
+        """What follows does not follow directly on what was before."""
+        self._segment += 1
+
+    def labelled(self, piece: Piece, findings: Sequence[Finding], done: int) -> Iterator[Samples]:
+        """Cut a piece, the first of whose samples is number `done` of its stretch, where what is known changes."""
+        start, count = 0, len(piece.index)
+        self._speaks_again(piece)
+        for finding in findings:
+            stop = min(max(finding.stop - done, start), count)
+            yield from self._even(piece, start, stop)
+            self._note(finding, int(piece.index[stop - 1]), int(piece.t_ns[stop - 1]))
+            start = stop
+        yield from self._even(piece, start, count)
+
+    def silence(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+        """Label samples v (N, c) while some channel does not speak; say so when that lasts as long as a window."""
+        if not len(index):
+            return []
+        fault = SensorFault(self._channels[int(np.argmax(np.isnan(v).sum(axis=0)))], Reason.NO_DATA)
+        due = self._window - 1 - self._silent
+        if 0 <= due < len(index):
+            self._say(fault, int(index[due]), int(t_ns[due]))
+        self._silent += len(index)
+        m = self._inputs
+        return [Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)]
+
+    def _speaks_again(self, piece: Piece) -> None:
+        if self._silent and len(piece.index):
+            self._silent = 0
+            for fault in [f for f in self._standing.values() if f.reason == Reason.NO_DATA]:
+                self._take_back(fault, int(piece.index[0]), int(piece.t_ns[0]))
+
+    def _note(self, finding: Finding, index: int, t_ns: int) -> None:
+        channel = self._channels[finding.channel]
+        if finding.kind is not None:
+            self._faults[channel] = self._last = SensorFault(channel, REASONS[finding.kind])
+            self._say(self._faults[channel], index, t_ns)
+            return
+        self._last = self._faults.pop(channel, self._last)
+        if not self._faults:
+            self._affected_until = index + self._window
+            self.new_segment()
+
+    def _say(self, fault: SensorFault, index: int, t_ns: int) -> None:
+        if fault.channel not in self._standing:
+            self._standing[fault.channel] = fault
+            self._events.append(SensorEvent(fault, True, index, t_ns))
+
+    def _take_back(self, fault: SensorFault, index: int, t_ns: int) -> None:
+        del self._standing[fault.channel]
+        self._events.append(SensorEvent(fault, False, index, t_ns))
+
+    def _even(self, piece: Piece, start: int, stop: int) -> Iterator[Samples]:
+        """Label samples [start, stop) of a piece, between which no channel changes."""
+        if start == stop:
+            return
+        if self._faults:
+            yield self._samples(piece, slice(start, stop), next(iter(self._faults.values())), usable=False)
+            return
+        sound = int(np.searchsorted(piece.index[start:stop], self._affected_until)) + start
+        if sound > start:
+            yield self._samples(piece, slice(start, sound), self._last, usable=True)
+        if sound < stop:
+            for fault in [f for f in self._standing.values() if f.reason != Reason.NO_DATA]:
+                self._take_back(fault, int(piece.index[sound]), int(piece.t_ns[sound]))
+            yield self._samples(piece, slice(sound, stop), None, usable=True)
+
+    def _samples(self, piece: Piece, part: slice, fault: SensorFault | None, *, usable: bool) -> Samples:
+        m, clean = self._inputs, piece.clean
+        v = clean.v[part]
+        masks = [
+            np.hstack([mask[part, m:], mask[part, :m]]) if mask[part].any() else None
+            for mask in (clean.missing, clean.suspect)
+        ]
+        return Samples(
+            piece.index[part], piece.t_ns[part], v[:, :m], v[:, m:], self._segment, masks[0], masks[1], fault, usable
+        )

@@ -78,14 +78,14 @@ def predictions(
 
 
 def _expected(discrete: Discrete, excitation: Excitation, sigma: FloatArray, window: int) -> FloatArray:
-    """Return the rms of the bound (q,) over the windows of an excitation; NaN where none fits into it."""
+    """Return the median of the bound (q,) over the windows of an excitation; NaN where none fits into it."""
     bounds = []
     for start in excitation.starts(window):
         u = excitation.u[start : start + window]
         bounds.append(bound_sd(window_information(discrete, excitation.state(start, window), u, sigma)))
     if not bounds:
         return np.full(discrete.model.q, np.nan)
-    return np.asarray(np.sqrt(np.mean(np.square(bounds), axis=0)))
+    return np.asarray(np.median(bounds, axis=0))
 
 
 def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
@@ -154,10 +154,10 @@ def _settling(discrete: Discrete, window: int) -> int:
 
 
 def _spread(first: int, last: int, window: int) -> list[int]:
-    """Return up to eight window starts from first to last, both included; fewer for long windows."""
+    """Return window starts from first to last, both included; fewer for long windows."""
     if last < first:
         return []
-    wanted = 8 if window <= 5000 else 3
+    wanted = int(np.clip(20_000 // window, 3, 25))
     return sorted({round(place) for place in np.linspace(first, last, wanted).tolist()})
 
 

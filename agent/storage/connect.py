@@ -11,6 +11,7 @@ from agent.storage.schema import PAGE_SIZE, SCHEMA_VERSION, upgrade, version_of
 
 WAL_BOUND = 16 * 1024 * 1024
 """Bytes that the write-ahead log may take whatever readers do."""
+FRAME_BYTES = PAGE_SIZE + 24
 _WRITER = (
     "PRAGMA journal_mode = WAL",
     "PRAGMA synchronous = FULL",  # NORMAL loses acknowledged rows at a power cut

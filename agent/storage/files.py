@@ -11,7 +11,7 @@ from agent.errors import StoreError
 from agent.storage.schema import APPLICATION_ID, PAGE_SIZE, SCHEMA_VERSION, version_mark
 
 BALLAST_BYTES = 3 * 1024 * 1024
-"""Freed when the disk is full: SQLite needs room even to delete, for what the log holds already and for the deletion."""
+"""Freed when the disk is full: SQLite needs room even to delete, and for what the log holds already."""
 _MAGIC = b"SQLite format 3\0"
 _OURS_WRITTEN = b"CREATE VIEW v_estimates_windows"
 _FIXED = ((16, PAGE_SIZE.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))), (44, b"\0\0\0\4"), (56, b"\0\0\0\1"))

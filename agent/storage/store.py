@@ -14,7 +14,7 @@ from agent.errors import StoreError
 from agent.storage.alarms import AlarmBook, AlarmRow, standing_alarms
 from agent.storage.batches import joined_runs, take
 from agent.storage.checksum import row_crc
-from agent.storage.connect import cause_of, connect_writer, create, is_damage, may_pass
+from agent.storage.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writer, create, is_damage, may_pass
 from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
 from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse
@@ -22,6 +22,7 @@ from agent.storage.retention import Retention, Upkeep
 from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.salvage import Recovery, finish_interrupted, recover
 from agent.storage.schema import insert_sql, upgrade
+from agent.storage.spill import merge, open_spill
 from agent.storage.status import add_event, add_health
 from agent.storage.verify import Scrubber, problems_at_start
 from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Record, RunInfo
@@ -29,6 +30,7 @@ from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Rec
 _CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000
+_FRAMES_BEFORE_SPILL = WAL_BOUND * 5 // 8 // FRAME_BYTES
 _FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
 
 
@@ -44,6 +46,7 @@ class Store:
         self._lock = lock
         self._mutex = threading.RLock()
         self._connection: sqlite3.Connection | None = None
+        self._side: sqlite3.Connection | None = None
         self._ballast = Ballast(path)
         self.numbers = Numbers()
         self.names = Names(self.numbers)
@@ -111,6 +114,7 @@ class Store:
             found = problems_at_start(self._connection)
             if found:
                 return found[0]
+            merge(self.path, self._connection)
             self.numbers.load(self._connection)
             self.names.load(self._connection)
             self._upkeep.load()
@@ -220,7 +224,7 @@ class Store:
             self._checkpoint_if_due()
 
     def _transaction(self, plan: Plan) -> None:
-        with self.transaction() as connection:
+        with self.transaction(self._side) as connection:
             for source in (self.names.fresh, plan):
                 for table, rows in source.rows.items():
                     connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
@@ -229,29 +233,50 @@ class Store:
         self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
 
     @contextmanager
-    def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Run what stands inside as one transaction: committed at its end, undone when it raises."""
+    def transaction(self, side: sqlite3.Connection | None = None) -> Iterator[sqlite3.Connection]:
+        """Run what stands inside as one transaction: committed at its end, undone when it raises.
+
+        side: another connection than the file's own.
+        """
         with self._mutex:
-            execute = self.connection.execute
-            execute("BEGIN IMMEDIATE")
+            connection = side or self.connection
+            connection.execute("BEGIN IMMEDIATE")
             try:
-                yield self.connection
-                execute("COMMIT")
+                yield connection
+                connection.execute("COMMIT")
             except BaseException:
-                if self.connection.in_transaction:
-                    execute("ROLLBACK")
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
                 raise
 
     def _checkpoint_if_due(self) -> None:
         commits, cells = self._since_checkpoint
         if commits >= _COMMITS_A_CHECKPOINT or cells >= _CELLS_A_CHECKPOINT:
-            self.checkpoint()
+            frames, moved = self.checkpoint()
+            if self._side is None and moved < frames > _FRAMES_BEFORE_SPILL:
+                self._side = open_spill(self.path)
+            elif self._side is not None and moved == frames:
+                self._unspill()
 
     def checkpoint(self, mode: str = "PASSIVE") -> tuple[int, int]:
         """Move the write-ahead log into the file; returns the frames it holds and those of them moved."""
         self._since_checkpoint = [0, 0]
+        if self._side is not None:
+            self._side.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
         _, frames, moved = self.connection.execute(f"PRAGMA wal_checkpoint({mode})").fetchone()
         return frames, moved
+
+    @property
+    def spilling(self) -> bool:
+        """Tell whether rows go to the side file, because a reader has not ended for too long."""
+        return self._side is not None
+
+    def _unspill(self) -> None:
+        """Take the rows of the side file in, now that the log can be emptied."""
+        if self._side is not None:
+            self._side.close()
+            self._side = None
+        merge(self.path, self.connection)
 
     def count(self, name: str, more: int) -> None:
         """Add to a counter that the file keeps (rows purged before they were sent ...)."""
@@ -292,6 +317,9 @@ class Store:
     def maintain(self, *, finish: bool = False) -> None:
         """Make the minutes and hours that are over and purge what is too old or too much; cheap when nothing is due."""
         with self._mutex:
+            if self.spilling:
+                self._checkpoint_if_due()
+                return
             self._upkeep.step(finish=finish)
             self._scrubber.step(self.connection)
             self._ballast.lay()
@@ -302,9 +330,10 @@ class Store:
         return log.stat().st_size if log.exists() else 0
 
     def _disconnect(self) -> None:
-        connection, self._connection = self._connection, None
-        if connection is not None:
-            connection.close()
+        connections, self._connection, self._side = (self._side, self._connection), None, None
+        for connection in connections:
+            if connection is not None:
+                connection.close()
 
     def close(self) -> None:
         """Close the file (which empties the write-ahead log) and give the lock back; harmless when closed."""

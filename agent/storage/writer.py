@@ -61,6 +61,7 @@ class StoreWriter:
         self._asked = self._answered = 0
         self._pause = Pause()
         self._failure: BaseException | None = None
+        self._spilling = False
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
         self.standing: dict[str, list[AlarmRow]] = {}
@@ -205,6 +206,7 @@ class StoreWriter:
                 self._write_once()
             if self._store is not None:
                 self._store.maintain(finish=last)
+                self._tell_spilling(self._store.spilling)
         except _FAILURE as error:
             self._failed(error)
         else:
@@ -258,6 +260,18 @@ class StoreWriter:
         self._store.recover(cause)
         self.run_ids.clear()
         self._plans = []
+
+    def _tell_spilling(self, spilling: bool) -> None:
+        """Say once when rows begin to go to the side file, and once when they are taken in again."""
+        if spilling == self._spilling:
+            return
+        self._spilling = spilling
+        began = "a reader of the database does not end: new rows go to a side file and are not shown until it does"
+        cause, message = ("reader", began) if spilling else ("reader ended", "the rows of the side file were taken in")
+        for rig in self._runs:
+            event = HealthEvent(rig, "store", self._newest[rig], cause, message)
+            self._backlogs[rig].add([event], _FULL)
+            self._on_event(event)
 
     def _recovered(self) -> None:
         """After a failure: say how long it lasted and what it cost, once."""

@@ -31,6 +31,7 @@ class Profile:
 PROFILES = {
     "live": Profile(1, SECOND, 5, Retention()),
     "bulk": Profile(40, HOP, 2, Retention()),
+    "defaults": Profile(1, SECOND, 300, Retention()),
     "keep": Profile(3, 120 * SECOND, 4, Retention(full_s=3600.0, minute_s=7200.0)),
 }
 
@@ -40,6 +41,8 @@ def records(profile: Profile, number: int) -> list[Record]:
     first = number * profile.hops
     made: list[Record] = [batch(profile.hops, first=first, hop_ns=profile.hop_ns)]
     t_ns = START + first * profile.hop_ns
+    if profile is PROFILES["defaults"]:
+        return [*made, ledger(t_ns)] if number % 10 == 0 else made
     if number % 4 == 0:
         made.append(step("NORM", "UNACK", t_ns))
     if number % 4 == 2:
@@ -60,7 +63,7 @@ def main(path: str, name: str, count: str, synchronous: str) -> None:
         for number in range(int(count)):
             store.write(run_id, records(profile, number))
             os.write(1, b"%d\n" % number)
-            if name == "keep":
+            if name in {"keep", "defaults"}:
                 store.maintain()
 
 

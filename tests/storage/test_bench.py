@@ -1,0 +1,117 @@
+"""Measured figures of the store (make bench); each prints what it found beside what it must reach."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.storage import queries
+from agent.storage.retention import Retention
+from agent.storage.rows import Plan
+from agent.storage.store import Store
+from agent.storage.tiers import HOUR, MINUTE, Groups, add_groups
+from tests import peers
+from tests.storage.powercut.disk import read_log
+from tests.storage.rows import START, batch, run_info
+
+SECOND = 10**9
+DAY = 86_400
+
+
+def say(text: str) -> None:
+    sys.stdout.write(f"\n{text}\n")
+
+
+@pytest.mark.bench
+def test_rate_of_estimates_with_full_sync_in_batches(tmp_path: Path) -> None:
+    parts = [batch(6000, first=6000 * i) for i in range(40)]
+    with Store.open(tmp_path / "rig.db") as store:
+        run_id = store.begin_run(run_info())
+        begin = time.perf_counter()
+        for part in parts:
+            store.write(run_id, [part])
+        rate = 4 * 6000 * 40 / (time.perf_counter() - begin)
+    say(f"store: {rate:,.0f} estimate rows a second with synchronous=FULL (at least 100,000)")
+    assert rate >= 100_000
+
+
+def year(path: Path) -> None:
+    """Write a rig-year as the defaults leave it: 7 days of rows, 90 days of minutes, a year of hours."""
+    with Store.open(path, Retention()) as store:
+        run_id = store.begin_run(run_info())
+        series = [store.names.series((run_id, p, "N/m", "window-ml", 25.0, None)) for p in ("k1", "k2", "B1", "B2")]
+        for span, days in ((HOUR, 365), (MINUTE, 90)):
+            for first in range(0, days * DAY, 10 * DAY):
+                length = min(10 * DAY, days * DAY - first)
+                plan = Plan()
+                add_groups(plan, groups(first + (365 - days) * DAY, length, span, series), run_id, span, store.names,
+                           store.numbers)  # fmt: skip
+                store.commit([plan])
+        base = START + 358 * DAY * SECOND
+        for first in range(0, 7 * DAY, 5000):
+            size = min(5000, 7 * DAY - first)
+            store.write(run_id, [batch(size, first=first, start=base, hop_ns=SECOND)])
+
+
+def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
+    count = length_s // span
+    period = np.repeat(START + (first_s + span * np.arange(count)) * SECOND, 4)
+    n = len(period)
+    value = 25.0 - 1e-8 * (period - START) / SECOND + np.random.default_rng(first_s).normal(0, 0.01, n)
+    whole, small = np.full(n, span), np.full(n, 0.01)
+    return Groups(period, np.tile(series, count), value, small, value - 0.1, value + 0.1, whole, whole,
+                  np.full(n, 256), np.full(n, 0.25), 250 * whole, np.zeros(n, dtype=np.int64))  # fmt: skip
+
+
+@pytest.mark.bench
+@pytest.mark.timeout(600)
+def test_rig_year_is_small_and_its_trend_quick(tmp_path: Path) -> None:
+    path = tmp_path / "rig.db"
+    year(path)
+    size = path.stat().st_size / 1e6
+    times = {}
+    for since in ("1d", "30d", "365d"):
+        begin = time.perf_counter()
+        found = queries.points(path, None, "k1", since=since)
+        times[since] = (1e3 * (time.perf_counter() - begin), len(found.t_ns))
+    told = ", ".join(f"{since}: {n} points in {ms:.0f} ms" for since, (ms, n) in times.items())
+    say(f"rig-year: {size:.0f} MB (at most 200); trend over {told} (365d at most 100 ms)")
+    assert size <= 200
+    assert times["365d"][0] <= 100
+
+
+@pytest.mark.bench
+@pytest.mark.timeout(300)
+def test_bytes_written_to_disk_in_a_day_at_defaults(tmp_path: Path) -> None:
+    """A commit a second of one row of four parameters, a ledger row every 10 s, checkpoints and aggregates included."""
+    compiler = peers.program("cc", "gcc")
+    library = tmp_path / "oplog.so"
+    source = Path(__file__).parent / "powercut" / "oplog.c"
+    subprocess.run([compiler, "-O2", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    work = tmp_path / "work"
+    work.mkdir()
+    seconds = 1800
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": str(library),
+        "DELTAK_OPLOG": str(tmp_path / "log"),
+        "DELTAK_OPLOG_ROOT": str(work),
+    }
+    command = [
+        sys.executable,
+        "-m",
+        "tests.storage.powercut.workload",
+        work / "rig.db",
+        "defaults",
+        str(seconds),
+        "FULL",
+    ]
+    subprocess.run(command, env=environment, cwd=peers.ROOT, stdout=subprocess.DEVNULL, check=True)
+    written = [len(o.content) for o in read_log(tmp_path / "log") if o.kind == "W"]
+    daily = (sum(written) - 3 * 2**20) / seconds * DAY / 1e9
+    say(f"bytes written at defaults: {daily:.2f} GB a day (at most 0.5)")
+    assert daily <= 0.5

@@ -6,6 +6,8 @@ are kept, which adjacent cells merge associatively:
     gram = [e psi]'[e psi]          moment = G'[e psi],  G = [Gamma, d_1 Gamma .. d_q Gamma],  Gamma_k = C Phi^k
 
 G is what an unknown initial state of the observer does to e and psi; G(k + L) = G(k) Pi_L.
+
+Where the observer does not correct (gain 0), readings enter e at their own sample only: their half of T is left out.
 """
 
 from collections.abc import Sequence
@@ -25,7 +27,9 @@ class CellOperator:
 
     Attributes:
         length: samples, L.
-        outputs: (L(p+m) + nz, L p (1+q)): [v, z] @ outputs gives o, ordered sample, output, (e, psi_1 .. psi_q).
+        outputs: (L(p+m) + nz, L p (1+q)): [v, z] @ outputs gives o, ordered sample, output, (e, psi_1 .. psi_q);
+            (L m + nz, ..) where readings only enter e, through `direct`.
+        direct: (p, p) e += direct y at the same sample; None where readings are among the inputs of `outputs`.
         state_from_inputs: (L(p+m), nz).
         state_from_state: (nz, nz), F^L.
         G: (L p, nz).
@@ -42,6 +46,16 @@ class CellOperator:
     n: int
     p: int
     q: int
+    direct: FloatArray | None = None
+
+    def columns(self, v: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the outputs (L p (1+q), N) of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
+        if self.direct is None:
+            return np.asarray(self.outputs.T @ np.hstack([v, z]).T)
+        y, u = np.split(v.reshape(len(v), self.length, -1), [self.p], axis=2)
+        o = self.outputs.T @ np.hstack([u.reshape(len(v), -1), z]).T
+        o.reshape(self.length, self.p, 1 + self.q, -1)[:, :, 0] += self.direct @ y.transpose(1, 2, 0)
+        return np.asarray(o)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,21 +101,21 @@ def cell_operators(system: SensitivityFilter, lengths: Sequence[int]) -> dict[in
     return {L: _cut(system, L, free, forced, T) for L in sorted(set(lengths))}
 
 
-def _cut(
-    system: SensitivityFilter, L: int, free: FloatArray, forced: FloatArray, T: FloatArray
-) -> CellOperator:
+def _cut(system: SensitivityFilter, L: int, free: FloatArray, forced: FloatArray, T: FloatArray) -> CellOperator:
     n, p, q = system.n, system.p, system.q
     rows, (nz, width) = p * (1 + q), system.N.shape
     O = free[:L].reshape(L * rows, nz)  # noqa: E741 (the letter of the books)
-    outputs = np.vstack([T[:L, :, :L].reshape(L * rows, L * width).T, O.T])
+    quiet = not system.N[:, :p].any()
+    T = T[:L, :, :L, p if quiet else 0 :].reshape(L * rows, -1)
+    direct = np.ascontiguousarray(system.J.reshape(p, 1 + q, width)[:, 0, :p]) if quiet else None
     from_inputs = forced[:L][::-1].transpose(0, 2, 1).reshape(L * width, nz)
     # e answers the initial state with -Gamma, psi_i with +d_i Gamma: the first n columns of H F^k, signs mended
     initial = free[:L, :, :n].reshape(L * p, 1 + q, n).copy()
     initial[:, 0] *= -1.0
     state_power = np.linalg.matrix_power(system.F, L)
     return CellOperator(
-        L, np.ascontiguousarray(outputs), np.ascontiguousarray(from_inputs), state_power,
-        initial.reshape(L * p, nz), _transition(state_power, n, q), n, p, q,
+        L, np.vstack([T.T, O.T]), np.ascontiguousarray(from_inputs), state_power,
+        initial.reshape(L * p, nz), _transition(state_power, n, q), n, p, q, direct,
     )  # fmt: skip
 
 
@@ -116,7 +130,7 @@ def _transition(state_power: FloatArray, n: int, q: int) -> FloatArray:
 
 def run_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> FloatArray:
     """Return the outputs (N, L p, 1+q) of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
-    o = np.hstack([v, z]) @ operator.outputs
+    o = operator.columns(v, z).T
     return o.reshape(len(v), operator.length * operator.p, 1 + operator.q)
 
 
@@ -124,8 +138,7 @@ def summarise_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> Sum
     """Return the summary of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
     count, width = len(v), 1 + operator.q
     # outputs with the cells on the last axis: one product makes the moments of all of them
-    o = operator.outputs.T @ np.hstack([v, z]).T
-    o = o.reshape(operator.length * operator.p, width * count)
+    o = operator.columns(v, z).reshape(operator.length * operator.p, width * count)
     moment = (operator.G.T @ o).reshape(-1, width, count).transpose(0, 2, 1)
     columns = o.reshape(-1, width, count)
     gram = np.empty((count, width, width))

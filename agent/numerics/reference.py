@@ -31,8 +31,8 @@ class Reference:
         """Return A (N, q, q) and b (N, q) after each of N further disjoint windows, theta (N, q) scaled."""
         count, q = theta.shape
         age = np.subtract.outer(np.arange(count), np.arange(count))
-        weights = np.where(age >= 0, FORGET ** np.maximum(age, 0), 0.0)
-        past = FORGET ** np.arange(1, count + 1)
+        powers = FORGET ** np.arange(count + 1)
+        weights, past = np.tril(powers[np.abs(age)]), powers[1:]
         A = past[:, None, None] * self.A + (weights @ information.reshape(count, -1)).reshape(count, q, q)
         pieces = np.einsum("nij,nj->ni", information, theta)
         return A, past[:, None] * self.b + weights @ pieces

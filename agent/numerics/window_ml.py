@@ -24,6 +24,7 @@ from agent.numerics.rows import Rows
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
+from agent.numerics.straddle import splits, straddles
 from agent.numerics.suspects import Suspects
 from agent.numerics.window import solve_windows
 
@@ -130,6 +131,8 @@ class WindowML:
         self.gain = (gains.settled if self.settled else gains.start)(discrete, self.noise)
         system = sensitivity_filter(discrete.model, self.gain.L, self.gain.whitening)
         self._operators = HopOperators(system, self.settings.plan)
+        speed = float(np.max(np.abs(np.angle(np.linalg.eigvals(discrete.model.A)))))
+        self._turned = self.settings.plan.window * speed
         self._n, self._inputs = discrete.model.n, discrete.model.m
 
     def start_segment(self) -> None:
@@ -268,6 +271,8 @@ class WindowML:
             position += ahead
             if position == count:
                 break
+            if healthy[position] and wanting[position] and self._straddles(segment, rows, position):
+                healthy[position] = False
             if healthy[position] and self._anchored and self._keep_house(segment, rows, position):
                 healthy, wanting = self._first_looks(rows, information)
             before = self._reference
@@ -279,6 +284,18 @@ class WindowML:
             position += 1
         self._remember(rows, information, healthy & trusted, count)
         return None
+
+    def _straddles(self, segment: Segment, rows: Rows, row: int) -> bool:
+        """Tell whether a window far from theta_r holds a change that its residual does not show."""
+        far = rows.sd[row] < self.settings.enough_sd
+        far &= np.abs(rows.theta[row] - self.theta) > np.maximum(3 * rows.sd[row], self._share())
+        window = self.settings.plan.window
+        if not (self._anchored and far.any()) or self._lacking.count(rows.index[row : row + 1], window)[0]:
+            return False
+        stop = int(rows.index[row]) + 1
+        own = self.sampled(np.maximum(rows.theta[row], self.settings.lower)).model
+        found = splits(own, self.gain, segment.samples(stop - min(window, LONG), stop))
+        return straddles(found, self._widening(), self.settings.enough_sd)
 
     def _first_looks(self, rows: Rows, information: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Return which rows pass the gate (N,), and which of them want theta_r moved (N,)."""
@@ -313,8 +330,7 @@ class WindowML:
         size = np.maximum(np.abs(self.theta), 0.1 * self.scale)
         if self.gain.L.any():
             return np.asarray(0.02 * size)
-        turned = self.settings.plan.window * float(np.max(np.abs(np.angle(np.linalg.eigvals(self._discrete.model.A)))))
-        return np.asarray(0.02 * float(np.clip(2.0 / max(turned, 1e-9), 0.25, 1.0)) * size)
+        return np.asarray(0.02 * float(np.clip(2.0 / max(self._turned, 1e-9), 0.25, 1.0)) * size)
 
     def _quieter(self, rows: Rows) -> BoolArray:
         """(N,) the residual is so far below a learnt reference that the reference was learnt in a disturbance."""

@@ -146,6 +146,6 @@ def _readable(null: FloatArray, scale: FloatArray, lengths: FloatArray) -> Float
     shares = null / size
     _, _, order = qr(shares, pivoting=True)
     pivots = np.asarray(order)[: len(shares)]
-    shares = np.linalg.solve(shares[:, pivots], shares)
+    shares = np.asarray(np.linalg.solve(shares[:, pivots], shares), dtype=np.float64)
     shares = np.where(np.abs(shares) < 1e-4, 0.0, shares)
     return np.asarray(shares * size / np.abs(shares).max(axis=1, keepdims=True))

@@ -112,7 +112,7 @@ def _noise(signal: FloatArray) -> float:
         return 0.0
     left = np.diff(signal, ORDER)
     spread = 1.4826 * float(np.median(np.abs(left)))
-    return (spread or float(np.std(left))) / comb(2 * ORDER, ORDER) ** 0.5
+    return float((spread or float(np.std(left))) / comb(2 * ORDER, ORDER) ** 0.5)
 
 
 def _facts(

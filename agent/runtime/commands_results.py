@@ -1,7 +1,9 @@
 """Tables of what `replay`, `run`, `demo` and `paper` found, from the documents of the JSON interface."""
 
+import shutil
 import sys
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from shlex import quote
 from types import ModuleType
 from typing import Any
@@ -25,9 +27,14 @@ def print_results(document: Document) -> None:
 def print_demo(document: Document) -> None:
     """Print what the agent found beside what was played."""
     show(f"{document.get('bus', '')}, scenario {document.get('scenario', '')}: {_span(document)}")
+    show("A simulated rig wore in steps; the agent, another process, knew its drawing and what came over the bus.")
     for segment in document.get("truth", []):
         _print_segment(segment, _units(document))
+    if document.get("truth"):
+        show("best possible sd: what the noise allows any method in that window (Cramér-Rao)")
     _print_alarms(document)
+    if document.get("alarms"):
+        show("UNACK: the limit is exceeded, nobody acknowledged it; RTNUN: it returned to normal since")
     _print_delays(document)
     _print_samples(document)
     _print_queries(document)
@@ -133,9 +140,18 @@ def _print_queries(run: Document) -> None:
         return
     name = next(iter(run.get("estimates", {})), "PARAMETER")
     file = quote(str(db))
-    lines = (f"deltak estimates {file} --parameter {name}", f"deltak alarms {file}", f"deltak trend {file} {name}")
+    asked = (f"estimates {file} --parameter {name}", f"alarms {file}", f"trend {file} {name}")
+    lines = [f"{_program()} {words}" for words in asked]
     sql = f"sqlite3 -readonly {file} 'select time, parameter, value, sd, status from v_latest'"  # noqa: S608 shown only
     sys.stdout.write("\nask the file:\n" + "".join(f"  {line}\n" for line in (*lines, sql)))
+
+
+def _program() -> str:
+    """How this program is called again from where the user is: by its name where that is found."""
+    called = Path(sys.argv[0])
+    if shutil.which("deltak") or called.name != "deltak":
+        return "deltak"
+    return quote(str(called))
 
 
 def verdict(row: Document) -> str:

@@ -164,7 +164,8 @@ class DaemonBus(CanBus):
         while answer not in got:
             more = self._pipe.recv(deadline)
             got += more
-            if not more or b"< error" in got or len(got) > 4096:
+            # frames may come right behind the answer, more of them than an answer would ever have bytes
+            if answer not in got and (not more or b"< error" in got or len(got) > 4096):
                 raise DriverIOError(
                     f"{self._pipe.name}: socketcand answers {got[:80]!r} to {command.decode() or 'the connection'}; "
                     f"does it serve {self._channel}?"

@@ -1,3 +1,5 @@
+import socket
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -114,3 +116,27 @@ def test_daemon_messages_that_make_no_sense_are_rejected_as_text(daemon: Socketc
     assert reader.counts.rejected == {"text": 1, "dlc": 1}
     assert reader.counts.received == 3
     reader.close()
+
+
+def test_frames_that_come_with_the_last_answer_are_not_taken_for_a_refusal() -> None:
+    frames = b"".join(b"< frame 100 1.%06d %04X000000000000 >" % (number, number) for number in range(500))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            client, _ = server.accept()
+            with client:
+                for answer in (b"< hi >", b"< ok >", b"< ok >" + frames):
+                    client.sendall(answer)
+                    client.recv(100)
+
+        serving = threading.Thread(target=serve)
+        serving.start()
+        reader = driver(interface="socketcand", port=server.getsockname()[1])
+        reader.open()
+        seen = 0
+        deadline = time.monotonic() + 10.0
+        while seen < 500 and time.monotonic() < deadline:
+            seen += len(reader.read(0.1))
+        reader.close()
+        serving.join()
+    assert seen == 500

@@ -82,7 +82,7 @@ def _modbus(_folder: Path, **_: bool) -> tuple[Marks, str]:
 
 
 def _can(_folder: Path, *, fast: bool) -> tuple[Marks, str]:
-    lacking = "vcan0 holds no sender back" if fast else why_no_vcan()
+    lacking = why_no_vcan() or ("vcan0 holds no sender back" if fast else "")
     if not lacking:
         return {"WHERE": 'interface = "socketcan"'}, f"CAN on the kernel's {VCAN}"
     port = free_port()

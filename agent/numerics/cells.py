@@ -27,7 +27,7 @@ class CellOperator:
 
     Attributes:
         length: samples, L.
-        outputs: (L(p+m) + nz, L p (1+q)): [v, z] @ outputs gives o, ordered sample, output, (e, psi_1 .. psi_q);
+        outputs: (L(p+m) + nz, L p (1+q)): [v, z] @ outputs gives o, ordered (e, psi_1 .. psi_q), sample, output;
             (L m + nz, ..) where readings only enter e, through `direct`.
         direct: (p, p) e += direct y at the same sample; None where readings are among the inputs of `outputs`.
         state_from_inputs: (L(p+m), nz).
@@ -49,12 +49,13 @@ class CellOperator:
     direct: FloatArray | None = None
 
     def columns(self, v: FloatArray, z: FloatArray) -> FloatArray:
-        """Return the outputs (L p (1+q), N) of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
+        """Return (e, psi_1 .. psi_q) of N cells, (N, 1+q, L p), with inputs v (N, L(p+m)) from states z (N, nz)."""
+        count = len(v)
         if self.direct is None:
-            return np.asarray(self.outputs.T @ np.hstack([v, z]).T)
-        y, u = np.split(v.reshape(len(v), self.length, -1), [self.p], axis=2)
-        o = self.outputs.T @ np.hstack([u.reshape(len(v), -1), z]).T
-        o.reshape(self.length, self.p, 1 + self.q, -1)[:, :, 0] += self.direct @ y.transpose(1, 2, 0)
+            return np.asarray(np.hstack([v, z]) @ self.outputs).reshape(count, 1 + self.q, -1)
+        y, u = np.split(v.reshape(count, self.length, -1), [self.p], axis=2)
+        o = (np.hstack([u.reshape(count, -1), z]) @ self.outputs).reshape(count, 1 + self.q, -1)
+        o[:, 0] += (y @ self.direct.T).reshape(count, -1)
         return np.asarray(o)
 
 
@@ -107,6 +108,7 @@ def _cut(system: SensitivityFilter, L: int, free: FloatArray, forced: FloatArray
     O = free[:L].reshape(L * rows, nz)  # noqa: E741 (the letter of the books)
     quiet = not system.N[:, :p].any()
     T = T[:L, :, :L, p if quiet else 0 :].reshape(L * rows, -1)
+    outputs = np.hstack([T, O]).reshape(L * p, 1 + q, -1).swapaxes(0, 1).reshape(L * rows, -1).T
     direct = np.ascontiguousarray(system.J.reshape(p, 1 + q, width)[:, 0, :p]) if quiet else None
     from_inputs = forced[:L][::-1].transpose(0, 2, 1).reshape(L * width, nz)
     # e answers the initial state with -Gamma, psi_i with +d_i Gamma: the first n columns of H F^k, signs mended
@@ -114,7 +116,7 @@ def _cut(system: SensitivityFilter, L: int, free: FloatArray, forced: FloatArray
     initial[:, 0] *= -1.0
     state_power = np.linalg.matrix_power(system.F, L)
     return CellOperator(
-        L, np.vstack([T.T, O.T]), np.ascontiguousarray(from_inputs), state_power,
+        L, np.ascontiguousarray(outputs), np.ascontiguousarray(from_inputs), state_power,
         initial.reshape(L * p, nz), _transition(state_power, n, q), n, p, q, direct,
     )  # fmt: skip
 
@@ -130,22 +132,16 @@ def _transition(state_power: FloatArray, n: int, q: int) -> FloatArray:
 
 def run_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> FloatArray:
     """Return the outputs (N, L p, 1+q) of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
-    o = operator.columns(v, z).T
-    return o.reshape(len(v), operator.length * operator.p, 1 + operator.q)
+    return np.ascontiguousarray(operator.columns(v, z).transpose(0, 2, 1))
 
 
 def summarise_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> Summary:
     """Return the summary of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
-    count, width = len(v), 1 + operator.q
-    # outputs with the cells on the last axis: one product makes the moments of all of them
-    o = operator.columns(v, z).reshape(operator.length * operator.p, width * count)
-    moment = (operator.G.T @ o).reshape(-1, width, count).transpose(0, 2, 1)
-    columns = o.reshape(-1, width, count)
-    gram = np.empty((count, width, width))
-    for a in range(width):
-        for b in range(a, width):
-            gram[:, a, b] = gram[:, b, a] = np.einsum("kn,kn->n", columns[:, a], columns[:, b])
-    return Summary(gram, np.ascontiguousarray(moment), operator.Pi, operator.G.T @ operator.G)
+    o = operator.columns(v, z)
+    count, width, size = o.shape
+    moment = (o.reshape(count * width, size) @ operator.G).reshape(count, width, -1)
+    gram = np.matmul(o, o.transpose(0, 2, 1))
+    return Summary(gram, np.ascontiguousarray(moment.transpose(2, 0, 1)), operator.Pi, operator.G.T @ operator.G)
 
 
 def merge(first: Summary, second: Summary) -> Summary:

@@ -17,7 +17,6 @@ from tests.peers import ROOT
 from tests.scenario import wires
 from tests.scenario.traces import Write, bus_writes, forbidden
 
-NEAR = 1e-6
 WIRES = "tcp", "rtu", "daemon", "serial"
 
 
@@ -57,7 +56,7 @@ def test_rows_and_alarms_of_a_wire_are_those_of_the_recording(played: Played, na
     assert len(live.rows) == 240
     assert len(live.alarms) == 6
     assert {row["status"] for row in live.rows} >= {"warming", "valid"}
-    wires.assert_same(live, played.recorded, NEAR)
+    wires.assert_same(live, played.recorded, wires.NEAR)
 
 
 @pytest.mark.parametrize("name", WIRES)

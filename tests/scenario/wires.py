@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ from sim_bus.scenario import load_scenario
 
 SAMPLES = 3000
 LIMIT_S = 80.0
+NEAR = 1e-5
+"""Of a standard deviation: batches that arrive in other shapes round differently, most of all across a change."""
 SYSTEM_CALLS = "write,writev,pwrite64,pwritev,pwritev2,sendto,sendmsg,sendmmsg,sendfile,splice"
 _TCP = 'transport = "tcp"\nhost = "127.0.0.1"'
 _RTU = 'transport = "rtu"\nbaudrate = 921600'
@@ -109,25 +111,26 @@ def stored(db: Path) -> dict[str, int]:
     """Return how many rows each rig has by now."""
     if not db.exists():
         return {}
+    with closing(opened(db)) as connection:
+        try:
+            return dict(map(tuple, connection.execute("SELECT rig, count(*) FROM v_estimates GROUP BY rig")))
+        except sqlite3.OperationalError:
+            return {}  # the file is being made
+
+
+def opened(db: Path) -> sqlite3.Connection:
+    """Open the agent's database as any reader may; rows come by column name."""
     connection = sqlite3.connect(f"file:{db}?mode=ro", uri=True)
-    try:
-        return dict(connection.execute("SELECT rig, count(*) FROM v_estimates GROUP BY rig").fetchall())
-    except sqlite3.OperationalError:
-        return {}  # the file is being made
-    finally:
-        connection.close()
+    connection.row_factory = sqlite3.Row
+    return connection
 
 
 def outcome(db: Path, rig: str) -> Outcome:
     """Read what is stored of one rig."""
-    connection = sqlite3.connect(f"file:{db}?mode=ro", uri=True)
-    connection.row_factory = sqlite3.Row
-    try:
+    with closing(opened(db)) as connection:
         query = "SELECT * FROM v_estimates WHERE rig = ? ORDER BY t_ns, parameter"
         rows = [dict(row) for row in connection.execute(query, (rig,))]
         alarms = [dict(row) for row in connection.execute("SELECT * FROM v_alarms WHERE rig = ? ORDER BY id", (rig,))]
-    finally:
-        connection.close()
     origin = rows[0]["t_ns"]
     since = {None: None} | {row["time"]: row["t_ns"] - origin for row in rows}
     for row in rows:

@@ -2,6 +2,7 @@
 
 import os
 import shlex
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -13,8 +14,11 @@ INIT = Path(__file__).with_name("guest-init.sh")
 MODULES = "/usr/lib/uml/modules"
 
 
-def run(command: Sequence[str], folder: Path, limit_s: float) -> tuple[int, str]:
-    """Return exit status and output of a command run in `folder` of a fresh guest; status 125 when the guest died."""
+def run(command: Sequence[str], folder: Path, limit_s: float, kept: Path | None = None) -> tuple[int, str]:
+    """Return exit status and output of a command run in `folder` of a fresh guest; status 125 when the guest died.
+
+    What the command leaves in the folder that $RESULTS names goes to `kept`.
+    """
     linux = peers.program("linux.uml", "user-mode-linux")
     peers.program("insmod", "kmod")
     with tempfile.TemporaryDirectory(prefix="guest") as name:
@@ -22,8 +26,8 @@ def run(command: Sequence[str], folder: Path, limit_s: float) -> tuple[int, str]
         init = results / "init"
         init.write_bytes(INIT.read_bytes())
         init.chmod(0o755)
-        path = f"export PATH={shlex.quote(os.environ['PATH'])}"
-        (results / "command").write_text(f"cd {shlex.quote(str(folder))}\n{path}\n{shlex.join(command)}\n")
+        (results / "kept").mkdir()
+        (results / "command").write_text(_script(command, folder, results / "kept"))
         arguments = [
             linux, "mem=512M", f"uml_dir={results}", "umid=guest", "root=/dev/root", "rootfstype=hostfs", "rootflags=/",
             "ro", "quiet", "loglevel=3", "panic=1", "con=null", "con0=null,fd:1", "ssl=null", f"init={init}",
@@ -32,10 +36,20 @@ def run(command: Sequence[str], folder: Path, limit_s: float) -> tuple[int, str]
         done = subprocess.run(
             _on_one_processor(arguments), stdin=subprocess.DEVNULL, capture_output=True, timeout=limit_s, check=False
         )
+        if kept is not None:
+            shutil.copytree(results / "kept", kept, dirs_exist_ok=True)
         status, output = results / "status", results / "output"
         if not status.exists():
             return 125, f"the guest died:\n{done.stdout.decode(errors='replace')}{done.stderr.decode(errors='replace')}"
         return int(status.read_text()), output.read_text(errors="replace")
+
+
+def _script(command: Sequence[str], folder: Path, kept: Path) -> str:
+    environment = {
+        "PATH": os.environ["PATH"], "RESULTS": str(kept), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
+    }  # fmt: skip
+    exports = [f"export {name}={shlex.quote(value)}" for name, value in environment.items()]
+    return "\n".join([*exports, f"cd {shlex.quote(str(folder))}", shlex.join(command), ""])
 
 
 def _on_one_processor(arguments: list[str]) -> list[str]:

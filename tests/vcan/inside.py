@@ -195,14 +195,14 @@ def test_log_played_by_canplayer_arrives_whole_and_in_order(driver: CanDriver, t
     assert samples.counter.tolist() == list(range(2000))
 
 
-def test_frames_at_one_kilohertz_for_ten_seconds_arrive_without_loss(driver: CanDriver) -> None:
-    sender = threading.Thread(target=send_paced, args=(10_000, 0.001))
+def test_frames_at_one_kilohertz_for_three_seconds_arrive_without_loss(driver: CanDriver) -> None:
+    sender = threading.Thread(target=send_paced, args=(3_000, 0.001))
     sender.start()
-    samples = collect(driver, 10_000)
+    samples = collect(driver, 3_000)
     sender.join()
     assert samples.counter is not None
-    assert samples.counter.tolist() == list(range(10_000))
-    assert driver.counts.received == 10_000
+    assert samples.counter.tolist() == list(range(3_000))
+    assert driver.counts.received == 3_000
     assert not driver.counts.dropped
 
 

@@ -6,6 +6,7 @@ python -m tests.storage.powercut.workload DB PROFILE COUNT SYNCHRONOUS: each lin
 import os
 import sys
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from agent.storage import connect
@@ -36,6 +37,7 @@ PROFILES = {
 }
 
 
+@lru_cache(maxsize=1000)
 def records(profile: Profile, number: int) -> list[Record]:
     """Return what write `number` holds: estimates, now and then a step of an alarm's life, a ledger row."""
     first = number * profile.hops

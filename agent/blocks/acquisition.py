@@ -81,9 +81,14 @@ class Acquisition:
         channels: number of channels; the first `inputs` of them are model inputs, the others outputs.
         inputs: number of model inputs.
         clock, rate_hz: what orders samples, and how fast they come.
+        keep_incomplete: hand on samples that lack some reading (NaN); they are counted as refused all the same.
     """
 
-    def __init__(self, plans: Sequence[SourcePlan], channels: int, inputs: int, clock: Clock, rate_hz: float) -> None:
+    def __init__(
+        self, plans: Sequence[SourcePlan], channels: int, inputs: int, clock: Clock, rate_hz: float, *,
+        keep_incomplete: bool = False,
+    ) -> None:  # fmt: skip
+        self._keep_incomplete = keep_incomplete
         origin = Origin()
         self.sources = {plan.name: SourceState(plan, Indexer(clock, rate_hz, origin)) for plan in plans}
         self._channels, self._inputs, self._rate_hz = channels, inputs, rate_hz
@@ -91,15 +96,16 @@ class Acquisition:
         self._segment = 0
 
     def step(self, source: str, block: SampleBlock, modulus: int | None) -> list[Aligned]:
-        """Take a block of one source; return the complete samples that it leads to, cut at gaps."""
+        """Take a block of one source; return the samples that it leads to, cut at gaps."""
         state = self.sources[source]
         state.indexer.modulus = modulus
         index, kept = state.indexer.take(block)
         values = self._to_si(state.plan, block.values)
         finite = np.isfinite(values).all(axis=1)
         self._refuse_values(state, values, kept & ~finite)
-        good = kept & finite
-        self._count_gaps(state, index[good])
+        self._count_gaps(state, index[kept & finite])
+        good = kept if self._keep_incomplete else kept & finite
+        values[~np.isfinite(values)] = np.nan
         stamps = None if block.t_ns is None else block.t_ns[good]
         index, values = self._aligned(state, index[good], values[good])
         return [self._numbered(*piece) for piece in _uninterrupted(index, values, stamps)]

@@ -7,8 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from agent.numerics.hops import HopPlan
+from agent.numerics.lacking import MOST, Lacking
 from agent.numerics.rows import Rows
 from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+
+BoolArray = NDArray[np.bool_]
 
 
 class Estimator(Protocol):
@@ -18,8 +22,11 @@ class Estimator(Protocol):
         """Forget the samples before a gap."""
         ...
 
-    def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
-        """Take samples y (N, p), u (N, m), the first of them number `index`; return the rows that they end."""
+    def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
+        """Take samples y (N, p), u (N, m), the first of them number `index`; return the rows that they end.
+
+        missing (N, p+m): readings that were filled in.
+        """
         ...
 
 
@@ -37,13 +44,14 @@ class Labels:
     window: int
     rate_hz: float
     enough_sd: FloatArray
+    hop: int = 1
 
 
 @dataclass(slots=True)
 class Estimation:
     """Runs a method over a rig's samples and says what each of its rows is worth.
 
-    used counts the samples that entered the method.
+    used counts the samples that entered the method whole.
     """
 
     estimator: Estimator
@@ -53,6 +61,7 @@ class Estimation:
     _held: FloatArray = field(default_factory=lambda: np.zeros(0))
     _held_ns: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     _first: int = 0
+    _lacking: Lacking = field(default_factory=lambda: Lacking(0))
 
     def __post_init__(self) -> None:
         q = len(self.labels.parameters)
@@ -60,33 +69,57 @@ class Estimation:
 
     def step(self, samples: Samples) -> EstimateBatch | None:
         """Take samples of one segment; return the estimates that they end, None when there are none."""
+        if not samples.usable:
+            return self._unusable(samples)
         if self._segment != samples.segment:
             if self._segment is not None:
                 self.estimator.start_segment()
             self._segment, self._first = samples.segment, int(samples.index[0])
+            self._lacking.forget()
         self.used += len(samples.index)
-        rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u)
+        if samples.missing is not None:
+            self.used -= int(samples.missing.any(axis=1).sum())
+            self._lacking.append(int(samples.index[0]), samples.missing)
+        lacking = () if samples.missing is None else (samples.missing,)
+        rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u, *lacking)
+        return self._batch(rows, samples) if len(rows.index) else None
+
+    def _unusable(self, samples: Samples) -> EstimateBatch | None:
+        """Return rows without estimates for samples that nothing can be made of."""
+        plan = HopPlan(self.labels.window, self.labels.hop)
+        first = int(samples.index[0])
+        rows = Rows.warming(plan.rows_between(first, first + len(samples.index)), len(self.labels.parameters))
         return self._batch(rows, samples) if len(rows.index) else None
 
     def _batch(self, rows: Rows, samples: Samples) -> EstimateBatch:
         t_ns = samples.t_ns[rows.index - samples.index[0]]
         known = np.isfinite(rows.theta) & np.isfinite(rows.sd)
         value, sd = np.where(known, rows.theta, np.nan), np.where(known, rows.sd, np.nan)
+        longest = np.maximum(rows.window.max(axis=1), self.labels.window)
+        missing = self._lacking.count(rows.index, longest)
         status, reason = self._verdicts(rows, known)
+        self._mark(status, reason, samples, rows.full & (missing > MOST * longest))
         held, age = self._hold(value, status, t_ns)
         with np.errstate(invalid="ignore"):
-            half = stdtrit(rows.dof, 0.975)[:, None] * sd
-        count, labels = len(rows.index), self.labels
-        longest = np.maximum(rows.window.max(axis=1), labels.window)
-        used = np.where(rows.full, longest, np.minimum(rows.index - self._first + 1, labels.window))
+            dof, which = np.unique(rows.dof, return_inverse=True)
+            half = stdtrit(dof, 0.975)[which, None] * sd
+        labels = self.labels
+        begun = np.minimum(rows.index - self._first + 1, labels.window) if samples.usable else np.zeros_like(longest)
+        used = np.where(rows.full, longest, begun)
         window_s = np.where(rows.window > 0, rows.window / labels.rate_hz, labels.window_s)
         return EstimateBatch(
             rig=labels.rig, method=labels.method, parameters=labels.parameters, units=labels.units,
             reference=labels.reference, baseline_id=labels.baseline_id, index=rows.index, t_ns=t_ns,
             value=value, sd=sd, lower=value - half, upper=value + half, status=status, reason=reason,
             held=held, held_age_s=age, window_s=window_s,
-            n_used=used.astype(np.int64), n_missing=np.zeros(count, dtype=np.int64), dof=rows.dof,
+            n_used=np.maximum(used.astype(np.int64) - missing, 0), n_missing=missing, dof=rows.dof,
         )  # fmt: skip
+
+    def _mark(self, status: CodeArray, reason: CodeArray, samples: Samples, hollow: BoolArray) -> None:
+        """Mark rows whose windows hold readings of a faulty channel, or lack too many, where hollow (N,)."""
+        status[hollow], reason[hollow] = Status.INVALID, Reason.GAP
+        if samples.fault is not None:
+            status[:], reason[:] = Status.INVALID, samples.fault.reason
 
     def _verdicts(self, rows: Rows, known: NDArray[np.bool_]) -> tuple[CodeArray, CodeArray]:
         status = np.full(rows.theta.shape, int(Status.VALID), dtype=np.uint8)

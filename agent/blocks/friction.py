@@ -10,7 +10,7 @@ from agent.numerics.friction import FrictionInputs, motion_filter
 from agent.numerics.mechanics import MassSpringDamper
 from agent.numerics.sensors import SensedModel
 from agent.numerics.statespace import Model
-from agent.types import FloatArray
+from agent.types import FloatArray, Samples
 
 
 @dataclass(slots=True)
@@ -20,14 +20,14 @@ class DryFriction:
     inputs: FrictionInputs | None = None
     _segment: int | None = None
 
-    def step(self, aligned: Aligned) -> FloatArray:
+    def step(self, samples: Aligned | Samples) -> FloatArray:
         """Return the model's inputs (n, m + frictions) for samples of one segment."""
         if self.inputs is None:
-            return aligned.u
-        if self._segment != aligned.segment:
-            self._segment = aligned.segment
+            return samples.u
+        if self._segment != samples.segment:
+            self._segment = samples.segment
             self.inputs.start_segment()
-        return self.inputs.beside(aligned.y, aligned.u)
+        return self.inputs.beside(samples.y, samples.u)
 
 
 def dry_friction(config: RigConfig, resolution: FloatArray) -> DryFriction:

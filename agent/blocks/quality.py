@@ -71,6 +71,11 @@ class Quality:
         """Return what waits for samples that will not come."""
         return self._end()
 
+    @property
+    def waiting(self) -> int:
+        """How many complete samples wait for what comes after them."""
+        return self._cleaner.waiting()
+
     def take_events(self) -> list[SensorEvent]:
         """Return what was found of the channels since the last call."""
         return self._labels.take_events()
@@ -134,7 +139,9 @@ class Quality:
         count = len(clean)
         piece = Piece(self._index[:count], self._t_ns[:count], clean)
         self._index, self._t_ns = self._index[count:], self._t_ns[count:]
-        self.rejected["spike"] += int(clean.spike.any(axis=1).sum())
+        spikes = int(clean.spike.any(axis=1).sum())
+        if spikes:
+            self.rejected["spike"] += spikes
         findings = self._watch.take(clean.v)
         labelled = list(self._labels.labelled(piece, findings, self._watched))
         self._watched += count

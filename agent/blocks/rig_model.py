@@ -163,6 +163,13 @@ def longer_windows(config: RigConfig, plan: HopPlan) -> tuple[int, ...]:
     return tuple(dict.fromkeys(plan.window + count * plan.hop for count in hops))
 
 
+def longest_bridge(model: Model, rate_hz: float) -> int:
+    """Return the longest gap that is bridged, samples: 5, or a twentieth of the fastest period, but no more than 20."""
+    speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
+    fastest = float(speeds.max(initial=0.0))
+    return 5 if fastest == 0 else int(np.clip(2 * np.pi / fastest * rate_hz / 20, 5, 20))
+
+
 def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) -> WindowSettings:
     """Return the settings of window-ml for a configuration; resolution (p,) as in `output_noise`."""
     sigma, floor = output_noise(config, resolution)

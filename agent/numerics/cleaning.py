@@ -90,8 +90,8 @@ class Cleaner:
         return self._release(end=end)
 
     def waiting(self) -> int:
-        """Return how many samples wait for what comes after them."""
-        return len(self._raw) - self._context
+        """Return how many complete samples wait for what comes after them."""
+        return int((~np.isnan(self._raw[self._context :]).any(axis=1)).sum())
 
     def _append(self, v: FloatArray) -> None:
         limits = self._limits_of(v)

@@ -21,6 +21,7 @@ from agent.numerics.statespace import Hold, Model, StateSpace, discretise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 RUN_AWAY = 1e60
 """States of an observer that is not stable any more, small enough for their squares to be figures."""
 
@@ -159,7 +160,7 @@ class SeedWindow:
         self._states = np.zeros((1, model.n))
         self._y, self._u = np.zeros((0, model.p)), np.zeros((0, model.m))
 
-    def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
+    def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
         self._append(y, u)
         due = self.settings.plan.rows_between(index, index + len(y))

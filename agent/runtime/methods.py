@@ -43,6 +43,7 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
         baseline_id=None,
         window_s=settings.plan.window / config.rig.sample_rate_hz,
         window=settings.plan.window,
+        hop=settings.plan.hop,
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,
     )

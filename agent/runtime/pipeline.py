@@ -1,13 +1,13 @@
 """The deterministic pipeline of one rig, which live and replay share: blocks of samples in, records out.
 
-    SampleBlock -> acquisition (DA, DM) -> estimation (SD) -> level alarms (HA, AG) -> records
+    SampleBlock -> acquisition (DA) -> quality (DM) -> estimation (SD) -> level alarms (HA, AG) -> records
 
 It reads no clock and does no input or output; labels and counts are handed in.
 """
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_
 from agent.blocks.alarm import LevelAlarms
 from agent.blocks.estimation import Estimation
 from agent.blocks.friction import dry_friction
+from agent.blocks.quality import Quality, QualitySettings
+from agent.blocks.rig_model import hop_plan, longest_bridge, rig_model
+from agent.blocks.sensor_alarms import SensorAlarms
 from agent.config import RigConfig
 from agent.runtime.methods import make_estimation
 from agent.types import Health, IntArray, Record, Samples
@@ -54,12 +57,20 @@ class Pipeline:
         scales = {c.name: ChannelScale(c.scale, c.offset, c.si_factor) for c in channels}
         plans = [source_plan(name, fields, names, scales) for name, fields in sources.items()]
         rig = config.rig
-        self.acquisition = Acquisition(plans, len(channels), len(config.inputs), rig.clock, rig.sample_rate_hz)
-        steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in config.outputs])
+        self.acquisition = Acquisition(
+            plans, len(channels), len(config.inputs), rig.clock, rig.sample_rate_hz, keep_incomplete=True
+        )
+        all_steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in channels])
+        steps = all_steps[len(config.inputs) :]
+        longest = longest_bridge(rig_model(config).model, rig.sample_rate_hz)
+        self.quality = Quality(
+            QualitySettings(tuple(names), len(config.inputs), all_steps, hop_plan(config).window, longest)
+        )
         self.friction = dry_friction(config, steps)
         self.estimation: Estimation = make_estimation(config, steps)
         self.newest_ns = 0
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
+        self.sensor_alarms = SensorAlarms(rig.name)
 
     def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> list[Record]:
         """Take a block of one source and return what it leads to, in order of time.
@@ -70,11 +81,24 @@ class Pipeline:
         for aligned in self.acquisition.step(source, block, modulus):
             t_ns = self._stamps(aligned) if label is None else label(aligned.index)
             self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
-            u = self.friction.step(aligned)
-            batch = self.estimation.step(Samples(aligned.index, t_ns, u, aligned.y, aligned.segment))
+            pieces = self.quality.step(aligned.index, t_ns, np.hstack([aligned.u, aligned.y]))
+            records += self._estimated(pieces)
+        return records
+
+    def finish(self) -> list[Record]:
+        """Return what the samples lead to that wait for others that will not come."""
+        return self._estimated(self.quality.finish())
+
+    def _estimated(self, pieces: Sequence[Samples]) -> list[Record]:
+        records: list[Record] = []
+        for samples in pieces:
+            complete = replace(samples, u=self.friction.step(samples)) if samples.usable else samples
+            batch = self.estimation.step(complete)
             if batch is not None:
                 records.append(batch)
                 records.extend(self.alarms.step(batch))
+                records.extend(self.sensor_alarms.confirm(batch))
+        records.extend(self.sensor_alarms.step(self.quality.take_events()))
         return records
 
     def _stamps(self, aligned: Aligned) -> IntArray:
@@ -93,7 +117,8 @@ class Pipeline:
         driver = conservation.driver
         return Health(
             rig=self.config.rig.name, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
-            used=self.estimation.used, rejected=dict(driver.rejected + state.refusals()),
+            used=self.estimation.used + self.quality.waiting,
+            rejected=dict(driver.rejected + state.refusals() + self.quality.rejected),
             dropped=dict(driver.dropped + conservation.dropped), gaps=state.gaps, lag_s=lag_s,
         )  # fmt: skip
 

@@ -123,6 +123,7 @@ def _records(pipeline: Pipeline, drivers: Sequence[Driver]) -> Iterator[list[Rec
             if due is None or pipeline.newest_ns >= due:
                 due = pipeline.newest_ns + HEALTH_PERIOD_NS
                 yield _ledger(pipeline, drivers)
+    yield pipeline.finish()
     yield _ledger(pipeline, drivers)
 
 

@@ -46,6 +46,9 @@ class RigRuntime:
         """Go on with the alarms that the run before left standing."""
         levels = {row.parameter: {"state": row.state} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
+        self.pipeline.sensor_alarms.restore(
+            [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
+        )
         self._lost |= {row.parameter: True for row in standing if row.kind == "source" and row.cleared_ns is None}
 
     def take(self, use: Use, arrival: Arrival) -> None:
@@ -60,6 +63,10 @@ class RigRuntime:
         self._emit(records)
         self._note_steps()
 
+    def finish(self) -> None:
+        """Publish what the last samples lead to."""
+        self._emit(self.pipeline.finish())
+
     def _note_steps(self) -> None:
         for label, step in self._labels.steps:
             words = f"the wall clock was stepped by {step / 1e9:+.3f} s; time stamps start a new anchor"
@@ -68,8 +75,10 @@ class RigRuntime:
 
     def link(self, source: str, event: LinkEvent) -> None:
         """Raise or clear a source's alarm and note the event."""
-        log.warning("%s: %s", source, event.message)
         t_ns, lost = wall_ns(), event.cause != "recovered"
+        if not lost and not self._lost.get(source, False):
+            return  # its samples have told already
+        log.warning("%s: %s", source, event.message)
         records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, event.cause, event.message)]
         if lost != self._lost.get(source, False):
             self._lost[source] = lost
@@ -151,10 +160,11 @@ class Service:
             arrivals, events = connection.take()
             for use in connection.uses:
                 rig = self.rigs[use.rig]
-                for event in events:
-                    rig.link(use.source, event)
+                # samples first: those that came before a loss must not end it
                 for arrival in arrivals:
                     rig.take(use, arrival)
+                for event in events:
+                    rig.link(use.source, event)
 
     def _ledgers(self) -> None:
         for rig in self.rigs.values():
@@ -164,6 +174,8 @@ class Service:
         for connection in self.connections:
             connection.stop()
         self.process()
+        for rig in self.rigs.values():
+            rig.finish()
         self._ledgers()
         for writer in self.writers.values():
             writer.stop()

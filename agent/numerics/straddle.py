@@ -1,107 +1,111 @@
-"""Whether the parameters changed inside a window: a score test that sees what the residual's size does not.
+"""Whether a window of a rig that has changed is clean of what the rig was before, or straddles the change.
 
-A step that moves the residual variance by a few per cent, far below its gate, can bend an estimate by many of its sd.
-The test asks for it directly: psi restarted at a split with nothing behind it is what a change of theta there would
-add to the window; where adding that explains significantly more, the window is of two machines (Chow, Econometrica
-1960, with the state carried through the split, since masses do not jump).
+Two stories of one window are held against each other by their sums of squares: one theta from its first sample on, or
+the theta of the past up to a split and another one behind it, the state carried through, since masses do not jump.
+Both have as many free figures. A window counts as clean when no split tells it better.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
-from agent.numerics.cells import CellOperator, cell_operators, propagate, run_cells
+from agent.numerics.cells import cell_operators, propagate, run_cells
 from agent.numerics.observer import Gain
 from agent.numerics.sensitivity import sensitivity_filter
-from agent.numerics.statespace import StateSpace
+from agent.numerics.statespace import Discrete, StateSpace
 
 FloatArray = NDArray[np.float64]
-PIECES = 32
-"""A window is cut into about so many cells, and may be split between any two of them."""
 SPLITS = (0.25, 0.5, 0.75)
-CHANCE = 1e-4
-"""How often a window without a change is taken for one with it, for each split."""
+STEPS = 3
+CELLS = 40
+"""Cells that a window is cut into, on whose borders it may be split."""
 
 
 @dataclass(frozen=True, slots=True)
-class Split:
-    """What a change of theta at one place of a window explains.
+class Window:
+    """A window to be told.
 
     Attributes:
-        chi2: what it takes off the residual sum of squares, in units of the residual variance that is left.
-        change: (q,) by how much theta would have changed.
+        sample: theta (q,) -> the sampled model there.
+        gain: of the observer.
+        v: (W, p+m) outputs and inputs.
+        scale: (q,) sizes of the parameters.
+        lower: (q,) their bounds from below.
+        cell: samples computed at once; splits fall between cells.
     """
 
-    chi2: float
-    change: FloatArray
+    sample: Callable[[FloatArray], Discrete]
+    gain: Gain
+    v: FloatArray
+    scale: FloatArray
+    lower: FloatArray
+    cell: int = 1
 
 
-def straddles(found: list[Split], widening: FloatArray, matters: FloatArray) -> bool:
-    """Return whether some split shows a change beyond chance that is large enough to matter.
+def is_clean(window: Window, past: FloatArray, theta: FloatArray) -> bool:
+    """Return whether one theta, about `theta` (q,), explains a window better than a change from `past` (q,) inside it."""
+    cell = max(1, len(window.v) // CELLS)
+    window = replace(window, v=window.v[len(window.v) % cell :], cell=cell)
+    squares, theta = _best(window, 0, past, theta, None)
+    places = [round(share * len(window.v) / cell) * cell for share in SPLITS]
+    return all(_best(window, place, past, theta, squares)[0] > squares for place in places)
 
-    Args:
-        found: the splits of a window.
-        widening: (q,) honest sd over the white one.
-        matters: (q,) changes smaller than these are of no concern.
+
+def _best(
+    window: Window, place: int, past: FloatArray, theta: FloatArray, enough: float | None
+) -> tuple[float, FloatArray]:
+    """Return the least sum of squares with `past` before a split, and the theta behind it; stop when under `enough`."""
+    x0, least = np.zeros(window.sample(past).model.n), np.inf
+    before = _without_parameters(window.sample(past).model) if place else None
+    for _ in range(STEPS):
+        e, columns = _linear(window, before, place, window.sample(theta).model, x0)
+        norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        found = np.linalg.lstsq(columns / norms, e, rcond=1e-10)[0] / norms
+        left = e - columns @ found
+        least = min(least, float(left @ left))
+        step = np.clip(found[len(x0) :], -0.5 * window.scale, 0.5 * window.scale)
+        if (enough is not None and least <= enough) or bool(np.all(np.abs(step) < 1e-3 * window.scale)):
+            break
+        theta, x0 = np.maximum(theta + step, window.lower), x0 + found[: len(x0)]
+    return least, theta
+
+
+def _linear(
+    window: Window, before: StateSpace | None, place: int, after: StateSpace, x0: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return innovations (W p,) from x0 (n,) and what they owe to x0 and to the theta behind the split (W p, n+q)."""
+    innovations, leverage, carried = [], [], np.eye(len(x0))
+    if before is not None:
+        out, Gamma, x0, carried = _run(before, window.gain, window.v[:place], x0, window.cell)
+        innovations.append(out[:, 0])
+        leverage.append(np.hstack([Gamma, np.zeros((len(Gamma), after.q))]))
+    out, Gamma, _, _ = _run(after, window.gain, window.v[place:], x0, window.cell)
+    innovations.append(out[:, 0])
+    leverage.append(np.hstack([Gamma @ carried, out[:, 1:]]))
+    return np.concatenate(innovations), np.vstack(leverage)
+
+
+def _run(
+    model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, cell: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Run the filters over v from x0, sensitivities from zero.
+
+    Returns [e psi] (N p, 1+q), Gamma (N p, n), the observer's state behind and how it depends on x0 (n, n).
     """
-    bar = float(chdtri(len(matters), CHANCE) * np.max(widening) ** 2)
-    return any(split.chi2 > bar and bool(np.any(np.abs(split.change) > matters)) for split in found)
-
-
-def splits(model: StateSpace, gain: Gain, v: FloatArray) -> list[Split]:
-    """Test a window v (W, p+m) for a change at each of SPLITS, about the model at the window's own estimate."""
-    length = max(1, len(v) // PIECES)
-    operator = cell_operators(sensitivity_filter(model, gain.L, gain.whitening), [length])[length]
-    inputs = v[len(v) % length :].reshape(-1, length * v.shape[1])
-    forced = inputs @ operator.state_from_inputs
-    explained, start = _initial(operator, inputs, forced)
-    states, _ = propagate(start, operator.state_from_state, forced)
-    out = _run(operator, inputs, states)
-    basis = np.linalg.qr(_scaled(np.hstack([explained, out[:, 1:]])))[0]
-    left = out[:, 0] - basis @ (basis.T @ out[:, 0])
-    places = dict.fromkeys(round(share * len(inputs)) for share in SPLITS)
-    return [_split(operator, inputs, forced, states, (place, basis, left)) for place in places if place]
-
-
-def _initial(operator: CellOperator, inputs: FloatArray, forced: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return Gamma over the window (W p, n) and the filter's state (nz,) with the initial state that fits best."""
-    states, _ = propagate(np.zeros(len(forced[0])), operator.state_from_state, forced)
-    e = _run(operator, inputs, states)[:, 0]
-    carried, pieces = np.eye(operator.n), []
+    system = sensitivity_filter(model, gain.L, gain.whitening)
+    operator = cell_operators(system, [cell])[cell]
+    inputs = v.reshape(len(v) // cell, -1)
+    start = np.concatenate([x0, np.zeros(len(system.F) - len(x0))])
+    states, end = propagate(start, operator.state_from_state, inputs @ operator.state_from_inputs)
+    Phi, carried, Gamma = operator.state_from_state[: model.n, : model.n], np.eye(model.n), []
     for _ in range(len(inputs)):
-        pieces.append(operator.G[:, : operator.n] @ carried)
-        carried = operator.Pi[: operator.n, : operator.n] @ carried
-    Gamma = np.vstack(pieces)
-    norms = np.maximum(np.linalg.norm(Gamma, axis=0), 1e-300)
-    start = np.zeros(len(forced[0]))
-    start[: operator.n] = np.linalg.lstsq(Gamma / norms, e, rcond=1e-12)[0] / norms
-    return Gamma, start
+        Gamma.append(operator.G[:, : model.n] @ carried)
+        carried = Phi @ carried
+    out = run_cells(operator, inputs, states).reshape(-1, 1 + model.q)
+    return out, np.vstack(Gamma), end[: model.n], carried
 
 
-def _run(operator: CellOperator, inputs: FloatArray, states: FloatArray) -> FloatArray:
-    return run_cells(operator, inputs, states).reshape(-1, 1 + operator.q)
-
-
-def _scaled(columns: FloatArray) -> FloatArray:
-    return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
-
-
-def _split(
-    operator: CellOperator, inputs: FloatArray, forced: FloatArray, states: FloatArray,
-    rest: tuple[int, FloatArray, FloatArray],
-) -> Split:  # fmt: skip
-    place, basis, left = rest
-    start = states[place].copy()
-    start[operator.n :] = 0.0
-    tail, _ = propagate(start, operator.state_from_state, forced[place:])
-    after = np.zeros((len(left), operator.q))
-    after[place * operator.length * operator.p :] = _run(operator, inputs[place:], tail)[:, 1:]
-    after -= basis @ (basis.T @ after)
-    norms = np.maximum(np.linalg.norm(after, axis=0), 1e-300)
-    change = np.linalg.lstsq(after / norms, left, rcond=1e-6)[0] / norms
-    remaining = left - after @ change
-    dof = max(len(left) - basis.shape[1] - operator.q, 1)
-    squares = float(remaining @ remaining)
-    return Split((float(left @ left) - squares) / max(squares / dof, 1e-300), change)
+def _without_parameters(model: StateSpace) -> StateSpace:
+    return replace(model, dA=model.dA[:0], dB=model.dB[:0], dC=model.dC[:0], dD=model.dD[:0])

@@ -19,12 +19,13 @@ from agent.numerics.gains import Gains
 from agent.numerics.hops import HopOperators, HopPlan, Segment
 from agent.numerics.lacking import MOST, Answer, Lacking, answer
 from agent.numerics.observer import Noise
+from agent.numerics.past import Past
 from agent.numerics.reference import Reference, combined, mean_and_sd
 from agent.numerics.rows import Rows
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
-from agent.numerics.straddle import splits, straddles
+from agent.numerics.straddle import Window, is_clean
 from agent.numerics.suspects import Suspects
 from agent.numerics.window import solve_windows
 
@@ -41,6 +42,8 @@ MOST_FAILED = 6
 """First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
 RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
 """The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
+FRAGILE = 1.5
+"""A window in which the slowest pole moves by less than this (radians or nepers) magnifies round-off: see `repeatable`."""
 RECOLOUR = 65_536
 """Samples between two looks at the colour of a residual that was white; one that was not is looked at every window."""
 
@@ -64,6 +67,9 @@ class WindowSettings:
         suspects: what to look for where the model does not fit; None for nothing.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
+        repeatable: rows are the same to 1e-9 of their sd however the stream is cut. Matrix products of different
+            shapes round differently, and a window far shorter than a mode's period magnifies that (its sensitivities
+            are nearly free responses, which are projected out); such windows are then computed one hop at a time.
     """
 
     period_s: float
@@ -77,6 +83,7 @@ class WindowSettings:
     enough_sd: FloatArray
     scale_column: IntArray | None = None
     longer: tuple[int, ...] = ()
+    repeatable: bool = False
     wanted_sd: FloatArray | None = None
     suspects: Suspects | None = None
 
@@ -106,6 +113,7 @@ class WindowML:
         self._anchored = False
         self._segment: Segment | None = None
         self._reference = Reference.empty(len(self.theta))
+        self._past = Past.empty(len(self.theta))
         self._lacking = Lacking(len(self.noise.sigma))
         self._rebuild()
         self._unknowns = self._n + len(self.theta)
@@ -129,6 +137,9 @@ class WindowML:
         self._discrete = discrete = self.sampled(self.theta)
         gains = self.settings.gains
         self.gain = (gains.settled if self.settled else gains.start)(discrete, self.noise)
+        poles = np.linalg.eigvals(discrete.model.A - self.gain.L @ discrete.model.C)
+        slowest = float(np.min(np.abs(np.log(np.where(poles == 0, 1e-300, poles).astype(complex)))))
+        self._fragile = self.settings.repeatable and self.settings.plan.window * slowest < FRAGILE
         system = sensitivity_filter(discrete.model, self.gain.L, self.gain.whitening)
         self._operators = HopOperators(system, self.settings.plan)
         speed = float(np.max(np.abs(np.angle(np.linalg.eigvals(discrete.model.A)))))
@@ -173,7 +184,7 @@ class WindowML:
 
     def _advance(self, segment: Segment) -> Rows:
         """Summarise what is ready, judge each row, act at the first that asks for it, return the rows settled."""
-        index, windows = segment.advance(self._operators, min(segment.ready(), self._units))
+        index, windows = segment.advance(self._operators, min(segment.ready(), 1 if self._fragile else self._units))
         rows, information = self._rows(index, windows)
         candidates = self._candidates(segment)
         self._mend(segment, rows, information, candidates)
@@ -271,37 +282,32 @@ class WindowML:
             position += ahead
             if position == count:
                 break
-            if healthy[position] and wanting[position] and self._straddles(segment, rows, position):
-                healthy[position] = False
             if healthy[position] and self._anchored and self._keep_house(segment, rows, position):
                 healthy, wanting = self._first_looks(rows, information)
-            before = self._reference
+            before = (self._reference, self._past)
             # what came before this row is remembered first: a fit that contradicts it must forget it too
             self._remember(rows, information, healthy & trusted, position)
             if self._act(segment, rows, position, healthy=bool(healthy[position]), wants=bool(wanting[position])):
                 return position
-            self._reference = before
+            self._reference, self._past = before
             position += 1
         self._remember(rows, information, healthy & trusted, count)
         return None
 
-    def _straddles(self, segment: Segment, rows: Rows, row: int) -> bool:
-        """Tell whether a window far from theta_r holds a change that its residual does not show."""
-        far = rows.sd[row] < self.settings.enough_sd
-        far &= np.abs(rows.theta[row] - self.theta) > np.maximum(3 * rows.sd[row], self._share())
-        window = self.settings.plan.window
-        if not (self._anchored and far.any()) or self._lacking.count(rows.index[row : row + 1], window)[0]:
-            return False
-        stop = int(rows.index[row]) + 1
-        own = self.sampled(np.maximum(rows.theta[row], self.settings.lower)).model
-        found = splits(own, self.gain, segment.samples(stop - min(window, LONG), stop))
-        return straddles(found, self._widening(), self.settings.enough_sd)
-
     def _first_looks(self, rows: Rows, information: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Return which rows pass the gate (N,), and which of them want theta_r moved (N,)."""
         passes = rows.ratio <= self._gate
+        passes &= ~self._contradicted(rows, information, passes)
         moves = self._far(rows) | self._quieter(rows) | self._drifted(rows, information, passes)
         return passes, np.asarray(moves & passes)
+
+    def _contradicted(self, rows: Rows, information: FloatArray, passes: BoolArray) -> BoolArray:
+        """(N,) some estimate leaves what was known before its window began, by more than chance and enough to matter."""
+        estimates = (rows.theta / self.scale, rows.sd / self.scale)
+        matters = self.settings.enough_sd / self.scale
+        return self._past.contradicted(
+            estimates, self._disjoint(rows, passes), information, self._widening(), matters
+        )
 
     def _chores(self, rows: Rows) -> BoolArray:
         """(N,) rows from which on the residual's colour is due for a look, or unknown forces for a search."""
@@ -361,6 +367,7 @@ class WindowML:
         if len(chosen):
             A, b = self._reference.with_windows(information[chosen], rows.theta[chosen] / self.scale)
             self._reference = Reference(A[-1], b[-1])
+            self._past = self._past.after(information[chosen], rows.theta[chosen] / self.scale)
 
     def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
@@ -377,8 +384,9 @@ class WindowML:
         self._steady_since = index
         self.commission.restart()
         since = index - self._onset
-        # the window that begins after the onset is the first that can be free of it
+        # the window that begins after the onset is free of it for certain, one before that may be
         clean = self._anchored and since >= plan.window - plan.hop and (due or since < plan.window)
+        clean = clean or (2 * since >= plan.window and since < plan.window and self._is_clean(segment, rows, row))
         if (starting or clean) and self._fit(segment, rows, row):
             self._onset = None
             return True
@@ -388,6 +396,16 @@ class WindowML:
         if since >= plan.window and index - self._accused_at >= plan.window:
             self._accuse(segment, rows, row)
         return False
+
+    def _is_clean(self, segment: Segment, rows: Rows, row: int) -> bool:
+        """Tell whether a window that its residual does not accuse is free of what contradicts the past."""
+        past, known = self._past.mean(), rows.ratio[row : row + 1] <= self._gate
+        if past is None or not known[0] or self._lacking.count(rows.index[row : row + 1], self.settings.plan.window)[0]:
+            return False
+        stop = int(rows.index[row]) + 1
+        v = segment.samples(stop - min(self.settings.plan.window, LONG), stop)
+        window = Window(self.sampled, self.gain, v, self.scale, self.settings.lower)
+        return is_clean(window, past * self.scale, rows.theta[row])
 
     def _keep_house(self, segment: Segment, rows: Rows, row: int) -> bool:
         """See to colour and commissioning at a healthy row; return whether later rows must be looked at anew."""
@@ -471,7 +489,7 @@ class WindowML:
             return False
         self._coloured_at, self._failed = index, 0
         if not self._anchored or self._onset is not None:
-            self._steady_since = index
+            self._steady_since, self._past = index, Past.empty(len(self.theta))
         self._anchored = True
         self.recentred += 1
         rows.theta[row], rows.sd[row], rows.ratio[row] = self._outcome

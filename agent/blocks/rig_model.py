@@ -188,6 +188,7 @@ def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) ->
         scale=scale,
         scale_column=_scale_columns(config, rig),
         longer=longer_windows(config, plan),
+        repeatable=True,
         wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
         lower=np.where(physical & (nominal != 0), 0.02 * scale, -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),

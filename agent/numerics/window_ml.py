@@ -43,7 +43,7 @@ MOST_FAILED = 6
 RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
 """The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
 FRAGILE = 1.5
-"""A window in which the slowest pole moves by less than this (radians or nepers) magnifies round-off: see `repeatable`."""
+"""Radians or nepers: a window in which the slowest pole moves by less magnifies round-off, see `repeatable`."""
 RECOLOUR = 65_536
 """Samples between two looks at the colour of a residual that was white; one that was not is looked at every window."""
 

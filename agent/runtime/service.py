@@ -17,6 +17,7 @@ from agent.runtime.pipeline import Conservation, Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
 from agent.storage.alarms import AlarmRow
+from agent.storage.retention import Retention
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import AlarmTransition, HealthEvent, Record, RunInfo
@@ -238,7 +239,14 @@ def _writers(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> Ma
 
 def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
     runs = [RunInfo(c.rig.name, kind, wall_ns(), __version__, c.sha256, None, boot_id()) for c in members]
-    return StoreWriter(lambda: Store.open(path), runs, every_s=min(c.store.every_s for c in members))
+    keep = _retention(members)
+    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=min(c.store.every_s for c in members))
+
+
+def _retention(members: Sequence[RigConfig]) -> Retention:
+    """How long rows of a shared file are kept: as long as the most patient of its configurations asks."""
+    full, minute, hour = (max(getattr(c.store.keep, tier) for c in members) for tier in ("full", "minute", "hour"))
+    return Retention(full, minute, hour, max(c.store.max_mb for c in members) * 1e6)
 
 
 def _over(started: int, duration_s: float | None) -> bool:

@@ -104,16 +104,34 @@ class Quality:
     def _stretches(self, v: FloatArray) -> Iterator[tuple[slice, bool]]:
         """Cut where a channel falls silent for longer than is bridged, and where all speak again."""
         missing = np.isnan(v)
-        start, speaking = 0, self._open
-        if not speaking or missing.any() or self._silent.any():
-            for row, lacks in enumerate(missing):
-                self._silent = np.where(lacks, self._silent + 1, 0)
-                now = self._silent.max() <= self.settings.bridge if speaking else not lacks.any()
-                if now != speaking:
-                    if row > start:
-                        yield slice(start, row), speaking
-                    start, speaking = row, bool(now)
-        yield slice(start, len(v)), speaking
+        start = 0
+        if not self._open:
+            complete = ~missing.any(axis=1)
+            start = int(np.argmax(complete)) if complete.any() else len(v)
+            if start:
+                yield slice(0, start), False
+        while (row := self._falls_silent(missing, start)) < len(v):
+            if row > start:
+                yield slice(start, row), True
+            complete = ~missing[row:].any(axis=1)
+            start = row + int(np.argmax(complete)) if complete.any() else len(v)
+            yield slice(row, start), False
+        if start < len(v):
+            yield slice(start, len(v)), True
+
+    def _falls_silent(self, missing: NDArray[np.bool_], start: int) -> int:
+        """Return the row from `start` on at which a channel has been silent for too long; as many as rows if none."""
+        rest = missing[start:]
+        if not rest.any():
+            self._silent[:] = 0 if len(rest) else self._silent
+            return len(missing)
+        number = np.arange(1, len(rest) + 1)[:, None]
+        heard = np.maximum.accumulate(np.where(rest, 0, number), axis=0)
+        silent = np.where(heard > 0, number - heard, number + self._silent)
+        late = (silent > self.settings.bridge).any(axis=1)
+        row = int(np.argmax(late)) if late.any() else len(rest)
+        self._silent = np.zeros_like(self._silent) if late.any() else silent[-1]
+        return start + row
 
     def _clean(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
         self._index, self._t_ns = np.concatenate([self._index, index]), np.concatenate([self._t_ns, t_ns])

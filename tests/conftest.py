@@ -2,6 +2,7 @@
 
 import os
 import zlib
+from pathlib import Path
 
 # One BLAS thread, before anything imports numpy: small products are ten times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests import peers
+from tests.tracing import run as tracing
 
 SEED = int(os.environ.get("DELTAK_SEED", "0"))
 
@@ -26,13 +28,32 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     return np.random.default_rng([SEED, zlib.crc32(request.node.nodeid.encode())])
 
 
+_WRITES = pytest.StashKey[tuple[int, list[str]]]()
+_REPORT = pytest.StashKey[Path]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[_REPORT] = tracing.begin()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A run in which a driver wrote what a listener must not is red, whatever its tests say."""
+    session.config.stash[_WRITES] = tracing.end(session.config.stash[_REPORT])
+    if session.config.stash[_WRITES][1]:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 def pytest_report_header() -> list[str]:
     there = "" if peers.data_folder().is_dir() else " (not there)"
     return [f"DELTAK_SEED={SEED}", f"measured data: {peers.data_folder()}{there}"]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """List what was not tested as the last thing before the closing line."""
+    """List forbidden writes, and, as the last thing before the closing line, what was not tested."""
+    permitted, forbidden = terminalreporter.config.stash[_WRITES]
+    terminalreporter.line(f"writes of drivers: {permitted} read requests and handshakes, {len(forbidden)} others")
+    for text in forbidden:
+        terminalreporter.line(f"FORBIDDEN WRITE in {text}", red=True)
     if not peers.NOT_TESTED:
         return
     terminalreporter.section("NOT TESTED", sep="!", red=True, bold=True)

@@ -12,6 +12,7 @@ import pytest
 
 from drivers.conformance import DriverConformance, Line
 from drivers.port import Driver, FloatArray, SampleBlock, SourceRequest
+from tests.tracing.watch import on_purpose
 
 DISTRIBUTION = Path(__file__).parent / "thirdparty"
 
@@ -141,8 +142,9 @@ class TestTheSuiteItself:
                 super().open()
                 self._socket.sendall(b"zero the scale")
 
-        with pytest.raises(AssertionError, match=r"a listener wrote b'zero the scale'"):
+        with on_purpose() as found, pytest.raises(AssertionError, match=r"a listener wrote b'zero the scale'"):
             self.run(Writes, "test_read_of_known_samples_delivers_exactly_these")
+        assert set(found) == {b"zero the scale"}
 
     def test_driver_that_repeats_a_sample_turns_the_suite_red(self) -> None:
         class Repeats(found_driver()):  # type: ignore[misc]

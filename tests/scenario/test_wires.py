@@ -29,7 +29,7 @@ class Played:
         trace = folder / "trace"
         document = wires.run(list(self.configs.values()), folder / "live.db", trace)
         self.documents: Mapping[str, Any] = {run["rig"]: run for run in document["runs"]}
-        self.writes: list[Write] = bus_writes(trace, folder)
+        self.writes: list[Write] = bus_writes(trace)
         wires.write_recording(folder / "same.csv", self.integers("tcp"), COARSE)
         self.recorded = wires.replayed(self.configs["tcp"], folder / "same.csv", folder / "replay.db")
 
@@ -57,12 +57,6 @@ def test_rows_and_alarms_of_a_wire_are_those_of_the_recording(played: Played, na
     assert len(live.alarms) == 6
     assert {row["status"] for row in live.rows} >= {"warming", "valid"}
     wires.assert_same(live, played.recorded, wires.NEAR)
-
-
-@pytest.mark.parametrize("name", WIRES)
-@pytest.mark.xfail(reason="rows after a move of the operating point round differently by batch", strict=True)
-def test_values_of_a_wire_are_within_a_billionth_of_their_deviation(played: Played, name: str) -> None:
-    wires.assert_same(wires.outcome(played.folder / "live.db", name), played.recorded, 1e-9)
 
 
 def test_kernel_saw_the_agent_write_read_requests_and_handshakes_only(played: Played) -> None:

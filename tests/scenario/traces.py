@@ -24,8 +24,8 @@ class Write:
     protocol: str
 
 
-def bus_writes(trace: Path, folder: Path) -> list[Write]:
-    """Return the writes in a trace to anything but pipes, standard output and files below a folder."""
+def bus_writes(trace: Path) -> list[Write]:
+    """Return the writes in a trace to anything but pipes and files."""
     found = []
     for line in trace.read_text(encoding="ascii").splitlines():
         if "resumed>" in line or re.match(r"\d+ +[+-]{3}", line):
@@ -33,7 +33,8 @@ def bus_writes(trace: Path, folder: Path) -> list[Write]:
         match = _CALL.fullmatch(line)
         assert match, f"a line of the trace is not understood: {line}"
         where = _plain(match["what"])
-        if not where.startswith(("pipe:", str(folder), "/dev/null", "anon_inode:")):
+        file = where.startswith("/") and "<char" not in where
+        if not file and not where.startswith(("pipe:", "anon_inode:", "/dev/null<")):
             data = b"".join(bytes.fromhex(text.replace("\\x", "")) for text in _QUOTED.findall(match["rest"]))
             found.append(Write(where, data, _protocol(where, data)))
     return found

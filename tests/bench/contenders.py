@@ -32,6 +32,8 @@ POLE_SCALES = (1.0, 2.0, 3.0, 6.0)
 WALKS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 MEMORIES = (0.98, 0.99, 0.996, 0.998)
 PASSES = 10
+WINDOWS = (("0.25", "0.25", 250), ("0.5", "0.5", 500), ("0.25-2", "[0.25, 0.5, 1.0, 2.0]", 2000))
+"""Names of the product's windows, as the configuration says them, and the longest in samples."""
 BLOCK = 20_000
 """Samples that window-ml is given at once."""
 
@@ -55,17 +57,26 @@ class Estimates:
     microseconds: float
     settled: float
 
+    @property
+    def shown(self) -> FloatArray:
+        """(N, q) what stands on the screen: the newest valid estimate, nominal before the first."""
+        known = np.vstack([NOMINAL, np.where(self.valid, self.theta, np.nan)])
+        usable = np.isfinite(known)
+        newest = np.maximum.accumulate(np.where(usable, np.arange(len(known))[:, None], 0), axis=0)
+        return np.asarray(np.take_along_axis(known, newest, axis=0)[1:])
+
 
 Run = Callable[[Record], Estimates]
 
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """A method with the figures that it was tuned to."""
+    """A method with the figures that it was tuned to; only the newest `window` samples are to count."""
 
     name: str
     run: Run
     tuning: str
+    window: int = WINDOW
 
 
 def contenders(sigma: float, tuning_record: Record, score: Callable[[Estimates], float]) -> list[Contender]:
@@ -82,8 +93,10 @@ def contenders(sigma: float, tuning_record: Record, score: Callable[[Estimates],
         best("RLS", [(f"poles x {s:g}, forgets {m:g}", rls_run(s, m)) for s in POLE_SCALES for m in MEMORIES]),
         best("joint EKF", [(f"walk {w:g}", joint_run(rivals.run_ekf, sigma, w)) for w in WALKS]),
         best("joint UKF", [(f"walk {w:g}", joint_run(rivals.run_ukf, sigma, w)) for w in WALKS]),
-        Contender("window-ml 0.25 s", product_run(sigma, 0.25), "not tuned"),
-        Contender("window-ml 0.5 s", product_run(sigma, 0.5), "not tuned"),
+        *[
+            Contender(f"window-ml {name} s", product_run(sigma, s), "not tuned", samples)
+            for name, s, samples in WINDOWS
+        ],
     ]
 
 
@@ -129,9 +142,9 @@ def _tracked(track: Callable[[Record], rivals.Track]) -> Run:
     return run
 
 
-def product_run(sigma: float, window_s: float) -> Run:
+def product_run(sigma: float, window_s: str) -> Run:
     text = (Path(__file__).parent / "scene.toml").read_text(encoding="utf-8")
-    text = text.replace("@NOISE@", f"{sigma!r}").replace("@WINDOW@", f"{window_s!r}")
+    text = text.replace("@NOISE@", f"{sigma!r}").replace("@WINDOW@", window_s)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.toml"
         file.write_text(text, encoding="utf-8")

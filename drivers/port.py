@@ -52,6 +52,7 @@ class SampleBlock:
         t_ns: (n,) the device's or the recording's time stamps, ns; None where there is none.
         epoch: counts up by one when the device is known to have begun counting anew (a restart): counters and
             time stamps of different epochs cannot be compared.
+        wall_offset_ns: wall minus monotonic clock at the receipt, noted by whoever labels samples; drivers leave None.
     """
 
     values: FloatArray
@@ -59,6 +60,7 @@ class SampleBlock:
     counter: IntArray | None = None
     t_ns: IntArray | None = None
     epoch: int = 0
+    wall_offset_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self.values)

@@ -5,7 +5,8 @@ A recording is a folder of segments "SOURCE-NNNNNNNN.raw". A segment is
     "DELTAKRAW1\n"  magic and version
     u32, JSON       length and header: source, fields, counter_modulus, config_sha256, code_version, byte_order, created
     blocks          u32 length of what follows, u32 its CRC-32, then
-                    i64 arrival_ns (monotonic), u32 rows, u16 columns, u16 flags (1: counter, 2: t_ns),
+                    i64 arrival_ns (monotonic), i64 wall_offset_ns (wall minus monotonic), u32 epoch, u32 rows,
+                    u16 columns, u16 flags (1: counter, 2: t_ns, 4: wall_offset_ns is known),
                     rows x columns float64 row by row, rows int64 counter, rows int64 t_ns
 
 Everything is little-endian. A segment cut short (power, full disk) is read up to its last whole block.
@@ -29,10 +30,10 @@ from agent.errors import RecordingError
 from drivers.port import SampleBlock
 
 MAGIC = b"DELTAKRAW1\n"
-_HEAD = struct.Struct("<qIHH")
+_HEAD = struct.Struct("<qqIIHH")
 _FRAME = struct.Struct("<II")
 _LONGEST_BLOCK = 1 << 30
-_COUNTER, _TIMES = 1, 2
+_COUNTER, _TIMES, _OFFSET = 1, 2, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,19 +53,20 @@ def encode_block(block: SampleBlock) -> bytes:
     """Return a block as it stands in a segment."""
     values = np.ascontiguousarray(block.values, dtype="<f8")
     parts = [values.tobytes()]
-    flags = 0
+    flags = 0 if block.wall_offset_ns is None else _OFFSET
     for flag, numbers in ((_COUNTER, block.counter), (_TIMES, block.t_ns)):
         if numbers is not None:
             flags |= flag
             parts.append(np.ascontiguousarray(numbers, dtype="<i8").tobytes())
     rows, columns = values.shape
-    content = _HEAD.pack(block.arrival_ns, rows, columns, flags) + b"".join(parts)
+    head = _HEAD.pack(block.arrival_ns, block.wall_offset_ns or 0, block.epoch, rows, columns, flags)
+    content = head + b"".join(parts)
     return _FRAME.pack(len(content), zlib.crc32(content)) + content
 
 
 def decode_block(content: bytes) -> SampleBlock:
     """Return the block of a frame's content; raises ValueError when its sizes do not fit."""
-    arrival, rows, columns, flags = _HEAD.unpack_from(content)
+    arrival, offset, epoch, rows, columns, flags = _HEAD.unpack_from(content)
     values = np.frombuffer(content, "<f8", rows * columns, _HEAD.size).reshape(rows, columns)
     place = _HEAD.size + 8 * rows * columns
     found: dict[int, np.ndarray[tuple[int], np.dtype[np.int64]] | None] = {_COUNTER: None, _TIMES: None}
@@ -74,7 +76,8 @@ def decode_block(content: bytes) -> SampleBlock:
             place += 8 * rows
     if place != len(content):
         raise ValueError("the block's length is wrong")
-    return SampleBlock(values, arrival, found[_COUNTER], found[_TIMES])
+    known = offset if flags & _OFFSET else None
+    return SampleBlock(values, arrival, found[_COUNTER], found[_TIMES], epoch, known)
 
 
 def read_header(file: BinaryIO, path: Path) -> RawHeader:

@@ -5,14 +5,16 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from agent import __version__
 from agent.config import RigConfig, driver_class, load
 from agent.errors import RecordingError
-from agent.runtime.clock import boot_id, wall_ns
+from agent.runtime.clock import SampleLabels, boot_id, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
+from agent.runtime.raw_source import SUFFIX, RawDriver, RawSettings
 from agent.runtime.results import RunSummary
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
@@ -67,7 +69,8 @@ def make_pipeline(rig: RigConfig) -> Pipeline:
 
 def opened(rig: RigConfig, path: Path) -> Driver:
     """Return the driver of a recording, open. Raises RecordingError."""
-    driver = _can_log(rig, path) if path.suffix.lower() in CAN_LOGS else _table(rig, path)
+    kinds = {SUFFIX: _raw} | dict.fromkeys(CAN_LOGS, _can_log)
+    driver = kinds.get(path.suffix.lower(), _table)(rig, path)
     try:
         driver.open()
     except DriverError as error:
@@ -75,6 +78,17 @@ def opened(rig: RigConfig, path: Path) -> Driver:
     for note in driver.take_notes():
         log.info("%s", note)
     return driver
+
+
+def _raw(rig: RigConfig, path: Path) -> Driver:
+    """The driver of one of the agent's own raw recordings, of a source that carries every channel."""
+    channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
+    sources = [source for source in rig.source if path.name.startswith(f"{source.name}-")]
+    if not sources or any(name not in sources[0].map for name in channels):
+        advice = "replay it with the configuration it was recorded with"
+        raise RecordingError.at("", f"{path}: no source of the configuration was recorded there", advice)
+    fields = tuple(sources[0].map[name] for name in channels)
+    return RawDriver(SourceRequest(sources[0].name, RawSettings(path=path.absolute()), fields))
 
 
 def _can_log(rig: RigConfig, path: Path) -> Driver:
@@ -117,8 +131,9 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
 def _records(pipeline: Pipeline, drivers: Sequence[Driver]) -> Iterator[list[Record]]:
     """Yield what each block of each recording leads to, with the ledger every 10 s of samples and at the end."""
     due: int | None = None
+    labels = SampleLabels(pipeline.config.rig.sample_rate_hz)
     for driver in drivers:
-        for records in _blocks(pipeline, driver):
+        for records in _blocks(pipeline, driver, labels):
             yield records
             if due is None or pipeline.newest_ns >= due:
                 due = pipeline.newest_ns + HEALTH_PERIOD_NS
@@ -135,7 +150,7 @@ def _ledger(pipeline: Pipeline, drivers: Sequence[Driver]) -> list[Record]:
     return list(pipeline.health({SOURCE: Conservation(total, Counter())}, pipeline.newest_ns, None))
 
 
-def _blocks(pipeline: Pipeline, driver: Driver) -> Iterator[list[Record]]:
+def _blocks(pipeline: Pipeline, driver: Driver, labels: SampleLabels) -> Iterator[list[Record]]:
     while True:
         try:
             block = driver.read(1.0)
@@ -143,4 +158,7 @@ def _blocks(pipeline: Pipeline, driver: Driver) -> Iterator[list[Record]]:
             return
         except DriverError as error:
             raise RecordingError.at("", str(error), "mend or cut the recording") from error
-        yield pipeline.step(SOURCE, block, driver.counter_modulus, None)
+        # blocks that were received live are labelled as they were then
+        received = block.wall_offset_ns is not None
+        label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
+        yield pipeline.step(SOURCE, block, driver.counter_modulus, label if received else None)

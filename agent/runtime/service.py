@@ -5,6 +5,7 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, Literal
@@ -14,6 +15,7 @@ from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline
+from agent.runtime.recorder import RawHeader, Recorder
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
 from agent.storage.alarms import AlarmRow
@@ -21,7 +23,7 @@ from agent.storage.retention import Retention
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import AlarmTransition, HealthEvent, Record, RunInfo
-from drivers.port import DriverConfigError
+from drivers.port import Driver, DriverConfigError
 from drivers.reconnect import LinkEvent
 
 HEALTH_PERIOD_NS = 10_000_000_000
@@ -57,7 +59,7 @@ class RigRuntime:
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", 0.0))
         block = part(arrival.block, use.columns)
-        offset = wall_ns() - monotonic_ns()
+        offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
         records = self.pipeline.step(
             use.source, block, arrival.modulus, lambda index: self._labels.label(index, block.arrival_ns, offset)
         )
@@ -119,10 +121,20 @@ class Service:
         self._stop = threading.Event()
         self.connections = connect(configs, self._wake)
         self.writers = _writers(configs, db, kind)
+        self._record(configs, db)
         self._writer_of = {c.rig.name: self.writers[_path(c, db)] for c in configs}
         self.rigs = {c.rig.name: RigRuntime(c, self._writer_of[c.rig.name].publish) for c in configs}
         for config in configs:
             self.rigs[config.rig.name].summary.db = str(_path(config, db))
+
+    def _record(self, configs: Sequence[RigConfig], db: Path | None) -> None:
+        """See that the sources with `record = true` are recorded, in a folder beside the database."""
+        wanted = {(c.rig.name, s.name): c for c in configs for s in c.source if s.record}
+        for connection in self.connections:
+            for use in connection.uses:
+                config = wanted.get((use.rig, use.source))
+                if config is not None:
+                    connection.make_recorder = partial(_recorder, config, _path(config, db), use.source)
 
     def stop(self) -> None:
         """Ask `run` to return; safe from a signal handler."""
@@ -205,6 +217,13 @@ def run(
     seconds = (monotonic_ns() - started) / 1e9
     documents = [rig.summary.document(seconds) for rig in service.rigs.values()]
     return documents[0] if len(documents) == 1 else {"runs": documents}
+
+
+def _recorder(config: RigConfig, db: Path, source: str, driver: Driver) -> Recorder:
+    header = RawHeader(
+        source, driver.request.fields, driver.counter_modulus, config.sha256, __version__, wall_ns()
+    )
+    return Recorder(db.with_name(db.name + ".raw"), header)
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:

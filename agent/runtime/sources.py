@@ -3,15 +3,17 @@
 import logging
 import threading
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
+from agent.runtime.clock import monotonic_ns, wall_ns
+from agent.runtime.recorder import Recorder
 from drivers.port import Counts, Driver, DriverConfigError, SampleBlock, SourceRequest
 from drivers.reconnect import LinkEvent, ReconnectingDriver
 
@@ -47,6 +49,7 @@ class Connection:
         dropped: samples that found the queue full, by reason.
         counts: the driver's counts at the newest block taken.
         progress: grows with every turn of the thread; a watchdog may read it.
+        make_recorder: makes what records every block, where that is wanted, once the driver is open.
     """
 
     def __init__(self, driver: Driver, uses: Sequence[Use], stale_s: float, wake: threading.Event) -> None:
@@ -54,6 +57,8 @@ class Connection:
         self.dropped: Counter[str] = Counter()
         self.counts = Counts()
         self.progress = 0
+        self.make_recorder: Callable[[Driver], Recorder] | None = None
+        self._recorder: Recorder | None = None
         self._stop = threading.Event()
         self._wake = wake
         self._driver = driver
@@ -73,6 +78,8 @@ class Connection:
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
+        if self._recorder is not None:
+            self._recorder.stop()
 
     def is_alive(self) -> bool:
         """Whether the thread runs."""
@@ -118,7 +125,16 @@ class Connection:
         for note in self._driver.take_notes():
             log.info("%s: %s", self._driver.request.name, note)
         if len(block):
-            self._put(block)
+            noted = replace(block, wall_offset_ns=wall_ns() - monotonic_ns())
+            self._record(noted)
+            self._put(noted)
+
+    def _record(self, block: SampleBlock) -> None:
+        if self._recorder is None and self.make_recorder is not None:
+            self._recorder = self.make_recorder(self._driver)
+            self._recorder.start()
+        if self._recorder is not None:
+            self._recorder.record(block)
 
     def _say(self, event: LinkEvent) -> None:
         with self._lock:
@@ -142,7 +158,7 @@ def part(block: SampleBlock, columns: Sequence[int]) -> SampleBlock:
     if list(columns) == list(range(block.values.shape[1])):
         return block
     values = np.ascontiguousarray(block.values[:, list(columns)])
-    return SampleBlock(values, block.arrival_ns, block.counter, block.t_ns, block.epoch)
+    return replace(block, values=values)
 
 
 def connect(configs: Sequence[RigConfig], wake: threading.Event) -> list[Connection]:

@@ -15,6 +15,10 @@ from drivers.port import Driver, DriverIOError, DriverSettings, FloatArray, IntA
 from drivers.recorded import RecordedFile, Rows, Wanted
 
 TIME = "t"
+RESOLVED = 1e-9
+"""Of the largest reading: below this a step cannot be told from the rounding of decimal text."""
+ON_GRID, MOST = 0.01, 0.99
+"""Readings are multiples of a step if nearly all of them are within this share of it."""
 
 
 class RecordingSettings(DriverSettings):
@@ -44,6 +48,7 @@ class RecordingDriver(Driver):
     finite: ClassVar[bool] = True
     _file: RecordedFile | None = None
     _rows: Iterator[Rows] = iter(())
+    _ahead: Rows | None = None
     _last_ns = 0
 
     def open(self) -> None:
@@ -59,12 +64,12 @@ class RecordingDriver(Driver):
             fault=self._fault,
         )
         self._file = NpzFile(wanted) if wanted.path.suffix.lower() == ".npz" else CsvFile(wanted)
-        self._rows = self._file.rows()
+        self._rows, self._ahead = self._file.rows(), None
 
     def read(self, timeout_s: float) -> SampleBlock:
         if self._file is None:
             raise DriverIOError(f"{self.request.name}: read before open")
-        rows = next(self._rows, None)
+        rows, self._ahead = self._ahead or next(self._rows, None), None
         if rows is None:
             raise EOFError(f"{self.request.settings.path}: end of the recording")
         return self._block(*rows)
@@ -75,7 +80,12 @@ class RecordingDriver(Driver):
         self._file = None
 
     def resolution(self) -> tuple[float, ...]:
-        return (0.0,) * len(self.request.fields)
+        """Return the step that all readings of the recording's first block are multiples of; 0.0 where none is."""
+        if self._file is not None and self._ahead is None:
+            self._ahead = next(self._rows, None)
+        if self._ahead is None:
+            return (0.0,) * len(self.request.fields)
+        return tuple(_step(column) for column in self._ahead[1].T)
 
     def _fault(self, words: str) -> None:
         self.counts.faults["text"] += 1
@@ -102,3 +112,14 @@ class RecordingDriver(Driver):
         """Return the times with the last readable one in place of those that are not."""
         newest = np.maximum.accumulate(np.where(bad, -1, np.arange(len(t_ns))))
         return np.where(newest < 0, self._last_ns, t_ns[np.maximum(newest, 0)])
+
+
+def _step(values: FloatArray) -> float:
+    """Return the least difference of neighbouring readings (n,) if nearly all readings are multiples of it, else 0."""
+    finite = values[np.isfinite(values)]
+    moved = np.abs(np.diff(finite))
+    step = float(np.min(moved[moved > 0], initial=np.inf))
+    if not np.isfinite(step) or step < RESOLVED * float(np.abs(finite).max()):
+        return 0.0
+    multiples = finite / step
+    return step if float(np.mean(np.abs(multiples - np.rint(multiples)) < ON_GRID)) > MOST else 0.0

@@ -12,7 +12,7 @@ import hypothesis
 import numpy as np
 import pytest
 
-from tests import peers
+from tests import figures, peers
 from tests.tracing import run as tracing
 
 SEED = int(os.environ.get("DELTAK_SEED", "0"))
@@ -49,11 +49,15 @@ def pytest_report_header() -> list[str]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """List forbidden writes, and, as the last thing before the closing line, what was not tested."""
+    """List forbidden writes, figures that tests measured, and, as the last thing before the closing line, what was not tested."""
     permitted, forbidden = terminalreporter.config.stash[_WRITES]
     terminalreporter.line(f"writes of drivers: {permitted} read requests and handshakes, {len(forbidden)} others")
     for text in forbidden:
         terminalreporter.line(f"FORBIDDEN WRITE in {text}", red=True)
+    if figures.FIGURES:
+        terminalreporter.section("figures measured")
+        for text in figures.FIGURES:
+            terminalreporter.line(text)
     if not peers.NOT_TESTED:
         return
     terminalreporter.section("NOT TESTED", sep="!", red=True, bold=True)

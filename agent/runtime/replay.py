@@ -38,7 +38,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     started = time.monotonic()
     with ExitStack() as stack:
         drivers = [_until_the_end(stack, opened(rig, path)) for path in recordings]
-        pipeline = make_pipeline(rig)
+        pipeline = make_pipeline(rig, drivers)
         summary = RunSummary(rig, db=None if db is None else str(db))
         writer = _writer(rig, db)
         if writer is not None:
@@ -56,15 +56,27 @@ def _until_the_end(stack: ExitStack, driver: Driver) -> Driver:
     return driver
 
 
-def make_pipeline(rig: RigConfig) -> Pipeline:
-    """Build the pipeline that replays a rig's recordings, with the resolution that its sources' wires have."""
+def make_pipeline(rig: RigConfig, recordings: Sequence[Driver] = ()) -> Pipeline:
+    """Build the pipeline that replays a rig's recordings, with the resolution of its sources' wires, else of the first.
+
+    Raises RecordingError.
+    """
     steps = []
     for source in rig.source:
         request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, rig.folder)
         steps.append(driver_class(source.driver)(request).resolution())
-    known = resolutions([source.map for source in rig.source], steps)
     names = {channel.name: channel.name for channel in (*rig.inputs, *rig.outputs)}
+    known = resolutions([source.map for source in rig.source], steps)
+    if recordings and not rig.source:
+        known = resolutions([names], [_seen_steps(recordings[0])])
     return Pipeline(rig, known, {SOURCE: names})
+
+
+def _seen_steps(recording: Driver) -> tuple[float, ...]:
+    try:
+        return recording.resolution()
+    except DriverError as error:
+        raise RecordingError.at("", str(error), "mend or cut the recording") from error
 
 
 def opened(rig: RigConfig, path: Path) -> Driver:

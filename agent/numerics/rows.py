@@ -23,6 +23,7 @@ class Rows:
         ratio: (N,) residual variance over the reference.
         suspect: (N,) the Reason that a model which lacks something gives away; 0 where none does.
         window: (N, q) length of the window that each estimate is of, samples; 0 while warming.
+        channel: (N,) the channel (outputs, then inputs) whose sensor may be what changed; -1 where none is blamed.
     """
 
     index: IntArray
@@ -35,6 +36,7 @@ class Rows:
     ratio: FloatArray
     suspect: IntArray
     window: IntArray
+    channel: IntArray
 
     @classmethod
     def warming(cls, index: IntArray, q: int) -> "Rows":
@@ -42,7 +44,7 @@ class Rows:
         nothing, no = np.full((len(index), q), np.nan), np.zeros(len(index), dtype=bool)
         unknown = np.full(len(index), np.nan)
         return cls(index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(),
-                   np.zeros(len(index), dtype=np.int64), np.zeros((len(index), q), dtype=np.int64))  # fmt: skip
+                   np.zeros(len(index), dtype=np.int64), np.zeros((len(index), q), dtype=np.int64), np.full(len(index), -1, dtype=np.int64))  # fmt: skip
 
     @classmethod
     def joined(cls, pieces: "list[Rows]", q: int) -> "Rows":

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from agent.numerics.calibrate import Calibrator
 from agent.numerics.cells import Summary
 from agent.numerics.choice import Candidate, candidate, choose, gate
-from agent.numerics.colour import Colour, colour_of
+from agent.numerics.colour import Colour, InputNoise, colour_of
 from agent.numerics.commission import Commission
 from agent.numerics.fit import Fit, Problem, fit_window, linearise
 from agent.numerics.gains import Gains
 from agent.numerics.hops import HopOperators, HopPlan, Segment
 from agent.numerics.lacking import MOST, Answer, Lacking, answer
-from agent.numerics.observer import Noise
+from agent.numerics.observer import Gain, Noise
 from agent.numerics.past import Past
 from agent.numerics.reference import Reference, combined, mean_and_sd
 from agent.numerics.rows import Rows
@@ -27,7 +27,7 @@ from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
 from agent.numerics.straddle import Window, is_clean
 from agent.numerics.suspects import Suspects
-from agent.numerics.window import solve_windows
+from agent.numerics.window import WindowSolution, joined_solutions, solve_windows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -184,8 +184,8 @@ class WindowML:
 
     def _advance(self, segment: Segment) -> Rows:
         """Summarise what is ready, judge each row, act at the first that asks for it, return the rows settled."""
-        index, windows = segment.advance(self._operators, min(segment.ready(), 1 if self._fragile else self._units))
-        rows, information = self._rows(index, windows)
+        index, solution = self._solve_next(segment, min(segment.ready(), self._units))
+        rows, information = self._rows(index, solution)
         candidates = self._candidates(segment)
         self._mend(segment, rows, information, candidates)
         white_sd = rows.sd / self._widening()
@@ -201,25 +201,35 @@ class WindowML:
         self._units = UNITS_MIN
         return rows.part(moved_at + 1)
 
+    def _solve_next(self, segment: Segment, units: int) -> tuple[IntArray, WindowSolution | None]:
+        """Summarise the next rows' samples and solve the windows that end there; see `WindowSettings.repeatable`."""
+        indices, solutions = [], []
+        together = 1 if self._fragile and self.settings.longer else units
+        for count in [1] * together if self._fragile else [together]:
+            index, windows = segment.advance(self._operators, count)
+            indices.append(index)
+            if windows is not None:
+                solutions.append(solve_windows(windows, self._n))
+        return np.concatenate(indices), joined_solutions(solutions) if solutions else None
+
     def _candidates(self, segment: Segment) -> list[Candidate]:
         """What the longer windows that are whole say at the newest rows."""
         pairs = zip(self.settings.longer, segment.longer, strict=True)
         theta, outputs, least = self.theta, len(self.noise.sigma), self._floor_ratio()
         return [candidate(s, window, theta, self._n, outputs, least) for window, s in pairs if s is not None]
 
-    def _rows(self, index: IntArray, windows: Summary | None) -> tuple[Rows, FloatArray]:
-        """Turn the windows' summaries into rows and scaled information (rows, q, q); the verdicts come later."""
+    def _rows(self, index: IntArray, solution: WindowSolution | None) -> tuple[Rows, FloatArray]:
+        """Turn solved windows into rows and scaled information (rows, q, q); the verdicts come later."""
         q = len(self.theta)
         rows = Rows.warming(index, q)
         information = np.zeros((len(index), q, q))
-        if windows is None:
+        if solution is None:
             return rows, information
-        solution = solve_windows(windows, self._n)
         s2 = solution.residual / self._dof
         # a residual of exactly nothing leaves what is unknown unknown
         s2_floored = np.maximum(s2, max(self._floor_ratio(), 1e-300))
         variance = np.einsum("nii->ni", solution.covariance) * s2_floored[:, None]
-        new = slice(len(index) - len(windows), None)
+        new = slice(len(index) - len(s2), None)
         rows.theta[new] = self.theta + solution.delta
         rows.sd[new] = np.sqrt(variance) * self._widening()
         rows.dof[new], rows.full[new], rows.ratio[new] = self._dof * self.colour.share, True, s2
@@ -429,7 +439,8 @@ class WindowML:
         covariance = np.linalg.pinv(here.psi.T @ here.psi, hermitian=True)
         delta = covariance @ (here.psi.T @ here.e)
         residual = (here.e - here.psi @ delta).reshape(-1, len(self.noise.sigma))
-        self._take_colour(colour_of(here.psi, residual, np.asarray(covariance), self._unknowns), index)
+        inputs = self._input_noise(self._discrete, self.gain, window)
+        self._take_colour(colour_of(here.psi, residual, np.asarray(covariance), self._unknowns, inputs), index)
         rows.sd[row:] *= self.colour.inflation / before.inflation
         rows.dof[row:] *= self.colour.share / before.share
         self._accuse(segment, rows, row)
@@ -447,6 +458,10 @@ class WindowML:
         found = suspects.accuse(self.theta, self.gain, v, self._dof * self.colour.share)
         self._accused = 0 if found is None else int(found.suspect.reason)
         rows.suspect[row:] = self._accused
+
+    def _input_noise(self, discrete: Discrete, gain: Gain, samples: int) -> InputNoise | None:
+        sd = self.settings.input_sd
+        return None if sd is None else InputNoise.of(discrete.model, gain, sd, samples)
 
     def _take_colour(self, colour: Colour, index: int) -> None:
         self.colour, self._coloured_at = colour, index
@@ -526,7 +541,9 @@ class WindowML:
         """
         if not np.all(np.isfinite(fit.covariance)):
             return False
-        self.colour = colour_of(fit.psi, fit.residual, fit.covariance, self._unknowns)
+        discrete = self.sampled(fit.theta)
+        inputs = self._input_noise(discrete, self.settings.gains.settled(discrete, self.noise), len(fit.residual))
+        self.colour = colour_of(fit.psi, fit.residual, fit.covariance, self._unknowns, inputs)
         if dof is None:
             return self._place_long(segment, fit, start)
         s2 = float(np.sum(fit.residual**2)) / dof

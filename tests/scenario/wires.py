@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -177,8 +178,8 @@ def write_recording(path: Path, numbers: np.ndarray, wire: Wire) -> None:
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-def replayed(config: Path, recording: Path, db: Path) -> Outcome:
+def replayed(config: Path, recording: Path, db: Path, environment: Mapping[str, str] = MappingProxyType({})) -> Outcome:
     """Replay a recording by the command and read what it stored."""
     command = [sys.executable, "-m", "agent", "replay", str(config), str(recording), "--db", str(db), "--json"]
-    subprocess.run(command, check=True, capture_output=True, env=os.environ, timeout=LIMIT_S)
+    subprocess.run(command, check=True, capture_output=True, env=os.environ | environment, timeout=LIMIT_S)
     return outcome(db, config.parent.name)

@@ -16,6 +16,7 @@ from agent.runtime.demo_bus import COARSE
 from agent.storage import queries
 from tests.peers import ROOT, program
 from tests.scenario import wires
+from tests.uml.inside import SAME_ARITHMETIC
 from tests.vcan import guest
 from tests.vcan.test_vcan import kernel_has_vcan
 
@@ -64,7 +65,8 @@ def test_candump_saw_what_the_device_played_and_nothing_of_the_agent(left: Left)
 
 def test_rows_and_alarms_on_vcan_are_those_of_the_recording(left: Left, tmp_path: Path) -> None:
     wires.write_recording(tmp_path / "same.csv", left.integers, COARSE)
-    recorded = wires.replayed(wires.configure("daemon", tmp_path), tmp_path / "same.csv", tmp_path / "replay.db")
+    config, files = wires.configure("daemon", tmp_path), (tmp_path / "same.csv", tmp_path / "replay.db")
+    recorded = wires.replayed(config, *files, SAME_ARITHMETIC)
     live = wires.outcome(left.db, "played")
     assert len(live.rows) == 800
     assert len(live.alarms) == 4

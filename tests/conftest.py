@@ -49,7 +49,7 @@ def pytest_report_header() -> list[str]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """List forbidden writes, figures that tests measured, and, as the last thing before the closing line, what was not tested."""
+    """List forbidden writes, figures, and, as the last thing before the closing line, what was not tested."""
     permitted, forbidden = terminalreporter.config.stash[_WRITES]
     terminalreporter.line(f"writes of drivers: {permitted} read requests and handshakes, {len(forbidden)} others")
     for text in forbidden:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.products import column_products, row_products
 from agent.numerics.sensitivity import SensitivityFilter
 
 FloatArray = NDArray[np.float64]
@@ -48,15 +49,19 @@ class CellOperator:
     q: int
     direct: FloatArray | None = None
 
+    def after(self, v: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the states (N, nz) that cells with inputs v (N, L(p+m)) leave when started from z (N, nz)."""
+        return row_products(z, self.state_from_state.T) + row_products(v, self.state_from_inputs)
+
     def columns(self, v: FloatArray, z: FloatArray) -> FloatArray:
         """Return (e, psi_1 .. psi_q) of N cells, (N, 1+q, L p), with inputs v (N, L(p+m)) from states z (N, nz)."""
         count = len(v)
         if self.direct is None:
-            return np.asarray(np.hstack([v, z]) @ self.outputs).reshape(count, 1 + self.q, -1)
+            return row_products(np.hstack([v, z]), self.outputs).reshape(count, 1 + self.q, -1)
         y, u = np.split(v.reshape(count, self.length, -1), [self.p], axis=2)
-        o = (np.hstack([u.reshape(count, -1), z]) @ self.outputs).reshape(count, 1 + self.q, -1)
+        o = row_products(np.hstack([u.reshape(count, -1), z]), self.outputs).reshape(count, 1 + self.q, -1)
         o[:, 0] += (y @ self.direct.T).reshape(count, -1)
-        return np.asarray(o)
+        return o
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +144,7 @@ def summarise_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> Sum
     """Return the summary of N cells with inputs v (N, L(p+m)) and initial states z (N, nz)."""
     o = operator.columns(v, z)
     count, width, size = o.shape
-    moment = (o.reshape(count * width, size) @ operator.G).reshape(count, width, -1)
+    moment = row_products(o.reshape(count * width, size), operator.G).reshape(count, width, -1)
     gram = np.matmul(o, o.transpose(0, 2, 1))
     return Summary(gram, np.ascontiguousarray(moment.transpose(2, 0, 1)), operator.Pi, operator.G.T @ operator.G)
 
@@ -147,7 +152,7 @@ def summarise_cells(operator: CellOperator, v: FloatArray, z: FloatArray) -> Sum
 def merge(first: Summary, second: Summary) -> Summary:
     """Return the summaries of N stretches, each `first` followed at once by `second`."""
     count, width = first.gram.shape[:2]
-    carried = (first.Pi.T @ second.moment.reshape(-1, count * width)).reshape(-1, count, width)
+    carried = column_products(first.Pi.T, second.moment.reshape(-1, count * width)).reshape(-1, count, width)
     return Summary(
         first.gram + second.gram,
         first.moment + carried,

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.cells import CellOperator, Summary, cell_operators, joined, merge, propagate, summarise_cells
+from agent.numerics.cells import CellOperator, Summary, cell_operators, joined, merge, summarise_cells
+from agent.numerics.course import Course
 from agent.numerics.sensitivity import SensitivityFilter
 from agent.numerics.sliding import Kept, slide
 
@@ -69,7 +70,7 @@ class HopOperators:
         for length in (*self.rest, *self.head):
             cell = self.cells[length]
             inputs = v[:, start : start + length].reshape(len(v), -1)
-            state = state @ cell.state_from_state.T + inputs @ cell.state_from_inputs
+            state = cell.after(inputs, state)
             start += length
         return state
 
@@ -81,7 +82,7 @@ class HopOperators:
             cell = self.cells[length]
             inputs = v[:, start : start + length].reshape(len(v), -1)
             piece = summarise_cells(cell, inputs, z)
-            z = z @ cell.state_from_state.T + inputs @ cell.state_from_inputs
+            z = cell.after(inputs, z)
             total = piece if total is None else merge(total, piece)
             start += length
         if total is None:
@@ -108,7 +109,7 @@ class Segment:
         self.first = -(-index // plan.hop) * plan.hop
         self.done = self.first
         self.v: FloatArray = np.zeros((0, width))
-        self.z: FloatArray | None = None
+        self.z: Course | None = None
         self.kept = Kept()
         self.head: Summary | None = None
 
@@ -140,7 +141,7 @@ class Segment:
         self.head = None
         self.kept = Kept()
         self._kept_more = [Kept() for _ in self._more]
-        self.done, self.z = start, z
+        self.done, self.z = start, Course.at(z)
 
     def advance(self, operators: HopOperators, units: int) -> tuple[IntArray, Summary | None]:
         """Summarise the next rows' samples; return the rows' indices and the windows that end there, if whole."""
@@ -148,7 +149,7 @@ class Segment:
             return self._first_head(operators)
         plan = self.plan
         v = self.samples(self.done, self.done + units * plan.hop).reshape(units, plan.hop, -1)
-        states, self.z = propagate(self._state(operators), operators.hop_transition, operators.forced(v))
+        states, self.z = self._course(operators).over(operators.hop_transition, operators.forced(v))
         split = plan.hop - plan.head
         rest: Summary | None = None
         if split:
@@ -168,14 +169,14 @@ class Segment:
     def _first_head(self, operators: HopOperators) -> tuple[IntArray, Summary | None]:
         v = self.samples(self.done, self.done + self.plan.head)
         self.longer = [None for _ in self._more]
-        self.head, ends = operators.summarise(operators.head, v[None], self._state(operators)[None])
-        self.z = ends[0]
+        self.head, ends = operators.summarise(operators.head, v[None], self._course(operators).start[None])
+        self.z = Course.at(ends[0])
         self.done += self.plan.head
         return np.array([self.done - 1], dtype=np.int64), self.head if self.plan.fulls == 0 else None
 
-    def _state(self, operators: HopOperators) -> FloatArray:
+    def _course(self, operators: HopOperators) -> Course:
         """The filters' state after the newest sample summarised; zero before the first."""
-        return np.zeros(operators.nz) if self.z is None else self.z
+        return Course.at(np.zeros(operators.nz)) if self.z is None else self.z
 
     def _windows(self, finished: Summary, heads: Summary) -> Summary | None:
         """Join whole hops and a head into windows, for as many of the newest rows as there are enough hops."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.cells import Summary, joined, repeated, sliding
+from agent.numerics.products import column_products
 
 FloatArray = NDArray[np.float64]
 SHORT = 16
@@ -162,7 +163,7 @@ def _suffixes(joins: Joins, hops: Summary, whole: int) -> Phases:
     moment, gram = phases.moment, phases.gram.copy()
     carry = joins.powers[1]
     for k in range(joins.block - 2, -1, -1):
-        moment[k] += (carry @ moment[k + 1].reshape(len(carry), -1)).reshape(moment[k].shape)
+        moment[k] += column_products(carry, moment[k + 1].reshape(len(carry), -1)).reshape(moment[k].shape)
         gram[k] += gram[k + 1]
     return Phases(moment, gram)
 
@@ -170,7 +171,7 @@ def _suffixes(joins: Joins, hops: Summary, whole: int) -> Phases:
 def _product(matrices: FloatArray, moment: FloatArray) -> FloatArray:
     """Multiply (b, nz, nz) by moments (b, nz, blocks, 1+q), one matrix a phase."""
     flat = moment.reshape(*moment.shape[:2], -1)
-    return np.asarray(np.matmul(matrices, flat).reshape(moment.shape))
+    return np.stack([column_products(*pair) for pair in zip(matrices, flat, strict=True)]).reshape(moment.shape)
 
 
 def _windows(joins: Joins, prefixes: Phases, suffixes: Phases, blocks: Summary, before: int, which: slice) -> Summary:

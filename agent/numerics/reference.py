@@ -28,14 +28,17 @@ class Reference:
         return cls(np.zeros((q, q)), np.zeros(q))
 
     def with_windows(self, information: FloatArray, theta: FloatArray) -> "tuple[FloatArray, FloatArray]":
-        """Return A (N, q, q) and b (N, q) after each of N further disjoint windows, theta (N, q) scaled."""
-        count, q = theta.shape
-        age = np.subtract.outer(np.arange(count), np.arange(count))
-        powers = FORGET ** np.arange(count + 1)
-        weights, past = np.tril(powers[np.abs(age)]), powers[1:]
-        A = past[:, None, None] * self.A + (weights @ information.reshape(count, -1)).reshape(count, q, q)
+        """Return A (N, q, q) and b (N, q) after each of N further disjoint windows, theta (N, q) scaled.
+
+        One after the other: a product of all at once would round differently for each number of them.
+        """
+        A, b = np.empty_like(information), np.empty_like(theta)
         pieces = np.einsum("nij,nj->ni", information, theta)
-        return A, past[:, None] * self.b + weights @ pieces
+        last_A, last_b = self.A, self.b
+        for i in range(len(theta)):
+            last_A = A[i] = FORGET * last_A + information[i]
+            last_b = b[i] = FORGET * last_b + pieces[i]
+        return A, b
 
 
 def mean_and_sd(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -5,12 +5,14 @@ eliminated by variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (197
 re-evaluated at the window's own best initial state, so that the estimate depends on samples inside the window only.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.cells import Summary
+from agent.numerics.products import row_products
 
 FloatArray = NDArray[np.float64]
 
@@ -35,6 +37,14 @@ class WindowSolution:
     residual: FloatArray
     e0: FloatArray
     information: FloatArray
+
+
+def joined_solutions(pieces: Sequence[WindowSolution]) -> WindowSolution:
+    """Return the solutions of windows one after the other."""
+    if len(pieces) == 1:
+        return pieces[0]
+    columns = ([getattr(piece, f.name) for piece in pieces] for f in fields(WindowSolution))
+    return WindowSolution(*(np.concatenate(column) for column in columns))
 
 
 def pseudo_root(gram: FloatArray) -> FloatArray:
@@ -71,17 +81,21 @@ def _project(window: Summary, n: int) -> tuple[FloatArray, FloatArray]:
     count, width = window.gram.shape[:2]
     root = pseudo_root(window.GG[:n, :n])
     blocks = window.moment.reshape(width, n, count, width)  # block, state, window, column
-    e0 = blocks[0, :, :, 0].T @ root @ root.T
+    e0 = row_products(row_products(blocks[0, :, :, 0].T, root), root.T)
     sign = np.ones(width)
     sign[0] = -1.0  # e loses Gamma e0, psi_i gains d_i Gamma e0
-    moved = np.einsum("brna,nr->nab", blocks, e0, optimize=True) * sign
+    # summed over the few states one by one, which a general contraction takes longer to plan than to do
+    turned = blocks[:, 0] * e0[:, 0][None, :, None]
+    for r in range(1, n):
+        turned += blocks[:, r] * e0[:, r][None, :, None]
+    moved = turned.transpose(1, 2, 0) * sign
     GG = window.GG.reshape(width, n, width, n)
     pairs = (e0[:, :, None] * e0[:, None, :]).reshape(count, n * n)
     kernel = (GG * np.outer(sign, sign)[:, None, :, None]).transpose(1, 3, 0, 2).reshape(n * n, width * width)
-    gram = window.gram + moved + moved.transpose(0, 2, 1) + (pairs @ kernel).reshape(count, width, width)
+    gram = window.gram + moved + moved.transpose(0, 2, 1) + row_products(pairs, kernel).reshape(count, width, width)
     leverage = (GG[0] * sign[:, None]).transpose(2, 0, 1).reshape(n, n * width)
-    P = blocks[0].transpose(1, 0, 2) + (e0 @ leverage).reshape(count, n, width)
-    Q = (P.transpose(0, 2, 1).reshape(count * width, n) @ root).reshape(count, width, -1)
+    P = blocks[0].transpose(1, 0, 2) + row_products(e0, leverage).reshape(count, n, width)
+    Q = row_products(P.transpose(0, 2, 1).reshape(count * width, n), root).reshape(count, width, -1)
     return e0, gram - Q @ Q.transpose(0, 2, 1)
 
 

@@ -64,6 +64,7 @@ class WindowSettings:
         enough_sd: (q,) sd above which a window cannot judge a parameter ("unexcited").
         scale_column: (q,) the channel (outputs, then inputs) whose rms in the first window fitted is the size of a
             parameter without one (an offset); None where every parameter has a size.
+        input_sd: (k,) noise of the first k inputs as far as it is known; None for none.
         suspects: what to look for where the model does not fit; None for nothing.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
@@ -86,6 +87,7 @@ class WindowSettings:
     repeatable: bool = False
     wanted_sd: FloatArray | None = None
     suspects: Suspects | None = None
+    input_sd: FloatArray | None = None
 
 
 class WindowML:
@@ -315,9 +317,14 @@ class WindowML:
         """(N,) some estimate leaves what was known before its window began, by more than chance and enough to matter."""
         estimates = (rows.theta / self.scale, rows.sd / self.scale)
         matters = self.settings.enough_sd / self.scale
-        return self._past.contradicted(
-            estimates, self._disjoint(rows, passes), information, self._widening(), matters
-        )
+        chosen = self._disjoint(rows, passes)
+        while True:
+            found = self._past.contradicted(estimates, chosen, information, self._widening(), matters)
+            wrong = chosen[found[chosen]]
+            if not len(wrong):
+                return found
+            # a contradicted row is not remembered, so it must not speak for those after it either
+            chosen = chosen[chosen != wrong[0]]
 
     def _chores(self, rows: Rows) -> BoolArray:
         """(N,) rows from which on the residual's colour is due for a look, or unknown forces for a search."""
@@ -329,7 +336,7 @@ class WindowML:
         return np.asarray(recolour | search | commission)
 
     def _recolour_every(self) -> int:
-        white = bool(np.all(self.colour.inflation == 1.0))
+        white = self.colour.share == 1.0
         return max(RECOLOUR, self.settings.plan.window) if white else self.settings.plan.window
 
     def _far(self, rows: Rows) -> BoolArray:

@@ -38,8 +38,13 @@ def replayed(example: str, recording: Path, folder: Path, changes: Sequence[tupl
     config.write_text(text, encoding="utf-8")
     database.unlink(missing_ok=True)
     document = replay(config=config, recordings=[recording], db=database)
+    return Replayed(document, rows_of(database))
+
+
+def rows_of(database: Path) -> list[dict[str, Any]]:
+    """Return all rows of v_estimates in order of time."""
     connection = sqlite3.connect(f"file:{database}?mode=ro", uri=True)
     connection.row_factory = sqlite3.Row
     rows = [dict(row) for row in connection.execute("select * from v_estimates order by t_ns, parameter")]
     connection.close()
-    return Replayed(document, rows)
+    return rows

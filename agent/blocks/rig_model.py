@@ -170,8 +170,16 @@ def longest_bridge(model: Model, rate_hz: float) -> int:
     return 5 if fastest == 0 else int(np.clip(2 * np.pi / fastest * rate_hz / 20, 5, 20))
 
 
-def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) -> WindowSettings:
-    """Return the settings of window-ml for a configuration; resolution (p,) as in `output_noise`."""
+def input_noise(config: RigConfig, resolution: FloatArray | None) -> FloatArray:
+    """Return the noise sd (inputs,) of the measured inputs, SI: what is stated, and what the wire's steps (m,) add."""
+    stated = np.array([(c.noise_sd or 0.0) * c.si_factor for c in config.inputs])
+    return stated if resolution is None else np.hypot(stated, resolution / np.sqrt(12.0))
+
+
+def window_settings(
+    config: RigConfig, rig: RigModel, resolution: FloatArray, input_resolution: FloatArray | None = None
+) -> WindowSettings:
+    """Return the settings of window-ml for a configuration; resolution (p,) as in `output_noise`, inputs' (m,)."""
     sigma, floor = output_noise(config, resolution)
     nominal = rig.model.nominal
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
@@ -188,7 +196,7 @@ def window_settings(config: RigConfig, rig: RigModel, resolution: FloatArray) ->
         scale=scale,
         scale_column=_scale_columns(config, rig),
         longer=longer_windows(config, plan),
-        repeatable=True,
+        input_sd=input_noise(config, input_resolution),
         wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
         lower=np.where(physical & (nominal != 0), 0.02 * scale, -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),

@@ -11,8 +11,51 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
+from agent.numerics.observer import Gain
+from agent.numerics.statespace import StateSpace
+
 FloatArray = NDArray[np.float64]
 MOST_LAGS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class InputNoise:
+    """White noise of known size on the measured inputs, as the innovations show it.
+
+    Attributes:
+        response: (W, p, m) innovations, in units of their noise, at each sample after a reading of input j was wrong
+            by one standard deviation.
+    """
+
+    response: FloatArray
+
+    @classmethod
+    def of(cls, model: StateSpace, gain: Gain, sd: FloatArray, samples: int) -> "InputNoise | None":
+        """Return what sd (k,) of the first k inputs does over a window; None where none of them is noisy."""
+        if not sd.any():
+            return None
+        push = (model.B - gain.L @ model.D)[:, : len(sd)] * sd
+        Phi, seen = model.A - gain.L @ model.C, gain.whitening @ model.C
+        response = np.empty((samples, model.p, len(sd)))
+        response[0] = gain.whitening @ model.D[:, : len(sd)] * sd
+        for k in range(1, samples):
+            response[k], push = seen @ push, Phi @ push
+        return cls(response)
+
+    def middle(self, psi: FloatArray) -> FloatArray:
+        """Return psi' R psi (q, q) for the covariance R of the innovations that this noise causes, psi (W, p, q)."""
+        samples = len(psi)
+        size = 2 * samples
+        ahead = np.fft.rfft(psi, n=size, axis=0)
+        total = np.zeros((psi.shape[2], psi.shape[2]))
+        for j in range(self.response.shape[2]):
+            shape = np.fft.rfft(self.response[:, :, j], n=size, axis=0)
+            # what a wrong reading at each sample of the window adds to psi' e
+            pushed = np.fft.irfft(np.einsum("fp,fpq->fq", shape.conj(), ahead), n=size, axis=0)[:samples]
+            total += pushed.T @ pushed
+        return total
+
+
 SLOWER = 8
 """Each slower look at a coloured residual takes the means of this many values of the one before."""
 LEAST_VALUES = 100
@@ -76,7 +119,9 @@ def _unbiased(a: FloatArray, count: int, lost: float) -> FloatArray:
     return np.asarray(a * min(mended, 1.0 - 0.5 * (1.0 - total)) / total)
 
 
-def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray, unknowns: int) -> Colour:
+def colour_of(
+    psi: FloatArray, residual: FloatArray, covariance: FloatArray, unknowns: int, inputs: InputNoise | None = None
+) -> Colour:
     """Return the colour of a window.
 
     Args:
@@ -84,6 +129,8 @@ def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray, unk
         residual: (W, p) what the fit left.
         covariance: (q, q) H^-1.
         unknowns: parameters and initial states that the fit took from the window.
+        inputs: noise of the measured inputs; too weak beside the outputs' to be seen in the residual, it moves the
+            estimates more, since it comes through the mechanics as slowly as what is estimated.
     """
     count, p = residual.shape
     q = psi.shape[1]
@@ -100,12 +147,14 @@ def colour_of(psi: FloatArray, residual: FloatArray, covariance: FloatArray, unk
         weights[[0, -1]] = 1.0
         middle += np.real((spectrum.conj() * (density * weights)[:, None]).T @ spectrum) / (2 * count)
         correlation += total / p
-    if white:
-        return Colour.white(q)
     s2 = float(np.mean(residual**2))
+    if white and inputs is None:
+        return Colour.white(q)
+    middle = psi.T @ psi * s2 if white else middle
+    middle = middle if inputs is None else middle + inputs.middle(psi.reshape(count, p, q))
     honest = np.diag(covariance @ middle @ covariance)
     inflation = np.sqrt(np.maximum(honest, 0.0) / np.maximum(np.diag(covariance) * s2, 1e-300))
-    return Colour(np.clip(inflation, 0.3, 30.0), 1.0 / correlation)
+    return Colour(np.clip(inflation, 0.3, 30.0), 1.0 if white else 1.0 / correlation)
 
 
 def _spectrum(a: FloatArray, variance: float, size: int) -> tuple[FloatArray, float]:

@@ -12,8 +12,8 @@ FloatArray = NDArray[np.float64]
 
 WINDOWS = 30
 """Disjoint healthy windows without a change that the factor is taken from."""
-LEAST, UNSURE = 0.5, 1.4
-"""No factor is below LEAST; one between 1 / UNSURE and UNSURE may be chance with so few windows and is taken as 1."""
+LEAST = 0.5
+"""No factor is below this."""
 
 
 @dataclass(slots=True)
@@ -59,5 +59,8 @@ def _factor(theta: FloatArray, sd: FloatArray) -> FloatArray:
     mean = np.sum(weight * theta, axis=0) / np.sum(weight, axis=0)
     count = len(theta)
     scatter = np.sqrt(np.mean(((theta - mean) / sd) ** 2, axis=0) * count / (count - 1))
-    chance = (scatter > 1.0 / UNSURE) & (scatter < UNSURE)
-    return np.asarray(np.where(chance, 1.0, np.maximum(scatter, LEAST)))
+    # the logarithm of a scatter has a standard deviation of 1 / sqrt(2 count) by chance alone; what is beyond that is
+    # believed as far as the positive-part estimator of James and Stein (1961) would
+    chance2, seen = 0.5 / count, np.log(np.maximum(scatter, 1e-300))
+    believed = np.maximum(1.0 - chance2 / np.maximum(seen**2, 1e-300), 0.0)
+    return np.asarray(np.maximum(np.exp(believed * seen), LEAST))

@@ -27,7 +27,7 @@ from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
 from agent.numerics.straddle import Window, is_clean
 from agent.numerics.suspects import Suspects
-from agent.numerics.window import WindowSolution, joined_solutions, solve_windows
+from agent.numerics.window import WindowSolution, solve_windows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -42,8 +42,6 @@ MOST_FAILED = 6
 """First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
 RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
 """The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
-FRAGILE = 1.5
-"""Radians or nepers: a window in which the slowest pole moves by less magnifies round-off, see `repeatable`."""
 RECOLOUR = 65_536
 """Samples between two looks at the colour of a residual that was white; one that was not is looked at every window."""
 
@@ -68,9 +66,6 @@ class WindowSettings:
         suspects: what to look for where the model does not fit; None for nothing.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
-        repeatable: rows are the same to 1e-9 of their sd however the stream is cut. Matrix products of different
-            shapes round differently, and a window far shorter than a mode's period magnifies that (its sensitivities
-            are nearly free responses, which are projected out); such windows are then computed one hop at a time.
     """
 
     period_s: float
@@ -84,7 +79,6 @@ class WindowSettings:
     enough_sd: FloatArray
     scale_column: IntArray | None = None
     longer: tuple[int, ...] = ()
-    repeatable: bool = False
     wanted_sd: FloatArray | None = None
     suspects: Suspects | None = None
     input_sd: FloatArray | None = None
@@ -139,9 +133,6 @@ class WindowML:
         self._discrete = discrete = self.sampled(self.theta)
         gains = self.settings.gains
         self.gain = (gains.settled if self.settled else gains.start)(discrete, self.noise)
-        poles = np.linalg.eigvals(discrete.model.A - self.gain.L @ discrete.model.C)
-        slowest = float(np.min(np.abs(np.log(np.where(poles == 0, 1e-300, poles).astype(complex)))))
-        self._fragile = self.settings.repeatable and self.settings.plan.window * slowest < FRAGILE
         system = sensitivity_filter(discrete.model, self.gain.L, self.gain.whitening)
         self._operators = HopOperators(system, self.settings.plan)
         speed = float(np.max(np.abs(np.angle(np.linalg.eigvals(discrete.model.A)))))
@@ -186,8 +177,8 @@ class WindowML:
 
     def _advance(self, segment: Segment) -> Rows:
         """Summarise what is ready, judge each row, act at the first that asks for it, return the rows settled."""
-        index, solution = self._solve_next(segment, min(segment.ready(), self._units))
-        rows, information = self._rows(index, solution)
+        index, windows = segment.advance(self._operators, min(segment.ready(), self._units))
+        rows, information = self._rows(index, None if windows is None else solve_windows(windows, self._n))
         candidates = self._candidates(segment)
         self._mend(segment, rows, information, candidates)
         white_sd = rows.sd / self._widening()
@@ -202,17 +193,6 @@ class WindowML:
         # rows after the one that moved theta_r belong to the old operators and are computed again
         self._units = UNITS_MIN
         return rows.part(moved_at + 1)
-
-    def _solve_next(self, segment: Segment, units: int) -> tuple[IntArray, WindowSolution | None]:
-        """Summarise the next rows' samples and solve the windows that end there; see `WindowSettings.repeatable`."""
-        indices, solutions = [], []
-        together = 1 if self._fragile and self.settings.longer else units
-        for count in [1] * together if self._fragile else [together]:
-            index, windows = segment.advance(self._operators, count)
-            indices.append(index)
-            if windows is not None:
-                solutions.append(solve_windows(windows, self._n))
-        return np.concatenate(indices), joined_solutions(solutions) if solutions else None
 
     def _candidates(self, segment: Segment) -> list[Candidate]:
         """What the longer windows that are whole say at the newest rows."""
@@ -314,7 +294,7 @@ class WindowML:
         return passes, np.asarray(moves & passes)
 
     def _contradicted(self, rows: Rows, information: FloatArray, passes: BoolArray) -> BoolArray:
-        """(N,) some estimate leaves what was known before its window began, by more than chance and enough to matter."""
+        """(N,) some estimate leaves what was known before its window began, beyond chance and enough to matter."""
         estimates = (rows.theta / self.scale, rows.sd / self.scale)
         matters = self.settings.enough_sd / self.scale
         chosen = self._disjoint(rows, passes)
@@ -336,7 +316,7 @@ class WindowML:
         return np.asarray(recolour | search | commission)
 
     def _recolour_every(self) -> int:
-        white = self.colour.share == 1.0
+        white = self.colour.share == 1.0 and bool(np.all(self.colour.inflation < 1.2))
         return max(RECOLOUR, self.settings.plan.window) if white else self.settings.plan.window
 
     def _far(self, rows: Rows) -> BoolArray:

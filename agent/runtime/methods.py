@@ -8,19 +8,23 @@ from agent.config import RigConfig
 from agent.errors import Fault, ModelError
 from agent.numerics.observer import Noise
 from agent.numerics.statespace import discretise
-from agent.numerics.window_ml import WindowML
+from agent.numerics.window_ml import WindowML, WindowSettings
 from agent.runtime.check_model import require_observable
 from agent.types import FloatArray
 
 
-def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
+def make_estimation(
+    config: RigConfig, resolution: FloatArray, input_resolution: FloatArray | None = None
+) -> Estimation:
     """Build the estimation block of a rig; resolution (p,) is the wire's smallest step of each output, SI.
+
+    input_resolution (m,) is that of each input; None where readings are exact.
 
     Raises ModelError where a window has fewer readings than unknowns, or the channels cannot tell what is asked.
     """
     rig = rig_model(config)
     require_observable(config, rig)
-    settings = window_settings(config, rig, resolution)
+    settings = window_settings(config, rig, resolution, input_resolution)
     unknowns = len(rig.model.state_names) + len(rig.parameters)
     readings = settings.plan.window * len(config.outputs)
     if readings <= unknowns:
@@ -47,11 +51,10 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,
     )
-    return Estimation(_estimator(config, rig, resolution), labels)
+    return Estimation(_estimator(config, rig, settings), labels)
 
 
-def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray) -> Estimator:
-    settings = window_settings(config, rig, resolution)
+def _estimator(config: RigConfig, rig: RigModel, settings: WindowSettings) -> Estimator:
     if config.estimator.method == "window-ml":
         return WindowML(rig.model, settings)
     from agent.numerics.seed_window import SeedSettings, SeedWindow

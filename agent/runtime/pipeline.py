@@ -67,7 +67,7 @@ class Pipeline:
             QualitySettings(tuple(names), len(config.inputs), all_steps, hop_plan(config).window, longest)
         )
         self.friction = dry_friction(config, steps)
-        self.estimation: Estimation = make_estimation(config, steps)
+        self.estimation: Estimation = make_estimation(config, steps, all_steps[: len(config.inputs)])
         self.newest_ns = 0
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(rig.name)

@@ -1,8 +1,7 @@
 """The rig of the statistical tests, its configuration, and its motion as the simulator's own equations give it."""
 
 import copy
-import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -34,12 +33,14 @@ sample_rate_hz = 1000.0
 clock = "counter"
 [model]
 kind = "mass-spring-damper"
-mass   = [{{ name = "m1", value = 5.0 }}, {{ name = "m2", value = 3.0 }}]
+mass = [{{ name = "m1", value = 5.0 }}, {{ name = "m2", value = 3.0 }}]
 spring = [
-    {{ name = "k1", between = ["ground", "m1"], nominal = 25.0 }}, {{ name = "k2", between = ["m1", "m2"], nominal = 100.0 }},
+    {{ name = "k1", between = ["ground", "m1"], nominal = 25.0 }},
+    {{ name = "k2", between = ["m1", "m2"], nominal = 100.0 }},
 ]
 damper = [
-    {{ name = "B1", between = ["ground", "m1"], nominal = 5.0 }}, {{ name = "B2", between = ["m1", "m2"], nominal = 5.0 }},
+    {{ name = "B1", between = ["ground", "m1"], nominal = 5.0 }},
+    {{ name = "B2", between = ["m1", "m2"], nominal = 5.0 }},
 ]
 [[channel]]
 name = "force"
@@ -143,7 +144,3 @@ def each(work: Callable[[Item], Found], items: Iterable[Item], processes: int = 
     things = list(items)
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         return list(pool.map(work, things, chunksize=max(1, len(things) // (4 * processes))))
-
-
-def environment() -> Mapping[str, str]:
-    return os.environ

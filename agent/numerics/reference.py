@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 FloatArray = NDArray[np.float64]
 
@@ -28,17 +29,19 @@ class Reference:
         return cls(np.zeros((q, q)), np.zeros(q))
 
     def with_windows(self, information: FloatArray, theta: FloatArray) -> "tuple[FloatArray, FloatArray]":
-        """Return A (N, q, q) and b (N, q) after each of N further disjoint windows, theta (N, q) scaled.
-
-        One after the other: a product of all at once would round differently for each number of them.
-        """
-        A, b = np.empty_like(information), np.empty_like(theta)
+        """Return A (N, q, q) and b (N, q) after each of N further disjoint windows, theta (N, q) scaled."""
         pieces = np.einsum("nij,nj->ni", information, theta)
-        last_A, last_b = self.A, self.b
-        for i in range(len(theta)):
-            last_A = A[i] = FORGET * last_A + information[i]
-            last_b = b[i] = FORGET * last_b + pieces[i]
-        return A, b
+        return _forgetting(self.A, information), _forgetting(self.b, pieces)
+
+
+def _forgetting(before: FloatArray, pieces: FloatArray) -> FloatArray:
+    """Add pieces (N, ...) one after the other to what was before (...) and fades; return it after each of them.
+
+    A filter does that in order: a product of all at once would round differently for each number of them.
+    """
+    if not len(pieces):
+        return pieces
+    return np.asarray(lfilter([1.0], [1.0, -FORGET], pieces, axis=0, zi=FORGET * before[None])[0])
 
 
 def mean_and_sd(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:

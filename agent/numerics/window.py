@@ -5,8 +5,7 @@ eliminated by variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (197
 re-evaluated at the window's own best initial state, so that the estimate depends on samples inside the window only.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +36,6 @@ class WindowSolution:
     residual: FloatArray
     e0: FloatArray
     information: FloatArray
-
-
-def joined_solutions(pieces: Sequence[WindowSolution]) -> WindowSolution:
-    """Return the solutions of windows one after the other."""
-    if len(pieces) == 1:
-        return pieces[0]
-    columns = ([getattr(piece, f.name) for piece in pieces] for f in fields(WindowSolution))
-    return WindowSolution(*(np.concatenate(column) for column in columns))
 
 
 def pseudo_root(gram: FloatArray) -> FloatArray:

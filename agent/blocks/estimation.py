@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from agent.blocks.sensor_labels import SensorEvent
 from agent.numerics.hops import HopPlan
 from agent.numerics.lacking import MOST, Lacking
 from agent.numerics.rows import Rows
-from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, SensorFault, Status
 
 BoolArray = NDArray[np.bool_]
 
@@ -45,6 +46,7 @@ class Labels:
     rate_hz: float
     enough_sd: FloatArray
     hop: int = 1
+    channels: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -61,6 +63,10 @@ class Estimation:
     _held: FloatArray = field(default_factory=lambda: np.zeros(0))
     _held_ns: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     _first: int = 0
+    _blamed: SensorFault | None = None
+    _blamed_at: int = 0
+    _said: SensorFault | None = None
+    _events: list[SensorEvent] = field(default_factory=list)
     _lacking: Lacking = field(default_factory=lambda: Lacking(0))
 
     def __post_init__(self) -> None:
@@ -99,6 +105,7 @@ class Estimation:
         missing = self._lacking.count(rows.index, longest)
         status, reason = self._verdicts(rows, known)
         self._mark(status, reason, samples, rows.full & (missing > MOST * longest))
+        self._note_blame(rows, status, t_ns)
         held, age = self._hold(value, status, t_ns)
         with np.errstate(invalid="ignore"):
             dof, which = np.unique(rows.dof, return_inverse=True)
@@ -114,6 +121,33 @@ class Estimation:
             held=held, held_age_s=age, window_s=window_s,
             n_used=np.maximum(used.astype(np.int64) - missing, 0), n_missing=missing, dof=rows.dof,
         )  # fmt: skip
+
+    def take_events(self) -> list[SensorEvent]:
+        """Return which sensors were blamed or acquitted since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _note_blame(self, rows: Rows, status: CodeArray, t_ns: IntArray) -> None:
+        """Say once which sensor changed, at once where that is sure, after a window where it may be the structure."""
+        blamed = (rows.channel >= 0) & ~rows.changing
+        valid = (status == Status.VALID).any(axis=1)
+        if not blamed.any() and self._blamed is None and self._said is None:
+            return
+        for row in np.flatnonzero(blamed | valid).tolist():
+            index = int(rows.index[row])
+            if valid[row] and not blamed[row]:
+                if self._said is not None:
+                    self._events.append(SensorEvent(self._said, False, index, int(t_ns[row])))
+                self._blamed = self._said = None
+                continue
+            fault = SensorFault(self.labels.channels[int(rows.channel[row])], Reason(int(rows.suspect[row])))
+            if self._blamed is None:
+                self._blamed_at = index
+            self._blamed = fault
+            sure = fault.reason == Reason.SENSOR or index - self._blamed_at >= self.labels.window
+            if sure and self._said is None:
+                self._said = fault
+                self._events.append(SensorEvent(fault, True, index, int(t_ns[row])))
 
     def _mark(self, status: CodeArray, reason: CodeArray, samples: Samples, hollow: BoolArray) -> None:
         """Mark rows whose windows hold readings of a faulty channel, or lack too many, where hollow (N,)."""

@@ -12,6 +12,7 @@ from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, St
 from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.statespace import AffineModel, Model, affine_model
 from agent.numerics.suspects import suspects_of
+from agent.numerics.verdict import Court
 from agent.numerics.window_ml import WindowSettings
 from agent.types import FloatArray, IntArray
 
@@ -202,6 +203,9 @@ def window_settings(
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
         suspects=suspects_of(
             rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, known_noise(config, resolution)
+        ),
+        court=Court(
+            rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
         ),
     )
 

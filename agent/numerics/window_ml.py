@@ -27,7 +27,9 @@ from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
 from agent.numerics.straddle import Window, is_clean
 from agent.numerics.suspects import Suspects
+from agent.numerics.verdict import Before, Court, Verdict
 from agent.numerics.window import WindowSolution, solve_windows
+from agent.types import Reason
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -64,6 +66,7 @@ class WindowSettings:
             parameter without one (an offset); None where every parameter has a size.
         input_sd: (k,) noise of the first k inputs as far as it is known; None for none.
         suspects: what to look for where the model does not fit; None for nothing.
+        court: tells a changed sensor from a changed structure; None believes in the structure.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
     """
@@ -81,6 +84,7 @@ class WindowSettings:
     longer: tuple[int, ...] = ()
     wanted_sd: FloatArray | None = None
     suspects: Suspects | None = None
+    court: Court | None = None
     input_sd: FloatArray | None = None
 
 
@@ -110,6 +114,7 @@ class WindowML:
         self._segment: Segment | None = None
         self._reference = Reference.empty(len(self.theta))
         self._past = Past.empty(len(self.theta))
+        self._blamed: Verdict | None = None
         self._lacking = Lacking(len(self.noise.sigma))
         self._rebuild()
         self._unknowns = self._n + len(self.theta)
@@ -142,7 +147,7 @@ class WindowML:
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt of the parameters stays."""
         self._segment = None
-        self._onset = None
+        self._onset = self._blamed = None
         self._anchored = False
         self._lacking.forget()
 
@@ -270,7 +275,7 @@ class WindowML:
             events = events if self._anchored else rows.full[position:]
             ahead = int(np.argmax(events)) if events.any() else count - position
             if ahead:
-                self._onset = None
+                self._onset = self._blamed = None
             position += ahead
             if position == count:
                 break
@@ -371,7 +376,7 @@ class WindowML:
         index, plan = int(rows.index[row]), self.settings.plan
         due = index - self._last_fit >= (plan.window // 4) << self._failed
         if self._anchored and healthy:
-            self._onset = None
+            self._onset = self._blamed = None
             if not self._searched and index - self._steady_since >= self._record():
                 return self._search(segment, rows, row)
             return wants and due and self._fit(segment, rows, row)
@@ -390,7 +395,10 @@ class WindowML:
         excited = bool(np.any(rows.sd[row] < self.settings.enough_sd))
         if not healthy or excited:
             rows.changing[row], rows.mismatch[row] = since < plan.window, since >= plan.window
-        if since >= plan.window and index - self._accused_at >= plan.window:
+        if self._blamed is not None:
+            blamed = Reason.SENSOR if self._blamed.changed == "sensor" else Reason.INSEPARABLE
+            rows.suspect[row], rows.channel[row] = blamed, self._blamed.channel
+        elif since >= plan.window and index - self._accused_at >= plan.window:
             self._accuse(segment, rows, row)
         return False
 
@@ -484,7 +492,8 @@ class WindowML:
         beginning = np.where(np.isfinite(rows.theta[row]) & near, rows.theta[row], self.theta)
         fit = self._maximise(problem, beginning, afresh=afresh, near=near)
         dof = max(self._dof - (0 if problem.bridge is None else problem.bridge.free), 1.0)
-        if not (fit.converged and self._place(segment, fit, start, dof if whole else None)):
+        self._blamed = None if near or not before[2] else self._hear(problem, fit)
+        if self._blamed is not None or not (fit.converged and self._place(segment, fit, start, dof if whole else None)):
             self.theta, self.noise, self.settled, self.colour = before
             # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is
             self._failed = 0 if self.settled else min(self._failed + 1, MOST_FAILED)
@@ -499,6 +508,22 @@ class WindowML:
         rows.changing[row] = rows.mismatch[row] = False
         self._accuse(segment, rows, row)
         return True
+
+    def _hear(self, problem: Problem, fit: Fit) -> Verdict | None:
+        """Say which sensor may have changed where a window contradicts the past; None where it is the structure."""
+        court, past = self.settings.court, self._past.reference
+        if court is None:
+            return None
+        before = Before.of(past, self.scale, self.theta)
+        known = np.all(np.isfinite(fit.covariance))
+        q = len(self.theta)
+        if fit.converged and (not known or before.distance(fit.theta, fit.covariance) < q + 5 * np.sqrt(2 * q)):
+            return None
+        if not fit.converged and not np.diag(past.A).any():
+            return None
+        after = fit.theta if fit.converged else before.theta
+        found = court.judge(problem, self.gain, before, after, self._gate, self.colour.share)
+        return None if found is None or found.changed == "structure" else found
 
     def _size_offsets(self, v: FloatArray) -> None:
         """Take the size of each parameter that has none from the signal of its channel."""

@@ -98,6 +98,7 @@ class Pipeline:
                 records.append(batch)
                 records.extend(self.alarms.step(batch))
                 records.extend(self.sensor_alarms.confirm(batch))
+                records.extend(self.sensor_alarms.step(self.estimation.take_events()))
         records.extend(self.sensor_alarms.step(self.quality.take_events()))
         return records
 

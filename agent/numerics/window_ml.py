@@ -115,6 +115,7 @@ class WindowML:
         self._reference = Reference.empty(len(self.theta))
         self._past = Past.empty(len(self.theta))
         self._blamed: Verdict | None = None
+        self._heard = 0
         self._lacking = Lacking(len(self.noise.sigma))
         self._rebuild()
         self._unknowns = self._n + len(self.theta)
@@ -374,7 +375,8 @@ class WindowML:
     def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
         index, plan = int(rows.index[row]), self.settings.plan
-        due = index - self._last_fit >= (plan.window // 4) << self._failed
+        pause = (plan.window // 4) << self._failed if self._blamed is None else plan.window << self._heard
+        due = index - self._last_fit >= pause
         if self._anchored and healthy:
             self._onset = self._blamed = None
             if not self._searched and index - self._steady_since >= self._record():
@@ -493,6 +495,8 @@ class WindowML:
         fit = self._maximise(problem, beginning, afresh=afresh, near=near)
         dof = max(self._dof - (0 if problem.bridge is None else problem.bridge.free), 1.0)
         self._blamed = None if near or not before[2] else self._hear(problem, fit)
+        # a sensor that stays at fault is heard ever more seldom; once it fits again that is seen at once
+        self._heard = 0 if self._blamed is None else min(self._heard + 1, MOST_FAILED)
         if self._blamed is not None or not (fit.converged and self._place(segment, fit, start, dof if whole else None)):
             self.theta, self.noise, self.settled, self.colour = before
             # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is

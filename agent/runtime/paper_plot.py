@@ -78,17 +78,21 @@ def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
     ]
     for i, axis in enumerate(axes):
         actual = np.repeat([change[i] for change in changes], cases.SEGMENT)
-        axis.plot(np.arange(1, len(actual) + 1), actual, color=ACTUAL, lw=4, label="actual")
-        for name, colour, index, values in curves:
-            axis.plot(index, values[:, i], color=colour, lw=1.3, label=name)
-        for start in range(cases.SEGMENT, len(actual), cases.SEGMENT):
-            axis.axvspan(start, start + window, color=INK, alpha=0.06, lw=0)
+        axis.plot(np.arange(1, len(actual) + 1), actual, color=ACTUAL, lw=5, solid_capstyle="butt", label="actual")
         last = np.searchsorted(curves[0][2], np.arange(1, len(changes) + 1) * cases.SEGMENT)
         _limit(axis, np.concatenate([actual, curves[0][3][last, i]]))
+        for name, colour, index, values in curves:
+            shown = _inside(axis, values[:, i])
+            axis.plot(index, shown, color=colour, lw=1.5, label=name)
+            if colour == PRINTED:
+                _name_settled(axis, index[last], shown[last], actual[index[last] - 1])
+        for start in range(cases.SEGMENT, len(actual), cases.SEGMENT):
+            axis.axvspan(start, start + window, color=INK, alpha=0.06, lw=0)
         axis.set_ylabel(f"Δ{cases.PARAMETERS[i]}  ({cases.UNITS[i]})")
     axes[0].set_title(
-        f"Figure 4: case 2, window of {window} samples (grey: it holds a change)", loc="left", fontsize=10, color=INK
-    )
+        f"Figure 4: case 2, window of {window} samples (grey: it holds a change; what leaves the frame is not drawn)",
+        loc="left", fontsize=10, color=INK,
+    )  # fmt: skip
     axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="upper right", ncols=4, frameon=False, fontsize=9)
     axes[-1].set_xlabel("sample")
 
@@ -99,6 +103,22 @@ def _limit(axis: "Axes", settled: FloatArray) -> None:
     margin = 0.35 * max(high - low, 1e-9)
     axis.set_ylim(low - margin, high + margin)
     _tidy(axis)
+
+
+def _inside(axis: "Axes", values: FloatArray) -> FloatArray:
+    """Return values with NaN for those outside the frame, which would only draw lines up and down."""
+    low, high = axis.get_ylim()
+    return np.where((values > low) & (values < high), values, np.nan)
+
+
+def _name_settled(axis: "Axes", samples: IntArray, values: FloatArray, actual: FloatArray) -> None:
+    """Write the value of each segment's last sample on the side of it that is away from the actual one."""
+    for sample, value, true in zip(samples.tolist(), values.tolist(), actual.tolist(), strict=True):
+        below = value < true
+        axis.annotate(
+            f"{value:.3g}".replace("-", "−"), (sample, value), (-4, -4 if below else 3), textcoords="offset points",
+            ha="right", va="top" if below else "bottom", fontsize=8, color=PRINTED,
+        )  # fmt: skip
 
 
 def _tidy(axis: "Axes") -> None:

@@ -29,7 +29,7 @@ $(VENV)/.develop: pyproject.toml | $(VENV)/bin/python
 	@touch $@ $(VENV)/.runtime
 
 demo: $(VENV)/.runtime
-	$(VENV)/bin/deltak demo $(ARGS)
+	@$(VENV)/bin/deltak demo $(ARGS)
 
 test: $(VENV)/.develop
 	sh tests/install_peers.sh

@@ -33,7 +33,10 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """What every row of a rig's estimates carries."""
+    """What every row of a rig's estimates carries.
+
+    least (q,): what is reported of a parameter does not go below; its estimate does, so that noise does not bias it.
+    """
 
     rig: str
     method: str
@@ -47,6 +50,7 @@ class Labels:
     enough_sd: FloatArray
     hop: int = 1
     channels: tuple[str, ...] = ()
+    least: FloatArray | None = None
 
 
 @dataclass(slots=True)
@@ -111,13 +115,17 @@ class Estimation:
             dof, which = np.unique(rows.dof, return_inverse=True)
             half = stdtrit(dof, 0.975)[which, None] * sd
         labels = self.labels
+        # the truth is not beyond the bound, so a cut interval covers it as often as the whole one
+        least = -np.inf if labels.least is None else labels.least
+        lower, upper = np.maximum(value - half, least), np.maximum(value + half, least)
+        value, held = np.maximum(value, least), np.maximum(held, least)
         begun = np.minimum(rows.index - self._first + 1, labels.window) if samples.usable else np.zeros_like(longest)
         used = np.where(rows.full, longest, begun)
         window_s = np.where(rows.window > 0, rows.window / labels.rate_hz, labels.window_s)
         return EstimateBatch(
             rig=labels.rig, method=labels.method, parameters=labels.parameters, units=labels.units,
             reference=labels.reference, baseline_id=labels.baseline_id, index=rows.index, t_ns=t_ns,
-            value=value, sd=sd, lower=value - half, upper=value + half, status=status, reason=reason,
+            value=value, sd=sd, lower=lower, upper=upper, status=status, reason=reason,
             held=held, held_age_s=age, window_s=window_s,
             n_used=np.maximum(used.astype(np.int64) - missing, 0), n_missing=missing, dof=rows.dof,
         )  # fmt: skip

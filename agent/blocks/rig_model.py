@@ -186,6 +186,7 @@ def window_settings(
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
     scale = np.where(nominal != 0, np.abs(nominal), limited)
     physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
+    masses = np.array([p.kind == "mass" for p in rig.parameters])
     plan = hop_plan(config)
     return WindowSettings(
         period_s=1.0 / config.rig.sample_rate_hz,
@@ -199,7 +200,7 @@ def window_settings(
         longer=longer_windows(config, plan),
         input_sd=input_noise(config, input_resolution),
         wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
-        lower=np.where(physical & (nominal != 0), 0.02 * scale, -np.inf),
+        lower=np.where(physical & (nominal != 0), np.where(masses, 0.02 * scale, 0.0), -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
         suspects=suspects_of(
             rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, known_noise(config, resolution)

@@ -243,7 +243,8 @@ def _finish(problem: Problem, fit: Fit, here: Linearised) -> Fit:
     step = root @ (left.T @ here.e)
     if not np.all(np.abs(step) <= 1e-2 * problem.scale):
         step = np.zeros_like(step)
-    theta = np.maximum(fit.theta + step, problem.lower)
+    # a little beyond a bound is where noise puts half of the estimates of what lies on it: cut off they were biased
+    theta = fit.theta + step
     x0 = fit.x0 + here.e0 + here.e0_by_theta @ (theta - fit.theta)
     residual = here.e - here.psi @ (theta - fit.theta)
     covariance = root @ root.T

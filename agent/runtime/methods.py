@@ -48,6 +48,7 @@ def make_estimation(
         window_s=settings.plan.window / config.rig.sample_rate_hz,
         window=settings.plan.window,
         hop=settings.plan.hop,
+        least=np.where(np.isfinite(settings.lower), 0.0, -np.inf),
         channels=tuple(c.name for c in (*config.outputs, *config.inputs)),
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,

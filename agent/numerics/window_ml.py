@@ -44,7 +44,7 @@ MOST_FAILED = 6
 """First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
 RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
 """The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
-RECOLOUR = 65_536
+RECOLOUR = 131_072
 """Samples between two looks at the colour of a residual that was white; one that was not is looked at every window."""
 
 
@@ -440,8 +440,15 @@ class WindowML:
         self._take_colour(colour_of(here.psi, residual, np.asarray(covariance), self._unknowns, inputs), index)
         rows.sd[row:] *= self.colour.inflation / before.inflation
         rows.dof[row:] *= self.colour.share / before.share
-        self._accuse(segment, rows, row)
+        self._review(segment, rows, row)
         return True
+
+    def _review(self, segment: Segment, rows: Rows, row: int) -> None:
+        """Accuse where the residual is coloured; what a model lacks colours it, so a white one clears all suspects."""
+        if self.colour.share < 1.0:
+            self._accuse(segment, rows, row)
+        else:
+            self._accused_at, self._accused, rows.suspect[row:] = int(rows.index[row]), 0, 0
 
     def _accuse(self, segment: Segment, rows: Rows, row: int) -> None:
         """Look for what the model lacks in the window of a row; the finding stands until the next look."""
@@ -510,7 +517,7 @@ class WindowML:
         rows.theta[row], rows.sd[row], rows.ratio[row] = self._outcome
         rows.dof[row] = dof * self.colour.share
         rows.changing[row] = rows.mismatch[row] = False
-        self._accuse(segment, rows, row)
+        self._review(segment, rows, row)
         return True
 
     def _hear(self, problem: Problem, fit: Fit) -> Verdict | None:

@@ -34,8 +34,8 @@ MEMORIES = (0.98, 0.99, 0.996, 0.998)
 PASSES = 10
 WINDOWS = (("0.25", "0.25", 250), ("0.5", "0.5", 500), ("0.25-2", "[0.25, 0.5, 1.0, 2.0]", 2000))
 """Names of the product's windows, as the configuration says them, and the longest in samples."""
-BLOCK = 20_000
-"""Samples that window-ml is given at once."""
+BLOCK = 65_536
+"""Samples that window-ml is given at once, as a replay reads them."""
 
 
 @dataclass(frozen=True, slots=True)

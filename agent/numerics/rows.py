@@ -41,10 +41,13 @@ class Rows:
     @classmethod
     def warming(cls, index: IntArray, q: int) -> "Rows":
         """Return rows without estimates."""
-        nothing, no = np.full((len(index), q), np.nan), np.zeros(len(index), dtype=bool)
-        unknown = np.full(len(index), np.nan)
-        return cls(index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(),
-                   np.zeros(len(index), dtype=np.int64), np.zeros((len(index), q), dtype=np.int64), np.full(len(index), -1, dtype=np.int64))  # fmt: skip
+        count = len(index)
+        nothing, no = np.full((count, q), np.nan), np.zeros(count, dtype=bool)
+        unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
+        window, suspect = np.zeros((count, q), dtype=np.int64), np.full(count, -1, dtype=np.int64)
+        return cls(
+            index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, suspect
+        )
 
     @classmethod
     def joined(cls, pieces: "list[Rows]", q: int) -> "Rows":

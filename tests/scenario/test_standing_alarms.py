@@ -41,7 +41,7 @@ def standing(tmp_path: Path) -> StoreWriter:
 
 def test_rig_started_again_goes_on_with_its_standing_alarms(standing: StoreWriter) -> None:
     config = load(ROOT / "deploy/examples/modbus.toml")
-    rig = RigRuntime(config, lambda records: None)
+    rig = RigRuntime(config, lambda _: None)
     rig.restore(standing.standing[config.rig.name])
     assert rig.pipeline.alarms.states[config.alarm[0].parameter] == "UNACK"
 

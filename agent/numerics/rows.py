@@ -44,9 +44,9 @@ class Rows:
         count = len(index)
         nothing, no = np.full((count, q), np.nan), np.zeros(count, dtype=bool)
         unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
-        window, suspect = np.zeros((count, q), dtype=np.int64), np.full(count, -1, dtype=np.int64)
+        window, channel = np.zeros((count, q), dtype=np.int64), np.full(count, -1, dtype=np.int64)
         return cls(
-            index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, suspect
+            index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, channel
         )
 
     @classmethod

@@ -107,7 +107,7 @@ class Calibrator:
             # at the first turn theta is rough and the likelihood of forces only a lower bound of what they can do
             bar = coloured + EVIDENCE if turn else None
             searched = find_process(
-                discrete, disturbance, noise.sigma, record, scale_known=known, unless_above=bar
+                discrete, disturbance, noise.sigma, record, scale_known=known, unless_above=bar, roughly=not turn
             )
             if searched is None:
                 return None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-WINDOWS = 30
+WINDOWS = 60
 """Disjoint healthy windows without a change that the factor is taken from."""
 LEAST = 0.5
 """No factor is below this."""

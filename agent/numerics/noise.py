@@ -68,34 +68,46 @@ def _without_parameters(model: StateSpace) -> StateSpace:
 
 def find_process(
     discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, record: Record, *,
-    scale_known: bool, unless_above: float | None = None,
+    scale_known: bool, unless_above: float | None = None, roughly: bool = False,
 ) -> tuple[Noise, float] | None:  # fmt: skip
     """Return the disturbances that are most likely, with at least one unknown force, and their log likelihood.
 
     Intensities are continuous in their logarithm; the search starts with equal ones and with each direction alone.
-    With unless_above, None where a coarse scan does not come near that log likelihood.
+    With unless_above, None where a coarse scan does not come near that log likelihood. Roughly: to half a decade, for
+    a model that is rough itself.
     """
     directions = disturbance.shape[1]
     strongest = _strongest(discrete, disturbance, sigma)
 
+    known: dict[bytes, float] = {}
+
     def value(process: FloatArray) -> float:
-        try:
-            gain = matched_gain(discrete, disturbance, Noise(sigma, process))
-        except ValueError:
-            return -np.inf
-        return likelihood(discrete, gain, record, scale_known=scale_known).value
+        # the scans of several starts meet the same points
+        key = process.tobytes()
+        if key not in known:
+            known[key] = _value(discrete, disturbance, Noise(sigma, process), record, scale_known=scale_known)
+        return known[key]
 
     starts = [np.ones(directions)]
     starts += [np.eye(directions)[i] for i in range(directions) if directions > 1]
     if unless_above is not None and not any(_worth(value, start * strongest, unless_above) for start in starts):
         return None
-    found = [_climb(value, start * strongest) for start in starts]
+    found = [_climb(value, start * strongest, 5.0 if roughly else 1.0) for start in starts]
     best, process = max(found, key=lambda item: item[0] - EVIDENCE * np.count_nonzero(item[1]))
     noise = Noise(sigma, process)
     if scale_known:
         return noise, best
     scale = likelihood(discrete, matched_gain(discrete, disturbance, noise), record, scale_known=False).scale
     return Noise(sigma * scale, process * scale), best
+
+
+def _value(discrete: Discrete, disturbance: FloatArray, noise: Noise, record: Record, *, scale_known: bool) -> float:
+    """Return the log likelihood of a record; -inf where the disturbances have no stable observer."""
+    try:
+        gain = matched_gain(discrete, disturbance, noise)
+    except ValueError:
+        return -np.inf
+    return likelihood(discrete, gain, record, scale_known=scale_known).value
 
 
 def _strongest(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -108,7 +120,7 @@ def _worth(value: Callable[[FloatArray], float], strongest: FloatArray, above: f
     return any(value(strongest * 10.0**exponent) > above for exponent in _SCAN)
 
 
-def _climb(value: Callable[[FloatArray], float], strongest: FloatArray) -> tuple[float, FloatArray]:
+def _climb(value: Callable[[FloatArray], float], strongest: FloatArray, tolerance: float) -> tuple[float, FloatArray]:
     """Maximise over the logarithms of the nonzero intensities: a scan together, then a simplex for each its own."""
     active = strongest > 0
 
@@ -124,6 +136,6 @@ def _climb(value: Callable[[FloatArray], float], strongest: FloatArray) -> tuple
         return -value(process(exponents))
 
     start = np.full(count, together)
-    tolerances = {"xatol": 0.05, "fatol": 0.1, "maxfev": 60 * count}
+    tolerances = {"xatol": 0.1 * tolerance, "fatol": 0.1 * tolerance**2, "maxfev": 60 * count}
     result = minimize(cost, start, method="Nelder-Mead", options=tolerances)  # type: ignore[call-overload]
     return float(-result.fun), process(np.asarray(result.x))

@@ -45,7 +45,7 @@ class Window:
 
 
 def is_clean(window: Window, past: FloatArray, theta: FloatArray) -> bool:
-    """Return whether one theta, about `theta` (q,), explains a window better than a change from `past` (q,) inside it."""
+    """Return whether one theta, near `theta` (q,), tells a window better than a change from `past` (q,) inside it."""
     cell = max(1, len(window.v) // CELLS)
     window = replace(window, v=window.v[len(window.v) % cell :], cell=cell)
     squares, theta = _best(window, 0, past, theta, None)

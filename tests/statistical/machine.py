@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import numpy as np
+import pytest
 
 from agent.config import RigConfig, load
 from agent.types import FloatArray
@@ -144,3 +145,10 @@ def each(work: Callable[[Item], Found], items: Iterable[Item], processes: int = 
     things = list(items)
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         return list(pool.map(work, things, chunksize=max(1, len(things) // (4 * processes))))
+
+
+def say(request: pytest.FixtureRequest, text: str) -> None:
+    """Print a measured figure on the terminal, whatever is captured."""
+    plugins = request.config.pluginmanager
+    with plugins.get_plugin("capturemanager").global_and_fixture_disabled():
+        plugins.get_plugin("terminalreporter").write_line(f"\nmeasured: {text}")

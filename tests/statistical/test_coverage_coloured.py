@@ -1,0 +1,47 @@
+"""Stated 95 % intervals against the truth, whatever disturbs the readings (full counts under soak)."""
+
+import numpy as np
+import pytest
+
+from tests.statistical.coverage import CASES, Coverage, cover
+from tests.statistical.machine import say
+
+FULL = 200
+QUICK = {
+    "white": 200,
+    "white, to be learnt": 60,
+    "AR(1) 0.9": 30,
+    "force on m1": 20,
+    "16 bits": 60,
+    "200 us of jitter": 60,
+}
+"""Runs of each case where time is short."""
+
+
+def hold(name: str, found: Coverage) -> None:
+    assert found.valid.min() >= 0.99
+    assert found.covered.min() >= (0.92 if name.startswith("white") else 0.90)
+    if name.startswith("white"):
+        assert found.covered.max() <= 0.98
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_intervals_under_a_disturbance_hold_the_truth(name: str, request: pytest.FixtureRequest) -> None:
+    found = cover(name, QUICK[name])
+    say(request, f"{name}, {QUICK[name]} runs: {found}")
+    hold(name, found)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", CASES)
+def test_intervals_under_a_disturbance_hold_the_truth_in_200_runs(name: str, request: pytest.FixtureRequest) -> None:
+    found = cover(name, FULL, first=10_000)
+    say(request, f"{name}, {FULL} runs: {found}")
+    hold(name, found)
+
+
+@pytest.mark.soak
+def test_intervals_under_white_noise_hold_the_truth_as_often_as_they_say(request: pytest.FixtureRequest) -> None:
+    found = cover("white", 1000, first=20_000)
+    say(request, f"white, 1000 runs of {CASES['white'].windows} windows: {found}")
+    assert float(np.mean(found.covered)) == pytest.approx(0.95, abs=0.015)

@@ -1,5 +1,6 @@
 """Runs in which one spring steps by 15 %: what the pipeline raises, and when."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +69,7 @@ def records(pipe: Pipeline, readings: FloatArray, first: int = 0) -> list[Record
     return found
 
 
-def raised(found: list[Record]) -> list[tuple[str, int]]:
+def raised(found: Sequence[Record]) -> list[tuple[str, int]]:
     """(parameter, sample) of every activation."""
     alarms = [r for r in found if isinstance(r, AlarmTransition) and r.to_state == "UNACK"]
     return [(alarm.parameter, alarm.t_ns // 1_000_000) for alarm in alarms]
@@ -77,7 +78,11 @@ def raised(found: list[Record]) -> list[tuple[str, int]]:
 def verdict(seed: int) -> Verdict:
     """Play a run into the pipeline and judge it."""
     play = played(seed)
-    alarms = raised(records(pipeline(), play.readings))
+    return judged(seed, play, raised(records(pipeline(), play.readings)))
+
+
+def judged(seed: int, play: Play, alarms: list[tuple[str, int]]) -> Verdict:
+    """Judge what was raised in a run, (parameter, sample) of every activation."""
     right = [sample - play.at for parameter, sample in alarms if parameter == play.spring and sample >= play.at]
     wrong = tuple(p for p, sample in alarms if p != play.spring or sample < play.at)
     return Verdict(seed, play.spring, play.factor, right[0] if right and right[0] <= WITHIN else None, wrong)

@@ -42,6 +42,7 @@ class SensorLabels:
         self._last: SensorFault | None = None
         self._affected_until = -1
         self._silent = 0
+        self._silence: SensorFault | None = None
         self._events: list[SensorEvent] = []
 
     def take_events(self) -> list[SensorEvent]:
@@ -68,9 +69,11 @@ class SensorLabels:
         """Label samples v (N, c) while some channel does not speak; say so when that lasts as long as a window."""
         if not len(index):
             return []
-        fault = SensorFault(self._channels[int(np.argmax(np.isnan(v).sum(axis=0)))], Reason.NO_DATA)
+        if not self._silent:
+            self._silence = SensorFault(self._channels[int(np.argmax(np.isnan(v[0])))], Reason.NO_DATA)
+        fault = self._silence
         due = self._window - 1 - self._silent
-        if 0 <= due < len(index):
+        if fault is not None and 0 <= due < len(index):
             self._say(fault, int(index[due]), int(t_ns[due]))
         self._silent += len(index)
         m = self._inputs

@@ -104,11 +104,30 @@ def linearise(
     unknowns = _unknowns(Gamma, U, sd)
     e0 = unknowns.initial_state(o[:, 0])
     moved = o.copy()
+    if bridge is not None and unknowns.lacking is not None:
+        # the sensitivities at the best missing readings, as at the best initial state: else this is no gradient
+        off = unknowns.lacking.unknowns @ o[:, 0]
+        moved[:, 1:] = _sensitivities(model, gain, _completed(v, bridge, gain, off), x0, bridge)
     moved[:, 0] -= Gamma @ e0
     moved[:, 1:] += G[:, n:].reshape(len(G), width - 1, n) @ e0
     e0_by_theta = -unknowns.initial_state(moved[:, 1:])
     moved = unknowns.left_of(moved)
     return Linearised(moved[:, 0], moved[:, 1:], e0, e0_by_theta)
+
+
+def _completed(v: FloatArray, bridge: Bridge, gain: Gain, off: FloatArray) -> FloatArray:
+    """Return a window with its missing readings where they fit best, `off` (c,) from where they were filled in."""
+    unknown, _ = bridge.split(gain)
+    completed = v.copy()
+    completed[unknown.sample, unknown.channel] -= off
+    return completed
+
+
+def _sensitivities(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge) -> FloatArray:
+    """Return psi (W p, q) alone, the rows of what lacks emptied."""
+    psi = _outputs(model, gain, v, x0)[0][:, 1:]
+    psi[bridge.split(gain)[1]] = 0.0
+    return psi
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.bridge import Bridge
 from agent.numerics.fit import linearise
 from agent.numerics.friction import MotionFilter, motion, motion_filter, signs
 from agent.numerics.mechanics import GROUND, Element, MassSpringDamper
@@ -65,7 +66,9 @@ class Suspects:
     period_s: float
     hold: Hold
 
-    def accuse(self, theta: FloatArray, gain: Gain, v: FloatArray, dof: float) -> Accusation | None:
+    def accuse(
+        self, theta: FloatArray, gain: Gain, v: FloatArray, dof: float, bridge: Bridge | None = None
+    ) -> Accusation | None:
         """Name the suspect that a window gives away; None where no one explains enough.
 
         Args:
@@ -73,6 +76,7 @@ class Suspects:
             gain: of the observer.
             v: (W, p+m) outputs and inputs.
             dof: effective degrees of freedom of the residual.
+            bridge: what the window lacks.
         """
         p, k = gain.L.shape[1], len(self.suspects)
         y, u, constant = v[:, :p], v[:, p : p + self.given], v[:, p + self.given :]
@@ -80,7 +84,7 @@ class Suspects:
         own = self._own(k)
         full = np.insert(theta, own, np.zeros(k))
         sampled = discretise(self.model.continuous(full), self.period_s, self.hold).model
-        here = linearise(sampled, gain, columns, np.zeros(sampled.n))
+        here = linearise(sampled, gain, columns, np.zeros(sampled.n), bridge)
         tested = np.zeros(len(full), dtype=bool)
         tested[own : own + k] = True
         return self._worst(here.e, here.psi[:, ~tested], here.psi[:, tested], dof)

@@ -459,7 +459,8 @@ class WindowML:
         v = segment.samples(index + 1 - min(self.settings.plan.window, CALIBRATION), index + 1)
         if not np.isfinite(v).all():
             return
-        found = suspects.accuse(self.theta, self.gain, v, self._dof * self.colour.share)
+        bridge = self._lacking.bridge(v, index + 1)
+        found = suspects.accuse(self.theta, self.gain, v, self._dof * self.colour.share, bridge)
         self._accused = 0 if found is None else int(found.suspect.reason)
         rows.suspect[row:] = self._accused
 

@@ -1,0 +1,106 @@
+"""Spikes told from motion, lost readings filled, and all of it however the stream is cut."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from agent.numerics.cleaning import BLOCK, Clean, Cleaner
+from tests.unit.numerics.rigs import FloatArray, noisy, record, sampled
+
+SIGMA = 1e-6
+INPUTS = np.array([False, False, True])
+FIELDS = ("v", "missing", "spike", "suspect")
+
+
+def clean(v: FloatArray, cuts: list[int] | None = None, step: float = 0.0) -> Clean:
+    cleaner = Cleaner(INPUTS, np.full(3, step))
+    edges = [0, *(cuts or []), len(v)]
+    pieces = [cleaner.take(v[a:b].copy()) for a, b in pairwise(edges)]
+    pieces.append(cleaner.take(v[:0], end=True))
+    return Clean(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in FIELDS))
+
+
+def spiked(seed: int, samples: int = 3000, spikes: int = 12) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """The rig's readings, the same with spikes of one to three samples in the displacements, and where."""
+    rng = np.random.default_rng(seed)
+    true = noisy(rng, samples, SIGMA).v
+    v, where = true.copy(), np.zeros(true.shape, dtype=bool)
+    for place in rng.choice(np.arange(2 * BLOCK, samples - 20, 25), spikes, replace=False).tolist():
+        at = slice(place, place + int(rng.integers(1, 4)))
+        channel = int(rng.integers(2))
+        v[at, channel] += rng.choice([-1, 1]) * rng.uniform(2e-3, 2e-2)
+        where[at, channel] = True
+    return true, v, where
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cleaner_finds_every_spike_and_nothing_else(seed: int) -> None:
+    true, v, where = spiked(seed)
+    found = clean(v)
+    assert np.array_equal(found.spike, where)
+    assert np.abs(found.v - true)[:, :2].max() < 2e-5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cleaner_gives_the_same_however_the_stream_is_cut(seed: int) -> None:
+    rng = np.random.default_rng(seed + 100)
+    _, v, _ = spiked(seed, samples=1500)
+    lost = rng.random(len(v)) < 0.02
+    v[lost] = np.nan
+    v[0] = 0.0
+    v[rng.random(v.shape) < 0.01] = np.nan
+    v[0] = 0.0
+    whole = clean(v)
+    assert len(whole) == len(v)
+    assert np.isfinite(whole.v).all()
+    for cuts in (sorted(rng.integers(0, len(v), 30).tolist()), list(range(len(v)))):
+        again = clean(v, cuts)
+        for name in FIELDS:
+            assert np.array_equal(getattr(whole, name), getattr(again, name)), name
+
+
+def test_cleaner_gives_undisturbed_samples_at_once() -> None:
+    v = noisy(np.random.default_rng(0), 2000, SIGMA).v
+    cleaner = Cleaner(INPUTS, np.zeros(3))
+    for start in range(0, 2000, 7):
+        piece = v[start : start + 7]
+        assert np.array_equal(cleaner.take(piece).v, piece)
+        assert not cleaner.waiting()
+
+
+def test_cleaner_takes_neither_a_random_force_nor_blows_nor_steps_for_spikes_of_the_motion() -> None:
+    rng = np.random.default_rng(1)
+    u = 0.1 * rng.standard_normal((6000, 1))
+    for blow in range(500, 5900, 400):
+        u[blow : blow + 3, 0] += [300.0, 1000.0, 300.0]
+    v = record(sampled(), u).v
+    v[:, :2] += SIGMA * rng.standard_normal((6000, 2))
+    v[3000:, 0] += 0.05
+    found = clean(v)
+    assert not found.spike.any()
+    assert not found.missing.any()
+    # of a blow on the force only the motion can tell whether it was one
+    assert found.suspect[:, 2].any()
+    assert np.array_equal(found.v, v)
+
+
+def test_cleaner_leaves_runs_longer_than_three_as_they_are() -> None:
+    v = noisy(np.random.default_rng(2), 1000, SIGMA).v
+    v[500:504, 0] += 0.02
+    found = clean(v)
+    assert not found.spike.any()
+
+
+def test_cleaner_takes_flicker_of_the_wires_step_for_what_it_is() -> None:
+    v = np.zeros((2000, 3))
+    v[np.random.default_rng(3).random((2000, 3)) < 0.05] = 1e-3
+    assert not clean(v, step=1e-3).missing.any()
+
+
+def test_cleaner_without_any_reading_of_a_channel_at_the_end_repeats_the_last() -> None:
+    v = noisy(np.random.default_rng(4), 300, SIGMA).v
+    v[-3:, 1] = np.nan
+    found = clean(v)
+    assert found.missing[-3:, 1].all()
+    assert np.all(found.v[-3:, 1] == v[-4, 1])

@@ -375,6 +375,8 @@ class WindowML:
     def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
         index, plan = int(rows.index[row]), self.settings.plan
+        if self._lacking.count(rows.index[row : row + 1], plan.window)[0] > MOST * plan.window:
+            return False
         pause = (plan.window // 4) << self._failed if self._blamed is None else plan.window << self._heard
         due = index - self._last_fit >= pause
         if self._anchored and healthy:

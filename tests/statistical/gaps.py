@@ -69,5 +69,5 @@ def one(job: tuple[str, int]) -> tuple[FloatArray, FloatArray]:
         np.concatenate([getattr(b, n) for b in batches])[which] for n in ("status", "lower", "upper")
     )
     valid = status == Status.VALID
-    inside = valid & (lower <= TRUTH) & (TRUTH <= upper)
+    inside = valid & (lower <= TRUTH) & (upper >= TRUTH)
     return valid.sum(axis=0) / WINDOWS, inside.sum(axis=0) / WINDOWS

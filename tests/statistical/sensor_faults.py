@@ -31,12 +31,12 @@ class Blame:
         return set(self.sensors) <= {self.channel} and not self.parameters
 
 
-def healthy(rng: np.random.Generator, samples: int) -> FloatArray:
+def healthy(rng: np.random.Generator, samples: int, noise_m: float = NOISE_M) -> FloatArray:
     """Force and displacements of the rig at work, (samples, 3)."""
     settle = 10 * SECOND
     force = rng.choice(LOADS_N) + drive(rng, settle + samples + 1)
     y = Machine.at_rest().play(on_second(force))[settle:, :2]
-    return np.column_stack([force[settle:-1], y + NOISE_M * rng.standard_normal(y.shape)])
+    return np.column_stack([force[settle:-1], y + noise_m * rng.standard_normal(y.shape)])
 
 
 def one(job: tuple[str, int]) -> Blame:
@@ -57,4 +57,5 @@ def one(job: tuple[str, int]) -> Blame:
     raised = [r for r in found if isinstance(r, AlarmTransition) and r.to_state == "UNACK"]
     sensors = [(r.parameter, r.t_ns // 1_000_000 - at) for r in raised if r.kind == "sensor"]
     levels = tuple(r.parameter for r in raised if r.kind == "level")
-    return Blame(seed, kind, CHANNELS[channel], tuple(n for n, _ in sensors), levels, sensors[0][1] if sensors else None)
+    names, delay = tuple(name for name, _ in sensors), sensors[0][1] if sensors else None
+    return Blame(seed, kind, CHANNELS[channel], names, levels, delay)

@@ -52,8 +52,8 @@ def test_quality_bridges_a_short_gap_within_the_segment() -> None:
     assert np.array_equal(joined(pieces, "index"), np.arange(1000))
     assert np.array_equal(joined(pieces, "t_ns"), np.arange(1000) * 1_000_000)
     assert {piece.segment for piece in pieces} == {1}
-    lost = [piece.index[piece.missing.all(axis=1)].tolist() for piece in pieces if piece.missing is not None]
-    assert sum(lost, []) == [400, 401, 402, 403, 404]
+    lost = [piece.index[piece.missing.all(axis=1)] for piece in pieces if piece.missing is not None]
+    assert np.concatenate(lost).tolist() == [400, 401, 402, 403, 404]
     assert np.isfinite(joined(pieces, "y")).all()
 
 

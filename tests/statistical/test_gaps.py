@@ -18,7 +18,10 @@ def measured(name: str, runs: range, request: pytest.FixtureRequest) -> None:
     assert covered.min() >= 0.90
 
 
-@pytest.mark.parametrize("name", HOLES)
+EVERY_RUN = ("1 % lost samples",)  # the others go to soak, where all of them run in full
+
+
+@pytest.mark.parametrize("name", EVERY_RUN)
 def test_intervals_of_windows_with_holes_hold_the_truth(name: str, request: pytest.FixtureRequest) -> None:
     measured(name, range(QUICK), request)
 

@@ -40,7 +40,7 @@ def candidate(summary: Summary, window: int, theta_r: FloatArray, n: int, output
     return Candidate(window, dof, theta_r + solution.delta, np.sqrt(variance), ratio)
 
 
-def gate(dof: float, share: FloatArray | float, doubt: float) -> FloatArray:
+def gate(dof: float, doubt: float, share: FloatArray | float = 1.0) -> FloatArray:
     """Largest residual variance, in units of the reference, of an undisturbed window with dof degrees of freedom.
 
     doubt is 2 where the reference was learnt from a window, which is as uncertain as what it is compared with. share is
@@ -67,7 +67,7 @@ def choose(
     usable = rows.full & ~rows.changing & ~rows.mismatch
     for longer in found:
         new = slice(len(rows.index) - len(longer.ratio), None)
-        passes = usable[new] & (longer.ratio <= gate(longer.dof, share[new], doubt))
+        passes = usable[new] & (longer.ratio <= gate(longer.dof, doubt, share[new]))
         take = passes[:, None] & ~(rows.sd[new] <= wanted_sd) & np.isfinite(longer.sd)
         rows.theta[new] = np.where(take, longer.theta, rows.theta[new])
         rows.sd[new] = np.where(take, longer.sd * widening[new], rows.sd[new])

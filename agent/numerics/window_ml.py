@@ -124,7 +124,7 @@ class WindowML:
     @property
     def _gate(self) -> float:
         """Largest residual variance, in units of the reference, of an undisturbed window."""
-        return float(gate(self._dof, self.colour.share, self._doubt))
+        return float(gate(self._dof, self._doubt, self.colour.share))
 
     @property
     def _doubt(self) -> float:

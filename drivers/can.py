@@ -1,9 +1,9 @@
 """CAN as a source of samples: frames decoded in batches by what a DBC file says. Nothing is sent to the bus."""
 
-import time
 from pathlib import Path
 from typing import ClassVar
 
+from drivers import clock
 from drivers.can_bus import BusKeys, CanBus, Filters, open_bus
 from drivers.can_codec import Decoded, FrameDecoder
 from drivers.can_database import MessageCodec, load, message_codecs
@@ -45,7 +45,7 @@ class DbcDriver(Driver):
 
     def block_of(self, samples: Decoded) -> SampleBlock:
         """Return decoded samples as a block."""
-        return SampleBlock(samples.values, time.monotonic_ns(), samples.counter, samples.t_ns, samples.epoch)
+        return SampleBlock(samples.values, clock.monotonic_ns(), samples.counter, samples.t_ns, samples.epoch)
 
 
 class CanDriver(DbcDriver):
@@ -75,11 +75,11 @@ class CanDriver(DbcDriver):
             raise DriverIOError(f"{self.request.name}: read before open")
         if self._failure is not None:
             raise self._failure
-        deadline = time.monotonic() + timeout_s
+        deadline = clock.monotonic() + timeout_s
         frames = self._bus.frames(deadline)
         if 0 < len(frames) < _FEW:
             # a frame a wake-up costs ten times what a frame of a batch does: the next few are worth a short wait
-            time.sleep(max(0.0, min(_GATHER_S, deadline - time.monotonic())))
+            clock.sleep(max(0.0, min(_GATHER_S, deadline - clock.monotonic())))
             frames = joined(frames, self._rest(self._bus))
         return self.decoded(frames)
 

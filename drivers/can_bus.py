@@ -7,7 +7,6 @@ import os
 import select
 import socket
 import struct
-import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
+from drivers import clock
 from drivers.can_frames import (
     ERROR,
     EXTENDED,
@@ -26,7 +26,7 @@ from drivers.can_frames import (
     no_frames,
     pack_frame,
 )
-from drivers.pipe import TcpPipe
+from drivers.pipe import tcp_pipe
 from drivers.port import Counts, DriverConfigError, DriverIOError, DriverSettings
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class CanBus(ABC):
 
     @abstractmethod
     def frames(self, deadline: float) -> Frames:
-        """Return what has arrived, waiting until `deadline` (time.monotonic); DriverIOError when the bus is gone."""
+        """Return what has arrived, waiting until `deadline` (clock.monotonic); DriverIOError when the bus is gone."""
 
     @abstractmethod
     def close(self) -> None:
@@ -106,7 +106,7 @@ class KernelBus(CanBus):
     def frames(self, deadline: float) -> Frames:
         if self._failure is not None:
             raise self._failure
-        select.select([self._socket], [], [], max(0.0, deadline - time.monotonic()))
+        select.select([self._socket], [], [], max(0.0, deadline - clock.monotonic()))
         rows: list[bytes] = []
         times: list[int] = []
         while len(rows) < _MOST:
@@ -145,7 +145,7 @@ class DaemonBus(CanBus):
 
     def __init__(self, keys: BusKeys, counts: Counts) -> None:
         self._counts = counts
-        self._pipe = TcpPipe(keys.host, keys.port, _CONNECT_S)
+        self._pipe = tcp_pipe(keys.host, keys.port, _CONNECT_S)
         self._text = DaemonText()
         self._channel = keys.channel
         try:
@@ -159,7 +159,7 @@ class DaemonBus(CanBus):
     def _expect(self, answer: bytes, command: bytes) -> None:
         if command:
             self._pipe.send("socketcand", command)
-        deadline = time.monotonic() + _CONNECT_S
+        deadline = clock.monotonic() + _CONNECT_S
         got = b""
         while answer not in got:
             more = self._pipe.recv(deadline)
@@ -178,7 +178,7 @@ class DaemonBus(CanBus):
 
     def frames(self, deadline: float) -> Frames:
         early, self._early = self._early, b""
-        data = early + self._pipe.recv(time.monotonic() if early else deadline)
+        data = early + self._pipe.recv(clock.monotonic() if early else deadline)
         bad = self._text.bad
         frames = self._text.feed(data) if data else no_frames()
         if self._text.bad > bad:
@@ -212,7 +212,7 @@ class PythonCanBus(CanBus):
     def frames(self, deadline: float) -> Frames:
         rows: list[bytes] = []
         times: list[float] = []
-        wait = max(0.0, deadline - time.monotonic())
+        wait = max(0.0, deadline - clock.monotonic())
         try:
             while len(rows) < _MOST and (message := self._bus.recv(0.0 if rows else wait)) is not None:
                 rows.append(message_row(message))

@@ -1,13 +1,13 @@
 """Modbus over TCP and RTU as a source of samples. Reads only; every reply is held against its request."""
 
-import time
 from typing import ClassVar
 
+from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus_frames import ReplyError, Request, RtuFrames, TcpFrames
 from drivers.modbus_modes import READERS, Reader, RingReader
 from drivers.modbus_settings import ModbusSettings
-from drivers.pipe import Pipe, SerialKeys, SerialPipe, TcpPipe
+from drivers.pipe import Pipe, SerialKeys, serial_pipe, tcp_pipe
 from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
 
 _LONGEST = 2048
@@ -38,17 +38,17 @@ class ModbusDriver(Driver):
         self.close()
         settings = self._settings
         if settings.transport == "tcp":
-            self._frames, self._pipe = TcpFrames(), TcpPipe(settings.host, int(settings.port), settings.timeout_s)
+            self._frames, self._pipe = TcpFrames(), tcp_pipe(settings.host, int(settings.port), settings.timeout_s)
         else:
             self._frames, self._pipe = RtuFrames(), self._serial()
-            self._pipe.drain(max(0.0, self._late_until - time.monotonic()))
+            self._pipe.drain(max(0.0, self._late_until - clock.monotonic()))
         self.counts.reopened += self._opened
         self._opened = True
         if isinstance(self._reader, RingReader):
             self._reader.forget_index()
 
     def read(self, timeout_s: float) -> SampleBlock:
-        return self._reader.read(self._ask, time.monotonic() + timeout_s)
+        return self._reader.read(self._ask, clock.monotonic() + timeout_s)
 
     def close(self) -> None:
         if self._pipe is not None:
@@ -58,19 +58,19 @@ class ModbusDriver(Driver):
     def resolution(self) -> tuple[float, ...]:
         return self._resolution
 
-    def _serial(self) -> SerialPipe:
+    def _serial(self) -> Pipe:
         settings = self._settings
         keys = SerialKeys(
             port=str(settings.port), baudrate=settings.baudrate, parity=settings.parity, stopbits=settings.stopbits
         )
-        return SerialPipe(keys, str(self.request.folder / keys.port))
+        return serial_pipe(keys, str(self.request.folder / keys.port))
 
     def _ask(self, request: Request) -> ByteArray:
         """Return the register bytes that answer a request, by a deadline of its own."""
         if self._pipe is None or self._frames is None:
             raise DriverIOError(f"{self.request.name}: read before open")
         self._pipe.send(self._frames.protocol, self._frames.request(request))
-        deadline = time.monotonic() + self._settings.timeout_s
+        deadline = clock.monotonic() + self._settings.timeout_s
         try:
             return self._await(self._pipe, self._frames, request, deadline)
         except ReplyError as error:
@@ -85,6 +85,6 @@ class ModbusDriver(Driver):
             if answer is not None:
                 return answer
         # a reply that comes later still must not be taken for the next one's: the line is listened out first
-        self._late_until = time.monotonic() + self._settings.timeout_s
+        self._late_until = clock.monotonic() + self._settings.timeout_s
         got = f"{len(data)} bytes that are no whole reply" if data else "no reply"
         raise ReplyError("timeout", f"{got} within {self._settings.timeout_s:g} s to {request.words}")

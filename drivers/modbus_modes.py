@@ -4,13 +4,13 @@ Each reader is handed a function that asks for registers and answers with their 
 re-opens, so that a broken connection costs no sample that the device still holds.
 """
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers import clock
 from drivers.fields import ByteArray, FieldSpec, Layout
 from drivers.modbus_codec import Ring, slot_layout, slots_of
 from drivers.modbus_frames import FIFO, FIFO_REGISTERS, MAX_REGISTERS, Request
@@ -39,19 +39,19 @@ class Reader(ABC):
 
     @abstractmethod
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
-        """Return what is new, waiting until `deadline` (time.monotonic) at most."""
+        """Return what is new, waiting until `deadline` (clock.monotonic) at most."""
 
     def wait_until_due(self, deadline: float) -> bool:
         """Wait for the next poll; False when that lies beyond the deadline, which is then reached."""
-        now = time.monotonic()
+        now = clock.monotonic()
         until = min(self.due, deadline)
         if until > now:
-            time.sleep(until - now)
+            clock.sleep(until - now)
         return self.due <= deadline
 
     def empty(self) -> SampleBlock:
         """Return a block without samples."""
-        return SampleBlock(np.empty((0, len(self.source.fields))), time.monotonic_ns(), epoch=self.epoch)
+        return SampleBlock(np.empty((0, len(self.source.fields))), clock.monotonic_ns(), epoch=self.epoch)
 
 
 class RingReader(Reader):
@@ -78,7 +78,7 @@ class RingReader(Reader):
             if not self.wait_until_due(deadline):
                 return self.empty()
             self._seen = self._follow(self._index(ask))
-            self.due = time.monotonic() + self._pause_s
+            self.due = clock.monotonic() + self._pause_s
         return self._fetch(ask, self._seen, deadline)
 
     def forget_index(self) -> None:
@@ -118,7 +118,7 @@ class RingReader(Reader):
         for span in self._ring.spans(first, head):
             pieces.append(ask(self._request(span.address, span.count)))
             end = span.first + span.samples
-            if time.monotonic() > deadline:
+            if clock.monotonic() > deadline:
                 break
         raw = self._index(ask)
         after = self._ring.unwrap(raw, head)
@@ -128,7 +128,7 @@ class RingReader(Reader):
         return self._deliver(first, end, after, np.concatenate(pieces))
 
     def _deliver(self, first: int, end: int, after: int, data: ByteArray) -> SampleBlock:
-        arrival_ns = time.monotonic_ns()
+        arrival_ns = clock.monotonic_ns()
         late = self._ring.overtaken(first, end - first, after)
         slots = slots_of(data, self.layout)[~late]
         self.counts.received += end - first
@@ -166,7 +166,7 @@ class PollReader(Reader):
 
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
         rows: list[ByteArray] = []
-        deadline = min(deadline, max(time.monotonic(), self.due) + _GATHER_S)
+        deadline = min(deadline, max(clock.monotonic(), self.due) + _GATHER_S)
         while self.wait_until_due(deadline):
             rows.append(self._poll(ask))
             self._plan_next()
@@ -174,7 +174,7 @@ class PollReader(Reader):
             return self.empty()
         slots = np.stack(rows)
         counter = self.layout.counter(slots, self.source.counter) if self.source.counter else None
-        return SampleBlock(self.layout.values(slots, self.source.fields), time.monotonic_ns(), counter)
+        return SampleBlock(self.layout.values(slots, self.source.fields), clock.monotonic_ns(), counter)
 
     def _poll(self, ask: Ask) -> ByteArray:
         self.counts.received += 1
@@ -187,7 +187,7 @@ class PollReader(Reader):
         return sample
 
     def _plan_next(self) -> None:
-        now = time.monotonic()
+        now = clock.monotonic()
         self.due = max(self.due + self.settings.period_s, now) if self.due else now + self.settings.period_s
 
 
@@ -229,7 +229,7 @@ class FifoReader(Reader):
         while self.wait_until_due(deadline):
             slots = self._new(self._whole(ask(self._request)))
             if len(slots) < self._full:
-                self.due = time.monotonic() + self.settings.period_s
+                self.due = clock.monotonic() + self.settings.period_s
             if len(slots):
                 self.counts.received += len(slots)
                 return self._block(slots)
@@ -254,7 +254,7 @@ class FifoReader(Reader):
 
     def _block(self, slots: ByteArray) -> SampleBlock:
         counter = self.layout.counter(slots, self.source.counter) if self.source.counter else None
-        return SampleBlock(self.layout.values(slots, self.source.fields), time.monotonic_ns(), counter)
+        return SampleBlock(self.layout.values(slots, self.source.fields), clock.monotonic_ns(), counter)
 
 
 READERS: dict[str, type[Reader]] = {"ring": RingReader, "poll": PollReader, "fifo": FifoReader}

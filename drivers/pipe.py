@@ -8,13 +8,12 @@ import os
 import select
 import socket
 import termios
-import time
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from drivers import listening
+from drivers import clock, listening
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings
 
 if TYPE_CHECKING:
@@ -45,13 +44,13 @@ class Pipe(ABC):
         """Release the descriptor; harmless when released already."""
 
     def recv(self, deadline: float) -> bytes:
-        """Return what has arrived, waiting until `deadline` (time.monotonic); b"" when nothing came."""
-        ready, _, _ = select.select([self.fileno()], [], [], max(0.0, deadline - time.monotonic()))
+        """Return what has arrived, waiting until `deadline` (clock.monotonic); b"" when nothing came."""
+        ready, _, _ = select.select([self.fileno()], [], [], max(0.0, deadline - clock.monotonic()))
         return self._read() if ready else b""
 
     def drain(self, seconds: float) -> int:
         """Throw away what arrives within `seconds`; return how many bytes that were."""
-        deadline = time.monotonic() + seconds
+        deadline = clock.monotonic() + seconds
         thrown = 0
         while data := self.recv(deadline):
             thrown += len(data)
@@ -165,3 +164,15 @@ def _serial_words(error: Exception) -> str:
 def _write_all(descriptor: int, data: bytes) -> None:
     while data:
         data = data[os.write(descriptor, data) :]
+
+
+def tcp_pipe(host: str, port: int, timeout_s: float) -> Pipe:
+    """Return a TCP connection of this machine, or of the one that is played to this thread."""
+    machine = clock.played()
+    return TcpPipe(host, port, timeout_s) if machine is None else machine.tcp(host, port)
+
+
+def serial_pipe(keys: SerialKeys, device: str) -> Pipe:
+    """Return a serial line of this machine, or of the one that is played to this thread."""
+    machine = clock.played()
+    return SerialPipe(keys, device) if machine is None else machine.serial(device)

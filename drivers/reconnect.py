@@ -5,13 +5,13 @@ It never sleeps by itself beyond the time-out of `read`, and then on an event th
 
 import random
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from drivers import clock
 from drivers.port import Driver, DriverIOError, SampleBlock
 
 FIRST_S = 0.1
@@ -74,7 +74,7 @@ class ReconnectingDriver:
         driver: Driver,
         stale_s: float,
         *,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = clock.monotonic,
         rng: random.Random | None = None,
         stop: threading.Event | None = None,
     ) -> None:
@@ -107,7 +107,7 @@ class ReconnectingDriver:
         """Return what has arrived, opening the source first when that is due; an empty block while it is lost."""
         pause_s = self.retry_in_s()
         if pause_s > 0:
-            self._stop.wait(min(pause_s, timeout_s))
+            clock.wait(self._stop, min(pause_s, timeout_s))
             return self._nothing()
         try:
             block = self._read_open(timeout_s)
@@ -153,4 +153,4 @@ class ReconnectingDriver:
             self._events.append(LinkEvent(cause, message, now))
 
     def _nothing(self) -> SampleBlock:
-        return SampleBlock(np.empty((0, len(self.driver.request.fields))), time.monotonic_ns())
+        return SampleBlock(np.empty((0, len(self.driver.request.fields))), clock.monotonic_ns())

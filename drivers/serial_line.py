@@ -1,14 +1,13 @@
 """A serial line as a source of samples. Only reads: nothing is ever written to the line."""
 
 import re
-import time
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from drivers import crc
+from drivers import clock, crc
 from drivers.fields import FieldSpec, Layout, unique_names
-from drivers.pipe import SerialKeys, SerialPipe
+from drivers.pipe import Pipe, SerialKeys, serial_pipe
 from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSettings, SampleBlock, SourceRequest
 from drivers.serial_codec import BinaryDecoder, SerialDecoder, TextDecoder
 
@@ -88,7 +87,7 @@ class SerialDriver(Driver):
         self._settings: SerialSettings = request.settings
         self._decoder: SerialDecoder = self._text() if self._settings.format == "text" else self._binary()
         self.counter_modulus = self._settings.counter_modulus or self._decoder.modulus
-        self._pipe: SerialPipe | None = None
+        self._pipe: Pipe | None = None
         self._opened = False
 
     def _binary(self) -> BinaryDecoder:
@@ -115,7 +114,7 @@ class SerialDriver(Driver):
 
     def open(self) -> None:
         self.close()
-        self._pipe = SerialPipe(self._settings, str(self.request.folder / self._settings.port))
+        self._pipe = serial_pipe(self._settings, str(self.request.folder / self._settings.port))
         self._decoder.restart()
         self.counts.reopened += self._opened
         self._opened = True
@@ -123,16 +122,16 @@ class SerialDriver(Driver):
     def read(self, timeout_s: float) -> SampleBlock:
         if self._pipe is None:
             raise DriverIOError(f"{self.request.name}: read before open")
-        deadline = time.monotonic() + timeout_s
+        deadline = clock.monotonic() + timeout_s
         data = self._pipe.recv(deadline)
         if 0 < len(data) < _FEW_BYTES:
             # decoding costs by the batch, not by the frame: what comes within a short wait is taken along
-            time.sleep(max(0.0, min(_GATHER_S, deadline - time.monotonic())))
+            clock.sleep(max(0.0, min(_GATHER_S, deadline - clock.monotonic())))
             data += self._rest(self._pipe)
         values, counter = self._decoder.feed(data)
-        return SampleBlock(values, time.monotonic_ns(), counter)
+        return SampleBlock(values, clock.monotonic_ns(), counter)
 
-    def _rest(self, pipe: SerialPipe) -> bytes:
+    def _rest(self, pipe: Pipe) -> bytes:
         """Return what is there already; an unplugged line is met again at the next read."""
         try:
             return pipe.recv(0.0)

@@ -43,6 +43,7 @@ class Reason(IntEnum):
     SATURATED = 11
     STANDSTILL = 12
     INSEPARABLE = 13
+    MASS = 14
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,9 @@
 """What a model that does not fit lacks: a score test of suspects that are not estimated.
 
 A suspect is a force of known shape between two nodes: the sign of their velocity (dry friction), the cube of their
-displacement (a spring that is not straight), a constant (an offset). Each is one more column beside a window's
-sensitivities; the one that explains most of what the fit leaves is named when it explains a large share.
+displacement (a spring that is not straight), a constant (an offset); or a mass that is not what the model has. Each is
+one more column beside a window's sensitivities; the one that explains most of what the fit leaves is named when it
+explains a large share.
 """
 
 from collections.abc import Iterator
@@ -30,7 +31,7 @@ EVIDENCE = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
-    """A force of one shape between two nodes."""
+    """A force of one shape between two nodes; inertia acts between a mass and the ground."""
 
     reason: Reason
     between: tuple[str, str]
@@ -38,10 +39,17 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class Accusation:
-    """The suspect that explains most of a residual, and the share of the sum of squares that it explains."""
+    """The suspect that explains most of a residual.
+
+    Attributes:
+        suspect: who.
+        share: of the residual's sum of squares that it explains.
+        change: of a mass, over what the model has, less one; 0 for others.
+    """
 
     suspect: Suspect
     share: float
+    change: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +57,9 @@ class Suspects:
     """The suspects of one rig and how their columns are made.
 
     Attributes:
-        suspects: k of them.
-        model: the rig's model with the suspects as further friction elements of 0 N.
+        suspects: k of them, the masses last.
+        model: the rig's model with the suspects as further parameters: friction elements of 0 N, and masses.
+        masses: (k,) what the model has of each mass; 0 for the other suspects.
         given: inputs of the rig's own model that are measured or signs, without the constant.
         forces: the first of them, which are measured.
         velocities, displacements: of the suspects' nodes.
@@ -59,6 +68,7 @@ class Suspects:
 
     suspects: tuple[Suspect, ...]
     model: Model
+    masses: FloatArray
     given: int
     forces: int
     velocities: MotionFilter
@@ -82,7 +92,7 @@ class Suspects:
         y, u, constant = v[:, :p], v[:, p : p + self.given], v[:, p + self.given :]
         columns = np.hstack([y, u, self._columns(y, u[:, : self.forces]), constant])
         own = self._own(k)
-        full = np.insert(theta, own, np.zeros(k))
+        full = np.insert(theta, own, self.masses)
         sampled = discretise(self.model.continuous(full), self.period_s, self.hold).model
         here = linearise(sampled, gain, columns, np.zeros(sampled.n), bridge)
         tested = np.zeros(len(full), dtype=bool)
@@ -103,11 +113,14 @@ class Suspects:
             Reason.NONLINEAR: place**3,
             Reason.BIAS: np.ones_like(place),
         }
-        columns = [shapes[suspect.reason][:, i] for i, suspect in enumerate(self.suspects)]
+        forces = [suspect for suspect in self.suspects if suspect.reason in shapes]
+        if not forces:
+            return np.zeros((len(y), 0))
+        columns = [shapes[suspect.reason][:, i] for i, suspect in enumerate(forces)]
         return np.stack([c / max(float(np.sqrt(np.mean(c**2))), 1e-300) for c in columns], axis=1)
 
     def _worst(self, e: FloatArray, psi: FloatArray, tested: FloatArray, dof: float) -> Accusation | None:
-        basis = np.linalg.qr(_unit(psi))[0]
+        basis, norms = np.linalg.qr(_unit(psi))[0], np.linalg.norm(tested, axis=0)
         left, columns = e - basis @ (basis.T @ e), _unit(tested)
         columns = columns - basis @ (basis.T @ columns)
         # a column that is nearly one of the model's own says nothing that is its own
@@ -118,7 +131,10 @@ class Suspects:
         found = float(share[worst])
         if found < SHARE or found * dof < EVIDENCE * (1.0 - found):
             return None
-        return Accusation(self.suspects[worst], found)
+        if not self.masses[worst]:
+            return Accusation(self.suspects[worst], found)
+        step = float(columns[:, worst] @ left) / (lengths[worst] ** 2 * norms[worst])
+        return Accusation(self.suspects[worst], found, step / float(self.masses[worst]))
 
 
 def _unit(columns: FloatArray) -> FloatArray:
@@ -134,23 +150,32 @@ def suspects_of(model: Model, period_s: float, hold: Hold, sigma: FloatArray) ->
     inner = model.model if isinstance(model, SensedModel) else model
     if not isinstance(inner, MassSpringDamper):
         return None
-    suspects = tuple(_suspects(inner))
-    names = tuple(f"suspect {i}" for i in range(len(suspects)))
-    added = tuple(Element(name, s.between, 0.0) for name, s in zip(names, suspects, strict=True))
+    forcing, masses = tuple(_forces(inner)), tuple(_masses(inner))
+    names = tuple(f"suspect {i}" for i in range(len(forcing)))
+    added = tuple(Element(name, s.between, 0.0) for name, s in zip(names, forcing, strict=True))
     structure = replace(inner.structure, frictions=inner.structure.frictions + added)
-    suspected: Model = replace(inner, structure=structure, parameters=inner.parameters + names)
+    named = inner.parameters + names + tuple(s.between[0] for s in masses)
+    suspected: Model = replace(inner, structure=structure, parameters=named)
     if isinstance(model, SensedModel):
         suspected = replace(model, model=suspected)
-    pairs = [s.between for s in suspects]
+    values = {m.name: m.value for m in inner.structure.masses}
+    known = np.array([0.0] * len(forcing) + [values[s.between[0]] for s in masses])
+    pairs = [s.between for s in forcing]
     speed = motion_filter(inner, pairs, period_s, hold, sigma)
     place = motion_filter(inner, pairs, period_s, hold, sigma, displacements=True)
     forces = len(inner.forces)
-    return Suspects(
-        suspects, suspected, forces + len(inner.structure.frictions), forces, speed, place, period_s, hold
-    )
+    given = forces + len(inner.structure.frictions)
+    return Suspects((*forcing, *masses), suspected, known, given, forces, speed, place, period_s, hold)
 
 
-def _suspects(model: MassSpringDamper) -> Iterator[Suspect]:
+def _masses(model: MassSpringDamper) -> Iterator[Suspect]:
+    """Every mass that is taken as known where a force is measured: in free decay all of them are a matter of scale."""
+    for mass in model.structure.masses if model.forces else ():
+        if mass.value > 0 and mass.name not in model.parameters:
+            yield Suspect(Reason.MASS, (mass.name, GROUND))
+
+
+def _forces(model: MassSpringDamper) -> Iterator[Suspect]:
     """Dry friction beside every damper and spring that has none, cubes beside springs, an offset on every mass."""
     s = model.structure
     rubbing = {frozenset(e.between) for e in s.frictions}

@@ -76,6 +76,19 @@ def test_suspects_of_a_right_model_accuse_nobody(seed: int) -> None:
     assert accused(oscillator(), played(np.random.default_rng(seed))) is None
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("wrong", [-0.2, 0.2])
+def test_suspects_of_a_model_with_a_wrong_mass_name_it_and_by_how_much(wrong: float, seed: int) -> None:
+    m, k, b = TRUE
+    found = accused(oscillator((m * (1.0 + wrong), k, b)), played(np.random.default_rng(seed)))
+    assert found is not None
+    assert found.suspect.reason is Reason.MASS
+    assert found.suspect.between[0] == "m"
+    assert found.share > 0.9
+    # one step from the wrong mass: its direction and about its size
+    assert found.change == pytest.approx(1.0 / (1.0 + wrong) - 1.0, abs=0.08)
+
+
 def test_suspects_beside_sensor_constants_are_still_named() -> None:
     model = SensedModel(oscillator(), (Nuisance("x.bias", "bias", "output", 0),))
     v = played(np.random.default_rng(3), dry=2.0)

@@ -11,6 +11,10 @@ from agent.numerics.rows import Rows
 from agent.numerics.window import solve_windows
 
 FloatArray = NDArray[np.float64]
+SURE = 4.0
+"""Standard deviations that are no chance: once in 32,000 windows."""
+FEWEST = 6.0
+"""Degrees of freedom below which the approximation of F has no such point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +47,15 @@ def candidate(summary: Summary, window: int, theta_r: FloatArray, n: int, output
 def gate(dof: float, doubt: float, share: FloatArray | float = 1.0) -> FloatArray:
     """Largest residual variance, in units of the reference, of an undisturbed window with dof degrees of freedom.
 
-    doubt is 2 where the reference was learnt from a window, which is as uncertain as what it is compared with. share is
-    what colour leaves of dof, 1 for white noise; where that is little, the logarithm of the ratio is nearly normal
-    (Fisher 1924), the ratio itself is not: with 20 it would leave the plain gate in 1.3 % of undisturbed windows.
+    The four-sigma point of the chi-square distribution over its degrees of freedom, by the cube root that is nearly
+    normal (Wilson & Hilferty 1931); where doubt is 2, the reference was learnt from a window as uncertain as what it is
+    compared with and the point is that of F (Paulson 1942). share is what colour leaves of dof, 1 for white noise.
     """
-    sure = 4.0 * np.sqrt(2.0 * doubt / (dof * np.asarray(share)))
-    return np.asarray(np.where(np.asarray(share) < 1.0, np.exp(sure), 1.0 + sure))
+    spread = 2.0 / (9.0 * np.maximum(dof * np.asarray(share), FEWEST))
+    if doubt == 1.0:
+        return np.asarray((1.0 - spread + SURE * np.sqrt(spread)) ** 3)
+    middle, width = (1.0 - spread) ** 2, SURE**2 * spread
+    return np.asarray(((middle + np.sqrt(width * (2.0 * middle - width))) / (middle - width)) ** 3)
 
 
 def choose(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 FloatArray = NDArray[np.float64]
 
@@ -37,11 +36,12 @@ class Reference:
 def _forgetting(before: FloatArray, pieces: FloatArray) -> FloatArray:
     """Add pieces (N, ...) one after the other to what was before (...) and fades; return it after each of them.
 
-    A filter does that in order: a product of all at once would round differently for each number of them.
+    A product of all at once would round differently for each number of them.
     """
-    if not len(pieces):
-        return pieces
-    return np.asarray(lfilter([1.0], [1.0, -FORGET], pieces, axis=0, zi=FORGET * before[None])[0])
+    kept, state = np.empty_like(pieces), before
+    for i, piece in enumerate(pieces):
+        state = kept[i] = piece + FORGET * state
+    return kept
 
 
 def mean_and_sd(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:

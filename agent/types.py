@@ -5,7 +5,7 @@ Times are integer nanoseconds since the epoch (or since a recording's own start)
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
 
@@ -157,7 +157,10 @@ class AlarmTransition:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Conservation ledger of one source since run start, in sample instants: received = used + rejected + dropped."""
+    """Conservation ledger of one source since run start, in sample instants: received = used + rejected + dropped.
+
+    faults counts, by name, what went wrong on the line without being a sample: error frames, late replies.
+    """
 
     rig: str
     source: str
@@ -168,6 +171,7 @@ class Health:
     dropped: Mapping[str, int]
     gaps: int
     lag_s: float | None
+    faults: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +183,36 @@ class HealthEvent:
     t_ns: int
     cause: str
     message: str
+
+
+@dataclass(frozen=True, slots=True)
+class EventRecord:
+    """The raw samples that were kept around an alarm, as the index of them says; one file, known by its name.
+
+    Attributes:
+        rig: whose.
+        t_ns: when the first alarm in it was raised; kind and parameter say which alarm that was.
+        alarms: alarms raised while it was kept.
+        file: its path from the database's folder.
+        state: "recording" (what came after the alarm is still awaited), "complete", "cut" (the agent ended, or the disk
+            failed, before all of it had come), "failed" (nothing could be kept), "purged" (it made room for newer ones).
+        from_ns, to_ns: times of its first and last sample.
+        samples, bytes: how much it holds.
+        message: in words, what is remarkable.
+    """
+
+    rig: str
+    t_ns: int
+    kind: AlarmKind
+    parameter: str
+    alarms: int
+    file: str
+    state: Literal["recording", "complete", "cut", "failed", "purged"]
+    from_ns: int
+    to_ns: int
+    samples: int
+    bytes: int
+    message: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,4 +228,4 @@ class RunInfo:
     boot_id: str | None = None
 
 
-Record = EstimateBatch | AlarmTransition | Health | HealthEvent
+Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord

@@ -24,6 +24,8 @@ IntArray = NDArray[np.int64]
 LISTENER_WRITES: Mapping[str, str] = {
     "modbus": "read requests: function codes 1, 2, 3, 4 and 24",
     "socketcand": "its handshake, which puts no frame on the bus: < open BUS > and < rawmode >",
+    "slcan": "nothing, or with open_adapter what opens the adapter listen-only: C, S0 to S8, Z0, Z1, L; never O",
+    "netlink": "the question how an interface is set up (RTM_GETLINK); it goes to the kernel, not to a bus",
 }
 """What each protocol may write, in words; the suite traces every write to a bus descriptor against it."""
 
@@ -124,6 +126,7 @@ class Driver(ABC):
         self.request = request
         self.counts = Counts()
         self._notes: list[str] = []
+        self._reports: list[tuple[str, str]] = []
 
     def note(self, text: str) -> None:
         """Keep a remark for the driver's owner, once; at most 100 wait."""
@@ -134,6 +137,24 @@ class Driver(ABC):
         """Return the remarks made since the last call, in words ("the device restarted"), and forget them."""
         notes, self._notes = self._notes, []
         return notes
+
+    def hints(self) -> tuple[str, ...]:
+        """Return what to mind about settings that work, in words, for `check`; asked before `open`."""
+        return ()
+
+    def report(self, cause: str, message: str) -> None:
+        """Tell the driver's owner of a state of the bus that samples do not show; at most 100 wait.
+
+        The cause is a short word such as "error-passive" and becomes a health event; one of `reconnect.AWAY`
+        ("bus-off") also raises the source's alarm until samples come again.
+        """
+        if len(self._reports) < 100:
+            self._reports.append((cause, message))
+
+    def take_reports(self) -> list[tuple[str, str]]:
+        """Return what was reported since the last call, and forget it."""
+        reports, self._reports = self._reports, []
+        return reports
 
     @abstractmethod
     def open(self) -> None:

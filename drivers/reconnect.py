@@ -7,7 +7,6 @@ import random
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -18,7 +17,8 @@ FIRST_S = 0.1
 CEILING_S = 1.5
 """Longest pause between two tries, so that a source is read again within 2 s of its return."""
 
-Cause = Literal["lost", "stale", "recovered"]
+AWAY = frozenset({"lost", "stale", "bus-off"})
+"""Causes that mean: no samples until "recovered"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +26,20 @@ class LinkEvent:
     """What happened to a source, once for each fault and once for each recovery.
 
     Attributes:
-        cause: "lost" (cannot be opened or read), "stale" (open and silent) or "recovered" (a sample came after either).
+        cause: "lost" (cannot be opened or read), "stale" (open and silent), "recovered" (a sample came after either),
+            or what the driver reports of its bus: "bus-off", which is away as well, "error-passive" and such.
         message: in words.
         at_s: when, on the wrapper's clock.
     """
 
-    cause: Cause
+    cause: str
     message: str
     at_s: float
+
+    @property
+    def away(self) -> bool:
+        """Whether the source delivers nothing from here on."""
+        return self.cause in AWAY
 
 
 class Backoff:
@@ -86,7 +92,7 @@ class ReconnectingDriver:
         self._backoff = Backoff(rng or random.Random())  # noqa: S311 (jitter keeps no secret)
         self._retry_at = clock()
         self._heard_at = clock()
-        self._fault: Cause | None = None
+        self._fault: str | None = None
         self._events: list[LinkEvent] = []
 
     @property
@@ -115,6 +121,7 @@ class ReconnectingDriver:
             self._lose("lost", str(error))
             return self._nothing()
         self._judge(len(block))
+        self._pass_on()
         return block
 
     def close(self) -> None:
@@ -138,12 +145,21 @@ class ReconnectingDriver:
         elif now - self._heard_at > self._stale_s and not self.driver.finite:
             self._lose("stale", f"{self.driver.request.name}: silent for {self._stale_s:g} s")
 
+    def _pass_on(self) -> None:
+        """Make events of what the driver reports of its bus."""
+        for cause, message in self.driver.take_reports():
+            if cause in AWAY:
+                if self._fault is not None:
+                    continue
+                self._fault = cause
+            self._events.append(LinkEvent(cause, message, self._clock()))
+
     def _recover(self, now: float) -> None:
         if self._fault is not None:
             self._events.append(LinkEvent("recovered", f"{self.driver.request.name}: delivers samples again", now))
             self._fault = None
 
-    def _lose(self, cause: Cause, message: str) -> None:
+    def _lose(self, cause: str, message: str) -> None:
         """Close the source, plan the next try, and say so unless it is lost already."""
         self.close()
         now = self._clock()

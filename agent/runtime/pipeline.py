@@ -120,7 +120,7 @@ class Pipeline:
             rig=self.config.rig.name, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
             used=self.estimation.used + self.quality.waiting,
             rejected=dict(driver.rejected + state.refusals() + self.quality.rejected),
-            dropped=dict(driver.dropped + conservation.dropped), gaps=state.gaps, lag_s=lag_s,
+            dropped=dict(driver.dropped + conservation.dropped), gaps=state.gaps, lag_s=lag_s, faults=dict(driver.faults),
         )  # fmt: skip
 
 

@@ -78,12 +78,12 @@ class RigRuntime:
 
     def link(self, source: str, event: LinkEvent) -> None:
         """Raise or clear a source's alarm and note the event."""
-        t_ns, lost = wall_ns(), event.cause != "recovered"
-        if not lost and not self._lost.get(source, False):
+        t_ns, lost, back = wall_ns(), event.away, event.cause == "recovered"
+        if back and not self._lost.get(source, False):
             return  # its samples have told already
         log.warning("%s: %s", source, event.message)
         records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, event.cause, event.message)]
-        if lost != self._lost.get(source, False):
+        if (lost or back) and lost != self._lost.get(source, False):
             self._lost[source] = lost
             records.append(self._source_alarm(source, event, t_ns, lost=lost))
         self._emit(records)

@@ -102,7 +102,7 @@ def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows
 
 
 def health(db: Path | str, rig: str | None = None) -> Rows:
-    """Return the newest row of v_health of each source, with its `reasons` {"rejected": {..}, "dropped": {..}}."""
+    """Return the newest row of v_health of each source, with its `reasons` {"rejected": {..}, "dropped": {..}} and faults."""
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
         newest: dict[tuple[str, str], dict[str, Any]] = {}
@@ -111,7 +111,7 @@ def health(db: Path | str, rig: str | None = None) -> Rows:
         for row in newest.values():
             condition, values = _where(rig=row["rig"], source=row["source"], t_ns=row["t_ns"])
             for reason in _rows(connection, "v_health_reasons", condition, values):
-                row["reasons"][reason["kind"]][reason["reason"]] = reason["count"]
+                row["reasons"].setdefault(reason["kind"], {})[reason["reason"]] = reason["count"]
     return list(newest.values())
 
 
@@ -121,6 +121,14 @@ def events(db: Path | str, rig: str | None = None) -> Rows:
         _chosen_rigs(connection, rig)
         condition, values = _where(rig=rig)
         return _rows(connection, "v_events", f"{condition} ORDER BY id", values)
+
+
+def event_records(db: Path | str, rig: str | None = None) -> Rows:
+    """Return rows of v_event_records, oldest first."""
+    with reading(db) as connection:
+        _chosen_rigs(connection, rig)
+        condition, values = _where(rig=rig)
+        return _rows(connection, "v_event_records", f"{condition} ORDER BY id", values)
 
 
 def runs(db: Path | str, rig: str | None = None) -> Rows:

@@ -16,7 +16,9 @@ def add_health(plan: Plan, record: Health, run_id: int, numbers: Numbers) -> Non
 
 
 def _reasons(record: Health) -> str | None:
-    kinds = {"rejected": _counted(record.rejected), "dropped": _counted(record.dropped)}
+    kinds = {
+        "rejected": _counted(record.rejected), "dropped": _counted(record.dropped), "faults": _counted(record.faults),
+    }  # fmt: skip
     known = {kind: reasons for kind, reasons in kinds.items() if reasons}
     return json.dumps(known, sort_keys=True) if known else None
 

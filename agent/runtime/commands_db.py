@@ -9,7 +9,7 @@ from agent.runtime.cli_output import print_json, print_table, show
 from agent.storage import maintenance
 
 Document = dict[str, Any]
-EXPORTS = ("estimates", "alarms", "alarm_events", "health", "runs")
+EXPORTS = ("estimates", "alarms", "alarm_events", "health", "runs", "event_records")
 
 
 def check(db: Path, *, as_json: bool) -> None:

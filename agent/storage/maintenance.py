@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from agent.errors import StoreError, UsageError
+from agent.errors import StoreError, StoreHeldError, UsageError
 from agent.storage import queries
+from agent.storage.command_socket import ask
 from agent.storage.connect import connect_reader, connect_writer
 from agent.storage.files import Kind, Lock, beside, check_place, kind_of, refuse, sync_folder
 from agent.storage.salvage import Recovery, recover
@@ -27,7 +28,7 @@ class Report:
     rows: dict[str, int]
 
 
-_COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events")
+_COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events", "v_event_records")
 
 
 def check(path: Path | str) -> Report:
@@ -55,8 +56,10 @@ def _count(connection: sqlite3.Connection, view: str) -> int:
 def repair(path: Path | str) -> Recovery | None:
     """Replace a damaged database by one of the rows that prove themselves; None when nothing is wrong with it.
 
+    An agent that writes to it is asked to do it.
+
     Raises:
-        StoreError: missing, not ours, newer, or an agent writes to it.
+        StoreError: missing, not ours, newer, or a process writes to it that cannot be asked.
     """
     path = Path(path)
     check_place(path)
@@ -64,7 +67,11 @@ def repair(path: Path | str) -> Recovery | None:
     refuse(path, kind)
     if kind is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
-    lock = Lock(path)
+    try:
+        lock = Lock(path)
+    except StoreHeldError as held:
+        answer = _ask_holder(path, "repair", held)["repaired"]
+        return Recovery(Path(answer[0]), *answer[1:]) if answer else None
     try:
         found = ["its header is damaged"] if kind is Kind.DAMAGED else _problems_of(path)
         return recover(path, found[0]) if found else None
@@ -83,16 +90,28 @@ def _problems_of(path: Path) -> list[str]:
 def compact(path: Path | str) -> tuple[int, int]:
     """Give the file's free pages back to the disk; returns its size in bytes before and after.
 
-    Needs as much free space as the file takes. Raises StoreError as `Store.open` does.
+    Needs as much free space as the file takes. An agent that writes to it is asked to do it.
+    Raises StoreError as `Store.open` does.
     """
     path = Path(path)
     check_place(path)
     if kind_of(path) is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
     before = path.stat().st_size
-    with Store.open(path) as store:
-        store.compact()
+    try:
+        with Store.open(path) as store:
+            store.compact()
+    except StoreHeldError as held:
+        answer = _ask_holder(path, "compact", held)
+        return answer["bytes_before"], answer["bytes_after"]
     return before, path.stat().st_size
+
+
+def _ask_holder(path: Path, command: str, held: StoreHeldError) -> dict[str, Any]:
+    """Have the agent that owns a database do it; what owns it without a socket (a replay ...) cannot be asked."""
+    if not beside(path, ".sock").exists():
+        raise held
+    return ask(path, command)
 
 
 def backup(path: Path | str, target: Path | str) -> int:
@@ -123,7 +142,7 @@ def backup(path: Path | str, target: Path | str) -> int:
     return target.stat().st_size
 
 
-_EXPORTED = ("estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers")
+_EXPORTED = ("estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records")
 
 
 def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[str], Iterator[Sequence[Any]]]:

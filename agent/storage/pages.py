@@ -16,6 +16,7 @@ _LEAF = 0x0D
 _WAL_HEADER, _FRAME_HEADER = 32, 24
 _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health", "events",
+    "event_records",
 )  # fmt: skip
 _AT_ONCE = 10_000
 _Key = tuple[int, bool]

@@ -235,6 +235,7 @@ def _drop_orphans(target: sqlite3.Connection) -> None:
         "DELETE FROM estimates WHERE fit_id NOT IN (SELECT seq FROM fits)",
         "DELETE FROM spreads WHERE seq NOT IN (SELECT seq FROM estimates)",
         "DELETE FROM alarms WHERE run_id NOT IN (SELECT seq FROM runs)",
+        "DELETE FROM event_records WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM alarm_events WHERE alarm_id NOT IN (SELECT seq FROM alarms)",
     ):
         target.execute(statement)

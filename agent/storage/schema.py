@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from agent import __version__
 from agent.storage.checksum import row_crc
-from agent.storage.views import VIEWS
+from agent.storage.views import EVENT_RECORDS, VIEWS
 
 if TYPE_CHECKING:
     from sqlite_utils import Database
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -53,8 +53,13 @@ TABLES: dict[str, str] = {
     "message TEXT NOT NULL",
     "counters": "name TEXT NOT NULL UNIQUE, count INTEGER NOT NULL",
     "sequences": "name TEXT NOT NULL UNIQUE, high INTEGER NOT NULL",
+    "event_records": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, kind TEXT NOT NULL, parameter TEXT NOT NULL, "
+    "alarms INTEGER NOT NULL, file TEXT NOT NULL, state TEXT NOT NULL, from_ns INTEGER NOT NULL, "
+    "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, message TEXT NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
+_SINCE = {"event_records": 2}
+"""The version that brought a table, of those that version 1 did not have."""
 
 _CONSUMERS = (
     "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, last_seq INTEGER NOT NULL DEFAULT 0, "
@@ -85,8 +90,9 @@ def insert_sql(table: str, verb: str = "INSERT") -> str:
 
 def _tables_views_and_marks(db: "Database") -> None:
     """Make everything of version 1 in the transaction that the migration runs in."""
-    for table, columns in TABLES.items():
-        db.conn.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
+    for table in TABLES:
+        if table not in _SINCE:
+            _create(db.conn, table)
     for statement in (_CONSUMERS, *_INDEXES, *VIEWS):
         db.conn.execute(statement)
     for number, (key, value) in enumerate((("schema_version", "1"), ("created_by", f"deltak {__version__}")), 1):
@@ -94,8 +100,23 @@ def _tables_views_and_marks(db: "Database") -> None:
     _mark(db.conn, 1)
 
 
+def _event_records(db: "Database") -> None:
+    """Version 2: the index of the samples kept around alarms."""
+    _create(db.conn, "event_records")
+    db.conn.execute(EVENT_RECORDS)
+    _mark(db.conn, 2)
+
+
+def _create(connection: sqlite3.Connection, table: str) -> None:
+    columns = TABLES[table]
+    connection.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
+
+
 def _mark(connection: sqlite3.Connection, version: int) -> None:
     """Write the file's marks; they are part of the transaction like any row."""
+    (seq,) = connection.execute("SELECT seq FROM meta WHERE key = 'schema_version'").fetchone()
+    cells = (seq, "schema_version", str(version))
+    connection.execute(insert_sql("meta", "INSERT OR REPLACE"), (*cells, row_crc(cells)))
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {version_mark(version)}")
 
@@ -116,6 +137,7 @@ def migrations() -> "Migrations":
 
     steps = Migrations("deltak")
     steps(name="0001_tables_views_and_marks")(_tables_views_and_marks)
+    steps(name="0002_event_records")(_event_records)
     return steps
 
 

@@ -17,6 +17,7 @@ from agent.storage.checksum import row_crc
 from agent.storage.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writer, create, is_damage, may_pass
 from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
+from agent.storage.event_records import RecordBook
 from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse
 from agent.storage.retention import Retention, Upkeep
 from agent.storage.rows import Names, Numbers, Plan
@@ -25,7 +26,7 @@ from agent.storage.schema import insert_sql, upgrade
 from agent.storage.spill import merge, open_spill
 from agent.storage.status import add_event, add_health
 from agent.storage.verify import Scrubber, problems_at_start
-from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Record, RunInfo
+from agent.types import AlarmTransition, EstimateBatch, EventRecord, Health, HealthEvent, Record, RunInfo
 
 _CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 _COMMITS_A_CHECKPOINT = 300
@@ -52,6 +53,7 @@ class Store:
         self.names = Names(self.numbers)
         self._books: dict[int, AlarmBook] = {}
         self._coverage: dict[int, Coverage] = {}
+        self._records = RecordBook()
         self._since_checkpoint = [0, 0]
         self._keep = keep
         self._upkeep = Upkeep(self, keep)
@@ -133,6 +135,7 @@ class Store:
         self.names = Names(self.numbers)
         self._books.clear()
         self._coverage.clear()
+        self._records = RecordBook()
         self._upkeep = Upkeep(self, self._keep)
         problem = self._connect()
         if problem is not None:
@@ -215,6 +218,8 @@ class Store:
             add_health(plan, record, run_id, self.numbers)
         elif isinstance(record, HealthEvent):
             add_event(plan, record, run_id, self.numbers)
+        elif isinstance(record, EventRecord):
+            self._records.apply(plan, record, run_id, self.numbers, self.connection)
 
     def commit(self, plans: Sequence[Plan]) -> None:
         """Write plans, a transaction each; on return they are on the disk. Committing a plan again is harmless."""

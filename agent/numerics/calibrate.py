@@ -3,7 +3,7 @@
 At nominal parameters the search for unknown forces takes model error for noise, so it alternates with fits of theta.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agent.numerics.colour import coloured_likelihood
 from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.gains import Gains
+from agent.numerics.masses import Masses, MassError
 from agent.numerics.noise import EVIDENCE, Record, find_process, likelihood, sensor_noise
 from agent.numerics.observer import Gain, Noise
 from agent.numerics.statespace import Discrete
@@ -25,10 +26,17 @@ QUIET = 1.21
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What a record says: the fit and the disturbances under which it was made."""
+    """What a record says.
+
+    Attributes:
+        fit: of the parameters.
+        noise: the disturbances under which it was made.
+        wrong: a mass that would explain what neither they nor noise do; None where none does.
+    """
 
     fit: Fit
     noise: Noise
+    wrong: MassError | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +47,13 @@ class Calibrator:
         gains: the observer's rule.
         stated: (p,) noise sd of each output where it is known, NaN where it is to be learnt.
         floor: (p,) least sd that the wire's resolution allows.
+        masses: those that the model takes as known; None for a rig without.
     """
 
     gains: Gains
     stated: FloatArray
     floor: FloatArray
+    masses: Masses | None = None
 
     @property
     def learns(self) -> bool:
@@ -69,14 +79,27 @@ class Calibrator:
         quiet = fit_window(problem, theta, x0, self._stages(noise))
         # a fit that found no maximum but leaves nothing to explain (standstill) is no reason to search either
         explained = float(np.mean(quiet.residual**2)) < QUIET
-        if explained or self.gains.disturbance is None:
+        if explained:
             return self._learnt(problem, quiet, noise)
-        # coloured sensor noise is the other explanation: unknown forces must beat it
+        # coloured sensor noise and a wrong mass are other explanations: unknown forces must beat them
         coloured = coloured_likelihood(quiet.residual, noise.sigma) if quiet.converged else -np.inf
+        wrong = self._wrong_mass(problem, quiet, noise, self._stages(noise), coloured)
+        if self.gains.disturbance is None:
+            return replace(self._learnt(problem, quiet, noise), wrong=wrong)
         # the wide-basin gain alone: without correction a disturbed rig may not have converged at all
         wide = fit_window(problem, theta, x0, [self._start(noise)])
-        forced = self._alternate(problem, wide, noise, self.gains.disturbance, coloured)
-        return self._learnt(problem, quiet, noise) if forced is None else forced
+        bar = coloured if wrong is None else wrong.likelihood
+        forced = self._alternate(problem, wide, noise, self.gains.disturbance, bar)
+        return forced or replace(self._learnt(problem, quiet, noise), wrong=wrong)
+
+    def _wrong_mass(
+        self, problem: Problem, fit: Fit, noise: Noise, stages: Sequence[Callable[[Discrete], Gain]], without: float
+    ) -> MassError | None:
+        """Return the mass that would explain a record decisively better than a log likelihood `without` it."""
+        if self.masses is None:
+            return None
+        wrong = self.masses.wrong(problem, fit, stages, noise.sigma)
+        return wrong if wrong is not None and wrong.likelihood > without + EVIDENCE else None
 
     def _start(self, noise: Noise) -> Callable[[Discrete], Gain]:
         return lambda discrete: self.gains.start(discrete, noise)
@@ -120,7 +143,11 @@ class Calibrator:
         discrete, record = problem.sample(fit.theta), Record(problem.v, fit.x0, problem.bridge)
         value = likelihood(discrete, matched(discrete), record, scale_known=known).value
         worth = value - coloured > EVIDENCE * np.count_nonzero(noise.process)
-        return Calibration(fit, noise) if fit.converged and worth else None
+        if not (fit.converged and worth):
+            return None
+        # forces beside a wrong mass hide it: it still shows in what they leave
+        without = coloured_likelihood(fit.residual, noise.sigma)
+        return Calibration(fit, noise, self._wrong_mass(problem, fit, noise, [matched], without))
 
     def forces_in(self, problem: Problem, theta: FloatArray, noise: Noise) -> Noise | None:
         """Return unknown forces that explain a longer record decisively better than what is assumed, else None."""
@@ -135,6 +162,8 @@ class Calibrator:
         assumed = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
         coloured = coloured_likelihood(fit.residual, noise.sigma) if not noise.forced else assumed
         bar = max(assumed, coloured)
+        wrong = self._wrong_mass(problem, fit, noise, self._stages(noise)[1:], bar)
+        bar = bar if wrong is None else max(bar, wrong.likelihood)
         searched = find_process(
             discrete, self.gains.disturbance, noise.sigma, record, scale_known=known, unless_above=bar + 0.5 * EVIDENCE
         )

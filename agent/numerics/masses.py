@@ -19,8 +19,8 @@ from agent.numerics.statespace import Discrete, Hold, Model, discretise
 
 FloatArray = NDArray[np.float64]
 Stages = Sequence[Callable[[Discrete], Gain]]
-LEAST = 0.02
-"""A mass nearer than this share to what the model has is not called wrong."""
+LEAST = 0.05
+"""A mass nearer than this share to what the model has is not called wrong: few are known better."""
 SURE = 6.0
 """Nor one that is not off by this many standard deviations, however coloured the residual."""
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agent.numerics.colour import coloured_likelihood
 from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.gains import Gains
-from agent.numerics.masses import Masses, MassError
+from agent.numerics.masses import MassError, Masses
 from agent.numerics.noise import EVIDENCE, Record, find_process, likelihood, sensor_noise
 from agent.numerics.observer import Gain, Noise
 from agent.numerics.statespace import Discrete

@@ -7,8 +7,9 @@ from drivers.fields import ByteArray
 from drivers.modbus_frames import ReplyError, Request, RtuFrames, TcpFrames
 from drivers.modbus_modes import READERS, Reader, RingReader
 from drivers.modbus_settings import ModbusSettings
-from drivers.pipe import Pipe, SerialKeys, serial_pipe, tcp_pipe
+from drivers.pipe import Pipe, serial_pipe, tcp_pipe
 from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
+from drivers.serial_port import SerialKeys
 
 _LONGEST = 2048
 """Bytes looked through for a reply; noise before them is forgotten."""

@@ -7,17 +7,11 @@ select on the descriptor. What may be sent is decided by `drivers.listening`.
 import os
 import select
 import socket
-import termios
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
-
-from pydantic import Field
 
 from drivers import clock, listening
-from drivers.port import DriverConfigError, DriverIOError, DriverSettings
-
-if TYPE_CHECKING:
-    import serial
+from drivers.port import DriverIOError
+from drivers.serial_port import SerialKeys, close_port, open_port
 
 _BLOCK = 65536
 
@@ -90,25 +84,15 @@ class TcpPipe(Pipe):
         self._socket.close()
 
 
-class SerialKeys(DriverSettings):
-    """What every serial line needs to know."""
-
-    port: str = Field(min_length=1)
-    baudrate: int = Field(default=115200, gt=0)
-    parity: str = Field(default="N", pattern="^[NEOMS]$")
-    stopbits: int = Field(default=1, ge=1, le=2)
-    bytesize: int = Field(default=8, ge=5, le=8)
-
-
 class SerialPipe(Pipe):
-    """A serial line, opened and set up by pyserial, read in large blocks from its descriptor."""
+    """A serial line, read in large blocks from its descriptor; read-only, the kernel refuses every write to it."""
 
-    def __init__(self, keys: SerialKeys, device: str) -> None:
+    def __init__(self, keys: SerialKeys, device: str, *, read_only: bool = False) -> None:
         self.name = device
-        self._line = _open_serial(keys, device)
+        self._descriptor = open_port(keys, device, read_only=read_only)
 
     def fileno(self) -> int:
-        return int(self._line.fileno())
+        return self._descriptor
 
     def send(self, protocol: str, data: bytes) -> None:
         try:
@@ -126,39 +110,9 @@ class SerialPipe(Pipe):
         return data
 
     def close(self) -> None:
-        # closing a line that was unplugged fails in whichever of pyserial's three exception families comes first
-        try:
-            self._line.close()
-        except (OSError, termios.error):
-            self._line.fd = None
-
-
-def _open_serial(keys: SerialKeys, device: str) -> "serial.Serial":
-    import serial
-
-    line = serial.Serial(
-        None,
-        keys.baudrate,
-        parity=keys.parity,
-        stopbits=keys.stopbits,
-        bytesize=keys.bytesize,
-        timeout=0,
-        exclusive=True,
-    )
-    line.port = device
-    try:
-        line.open()
-    except (serial.SerialException, OSError, termios.error) as error:
-        line.close()
-        raise DriverIOError(f"{device}: {_serial_words(error)}") from error
-    except ValueError as error:
-        raise DriverConfigError(f"{device}: {error}") from error
-    return line
-
-
-def _serial_words(error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    return os.strerror(number) if number else str(error)
+        if self._descriptor >= 0:
+            close_port(self._descriptor)
+        self._descriptor = -1
 
 
 def _write_all(descriptor: int, data: bytes) -> None:
@@ -172,7 +126,7 @@ def tcp_pipe(host: str, port: int, timeout_s: float) -> Pipe:
     return TcpPipe(host, port, timeout_s) if machine is None else machine.tcp(host, port)
 
 
-def serial_pipe(keys: SerialKeys, device: str) -> Pipe:
+def serial_pipe(keys: SerialKeys, device: str, *, read_only: bool = False) -> Pipe:
     """Return a serial line of this machine, or of the one that is played to this thread."""
     machine = clock.played()
-    return SerialPipe(keys, device) if machine is None else machine.serial(device)
+    return SerialPipe(keys, device, read_only=read_only) if machine is None else machine.serial(device)

@@ -1,11 +1,9 @@
-"""Bytes of a serial line to samples: frames with sync, fields and check, or lines of text. Pure: no I/O.
+"""Bytes of a serial line to samples: frames of one length that begin with sync bytes. Pure: no I/O.
 
-Both decoders take bytes in pieces of any size, keep at most one unfinished frame or line, and find the next good one
-behind whatever is wrong.
+Every decoder of a line takes bytes in pieces of any size, keeps at most one unfinished frame or line, and finds the
+next good one behind whatever is wrong. Lines of text are in serial_text, frames that an end divides in serial_ends.
 """
 
-import math
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
@@ -14,12 +12,11 @@ from numpy.typing import NDArray
 
 from drivers.crc import Crc
 from drivers.fields import ByteArray, Layout
-from drivers.port import Counts, DriverConfigError, FloatArray, IntArray
+from drivers.port import Counts, FloatArray, IntArray
 
 Samples = tuple[FloatArray, IntArray | None]
 """Values (n, m) and counters (n,), or None without a counter."""
 
-_LONGEST_LINE = 1024
 _FLUSH_FRAMES = 16
 
 
@@ -41,6 +38,53 @@ class SerialDecoder(ABC):
         """Smallest step of each field."""
 
 
+class Skipped:
+    """Bytes between good frames, counted as so many bad frames as they make up, or as stray bytes.
+
+    Args:
+        counts: where to.
+        size: bytes of a frame on the line.
+    """
+
+    def __init__(self, counts: Counts, size: int) -> None:
+        self._counts = counts
+        self._size = size
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget: the line was opened anew, perhaps amid a frame."""
+        self.bytes = 0
+        self._reason = ""
+        self._begun = False
+
+    def add(self, count: int, reason: str) -> None:
+        """Note bytes that are no good frame, and why; of several reasons the first of the alphabet stands."""
+        self.bytes += count
+        if count:
+            self._reason = min(self._reason or reason, reason)
+
+    def many(self) -> bool:
+        """Tell whether so much is skipped that it should be counted though no good frame has come."""
+        return self.bytes >= _FLUSH_FRAMES * self._size
+
+    def settle(self) -> None:
+        """Count what was skipped. The piece of a frame amid which the line was opened is nobody's sample."""
+        if self.bytes:
+            frames = round(self.bytes / self._size) if self._begun else self.bytes // self._size
+            if frames:
+                self._counts.received += frames
+                self._counts.rejected[self._reason] += frames
+            else:
+                self._counts.faults["stray bytes"] += self.bytes
+            self.bytes = 0
+            self._reason = ""
+
+    def good(self) -> None:
+        """Count what was skipped before a good frame."""
+        self.settle()
+        self._begun = True
+
+
 class BinaryDecoder(SerialDecoder):
     """Frames of one length: sync bytes, packed fields, check (low byte first, over all after sync).
 
@@ -60,13 +104,12 @@ class BinaryDecoder(SerialDecoder):
         self._size = len(sync) + layout.size + (crc.size if crc else 0)
         self._steps = layout.resolution(self._names)
         self.modulus = layout.counter_field(counter).modulus if counter else None
+        self._skipped = Skipped(counts, self._size)
         self.restart()
 
     def restart(self) -> None:
         self._rest = b""
-        self._skipped = 0
-        self._crc_failed = False
-        self._begun = False
+        self._skipped.restart()
 
     def resolution(self) -> tuple[float, ...]:
         return self._steps
@@ -77,8 +120,8 @@ class BinaryDecoder(SerialDecoder):
         end = self._account(starts, failed)
         kept = max(end, len(text) - self._size + 1)
         self._skip(kept - end, bool(((failed >= end) & (failed < kept)).any()))
-        if self._skipped >= _FLUSH_FRAMES * self._size:
-            self._settle()
+        if self._skipped.many():
+            self._skipped.settle()
         self._rest = text[kept:].tobytes()
         return self._samples(text, starts)
 
@@ -123,32 +166,19 @@ class BinaryDecoder(SerialDecoder):
     def _account(self, starts: IntArray, failed: IntArray) -> int:
         """Count what lies between the good frames; return where the last of them ends."""
         end = 0
-        if len(starts) and not len(failed) and starts[0] == 0 and not self._skipped:
+        if len(starts) and not len(failed) and starts[0] == 0 and not self._skipped.bytes:
             jumps = np.flatnonzero(np.diff(starts) != self._size)
             if not len(jumps):
-                self._begun = True
+                self._skipped.good()
                 return int(starts[-1]) + self._size
         for start in starts.tolist():
             self._skip(start - end, bool(((failed >= end) & (failed < start)).any()))
-            self._settle()
-            self._begun = True
+            self._skipped.good()
             end = start + self._size
         return end
 
     def _skip(self, count: int, crc_failed: bool) -> None:
-        self._skipped += count
-        self._crc_failed |= crc_failed and count > 0
-
-    def _settle(self) -> None:
-        """Count the bytes skipped so far. The piece of a frame amid which the line was opened is nobody's sample."""
-        frames = self._skipped // self._size if not self._begun else round(self._skipped / self._size)
-        if frames:
-            self._counts.received += frames
-            self._counts.rejected["crc" if self._crc_failed else "sync"] += frames
-        elif self._skipped:
-            self._counts.faults["stray bytes"] += self._skipped
-        self._skipped = 0
-        self._crc_failed = False
+        self._skipped.add(count, "crc" if crc_failed else "sync")
 
     def _samples(self, text: ByteArray, starts: IntArray) -> Samples:
         body = self._rows(text, starts)[:, : self._layout.size]
@@ -166,101 +196,3 @@ def _apart(places: IntArray, size: int) -> IntArray:
         if place >= kept[-1] + size:
             kept.append(place)
     return np.array(kept, np.int64)
-
-
-class TextDecoder(SerialDecoder):
-    """Lines of delimited text, or lines that a pattern with named groups matches whole.
-
-    With checksum "nmea" a line is `$ADDRESS,cells*HH`: the address is passed over, HH is the exclusive or of what
-    lies between $ and *. Rejects by "checksum", "columns", "pattern" and "text" (a cell that is no number); an empty
-    cell is a missing value. Without a checksum the piece of a line amid which the port was opened is passed over.
-    """
-
-    def __init__(
-        self,
-        columns: Sequence[str],
-        delimiter: str | None,
-        pattern: re.Pattern[str] | None,
-        nmea: bool,
-        names: Sequence[str],
-        counter: str | None,
-        counts: Counts,
-    ) -> None:
-        self._columns = tuple(columns)
-        self._delimiter = delimiter
-        self._pattern = pattern
-        self._nmea = nmea
-        self._places = [self._place(name) for name in names]
-        self._counter = self._place(counter) if counter else None
-        self._counts = counts
-        self.restart()
-
-    def restart(self) -> None:
-        self._rest = b""
-        self._begun = self._nmea
-
-    def resolution(self) -> tuple[float, ...]:
-        return (0.0,) * len(self._places)
-
-    def _place(self, name: str) -> int:
-        if name not in self._columns:
-            raise DriverConfigError(f'no column is called "{name}"; columns are {", ".join(self._columns)}')
-        return self._columns.index(name)
-
-    def feed(self, data: bytes) -> Samples:
-        *lines, rest = (self._rest + data).split(b"\n")
-        if len(rest) > _LONGEST_LINE:
-            self._counts.faults["stray bytes"] += len(rest)
-            rest, self._begun = b"", False
-        if lines and not self._begun:
-            self._counts.faults["stray bytes"] += len(lines.pop(0))
-            self._begun = True
-        self._rest = rest
-        rows = [row for line in lines if line.strip() and (row := self._row(line)) is not None]
-        table = np.array(rows).reshape(len(rows), len(self._columns))
-        counter = None if self._counter is None else table[:, self._counter].astype(np.int64)
-        return table[:, self._places], counter
-
-    def _row(self, line: bytes) -> list[float] | None:
-        """Return the numbers of a line, or None with the reason counted."""
-        self._counts.received += 1
-        row = self._cells(line.decode("latin-1").strip("\r\n \0"))
-        if isinstance(row, str):
-            self._counts.rejected[row] += 1
-            return None
-        return row
-
-    def _cells(self, line: str) -> list[float] | str:
-        body = _nmea_body(line) if self._nmea else line
-        if body is None:
-            return "checksum"
-        if self._pattern is not None:
-            match = self._pattern.fullmatch(body)
-            return _numbers([match[name] for name in self._columns], self._counter) if match else "pattern"
-        cells = body.split(self._delimiter)
-        if self._nmea:
-            cells = cells[1:]
-        return _numbers(cells, self._counter) if len(cells) == len(self._columns) else "columns"
-
-
-def _nmea_body(line: str) -> str | None:
-    start, star = line.find("$"), line.rfind("*")
-    if start < 0 or not re.fullmatch("[0-9A-Fa-f]{2}", line[star + 1 :]) or star < start:
-        return None
-    body = line[start + 1 : star]
-    check = 0
-    for byte in body.encode("latin-1"):
-        check ^= byte
-    return body if check == int(line[star + 1 :], 16) else None
-
-
-def _numbers(cells: Sequence[str | None], counter: int | None) -> list[float] | str:
-    try:
-        numbers = [float(cell) if cell and cell.strip() else float("nan") for cell in cells]
-    except ValueError:
-        return "text"
-    if any(math.isinf(number) for number in numbers):
-        return "text"
-    if counter is not None and not (numbers[counter].is_integer() and 0 <= numbers[counter] < 2**53):
-        return "counter"
-    return numbers

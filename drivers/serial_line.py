@@ -5,11 +5,15 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from drivers import clock, crc
+from drivers import clock, crc, patterns
 from drivers.fields import FieldSpec, Layout, unique_names
-from drivers.pipe import Pipe, SerialKeys, serial_pipe
+from drivers.framing import FRAMINGS
+from drivers.pipe import Pipe, serial_pipe
 from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSettings, SampleBlock, SourceRequest
-from drivers.serial_codec import BinaryDecoder, SerialDecoder, TextDecoder
+from drivers.serial_codec import BinaryDecoder, SerialDecoder
+from drivers.serial_ends import EndedDecoder
+from drivers.serial_port import SerialKeys, port_hint
+from drivers.serial_text import TextDecoder
 
 _GATHER_S = 0.01
 _FEW_BYTES = 1024
@@ -28,13 +32,8 @@ def _hex(text: str | None) -> str | None:
 
 
 def _expression(text: str | None) -> str | None:
-    if text is not None:
-        try:
-            groups = re.compile(text).groupindex
-        except re.error as error:
-            raise ValueError(f"is no pattern: {error}") from error
-        if not groups:
-            raise ValueError(r"names no groups; write e.g. (?P<force>\S+)")
+    if text is not None and not patterns.check(text).groupindex:
+        raise ValueError(r"names no groups; write e.g. (?P<force>\S+)")
     return text
 
 
@@ -42,6 +41,7 @@ class SerialSettings(SerialKeys):
     """Keys of a serial source: the line, and either the binary frame or the lines of text on it."""
 
     format: Literal["binary", "text"]
+    framing: Literal["sync", "cobs", "slip"] = "sync"
     sync: Annotated[str | None, AfterValidator(_hex)] = None
     byte_order: Literal["little", "big"] = "little"
     fields: Annotated[tuple[FieldSpec, ...], AfterValidator(unique_names)] = ()
@@ -56,8 +56,10 @@ class SerialSettings(SerialKeys):
     def _binary_has_its_keys(self) -> Self:
         if self.format != "binary":
             return self
-        if self.sync is None or not self.fields:
-            raise ValueError('format "binary" needs sync and fields')
+        if (self.framing == "sync" and self.sync is None) or not self.fields:
+            raise ValueError('format "binary" needs sync and fields, or a framing "cobs" or "slip" and fields')
+        if self.framing != "sync" and self.sync is not None:
+            raise ValueError(f'framing "{self.framing}" has no sync: its ends divide the frames')
         if self.columns or self.pattern or self.delimiter or self.checksum != "none" or self.counter_modulus:
             raise ValueError(
                 'format "binary" has no delimiter, columns, pattern, checksum or counter_modulus; its check is "crc"'
@@ -72,8 +74,8 @@ class SerialSettings(SerialKeys):
             return self
         if bool(self.columns) == bool(self.pattern):
             raise ValueError('format "text" needs either columns or a pattern')
-        if self.sync or self.fields or self.crc:
-            raise ValueError('format "text" has no sync, fields or crc; its check is "checksum"')
+        if self.sync or self.fields or self.crc or self.framing != "sync":
+            raise ValueError('format "text" has no framing, sync, fields or crc; its check is "checksum"')
         return self
 
 
@@ -90,14 +92,16 @@ class SerialDriver(Driver):
         self._pipe: Pipe | None = None
         self._opened = False
 
-    def _binary(self) -> BinaryDecoder:
+    def _binary(self) -> SerialDecoder:
         settings = self._settings
-        if settings.sync is None:
-            raise DriverConfigError(f'{self.request.name}: format "binary" needs sync')
         layout = Layout(settings.fields, settings.byte_order)
         check = crc.by_name(settings.crc) if settings.crc else None
-        sync = bytes.fromhex(settings.sync)
-        return BinaryDecoder(sync, layout, check, self.request.fields, self.request.counter, self.counts)
+        rest = (layout, check, self.request.fields, self.request.counter, self.counts)
+        if settings.framing != "sync":
+            return EndedDecoder(FRAMINGS[settings.framing], *rest)
+        if settings.sync is None:
+            raise DriverConfigError(f'{self.request.name}: format "binary" needs sync')
+        return BinaryDecoder(bytes.fromhex(settings.sync), *rest)
 
     def _text(self) -> TextDecoder:
         settings = self._settings
@@ -114,7 +118,7 @@ class SerialDriver(Driver):
 
     def open(self) -> None:
         self.close()
-        self._pipe = serial_pipe(self._settings, str(self.request.folder / self._settings.port))
+        self._pipe = serial_pipe(self._settings, str(self.request.folder / self._settings.port), read_only=True)
         self._decoder.restart()
         self.counts.reopened += self._opened
         self._opened = True
@@ -145,3 +149,7 @@ class SerialDriver(Driver):
 
     def resolution(self) -> tuple[float, ...]:
         return self._decoder.resolution()
+
+    def hints(self) -> tuple[str, ...]:
+        hint = port_hint(self._settings.port)
+        return () if hint is None else (hint,)

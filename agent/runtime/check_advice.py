@@ -10,6 +10,7 @@ from agent.config import RigConfig
 from agent.errors import Fault
 from agent.runtime.check_predict import Prediction, sampled, windows
 from agent.runtime.check_recording import Recorded
+from agent.runtime.sources import source_hints
 
 MARGINAL = 1e-9
 """A pole this near the unit circle neither decays nor grows."""
@@ -107,6 +108,9 @@ def _noise(config: RigConfig) -> Iterator[Fault]:
 def _sources(config: RigConfig) -> Iterator[Fault]:
     if not config.source:
         yield Fault("source", "there is none", "replay works; run needs one")
+    for number, hint in source_hints(config):
+        what, _, advice = hint.partition("; ")
+        yield Fault(f"source[{number}]", what, advice)
 
 
 def _recorded(recorded: Recorded | None) -> Iterator[Fault]:

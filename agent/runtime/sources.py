@@ -183,7 +183,17 @@ def wire_steps(config: RigConfig) -> Mapping[str, float]:
     """Return the smallest step that each channel's wire can carry, in the reading's unit."""
     steps: dict[str, float] = {}
     for source in config.source:
-        request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
-        answer = driver_class(source.driver)(request).resolution()
+        answer = _own_driver(config, source).resolution()
         steps.update(zip(source.map, map(float, answer), strict=True))
     return steps
+
+
+def source_hints(config: RigConfig) -> list[tuple[int, str]]:
+    """Return what the drivers say of settings that work but may disappoint: the source's number, and words."""
+    return [(n, hint) for n, source in enumerate(config.source) for hint in _own_driver(config, source).hints()]
+
+
+def _own_driver(config: RigConfig, source: Source) -> Driver:
+    """Return a driver for one source alone, not opened."""
+    request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
+    return driver_class(source.driver)(request)

@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import sliplib
+from cobs import cobs
 from crccheck.crc import Crc16Ibm3740
 
 from drivers.conformance import DriverConformance, Line
 from drivers.fields import FieldSpec, Layout
-from drivers.port import FloatArray, SourceRequest
+from drivers.port import Driver, FloatArray, SourceRequest
 from drivers.serial_line import SerialDriver, SerialSettings
 
 FIELDS = (
@@ -102,6 +104,37 @@ class TextLine(BinaryLine):
         return f"${body}*{check:02X}\r\n".encode()
 
 
+class EndedLine(BinaryLine):
+    """The same frames, an end behind each, coded by packages of others."""
+
+    framing = "cobs"
+
+    def keys(self) -> dict[str, Any]:
+        return {"format": "binary", "framing": self.framing, "fields": FIELDS, "crc": "CRC-16/IBM-3740"}
+
+    def frame(self, row: FloatArray) -> bytes:
+        frame = super().frame(row)[2:]
+        return cobs.encode(frame) + b"\0" if self.framing == "cobs" else b"\xc0" + sliplib.encode(frame) + b"\xc0"
+
+
+class SlipLine(EndedLine):
+    framing = "slip"
+
+
+class PatternLine(TextLine):
+    """Lines for people, read by the named groups of an expression."""
+
+    def keys(self) -> dict[str, Any]:
+        pattern = r"#(?P<n>\d+) F=(?P<force>\S+) N, x=(?P<x1>\S+) mm(?:; .*)?"
+        return {"format": "text", "pattern": pattern, "counter_modulus": 1000}
+
+    def frame(self, row: FloatArray) -> bytes:
+        return f"#{self.played % 1000} F={float(row[0])!r} N, x={float(row[1])!r} mm; ok\r\n".encode()
+
+    def attached(self, driver: Driver) -> None:
+        self.send(b"\r\n")  # what is amid a line when the port is opened is passed over
+
+
 class TestSerialBinary(DriverConformance):
     def make_line(self) -> Line:
         return BinaryLine()
@@ -110,3 +143,18 @@ class TestSerialBinary(DriverConformance):
 class TestSerialText(DriverConformance):
     def make_line(self) -> Line:
         return TextLine()
+
+
+class TestSerialCobs(DriverConformance):
+    def make_line(self) -> Line:
+        return EndedLine()
+
+
+class TestSerialSlip(DriverConformance):
+    def make_line(self) -> Line:
+        return SlipLine()
+
+
+class TestSerialPattern(DriverConformance):
+    def make_line(self) -> Line:
+        return PatternLine()

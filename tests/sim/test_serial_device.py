@@ -14,6 +14,8 @@ from pathlib import Path
 import crccheck.crc
 import numpy as np
 import pytest
+import sliplib
+from cobs import cobs
 
 from tests import peers
 from tests.sim.rigs import INT16, LIMIT_S, MODEL, RING, int16, refused, simulator
@@ -88,6 +90,22 @@ def test_binary_frames_checked_by_crccheck_are_the_truth(tmp_path: Path) -> None
         assert (n, force, x1) == (k, 0, round(readings[k, 1] / 1e-11))
         assert x2 == pytest.approx(readings[k, 2], rel=1e-7)
     assert not (tmp_path / "line").is_symlink()
+
+
+@pytest.mark.parametrize("framing", ["cobs", "slip"])
+def test_frames_with_ends_read_by_others_packages_are_the_truth(tmp_path: Path, framing: str) -> None:
+    text = (MODEL + BINARY.replace('sync = "AA55"', f'framing = "{framing}"')).format(rate=1000.0)
+    with simulator(tmp_path, text, "--scenario", "paper") as sim:
+        with opened(tmp_path / "line") as line:
+            data = read(line, 300 * 18)
+        assert sim.stop() == 0
+    readings = sim.truth()["readings"]
+    *frames, _ = data.split(b"\0" if framing == "cobs" else b"\xc0")
+    assert len(frames) > 200
+    for k, coded in enumerate(frames):
+        frame = cobs.decode(coded) if framing == "cobs" else sliplib.decode(coded)
+        assert int.from_bytes(frame[-2:], "little") == crccheck.crc.Crc16Ibm3740.calc(frame[:-2])
+        assert struct.unpack_from("<Hii", frame) == (k, 0, round(readings[k, 1] / 1e-11))
 
 
 @pytest.mark.parametrize("checksum", ["none", "nmea"])

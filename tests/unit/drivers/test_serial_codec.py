@@ -9,8 +9,9 @@ from pydantic import ValidationError
 from drivers import crc
 from drivers.fields import FieldSpec, Layout
 from drivers.port import Counts, DriverConfigError
-from drivers.serial_codec import BinaryDecoder, TextDecoder
+from drivers.serial_codec import BinaryDecoder
 from drivers.serial_line import SerialSettings
+from drivers.serial_text import TextDecoder
 
 LAYOUT = Layout((FieldSpec(name="n", type="uint16"), FieldSpec(name="a", type="int32")), "little")
 SYNC = b"\xaa\x55"
@@ -238,7 +239,7 @@ def test_text_column_that_does_not_exist_is_refused() -> None:
         ({"format": "binary", "sync": "AA", "fields": FIELD, "crc": "CRC-9"}, "no CRC is called"),
         ({"format": "binary", "sync": "AA", "fields": FIELD, "columns": ["a"]}, "has no delimiter"),
         ({"format": "text"}, "needs either columns or a pattern"),
-        ({"format": "text", "columns": ["a"], "crc": "CRC-8"}, "has no sync"),
+        ({"format": "text", "columns": ["a"], "crc": "CRC-8"}, "has no framing, sync"),
         ({"format": "text", "pattern": "(a"}, "is no pattern"),
         ({"format": "text", "pattern": "a"}, "names no groups"),
     ],

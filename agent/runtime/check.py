@@ -68,7 +68,7 @@ def _document(config: RigConfig, resolution: FloatArray, recording: Path | None)
     document = {"ok": not faults, "errors": [_fault(fault) for fault in faults], "warnings": []} | _NOTHING
     document |= {"observable": not hidden_states(rig.model), "poles": poles(rig)}
     document |= {"bytes_per_rig_year": _bytes(config, rig)}
-    recorded = None if recording is None else read_recording(config, recording)
+    recorded = None if recording is None or faults else read_recording(config, recording)
     document |= {"recording": None if recorded is None else recorded.facts}
     return document if faults else document | _dynamic(config, rig, resolution, recorded)
 

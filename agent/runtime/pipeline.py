@@ -66,8 +66,9 @@ class Pipeline:
         self.quality = Quality(
             QualitySettings(tuple(names), len(config.inputs), all_steps, hop_plan(config).window, longest)
         )
-        self.friction = dry_friction(config, steps)
+        # first, since it says in words what the others would stumble over
         self.estimation: Estimation = make_estimation(config, steps, all_steps[: len(config.inputs)])
+        self.friction = dry_friction(config, steps)
         self.newest_ns = 0
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(rig.name)

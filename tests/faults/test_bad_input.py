@@ -143,6 +143,46 @@ def test_unobservable_states_name_what_to_measure(place: Place, deltak: Run) -> 
     assert place.unchanged()
 
 
+SERVO = """
+[rig]
+name = "servo"
+sample_rate_hz = 1000.0
+clock = "uniform"
+[model]
+kind = "mass-spring-damper"
+mass = [{ name = "M", value = 95.0 }]
+damper = [{ name = "Fv", between = ["ground", "M"], nominal = 200.0 }]
+friction = [{ name = "Fc", between = ["ground", "M"], nominal = 20.0 }]
+[[channel]]
+name = "force"
+quantity = "force"
+at = "M"
+unit = "N"
+[[channel]]
+name = "x1"
+quantity = "velocity"
+at = "M"
+unit = "m/s"
+[estimator]
+window_s = 0.25
+hop_s = 0.05
+estimate = ["M", "Fv", "Fc"]
+[store]
+path = "servo.db"
+"""
+
+
+def test_free_mass_with_dry_friction_of_which_only_the_speed_is_measured_names_what_to_measure(
+    place: Place, deltak: Run
+) -> None:
+    config = place.folder / "servo.toml"
+    config.write_text(SERVO, encoding="utf-8")
+    for arguments in (["replay", str(config)], ["check", str(config), "--recording"]):
+        code, _, err = deltak(*arguments, str(place.recording))
+        assert code == 2, err
+        assert "no channel shows the displacement of M; measure the displacement of M" in err
+
+
 RUBBISH = bytes(np.random.default_rng(1).integers(0, 256, 5000, dtype=np.uint8))
 RECORDINGS: list[tuple[str, Callable[[Path], Path], str]] = [
     ("missing", lambda folder: folder / "nowhere.csv", "nowhere.csv"),

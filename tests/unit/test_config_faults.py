@@ -228,3 +228,19 @@ def test_config_with_many_changes_names_every_one() -> None:
 def test_config_channel_at_unknown_mass_reads_as_the_contract_writes_it() -> None:
     found = faults(changed(PRESS, ('at = "m2"\nunit = "m"', 'at = "m3"\nunit = "m"')))
     assert list(found.values()) == ['channel[2].at: no mass is called "m3"; masses are m1, m2']
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ((("nominal = 25.0", "nominal = 0.0"),), "k1"),
+        (
+            (('estimate = ["k1"', 'estimate = ["x1.bias", "k1"'), ('parameter = "k1"', 'parameter = "x1.bias"')),
+            "x1.bias",
+        ),
+    ],
+)
+def test_config_limit_that_is_a_share_of_nothing_is_refused(changes: tuple[tuple[str, str], ...], name: str) -> None:
+    text = changed(PRESS, ("limit = 15.0", "limit_percent = 10"), ("deadband = 1.5\n", ""), *changes)
+    words = f'a share of the nominal of "{name}", which is 0; give limit in the parameter\'s unit'
+    assert words in faults(text)["alarm[0].limit_percent"]

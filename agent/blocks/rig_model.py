@@ -13,7 +13,7 @@ from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.statespace import AffineModel, Model, affine_model
 from agent.numerics.suspects import suspects_of
 from agent.numerics.verdict import Court
-from agent.numerics.window_ml import WindowSettings
+from agent.numerics.window_settings import WindowSettings
 from agent.types import FloatArray, IntArray
 
 SENSOR_KINDS = ("bias", "gain")

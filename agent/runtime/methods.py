@@ -8,7 +8,8 @@ from agent.config import RigConfig
 from agent.errors import Fault, ModelError
 from agent.numerics.observer import Noise
 from agent.numerics.statespace import discretise
-from agent.numerics.window_ml import WindowML, WindowSettings
+from agent.numerics.window_ml import WindowML
+from agent.numerics.window_settings import WindowSettings
 from agent.runtime.check_model import require_observable
 from agent.types import FloatArray
 

@@ -14,7 +14,8 @@ from agent.numerics.rows import Rows
 from agent.numerics.seed import read_off
 from agent.numerics.seed_window import SeedFit, SeedSettings, fit_passes
 from agent.numerics.statespace import discretise
-from agent.numerics.window_ml import WindowML, WindowSettings
+from agent.numerics.window_ml import WindowML
+from agent.numerics.window_settings import WindowSettings
 from agent.runtime import paper_cases as cases
 from agent.runtime.paper_table import table
 from agent.types import FloatArray

@@ -53,7 +53,7 @@ def window_ml(samples: Record, window_s: float) -> Timed:
         begun = time.process_time_ns()
         for first in range(START, START + SAMPLES, START):
             ml.step(first, samples.y[first : first + START], samples.u[first : first + START])
-        assert np.all(np.abs(ml.theta - NOMINAL) < 0.2 * NOMINAL)
+        assert np.all(np.abs(ml.point.theta - NOMINAL) < 0.2 * NOMINAL)
         return (time.process_time_ns() - begun) / SAMPLES
 
     return run

@@ -11,7 +11,7 @@ from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, St
 from agent.numerics.observer import Gain, Noise, matched_gain, plain_gain, poles_gain
 from agent.numerics.sensitivity import SensitivityFilter, sensitivity_filter
 from agent.numerics.statespace import Discrete, discretise, simulate
-from agent.numerics.window_ml import WindowSettings
+from agent.numerics.window_settings import WindowSettings
 from tests.unit.numerics.paper_rig import rig
 
 FloatArray = NDArray[np.float64]

@@ -144,13 +144,13 @@ def test_window_ml_estimates_depend_on_the_window_alone(rng: np.random.Generator
     for loudness in (1.0, 3.0):
         past = noisy(rng, 2000, SIGMA)
         ml = estimator(window, 50)
-        ml.theta[:] = 1.0001 * NOMINAL
-        ml.settled = ml._anchored = ml._searched = True
-        ml._rebuild()
+        ml.point.theta[:] = 1.0001 * NOMINAL
+        ml.point.settled = ml._anchored = ml._searched = True
+        ml.point.rebuild()
         y, u = np.vstack([loudness * past.y, last.y]), np.vstack([loudness * past.u, last.u])
-        ml._coloured_at = 0
+        ml._upkeep.coloured_at = 0
         results.append(run(ml, Record(y, u, last.states), [1999]))
-        assert np.array_equal(ml.theta, 1.0001 * NOMINAL)
+        assert np.array_equal(ml.point.theta, 1.0001 * NOMINAL)
     a, b = results
     assert np.nanmax(np.abs(a.theta[-10] - b.theta[-10]) / a.sd[-10]) > 1e-3
     np.testing.assert_allclose(a.theta[-1] / a.sd[-1], b.theta[-1] / a.sd[-1], atol=1e-9)

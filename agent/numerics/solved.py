@@ -1,0 +1,94 @@
+"""Solved windows as rows: estimates and their sd, before any verdict."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.choice import Candidate, candidate
+from agent.numerics.fit import linearise
+from agent.numerics.hops import Segment
+from agent.numerics.lacking import MOST, Answer, Lacking, answer
+from agent.numerics.rows import Rows
+from agent.numerics.window import WindowSolution
+from agent.numerics.working_point import WorkingPoint
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """Rows with what else their windows say.
+
+    Attributes:
+        rows: N rows without verdicts.
+        information: (N, q, q) of their windows, in units of the parameters' sizes.
+        candidates: what longer windows say at the newest of them.
+    """
+
+    rows: Rows
+    information: FloatArray
+    candidates: list[Candidate]
+
+
+def solved(point: WorkingPoint, segment: Segment, index: IntArray, solution: WindowSolution | None) -> Solved:
+    """Return rows at sample numbers index (N,); the newest of them have the solved windows, if there are any."""
+    q = len(point.theta)
+    rows = Rows.warming(index, q)
+    information = np.zeros((len(index), q, q))
+    if solution is None:
+        return Solved(rows, information, [])
+    s2 = solution.residual / point.dof
+    # a residual of exactly nothing leaves what is unknown unknown
+    s2_floored = np.maximum(s2, max(point.floor_ratio, 1e-300))
+    variance = np.einsum("nii->ni", solution.covariance) * s2_floored[:, None]
+    new = slice(len(index) - len(s2), None)
+    rows.theta[new] = point.theta + solution.delta
+    rows.sd[new] = np.sqrt(variance) * point.widening
+    rows.dof[new], rows.full[new], rows.ratio[new] = point.dof * point.colour.share, True, s2
+    rows.window[new] = point.settings.plan.window
+    information[new] = solution.information * np.outer(point.scale, point.scale)
+    return Solved(rows, information, _candidates(point, segment))
+
+
+def _candidates(point: WorkingPoint, segment: Segment) -> list[Candidate]:
+    """What the longer windows that are whole say at the newest rows."""
+    pairs = zip(point.settings.longer, segment.longer, strict=True)
+    least = point.floor_ratio
+    return [candidate(s, window, point.theta, point.n, point.outputs, least) for window, s in pairs if s is not None]
+
+
+def mend(found: Solved, point: WorkingPoint, segment: Segment, lacking: Lacking) -> None:
+    """Solve the windows that lack readings once more, with those as unknowns, and put that in place."""
+    rows, window = found.rows, point.settings.plan.window
+    for row in np.flatnonzero((lacking.count(rows.index, window) > 0) & rows.full).tolist():
+        told = _on_samples(point, segment, lacking, int(rows.index[row]) + 1, window)
+        dof, rows.ratio[row], sd = _judged(point, told, window)
+        rows.theta[row], rows.sd[row] = point.theta + told.delta, sd * point.widening
+        rows.dof[row] = dof * point.colour.share
+        found.information[row] = told.information * np.outer(point.scale, point.scale)
+    for longer in found.candidates:
+        newest = rows.index[len(rows.index) - len(longer.ratio) :]
+        for i in np.flatnonzero(lacking.count(newest, longer.window) > 0).tolist():
+            told = _on_samples(point, segment, lacking, int(newest[i]) + 1, longer.window)
+            _, longer.ratio[i], longer.sd[i] = _judged(point, told, longer.window)
+            longer.theta[i] = point.theta + told.delta
+
+
+def _on_samples(point: WorkingPoint, segment: Segment, lacking: Lacking, stop: int, window: int) -> Answer:
+    """Solve one window that ends before sample `stop` about theta_r, on its samples."""
+    v, q = segment.samples(stop - window, stop), len(point.theta)
+    if lacking.count(np.array([stop - 1]), window)[0] > MOST * window:
+        return Answer(np.full(q, np.nan), np.full((q, q), np.inf), np.zeros((q, q)), np.inf, 0)
+    bridge = lacking.bridge(v, stop)
+    here = linearise(point.discrete.model, point.gain, v, np.zeros(point.n), bridge)
+    return answer(here, 0 if bridge is None else bridge.free)
+
+
+def _judged(point: WorkingPoint, found: Answer, window: int) -> tuple[float, float, FloatArray]:
+    """Return degrees of freedom, residual variance and white sd (q,) of an answer."""
+    dof = point.dof_of(window, found.free)
+    ratio = found.residual / dof
+    variance = np.diag(found.covariance) * max(ratio, point.floor_ratio, 1e-300)
+    return dof, ratio, np.sqrt(variance)

@@ -1,0 +1,86 @@
+"""What is looked at now and then while nothing happens: the residual's colour, and what the model may lack."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.colour import Colour, colour_of
+from agent.numerics.fit import linearise
+from agent.numerics.hops import Segment
+from agent.numerics.lacking import Lacking
+from agent.numerics.rows import Rows
+from agent.numerics.working_point import WorkingPoint
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+NEVER = -(10**18)
+LONG = 4096
+"""Newest samples of a window from which its colour is learnt."""
+ACCUSED = 32_768
+"""Newest samples of a window in which a suspect is looked for."""
+RECOLOUR = 131_072
+"""Samples between two looks at the colour of a residual that was white; one that was not is looked at every window."""
+
+
+class Upkeep:
+    """When each look was taken and what it found.
+
+    Attributes:
+        coloured_at: newest sample of the window whose colour is in use.
+        accused: the Reason that was found for what the model lacks, 0 for none; accused_at its newest sample.
+    """
+
+    def __init__(self) -> None:
+        self.coloured_at = self.accused_at = NEVER
+        self.accused = 0
+
+    def due(self, point: WorkingPoint, rows: Rows) -> BoolArray:
+        """(N,) rows from which on the residual's colour is due for a look."""
+        return np.asarray(rows.index - self.coloured_at >= self._every(point))
+
+    def _every(self, point: WorkingPoint) -> int:
+        white = point.colour.share == 1.0 and bool(np.all(point.colour.inflation < 1.2))
+        window = point.settings.plan.window
+        return max(RECOLOUR, window) if white else window
+
+    def recolour(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
+        """Look at the colour of a healthy row's residual; widen this row's and later intervals."""
+        index = int(rows.index[row])
+        before, window = point.colour, min(point.settings.plan.window, LONG)
+        v = segment.samples(index + 1 - window, index + 1)
+        bridge = lacking.bridge(v, index + 1)
+        here = linearise(point.discrete.model, point.gain, v, np.zeros(point.n), bridge)
+        covariance = np.linalg.pinv(here.psi.T @ here.psi, hermitian=True)
+        delta = covariance @ (here.psi.T @ here.e)
+        residual = (here.e - here.psi @ delta).reshape(-1, point.outputs)
+        inputs = point.input_noise(point.discrete, point.gain, window)
+        point.colour = colour_of(here.psi, residual, np.asarray(covariance), point.unknowns, inputs)
+        self.coloured_at = index
+        _widen(rows, row, before, point.colour)
+        self.review(point, segment, lacking, rows, row)
+
+    def review(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
+        """Accuse where the residual is coloured; what a model lacks colours it, so a white one clears all suspects."""
+        if point.colour.share < 1.0:
+            self.accuse(point, segment, lacking, rows, row)
+        else:
+            self.accused_at, self.accused, rows.suspect[row:] = int(rows.index[row]), 0, 0
+
+    def accuse(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
+        """Look for what the model lacks in the window of a row; the finding stands until the next look."""
+        index, suspects = int(rows.index[row]), point.settings.suspects
+        self.accused_at = index
+        if suspects is None:
+            return
+        v = segment.samples(index + 1 - min(point.settings.plan.window, ACCUSED), index + 1)
+        if not np.isfinite(v).all():
+            return
+        bridge = lacking.bridge(v, index + 1)
+        found = suspects.accuse(point.theta, point.gain, v, point.dof * point.colour.share, bridge)
+        self.accused = 0 if found is None else int(found.suspect.reason)
+        rows.suspect[row:] = self.accused
+
+
+def _widen(rows: Rows, row: int, before: Colour, now: Colour) -> None:
+    """Give a row and those after it the intervals of another colour."""
+    rows.sd[row:] *= now.inflation / before.inflation
+    rows.dof[row:] *= now.share / before.share

@@ -1,0 +1,144 @@
+"""Where the estimator stands: the parameters it is linearised about, and what is known of the disturbances there."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.bridge import Bridge
+from agent.numerics.calibrate import Calibrator
+from agent.numerics.choice import gate
+from agent.numerics.colour import Colour, InputNoise
+from agent.numerics.commission import Commission
+from agent.numerics.fit import Fit, Problem, fit_window
+from agent.numerics.hops import HopOperators
+from agent.numerics.observer import Gain, Noise
+from agent.numerics.sensitivity import sensitivity_filter
+from agent.numerics.statespace import Discrete, Model, discretise
+from agent.numerics.window_settings import WindowSettings
+
+FloatArray = NDArray[np.float64]
+
+
+class WorkingPoint:
+    """theta_r with the model, observer and operators built about it; move it by setting theta and `rebuild`.
+
+    Attributes:
+        theta: (q,) theta_r.
+        scale: (q,) sizes of the parameters.
+        noise: of the sensors and of unknown forces.
+        colour, commission: what they add to intervals.
+        settled: noise and theta come from a fit, not from the configuration.
+        discrete, gain, operators: the sampled model, the observer and the lifted filters at theta_r.
+        unknowns: of a window; dof: degrees of freedom that its residual has left.
+    """
+
+    def __init__(self, model: Model, settings: WindowSettings) -> None:
+        self.model = model
+        self.settings = settings
+        self.theta = np.array(model.nominal, dtype=float)
+        self.scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
+        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor)
+        directions = settings.gains.disturbance
+        unforced = np.zeros(0 if directions is None else directions.shape[1])
+        self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)
+        self.colour = Colour.white(len(self.theta))
+        self.commission = Commission(np.ones(len(self.theta)))
+        self.settled = False
+        self.rebuild()
+        self.unknowns = self.discrete.model.n + len(self.theta)
+        self.dof = self.dof_of(settings.plan.window)
+
+    def rebuild(self) -> None:
+        """Make observer and operators about theta_r."""
+        self.discrete = discrete = self.sampled(self.theta)
+        gains = self.settings.gains
+        self.gain: Gain = (gains.settled if self.settled else gains.start)(discrete, self.noise)
+        system = sensitivity_filter(discrete.model, self.gain.L, self.gain.whitening)
+        self.operators = HopOperators(system, self.settings.plan)
+        speed = float(np.max(np.abs(np.angle(np.linalg.eigvals(discrete.model.A)))))
+        self._turned = self.settings.plan.window * speed
+
+    @property
+    def n(self) -> int:
+        """States."""
+        return self.discrete.model.n
+
+    @property
+    def outputs(self) -> int:
+        """Channels that are outputs."""
+        return len(self.noise.sigma)
+
+    @property
+    def doubt(self) -> float:
+        """2 where the reference of residuals was learnt from a window, which is as uncertain as any other."""
+        return 2.0 if self.calibrator.learns else 1.0
+
+    @property
+    def gate(self) -> float:
+        """Largest residual variance, in units of the reference, of an undisturbed window."""
+        return float(gate(self.dof, self.doubt, self.colour.share))
+
+    @property
+    def widening(self) -> FloatArray:
+        """(q,) honest sd over what white noise would have it."""
+        return np.asarray(self.colour.inflation * self.commission.factor)
+
+    @property
+    def floor_ratio(self) -> float:
+        """Least residual variance that the wire allows, in units of the reference."""
+        return float(np.mean((self.settings.floor / self.noise.sigma) ** 2))
+
+    @property
+    def negligible(self) -> FloatArray:
+        """(q,) changes below this do not matter to the linearisation.
+
+        Without correction the observer feels more: its phase runs away with the angle that a mode turns in a window.
+        """
+        size = np.maximum(np.abs(self.theta), 0.1 * self.scale)
+        if self.gain.L.any():
+            return np.asarray(0.02 * size)
+        return np.asarray(0.02 * float(np.clip(2.0 / max(self._turned, 1e-9), 0.25, 1.0)) * size)
+
+    def dof_of(self, window: int, free: int = 0) -> float:
+        """Degrees of freedom of the residual of `window` samples, `free` of them spent on missing readings."""
+        return max(float(window * self.outputs - self.unknowns - free), 1.0)
+
+    def sampled(self, theta: FloatArray) -> Discrete:
+        """Return the sampled model at theta (q,)."""
+        return discretise(self.model.continuous(theta), self.settings.period_s, self.settings.hold)
+
+    def kept(self) -> Callable[[], None]:
+        """Return what puts parameters and disturbances back as they are now; observer and operators stay."""
+        before = (self.theta, self.noise, self.settled, self.colour)
+
+        def restore() -> None:
+            self.theta, self.noise, self.settled, self.colour = before
+
+        return restore
+
+    def take_sizes(self, v: FloatArray) -> None:
+        """Take the size of each parameter that has none from its channel in a window v (W, p+m)."""
+        if self.settings.scale_column is None:
+            return
+        rms = np.sqrt(np.mean(v**2, axis=0))[self.settings.scale_column]
+        self.scale = np.where(np.isfinite(self.settings.scale), self.settings.scale, np.maximum(rms, 1e-300))
+
+    def problem(self, v: FloatArray, bridge: Bridge | None) -> Problem:
+        """Return the problem of fitting samples v (W, p+m), some of them perhaps missing."""
+        return Problem(self.sampled, v, self.scale, self.settings.lower, bridge)
+
+    def maximise(self, problem: Problem, theta: FloatArray, *, afresh: bool, near: bool) -> Fit:
+        """Fit a window from theta (q,); afresh also learns what disturbs it, near needs no wide basin."""
+        if afresh:
+            calibration = self.calibrator.calibrate(problem, theta)
+            self.noise = calibration.noise
+            return calibration.fit
+        gains, noise = self.settings.gains, self.noise
+        stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
+        return fit_window(problem, theta, np.zeros(self.n), stages[1:] if near else stages)
+
+    def input_noise(self, discrete: Discrete, gain: Gain, samples: int) -> InputNoise | None:
+        """What noise of measured inputs adds to residuals; None where none is known."""
+        sd = self.settings.input_sd
+        return None if sd is None else InputNoise.of(discrete.model, gain, sd, samples)

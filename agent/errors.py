@@ -6,6 +6,7 @@
     ├── ModelError                    2   the model cannot be observed or its parameters not told apart
     ├── RecordingError                2   a recording that cannot be used
     ├── StoreError                    3   the database: missing, not ours, newer, locked, unknown id
+    │   └── StoreHeldError                another process owns it: that one may be asked (DB.sock)
     └── BusError                      4   a bus that cannot exist or be opened in demo and check --probe
 
 Each prints as `deltak: error: <key path or file:line>: <what>; <what to do>`.
@@ -72,6 +73,10 @@ class StoreError(AgentError):
     """The database is missing, foreign, newer, locked, or lacks what was asked for."""
 
     exit_code = 3
+
+
+class StoreHeldError(StoreError):
+    """Another process owns the database."""
 
 
 class BusError(AgentError):

@@ -192,6 +192,8 @@ class Service:
         self._ledgers()
         for writer in self.writers.values():
             writer.stop()
+        for name, rig in self.rigs.items():
+            rig.summary.run_id = self._writer_of[name].run_ids.get(name, rig.summary.run_id)
 
 
 def run(
@@ -259,7 +261,8 @@ def _writers(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> Ma
 def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
     runs = [RunInfo(c.rig.name, kind, wall_ns(), __version__, c.sha256, None, boot_id()) for c in members]
     keep = _retention(members)
-    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=min(c.store.every_s for c in members))
+    every_s = min(c.store.every_s for c in members)
+    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)
 
 
 def _retention(members: Sequence[RigConfig]) -> Retention:

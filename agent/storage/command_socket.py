@@ -3,7 +3,8 @@
     {"command": "compact", ...}  ->  {"ok": true, ...} when it is committed
                                      {"ok": false, "error": "what; what to do"} when it is refused
 
-The socket lies beside the database (mode 0660): who may write to the folder may command.
+An empty line a second says that a long command is being done. The socket lies beside the database (mode 0660): who may
+write to the folder may command.
 """
 
 import json
@@ -21,6 +22,7 @@ from agent.storage.files import beside
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 _LONGEST = 65536  # bytes of a line
 _PATIENCE_S = 5.0
+_LIFE_SIGN_S = 1.0
 
 
 class CommandServer:
@@ -59,7 +61,19 @@ class CommandServer:
                 peer, _ = self._listener.accept()
                 with peer:
                     peer.settimeout(_PATIENCE_S)
-                    peer.sendall(_line(self._answer(_read_line(peer))))
+                    self._converse(peer, _read_line(peer))
+
+    def _converse(self, peer: socket.socket, line: bytes) -> None:
+        """Answer one line; while the answer is being found the asker hears that the agent lives."""
+        answers: list[Mapping[str, Any]] = []
+        worker = threading.Thread(target=lambda: answers.append(self._answer(line)), name="command", daemon=True)
+        worker.start()
+        worker.join(_LIFE_SIGN_S)
+        while worker.is_alive():
+            self.progress += 1
+            peer.sendall(b"\n")
+            worker.join(_LIFE_SIGN_S)
+        peer.sendall(_line(answers[0]))
 
     def _answer(self, line: bytes) -> Mapping[str, Any]:
         try:
@@ -118,6 +132,14 @@ def _read_line(peer: socket.socket) -> bytes:
     return line
 
 
+def _last_line(peer: socket.socket) -> bytes:
+    """Return the answer, without the signs of life before it."""
+    while True:
+        line = _read_line(peer)
+        if line.strip() or not line:
+            return line
+
+
 def _line(answer: Mapping[str, Any]) -> bytes:
     return json.dumps(answer).encode() + b"\n"
 
@@ -134,7 +156,7 @@ def ask(path: Path, command: str, timeout_s: float = _PATIENCE_S, **arguments: A
             peer.settimeout(timeout_s)
             peer.connect(name)
             peer.sendall(_line({"command": command, **arguments}))
-            answer = json.loads(_read_line(peer))
+            answer = json.loads(_last_line(peer))
     except TimeoutError as error:
         raise StoreError.at(str(path), f"its agent did not answer in {timeout_s:g} s", "try again") from error
     except (OSError, ValueError) as error:

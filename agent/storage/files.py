@@ -7,7 +7,7 @@ from contextlib import suppress
 from enum import Enum
 from pathlib import Path
 
-from agent.errors import StoreError
+from agent.errors import StoreError, StoreHeldError
 from agent.storage.schema import APPLICATION_ID, PAGE_SIZE, SCHEMA_VERSION, version_mark
 
 BALLAST_BYTES = 3 * 1024 * 1024
@@ -103,7 +103,7 @@ _LOCK_MARK = b"deltak "
 class Lock:
     """The right to change a database: flock on DB.lock, freed by the kernel when its holder dies.
 
-    Raises StoreError when another process holds it. The file stays: removing it would let two processes lock two
+    Raises StoreHeldError when another process holds it. The file stays: removing it would let two processes lock two
     different files of one name.
     """
 
@@ -118,7 +118,8 @@ class Lock:
         except BlockingIOError as error:
             holder = self._holder()
             os.close(self._handle)
-            raise StoreError.at(str(path), f"process {holder} is writing to this database", "stop it first") from error
+            what = f"process {holder} is writing to this database"
+            raise StoreHeldError.at(str(path), what, "stop it first") from error
         self._sign()
 
     def _holder(self) -> str:

@@ -1,14 +1,19 @@
 """The thread between pipeline and store: takes records without ever blocking, and keeps at it when disks fail."""
 
+import logging
 import sqlite3
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from agent.errors import StoreError
 from agent.storage.alarms import AlarmRow
 from agent.storage.backlog import Backlog, Pause, cells_of
+from agent.storage.command_socket import CommandServer
+from agent.storage.commands import serve
 from agent.storage.connect import cause_of, is_damage
+from agent.storage.errands import Errands
 from agent.storage.rows import Plan
 from agent.storage.store import Store
 from agent.storage.thinning import Thinner
@@ -17,6 +22,8 @@ from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Record, Run
 _DISK = (sqlite3.Error, OSError)
 _FAILURE = (*_DISK, StoreError)
 _FULL = "queue full"
+
+log = logging.getLogger(__name__)
 
 
 class StoreWriter:
@@ -32,6 +39,7 @@ class StoreWriter:
         lossless: for replays: `publish` waits for the disk instead of dropping, and a failing disk is an error.
         most_cells: rows that wait in memory at most, a rig.
         on_event: told of every HealthEvent that the writer makes itself (in the writer's thread).
+        served: others may ask for what changes the file, through the socket beside it.
     """
 
     def __init__(
@@ -44,6 +52,7 @@ class StoreWriter:
         most_cells: int = 200_000,
         period_s: float = 1.0,
         on_event: Callable[[HealthEvent], None] = lambda _: None,
+        served: bool = False,
     ) -> None:
         self._opener = opener
         self._runs = {run.rig: run for run in runs}
@@ -61,7 +70,11 @@ class StoreWriter:
         self._asked = self._answered = 0
         self._pause = Pause()
         self._failure: BaseException | None = None
+        self._failed_at = dict(self._newest)
         self._spilling = False
+        self._served = served
+        self._server: CommandServer | None = None
+        self._errands = Errands("its agent", self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
         self.standing: dict[str, list[AlarmRow]] = {}
@@ -138,9 +151,17 @@ class StoreWriter:
         self.dropped_at_queue[_FULL] += sum(map(cells_of, records)) - len(kept)
         return kept
 
+    def _wake(self) -> None:
+        with self._condition:
+            self._urgent = True
+            self._condition.notify_all()
+
     def _raise_failure(self) -> None:
         if self._failure is not None:
             raise StoreError.at("store", f"cannot be written ({self._failure})", "look at its disk") from self._failure
+
+    def _place(self) -> str:
+        return "the store" if self._store is None else str(self._store.path)
 
     # --- the thread's side -------------------------------------------------------------------------------------
 
@@ -157,6 +178,7 @@ class StoreWriter:
         self.progress += 1
         self._collect(last)
         self._write_all(last)
+        self._run_errands()
         with self._condition:
             if not self._waiting() or last:
                 self._answered = ticket
@@ -223,20 +245,56 @@ class StoreWriter:
         if not self._plans:
             self._plans = [p for rig, records in self._flight.items() for p in store.encode(self.run_ids[rig], records)]
         store.commit(self._plans)
-        self.written += sum(cells_of(r) for records in self._flight.values() for r in records)
+        for rig, records in self._flight.items():
+            self.written += sum(map(cells_of, records))
+            self._tell_stored(rig, records)
         self._flight, self._plans = {}, []
 
+    def _tell_stored(self, rig: str, records: Sequence[Record]) -> None:
+        """Log what is on the disk from now on, whatever happens next."""
+        if log.isEnabledFor(logging.INFO):
+            hops = sum(len(r) for r in records if isinstance(r, EstimateBatch))
+            steps = sum(isinstance(r, AlarmTransition) for r in records)
+            words = "%s: stored in run %d: %d instants up to %d, %d steps of alarms, %d others"
+            others = sum(not isinstance(r, EstimateBatch | AlarmTransition) for r in records)
+            log.info(words, rig, self.run_ids[rig], hops, self._newest_stored(records), steps, others)
+
+    @staticmethod
+    def _newest_stored(records: Sequence[Record]) -> int:
+        return max((int(r.t_ns[-1]) for r in records if isinstance(r, EstimateBatch)), default=0)
+
+    def _run_errands(self) -> None:
+        if self._store is None or self._pause.cause:
+            self._errands.refuse(f"cannot write to it at present ({self._pause.cause})", "look at its disk")
+        else:
+            self._errands.run(self._store)
+
     def _attach(self) -> None:
-        """See that the store is open and the runs are begun."""
+        """See that the store is open, its socket is there and the runs are begun."""
         if self._store is None:
             self._store = self._opener()
+        if self._store.recovery is not None:  # a new file
+            self.run_ids.clear()
+            self._plans = []
+        if self._served and self._server is None:
+            self._server = self._serve(self._store)
         for rig, run in self._runs.items():
             if rig not in self.run_ids:
                 self.standing[rig] = self._store.open_alarms(rig) if run.kind == "live" else []
                 self.run_ids[rig] = self._store.begin_run(run)
 
+    def _serve(self, store: Store) -> CommandServer | None:
+        try:
+            return serve(store.path, self._errands)
+        except OSError as error:
+            log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
+            return None
+
     def _failed(self, error: BaseException) -> None:
         """Note a failure and try to be able to go on next time."""
+        if self._pause.cause is None:
+            self._failed_at = dict(self._newest)
+            log.warning("%s: cannot be written (%s: %s); rows wait in memory", self._place(), cause_of(error), error)
         self._pause.failed(cause_of(error))
         self._failure = error
         if self._store is None:
@@ -258,8 +316,6 @@ class StoreWriter:
         """Go on in a new file that holds what could be read of the damaged one; rows in flight are stored anew."""
         assert self._store is not None  # noqa: S101 - checked by the caller
         self._store.recover(cause)
-        self.run_ids.clear()
-        self._plans = []
 
     def _tell_spilling(self, spilling: bool) -> None:
         """Say once when rows begin to go to the side file, and once when they are taken in again."""
@@ -274,20 +330,30 @@ class StoreWriter:
             self._on_event(event)
 
     def _recovered(self) -> None:
-        """After a failure: say how long it lasted and what it cost, once."""
+        """After a failure: say how long it lasted and what it cost, once, by an event and an alarm that is over."""
         cause, since = self._pause.passed()
         self._failure = None
         for rig in self._runs:
             lost = sum(self._backlogs[rig].dropped.values())
             message = f"the store could not be written for {since:.1f} s ({cause}); {lost} rows did not fit in memory"
             event = HealthEvent(rig, "store", self._newest[rig], cause, message)
-            self._backlogs[rig].add([event], cause)
+            raised = AlarmTransition(
+                rig, "source", "store", "high", self._failed_at[rig], "NORM", "UNACK", cause, message
+            )
+            over = replace(raised, t_ns=self._newest[rig], from_state="UNACK", to_state="RTNUN", cause="recovered")
+            self._backlogs[rig].add([event, raised, over], cause)
             self._on_event(event)
+        log.warning("%s: can be written again after %.1f s", self._place(), since)
 
     def _end(self) -> None:
+        self._errands.end()
+        if self._server is not None:
+            self._server.stop()
         for backlog in self._backlogs.values():
             left = sum(map(cells_of, backlog.take()))
-            backlog.dropped[self._pause.cause or "stopped"] += left
+            if left:
+                backlog.dropped[self._pause.cause or "stopped"] += left
+                log.warning("%s: %d rows could not be stored before the end", self._place(), left)
         with self._condition:
             self._ended = True
             self._condition.notify_all()

@@ -11,6 +11,7 @@ from agent.storage import queries
 from agent.storage.backlog import Backlog, Pause
 from agent.storage.rows import Plan
 from agent.storage.store import Store
+from agent.storage.times import iso
 from agent.storage.writer import StoreWriter
 from agent.types import AlarmTransition, EstimateBatch, HealthEvent
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step
@@ -113,7 +114,7 @@ def test_writer_stop_writes_what_is_left(path: Path, make: Callable[..., StoreWr
 
 @pytest.mark.parametrize(("problem", "cause"), [(FULL, "disk full"), (SYNC, "input output error")])
 def test_writer_keeps_at_it_while_the_disk_fails_and_says_so(
-    path: Path, make: Callable[..., StoreWriter], problem: sqlite3.Error, cause: str
+    path: Path, make: Callable[..., StoreWriter], caplog: pytest.LogCaptureFixture, problem: sqlite3.Error, cause: str
 ) -> None:
     told: list[HealthEvent] = []
     writer = make(on_event=told.append)
@@ -130,6 +131,12 @@ def test_writer_keeps_at_it_while_the_disk_fails_and_says_so(
     assert event["cause"] == cause
     assert event["t_ns"] == START + 19 * HOP
     assert [e.cause for e in told] == [cause]
+    (alarm,) = [a for a in queries.alarms(path) if a["parameter"] == "store"]
+    assert (alarm["kind"], alarm["priority"], alarm["state"]) == ("source", "high", "RTNUN")
+    assert (alarm["raised_at"], alarm["cleared_at"]) == (iso(START + 9 * HOP), iso(START + 19 * HOP))
+    assert [r.getMessage().split(": ", 1)[1][:20] for r in caplog.records if r.levelname == "WARNING"] == [
+        "cannot be written (i" if problem is SYNC else "cannot be written (d", "can be written again",
+    ]  # fmt: skip
     assert writer.dropped == {}
 
 
@@ -149,7 +156,7 @@ def test_writer_bounds_what_waits_and_counts_what_it_drops_but_no_alarm(
     assert writer.dropped["disk full"] + len(rows) == 800
     assert len(rows) <= 480
     assert rows[-1]["t_ns"] == START + 199 * HOP
-    assert len(queries.alarms(path)) == 1
+    assert [a["parameter"] for a in queries.alarms(path)] == ["k1", "store"]
     assert str(writer.dropped["disk full"]) in queries.events(path)[-1]["message"]
 
 

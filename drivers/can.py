@@ -8,7 +8,8 @@ from drivers.can_bus import BusKeys, CanBus, Filters, open_bus
 from drivers.can_codec import Decoded, FrameDecoder
 from drivers.can_database import MessageCodec, load, message_codecs
 from drivers.can_frames import Frames, joined, no_frames
-from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
+from drivers.can_heard import HeardOnCan
+from drivers.port import DriverIOError, DriverSettings, SampleBlock, SourceRequest
 
 _GATHER_S = 0.01
 _FEW = 64
@@ -20,7 +21,7 @@ class CanSettings(BusKeys):
     dbc: Path
 
 
-class DbcDriver(Driver):
+class DbcDriver(HeardOnCan):
     """What live and recorded CAN share: the codecs of the messages asked for."""
 
     _messages: tuple[MessageCodec, ...] = ()
@@ -39,8 +40,12 @@ class DbcDriver(Driver):
         steps = {signal.column: signal.codec.resolution for codec in self._messages for signal in codec.selected}
         return tuple(steps[column] for column in range(len(self.request.fields)))
 
+    def restart(self) -> None:
+        self._decoder.restart()
+
     def decoded(self, frames: Frames) -> SampleBlock:
         """Return the samples that frames complete."""
+        self.keep(frames)
         return self.block_of(self._decoder.decode(frames))
 
     def block_of(self, samples: Decoded) -> SampleBlock:

@@ -9,7 +9,7 @@ A driver only listens. The bytes that drivers write are listed in `LISTENER_WRIT
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -85,6 +85,21 @@ class Counts:
     reopened: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What a bus carried since it was last asked for, as other tools read it; for recording.
+
+    Attributes:
+        text: makes the text, whole lines; may be called later, in another thread.
+        lines: how many they are.
+        beside: what the text cannot carry, as JSON can; for `Driver.hear`.
+    """
+
+    text: Callable[[], bytes]
+    lines: int
+    beside: Mapping[str, Any]
+
+
 class DriverSettings(BaseModel):
     """Base of a driver's own configuration keys; unknown keys are errors."""
 
@@ -121,6 +136,8 @@ class Driver(ABC):
     """The counter wraps to 0 after counter_modulus - 1; None while unknown or without a counter. Known once open."""
     finite: ClassVar[bool] = False
     """True for recordings: `read` raises EOFError at the end."""
+    heard_suffix: ClassVar[str | None] = None
+    """Suffix of files that hold what the bus carried, such as ".log"; None: recordings hold the samples."""
 
     def __init__(self, request: SourceRequest) -> None:
         self.request = request
@@ -155,6 +172,20 @@ class Driver(ABC):
         """Return what was reported since the last call, and forget it."""
         reports, self._reports = self._reports, []
         return reports
+
+    def keep_heard(self) -> None:
+        """Begin to keep what the bus carries, for `take_heard`; only where there is a heard_suffix."""
+
+    def take_heard(self) -> Heard | None:
+        """Return what the bus carried since the last call; None when that was nothing or is not kept."""
+        return None
+
+    def hear(self, text: bytes, beside: Mapping[str, Any]) -> SampleBlock:
+        """Return what `read` made of this when it was heard. The driver is not open; its counts go on as they did.
+
+        Raises DriverConfigError.
+        """
+        raise DriverConfigError(f"{self.request.name}: its driver has no form of what its bus carries")
 
     @abstractmethod
     def open(self) -> None:

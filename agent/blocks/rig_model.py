@@ -1,6 +1,6 @@
 """From a checked configuration to the mathematics: the parametric model, its windows, noise and gains."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,15 +107,14 @@ def _linear(config: RigConfig, names: tuple[str, ...]) -> AffineModel:
 
 
 def _disturbance(model: Model) -> FloatArray:
-    """A force on each mass, or anything on each state of a linear model."""
+    """A force on each mass (on each node where none has mass), or anything on each state of a linear model."""
     if isinstance(model, SensedModel):
         model = model.model
-    if isinstance(model, MassSpringDamper):
-        masses = np.array([m.value for m in model.structure.masses if m.value > 0])
-        direction = np.zeros((len(model.state_names), len(masses)))
-        direction[: len(masses)] = np.diag(1.0 / masses)
-        return direction
-    return np.eye(len(model.state_names))
+    if not isinstance(model, MassSpringDamper):
+        return np.eye(len(model.state_names))
+    nodes = model.structure.masses
+    pushed = tuple(m.name for m in nodes if m.value > 0) or tuple(m.name for m in nodes)
+    return replace(model, forces=pushed).continuous(model.nominal).B[:, : len(pushed)]
 
 
 def output_noise(config: RigConfig, resolution: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -186,7 +185,7 @@ def window_settings(
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
     scale = np.where(nominal != 0, np.abs(nominal), limited)
     physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
-    masses = np.array([p.kind == "mass" for p in rig.parameters])
+    needed = np.array([p.kind == "mass" or p.name in _holding(config) for p in rig.parameters])
     plan = hop_plan(config)
     return WindowSettings(
         period_s=1.0 / config.rig.sample_rate_hz,
@@ -200,7 +199,7 @@ def window_settings(
         longer=longer_windows(config, plan),
         input_sd=input_noise(config, input_resolution),
         wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
-        lower=np.where(physical & (nominal != 0), np.where(masses, 0.02 * scale, 0.0), -np.inf),
+        lower=np.where(physical & (nominal != 0), np.where(needed, 0.02 * scale, 0.0), -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
         suspects=suspects_of(
             rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, known_noise(config, resolution)
@@ -209,6 +208,14 @@ def window_settings(
             rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
         ),
     )
+
+
+def _holding(config: RigConfig) -> set[str]:
+    """The dampers that hold nodes without mass: there is no motion without them."""
+    if not isinstance(config.model, MechanicsModel):
+        return set()
+    massless = {mass.name for mass in config.model.mass if mass.value == 0}
+    return {damper.name for damper in config.model.damper if massless & set(damper.between)}
 
 
 def _scale_columns(config: RigConfig, rig: RigModel) -> IntArray:

@@ -50,9 +50,15 @@ def _check_observer(draft: Draft) -> None:
     if observer.poles and draft.states and len(observer.poles) != draft.states:
         what = f"has {len(observer.poles)} poles for {draft.states} states"
         faults.add(f"{path}.poles", what, "give one pole a state")
-    masses = len(draft.model.mass or ()) if isinstance(draft.model, MechanicsModel) else draft.states
+    masses = _pushed(draft.model) if isinstance(draft.model, MechanicsModel) else draft.states
     if isinstance(observer.process_sd, tuple) and masses and len(observer.process_sd) != masses:
         faults.add(f"{path}.process_sd", f"has {len(observer.process_sd)} numbers for {masses}", "give one a mass")
+
+
+def _pushed(model: MechanicsModel) -> int:
+    """How many nodes unknown forces are assumed on: those with mass, or all where none has."""
+    values = [mass.value for mass in model.mass or () if readable(mass.value)]
+    return sum(value > 0 for value in values) or len(values)
 
 
 def _check_belongs(path: str, key: str, gain: str, observer: Observer, faults: Faults) -> None:

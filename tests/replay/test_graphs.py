@@ -140,6 +140,23 @@ WITHOUT_MASS = Rig(
     [("displacement", "m", 1e-5), ("displacement", "joint", 1e-5)],
     ["k1", "k2", "B1", "B2"],
 )
+MAXWELL = Rig(
+    {"m1": 2.0, "joint": 0.0, "m2": 3.0},
+    [("k1", "ground", "m1", 800.0), ("k2", "m1", "m2", 500.0), ("k3", "m1", "joint", 600.0)],
+    [("B1", "ground", "m1", 6.0), ("B2", "m1", "m2", 4.0), ("B3", "joint", "ground", 40.0)],
+    ["m2"],
+    [("displacement", "m1", 1e-6), ("displacement", "m2", 1e-6)],
+    ["k1", "k2", "k3", "B1", "B2", "B3"],
+)
+"""A spring and a damper in series beside another spring; where they meet nothing weighs and nothing is measured."""
+MASSLESS = Rig(
+    {"rod": 0.0},
+    [("k", "ground", "rod", 900.0)],
+    [("B", "ground", "rod", 60.0)],
+    ["rod"],
+    [("displacement", "rod", 1e-5)],
+    ["k", "B"],
+)
 MASSES = Rig(
     {"m1": 2.0, "m2": 3.0},
     [("k1", "ground", "m1", 800.0), ("k2", "m1", "m2", 500.0)],
@@ -150,9 +167,13 @@ MASSES = Rig(
 )
 
 
-@pytest.mark.parametrize(
-    "rig", [RING, BRANCHES, WITHOUT_MASS, MASSES], ids=["ring", "branches", "massless node", "masses"]
-)
+RIGS = {
+    "ring": RING, "branches": BRANCHES, "massless node": WITHOUT_MASS, "massless node in series": MAXWELL,
+    "nothing but massless": MASSLESS, "masses": MASSES,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("rig", RIGS.values(), ids=list(RIGS))
 def test_graph_is_recovered_with_honest_intervals(rig: Rig, tmp_path: Path) -> None:
     found = replayed_rig(rig, tmp_path, np.random.default_rng(11))
     truth = rig.masses | {name: value for name, _, _, value in (*rig.springs, *rig.dampers)}

@@ -13,8 +13,8 @@ import numpy as np
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
 from agent.runtime.clock import monotonic_ns, wall_ns
-from agent.runtime.recorder import Recorder
-from drivers.port import Counts, Driver, DriverConfigError, SampleBlock, SourceRequest
+from agent.runtime.recording.recorder import Recorder
+from drivers.port import Counts, Driver, DriverConfigError, Heard, SampleBlock, SourceRequest
 from drivers.reconnect import LinkEvent, ReconnectingDriver
 
 QUEUE_SAMPLES = 120_000
@@ -59,6 +59,7 @@ class Connection:
         self.progress = 0
         self.make_recorder: Callable[[Driver], Recorder] | None = None
         self._recorder: Recorder | None = None
+        self._heard = False
         self._stop = threading.Event()
         self._wake = wake
         self._driver = driver
@@ -71,6 +72,8 @@ class Connection:
 
     def start(self) -> None:
         """Begin to read."""
+        if self.make_recorder is not None:
+            self._driver.keep_heard()
         self._thread.start()
 
     def stop(self, timeout_s: float = 5.0) -> None:
@@ -124,17 +127,26 @@ class Connection:
             self._say(event)
         for note in self._driver.take_notes():
             log.info("%s: %s", self._driver.request.name, note)
+        noted = replace(block, wall_offset_ns=wall_ns() - monotonic_ns())
+        if self.make_recorder is not None:
+            self._record(noted, self._driver.take_heard())
         if len(block):
-            noted = replace(block, wall_offset_ns=wall_ns() - monotonic_ns())
-            self._record(noted)
+            self._tell_first()
             self._put(noted)
 
-    def _record(self, block: SampleBlock) -> None:
+    def _tell_first(self) -> None:
+        if not self._heard:
+            self._heard = True
+            log.info("%s: delivers samples", self._driver.request.name)
+
+    def _record(self, block: SampleBlock, heard: Heard | None) -> None:
+        if heard is None and not len(block):
+            return
         if self._recorder is None and self.make_recorder is not None:
             self._recorder = self.make_recorder(self._driver)
             self._recorder.start()
         if self._recorder is not None:
-            self._recorder.record(block)
+            self._recorder.record(block, heard)
 
     def _say(self, event: LinkEvent) -> None:
         with self._lock:

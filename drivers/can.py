@@ -1,24 +1,27 @@
 """CAN as a source of samples: frames decoded in batches by what a DBC file says. Nothing is sent to the bus."""
 
-from pathlib import Path
 from typing import ClassVar
 
-from drivers import clock
-from drivers.can_bus import BusKeys, CanBus, Filters, open_bus
+import numpy as np
+
+from drivers import can_link, clock
+from drivers.can_bus import BusKeys, CanBus, DaemonBus, Filters, PythonCanBus
 from drivers.can_codec import Decoded, FrameDecoder
 from drivers.can_database import MessageCodec, load, message_codecs
+from drivers.can_errors import ErrorWatch
 from drivers.can_frames import Frames, joined, no_frames
 from drivers.can_heard import HeardOnCan
-from drivers.port import DriverIOError, DriverSettings, SampleBlock, SourceRequest
+from drivers.can_kernel import KernelBus
+from drivers.can_keys import FrameKeys
+from drivers.can_slcan import SlcanBus
+from drivers.port import DriverIOError, DriverSettings, IntArray, SampleBlock, SourceRequest
 
 _GATHER_S = 0.01
 _FEW = 64
 
 
-class CanSettings(BusKeys):
-    """Keys of a CAN source: the bus and the DBC file that describes it."""
-
-    dbc: Path
+class CanSettings(BusKeys, FrameKeys):
+    """Keys of a CAN source: the bus, the DBC file that describes it, and how samples lie in its frames."""
 
 
 class DbcDriver(HeardOnCan):
@@ -30,9 +33,11 @@ class DbcDriver(HeardOnCan):
     def prepare(self) -> None:
         """Load the database once; DriverConfigError when it lacks what is asked for."""
         if not self._messages:
-            database = load(self.request.folder / self.request.settings.dbc)
-            self._messages = message_codecs(database, self.request.fields, self.request.counter)
-            self._decoder = FrameDecoder(self._messages, len(self.request.fields), self.counts, self.note)
+            settings = self.request.settings
+            database = load(self.request.folder / settings.dbc)
+            self._messages = message_codecs(database, self.request.fields, self.request.counter, settings)
+            errors = ErrorWatch(self.request.name, self.counts, self.report)
+            self._decoder = FrameDecoder(self._messages, len(self.request.fields), self.counts, self.note, errors)
             self.counter_modulus = self._decoder.modulus
 
     def resolution(self) -> tuple[float, ...]:
@@ -50,7 +55,17 @@ class DbcDriver(HeardOnCan):
 
     def block_of(self, samples: Decoded) -> SampleBlock:
         """Return decoded samples as a block."""
-        return SampleBlock(samples.values, clock.monotonic_ns(), samples.counter, samples.t_ns, samples.epoch)
+        t_ns = self._spread(samples.t_ns)
+        return SampleBlock(samples.values, clock.monotonic_ns(), samples.counter, t_ns, samples.epoch)
+
+    def _spread(self, t_ns: IntArray) -> IntArray:
+        """Return the times of samples that came in one frame: the last one has the frame's."""
+        count, period_s = self.request.settings.samples_per_frame, self.request.settings.sample_period_s
+        if count == 1 or period_s is None:
+            return t_ns
+        before = np.arange(count)[::-1] * round(period_s * 1e9)
+        spread: IntArray = t_ns - np.tile(before, len(t_ns) // count)
+        return spread
 
 
 class CanDriver(DbcDriver):
@@ -63,17 +78,38 @@ class CanDriver(DbcDriver):
         self._bus: CanBus | None = None
         self._opened = False
         self._failure: DriverIOError | None = None
+        self._told: set[str] = set()
+
+    def hints(self) -> tuple[str, ...]:
+        return can_link.hints(self.request.settings)
 
     def open(self) -> None:
         self.close()
         self.prepare()
         self._decoder.restart()
-        self._bus = open_bus(self.request.settings, self._filters(), self.counts)
+        self._bus = self._open_bus()
+        self._look()
         self.counts.reopened += self._opened
         self._opened = True
 
+    def _open_bus(self) -> CanBus:
+        settings: CanSettings = self.request.settings
+        if settings.interface == "socketcan":
+            return KernelBus(settings, self._filters(), self.counts)
+        if settings.interface == "socketcand":
+            return DaemonBus(settings, self.counts)
+        if settings.interface == "slcan":
+            return SlcanBus(settings, self.request.folder, self.counts)
+        return PythonCanBus(settings)
+
     def _filters(self) -> Filters:
         return tuple((codec.number, codec.mask) for codec in self._messages)
+
+    def _look(self) -> None:
+        """Report, once each, what is amiss about how the interface was set up."""
+        for hint in set(self.hints()) - self._told:
+            self._told.add(hint)
+            self.report("bus setup", f"{self.request.name}: {hint}")
 
     def read(self, timeout_s: float) -> SampleBlock:
         if self._bus is None:

@@ -1,14 +1,10 @@
-"""Where CAN frames come from: the kernel, a socketcand daemon, or any other bus that python-can speaks to.
+"""Where CAN frames come from: a socketcand daemon, or any bus that python-can speaks to; can_kernel and can_slcan.
 
-Each bus is read by one thread in a loop of its own. Nothing is ever sent but socketcand's handshake.
+Each bus is read by one thread in a loop of its own. Nothing is ever sent but a listed handshake.
 """
 
 import os
-import select
-import socket
-import struct
 from abc import ABC, abstractmethod
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,13 +28,8 @@ from drivers.port import Counts, DriverConfigError, DriverIOError, DriverSetting
 if TYPE_CHECKING:
     import can
 
-_MOST = 4096
-_RECEIVE_BUFFER = 4 << 20
-_CAN_RAW_ERR_FILTER = 2
-_SO_RCVBUFFORCE = 33
-_SO_TIMESTAMPNS = 35
-_SO_RXQ_OVFL = 40
-_TIMESPEC = struct.Struct("@qq")
+MOST = 4096
+"""Frames that are taken at once."""
 _CONNECT_S = 2.0
 
 Filters = tuple[tuple[int, int], ...]
@@ -49,11 +40,13 @@ class BusKeys(DriverSettings):
     """Which bus to listen to."""
 
     interface: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    channel: str = Field(min_length=1, max_length=64)
+    channel: str = Field(min_length=1, max_length=255)
     host: str = "127.0.0.1"
     port: int = Field(default=29536, gt=0, lt=65536)
     bitrate: int | None = Field(default=None, gt=0)
     fd: bool = False
+    baudrate: int = Field(default=115200, gt=0)
+    open_adapter: bool = False
 
 
 class CanBus(ABC):
@@ -66,78 +59,6 @@ class CanBus(ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of the bus; harmless when let go already."""
-
-
-class KernelBus(CanBus):
-    """SocketCAN: a raw socket with the kernel's filters, time stamps and count of lost frames."""
-
-    def __init__(self, keys: BusKeys, filters: Filters, counts: Counts) -> None:
-        self._name = keys.channel
-        self._counts = counts
-        self._lost = 0
-        self._failure: DriverIOError | None = None
-        try:
-            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        except (AttributeError, OSError) as error:
-            raise DriverIOError(f"{self._name}: this kernel has no CAN; try a socketcand elsewhere") from error
-        try:
-            self._set_up(keys, filters)
-        except OSError as error:
-            self._socket.close()
-            raise DriverIOError(f"{self._name}: {error.strerror or error}") from error
-
-    def _set_up(self, keys: BusKeys, filters: Filters) -> None:
-        packed = b"".join(struct.pack("=II", number, mask) for number, mask in filters)
-        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
-        self._socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, struct.pack("=I", ERROR - 1))
-        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(keys.fd))
-        self._widen_buffer()
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-        self._socket.setblocking(False)
-        self._socket.bind((keys.channel,))
-
-    def _widen_buffer(self) -> None:
-        """Ask for room for seconds of frames; without the right to it the kernel's limit (rmem_max) stands."""
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-        with suppress(PermissionError):
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
-
-    def frames(self, deadline: float) -> Frames:
-        if self._failure is not None:
-            raise self._failure
-        select.select([self._socket], [], [], max(0.0, deadline - clock.monotonic()))
-        rows: list[bytes] = []
-        times: list[int] = []
-        while len(rows) < _MOST:
-            try:
-                data, extra, _, _ = self._socket.recvmsg(72, 128)
-            except BlockingIOError:
-                break
-            except OSError as error:
-                # the kernel tells only once that an interface went down: the frames before it go out first
-                self._failure = DriverIOError(f"{self._name}: {error.strerror or error}")
-                if rows:
-                    break
-                raise self._failure from error
-            rows.append(data.ljust(80, b"\0"))
-            times.append(self._ancillary(extra))
-        return frames_of(rows, np.array(times, np.int64)) if rows else no_frames()
-
-    def _ancillary(self, extra: list[tuple[int, int, bytes]]) -> int:
-        t_ns = 0
-        for _, kind, data in extra:
-            if kind == _SO_TIMESTAMPNS:
-                seconds, nanoseconds = _TIMESPEC.unpack_from(data)
-                t_ns = seconds * 10**9 + nanoseconds
-            elif kind == _SO_RXQ_OVFL:
-                lost = int.from_bytes(data[:4], "little")
-                self._counts.dropped["kernel queue"] += (lost - self._lost) % (1 << 32)
-                self._lost = lost
-        return t_ns
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class DaemonBus(CanBus):
@@ -214,7 +135,7 @@ class PythonCanBus(CanBus):
         times: list[float] = []
         wait = max(0.0, deadline - clock.monotonic())
         try:
-            while len(rows) < _MOST and (message := self._bus.recv(0.0 if rows else wait)) is not None:
+            while len(rows) < MOST and (message := self._bus.recv(0.0 if rows else wait)) is not None:
                 rows.append(message_row(message))
                 times.append(message.timestamp)
         except self._errors as error:
@@ -234,12 +155,3 @@ def message_row(message: "can.Message") -> bytes:
     number |= (REMOTE if message.is_remote_frame else 0) | (ERROR if message.is_error_frame else 0)
     data = b"" if message.is_remote_frame else bytes(message.data[:64])
     return pack_frame(number & 0xFFFFFFFF, data, FD_FLAG if message.is_fd else 0, min(message.dlc, 64))
-
-
-def open_bus(keys: BusKeys, filters: Filters, counts: Counts) -> CanBus:
-    """Open the bus that the keys name."""
-    if keys.interface == "socketcan":
-        return KernelBus(keys, filters, counts)
-    if keys.interface == "socketcand":
-        return DaemonBus(keys, counts)
-    return PythonCanBus(keys)

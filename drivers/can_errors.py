@@ -34,7 +34,7 @@ _CONTROLLER_BITS = {0x03: OVERFLOW, 0x0C: WARNING, 0x30: PASSIVE, 0x40: ACTIVE}
 _COUNTERS = 0x200
 _STATES = {
     BUS_OFF: "the controller has left the bus after too many errors of its own; it returns when it is restarted",
-    PASSIVE: "the controller sees so many errors that it may signal none any more: wrong bit rate, cable or termination",
+    PASSIVE: "the controller sees so many errors that it may signal none: wrong bit rate, cable or termination",
     WARNING: "the controller sees many errors: look at bit rate, cable and termination",
     ACTIVE: "the controller is sound again",
     RESTARTED: "the controller was restarted after bus-off",

@@ -135,6 +135,8 @@ def candump_row(line: str) -> tuple[int, bytes] | None:
     if match is None:
         return None
     number = int(match[4], 16)
+    if number > (STANDARD_MASK if len(match[4]) == 3 else ERROR | EXTENDED_MASK):
+        return None
     number |= EXTENDED if len(match[4]) == 8 and not number & ERROR else 0
     if match[5]:
         row = pack_frame(number | REMOTE, b"", 0, int(match[6] or 0))

@@ -10,7 +10,9 @@ import numpy as np
 
 from drivers.can import DbcDriver
 from drivers.can_bus import message_row
-from drivers.can_frames import Frames, candump_frames, frames_of
+from drivers.can_frames import Frames, frames_of
+from drivers.can_keys import FrameKeys
+from drivers.can_text import candump_block
 from drivers.npz_file import seconds_to_ns
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
 
@@ -19,13 +21,13 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
 _BLOCK = 16384
+_BYTES = 1 << 20
 
 
-class CanLogSettings(DriverSettings):
-    """A log and the DBC file that describes its frames."""
+class CanLogSettings(FrameKeys):
+    """A log, the DBC file that describes its frames, and how samples lie in them."""
 
     path: Path
-    dbc: Path
 
 
 class CanLogDriver(DbcDriver):
@@ -67,13 +69,12 @@ class CanLogDriver(DbcDriver):
 
     def _candump(self, path: Path) -> Iterator[Frames]:
         try:
-            with path.open(encoding="latin-1") as file:
-                for start in itertools.count(1, _BLOCK):
-                    lines = list(itertools.islice(file, _BLOCK))
-                    if not lines:
-                        return
-                    frames, bad = candump_frames(lines)
+            with path.open("rb") as file:
+                start = 1
+                for text in _whole_lines(file):
+                    frames, bad = candump_block(text)
                     self._note_lines(path, start, bad)
+                    start += text.count(b"\n")
                     if len(frames):
                         yield frames
         except OSError as error:
@@ -103,6 +104,20 @@ class CanLogDriver(DbcDriver):
                 raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error
             self.counts.faults["log"] += 1
             self.note(f"{path}: is damaged, its end is not read: {error!r}")
+
+
+def _whole_lines(file: IO[bytes]) -> Iterator[bytes]:
+    """Yield a file in pieces that end where a line ends; a line that never ends is cut."""
+    rest = b""
+    while block := file.read(_BYTES):
+        cut = block.rfind(b"\n") + 1
+        if cut or len(rest) > _BYTES:
+            yield rest + block[:cut]
+            rest = block[cut:]
+        else:
+            rest += block
+    if rest:
+        yield rest
 
 
 def _packed(messages: "list[can.Message]") -> Frames:

@@ -31,6 +31,7 @@ class SignalCodec:
         self._float = signal.is_float
         self._big = signal.byte_order == "big_endian"
         first = 8 * (signal.start // 8) + 7 - signal.start % 8 if self._big else signal.start
+        self._first = first
         self._byte, bit = divmod(first, 8)
         bytes_used = (bit + self.length + 7) // 8
         self._ninth = bytes_used == 9
@@ -52,6 +53,12 @@ class SignalCodec:
     def resolution(self) -> float:
         """Smallest step of the value; 0.0 for floats."""
         return 0.0 if self._float else abs(float(self._scale))
+
+    def byte_masks(self, size: int) -> NDArray[np.uint8]:
+        """Return the bits that are the signal's in each of a frame's bytes, (size,)."""
+        bits = np.zeros(8 * size, np.uint8)
+        bits[self._first : self._first + self.length] = 1
+        return np.packbits(bits, bitorder="big" if self._big else "little")
 
     def bits(self, table: FrameTable) -> NDArray[np.uint64]:
         """Return the signal's bits, (n,)."""

@@ -6,6 +6,7 @@ holds every traced write against.
 
 import re
 import socket
+import struct
 from collections.abc import Callable, Mapping
 
 from drivers.port import DriverError
@@ -13,6 +14,8 @@ from drivers.port import DriverError
 READ_FUNCTIONS = frozenset({1, 2, 3, 4, 24})
 _REQUEST_BYTES = {1: 5, 2: 5, 3: 5, 4: 5, 24: 3}
 _SOCKETCAND = re.compile(rb"(< (open [A-Za-z0-9_.-]{1,32}|rawmode) >)+")
+_SLCAN = re.compile(rb"(C|S[0-8]|Z[01]|L)\r")
+_ASK_FOR_LINK = (18, 1)
 
 
 class ForbiddenWriteError(DriverError):
@@ -37,10 +40,22 @@ def _socketcand(data: bytes) -> bool:
     return _SOCKETCAND.fullmatch(data) is not None
 
 
+def _slcan(data: bytes) -> bool:
+    return _SLCAN.fullmatch(data) is not None
+
+
+def _netlink(data: bytes) -> bool:
+    """Tell whether a message asks for one interface and changes nothing."""
+    length, kind, flags = struct.unpack_from("=IHH", data.ljust(8, b"\0"))
+    return bool(length == len(data) and (kind, flags) == _ASK_FOR_LINK)
+
+
 _RULES: Mapping[str, Callable[[bytes], bool]] = {
     "modbus-tcp": _modbus_tcp,
     "modbus-rtu": _modbus_rtu,
     "socketcand": _socketcand,
+    "slcan": _slcan,
+    "netlink": _netlink,
 }
 
 

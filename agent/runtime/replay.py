@@ -1,25 +1,27 @@
 """`deltak replay`: recordings through the live pipeline, as fast as it goes."""
 
+import heapq
 import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from agent import __version__
 from agent.config import RigConfig, driver_class, load
 from agent.errors import RecordingError
 from agent.runtime.clock import SampleLabels, boot_id, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
-from agent.runtime.raw_source import SUFFIX, RawDriver, RawSettings
+from agent.runtime.recording.source import is_own, own_recording, own_recordings
 from agent.runtime.results import RunSummary
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import Record, RunInfo
-from drivers.port import Counts, Driver, DriverError, SourceRequest
+from drivers.port import Counts, Driver, DriverError, SampleBlock, SourceRequest
 
 SOURCE = "recording"
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
@@ -27,6 +29,13 @@ CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_NS = 10_000_000_000
+
+
+class Track(NamedTuple):
+    """What is played: the source that it stands for, and its open driver."""
+
+    source: str
+    driver: Driver
 
 
 def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict[str, Any]:
@@ -37,26 +46,37 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     rig = load(config)
     started = time.monotonic()
     with ExitStack() as stack:
-        drivers = [_until_the_end(stack, opened(rig, path)) for path in recordings]
-        pipeline = make_pipeline(rig, drivers)
+        tracks = _tracks(rig, recordings)
+        for _, driver in tracks:
+            stack.callback(driver.close)
+        pipeline = make_pipeline(rig, tracks)
         summary = RunSummary(rig, db=None if db is None else str(db))
         writer = _writer(rig, db)
         if writer is not None:
             stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
-        for records in _records(pipeline, drivers):
+        for records in _records(pipeline, tracks):
             summary.take(records)
             if writer is not None:
                 writer.publish(records)
     return summary.document(time.monotonic() - started)
 
 
-def _until_the_end(stack: ExitStack, driver: Driver) -> Driver:
-    stack.callback(driver.close)
-    return driver
+def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
+    """Return the open drivers of recordings: the agent's own by source, played together, others one after the other.
+
+    Raises RecordingError.
+    """
+    own = [path for path in recordings if is_own(path)]
+    if not own:
+        return [Track(SOURCE, opened(rig, path)) for path in recordings]
+    if len(own) < len(recordings):
+        other = next(path for path in recordings if not is_own(path))
+        raise RecordingError.at("", f"{other}: is no recording of the agent like {own[0]}", "replay each by itself")
+    return [Track(name, _open(driver)) for name, driver in own_recordings(rig, own).items()]
 
 
-def make_pipeline(rig: RigConfig, recordings: Sequence[Driver] = ()) -> Pipeline:
+def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
     """Build the pipeline that replays a rig's recordings, with the resolution of its sources' wires, else of the first.
 
     Raises RecordingError.
@@ -67,8 +87,10 @@ def make_pipeline(rig: RigConfig, recordings: Sequence[Driver] = ()) -> Pipeline
         steps.append(driver_class(source.driver)(request).resolution())
     names = {channel.name: channel.name for channel in (*rig.inputs, *rig.outputs)}
     known = resolutions([source.map for source in rig.source], steps)
-    if recordings and not rig.source:
-        known = resolutions([names], [_seen_steps(recordings[0])])
+    if tracks and not rig.source:
+        known = resolutions([names], [_seen_steps(tracks[0].driver)])
+    if tracks and tracks[0].source != SOURCE:
+        return Pipeline(rig, known, {source.name: source.map for source in rig.source})
     return Pipeline(rig, known, {SOURCE: names})
 
 
@@ -81,8 +103,11 @@ def _seen_steps(recording: Driver) -> tuple[float, ...]:
 
 def opened(rig: RigConfig, path: Path) -> Driver:
     """Return the driver of a recording, open. Raises RecordingError."""
-    kinds = {SUFFIX: _raw} | dict.fromkeys(CAN_LOGS, _can_log)
-    driver = kinds.get(path.suffix.lower(), _table)(rig, path)
+    kind = own_recording if is_own(path) else dict.fromkeys(CAN_LOGS, _can_log).get(path.suffix.lower(), _table)
+    return _open(kind(rig, path))
+
+
+def _open(driver: Driver) -> Driver:
     try:
         driver.open()
     except DriverError as error:
@@ -90,17 +115,6 @@ def opened(rig: RigConfig, path: Path) -> Driver:
     for note in driver.take_notes():
         log.info("%s", note)
     return driver
-
-
-def _raw(rig: RigConfig, path: Path) -> Driver:
-    """The driver of one of the agent's own raw recordings, of a source that carries every channel."""
-    channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
-    sources = [source for source in rig.source if path.name.startswith(f"{source.name}-")]
-    if not sources or any(name not in sources[0].map for name in channels):
-        advice = "replay it with the configuration it was recorded with"
-        raise RecordingError.at("", f"{path}: no source of the configuration was recorded there", advice)
-    fields = tuple(sources[0].map[name] for name in channels)
-    return RawDriver(SourceRequest(sources[0].name, RawSettings(path=path.absolute()), fields))
 
 
 def _can_log(rig: RigConfig, path: Path) -> Driver:
@@ -114,7 +128,9 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     lacking = [name for name in channels if name not in source.map]
     if lacking:
         raise RecordingError.at("", f"{path}: the CAN source does not carry {', '.join(lacking)}", "map every channel")
-    settings = recording.settings_model(path=path.absolute(), dbc=source.settings.dbc)  # type: ignore[call-arg]
+    keys = recording.settings_model.model_fields.keys() & source.settings.model_fields_set
+    layout = {key: getattr(source.settings, key) for key in keys}
+    settings = recording.settings_model(path=path.absolute(), **layout)  # type: ignore[call-arg]
     fields = tuple(source.map[name] for name in channels)
     return recording(SourceRequest(path.name, settings, fields, source.counter, rig.folder))
 
@@ -140,37 +156,47 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     return writer
 
 
-def _records(pipeline: Pipeline, drivers: Sequence[Driver]) -> Iterator[list[Record]]:
-    """Yield what each block of each recording leads to, with the ledger every 10 s of samples and at the end."""
+def _records(pipeline: Pipeline, tracks: Sequence[Track]) -> Iterator[list[Record]]:
+    """Yield what each block leads to, with the ledger every 10 s of samples and at the end."""
     due: int | None = None
     labels = SampleLabels(pipeline.config.rig.sample_rate_hz)
-    for driver in drivers:
-        for records in _blocks(pipeline, driver, labels):
-            yield records
-            if due is None or pipeline.newest_ns >= due:
-                due = pipeline.newest_ns + HEALTH_PERIOD_NS
-                yield _ledger(pipeline, drivers)
+    for track, block in _played(tracks):
+        # blocks that were received live are labelled as they were then
+        received = block.wall_offset_ns is not None
+        label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
+        yield pipeline.step(track.source, block, track.driver.counter_modulus, label if received else None)
+        if due is None or pipeline.newest_ns >= due:
+            due = pipeline.newest_ns + HEALTH_PERIOD_NS
+            yield _ledger(pipeline, tracks)
     yield pipeline.finish()
-    yield _ledger(pipeline, drivers)
+    yield _ledger(pipeline, tracks)
 
 
-def _ledger(pipeline: Pipeline, drivers: Sequence[Driver]) -> list[Record]:
-    total = Counts()
-    for driver in drivers:
-        total.received += driver.counts.received
-        total.rejected.update(driver.counts.rejected)
-    return list(pipeline.health({SOURCE: Conservation(total, Counter())}, pipeline.newest_ns, None))
+def _ledger(pipeline: Pipeline, tracks: Sequence[Track]) -> list[Record]:
+    counts = {track.source: Counts() for track in tracks}
+    for source, driver in tracks:
+        counts[source].received += driver.counts.received
+        counts[source].rejected.update(driver.counts.rejected)
+        counts[source].dropped.update(driver.counts.dropped)
+        counts[source].faults.update(driver.counts.faults)
+    conservation = {source: Conservation(total, Counter()) for source, total in counts.items()}
+    return list(pipeline.health(conservation, pipeline.newest_ns, None))
 
 
-def _blocks(pipeline: Pipeline, driver: Driver, labels: SampleLabels) -> Iterator[list[Record]]:
+def _played(tracks: Sequence[Track]) -> Iterator[tuple[Track, SampleBlock]]:
+    """Yield the blocks: of several sources in the order of their arrival, of one source track after track."""
+    streams = [_blocks(track) for track in tracks]
+    if len({track.source for track in tracks}) < 2:
+        yield from chain.from_iterable(streams)
+    else:
+        yield from heapq.merge(*streams, key=lambda delivery: delivery[1].arrival_ns)
+
+
+def _blocks(track: Track) -> Iterator[tuple[Track, SampleBlock]]:
     while True:
         try:
-            block = driver.read(1.0)
+            yield track, track.driver.read(1.0)
         except EOFError:
             return
         except DriverError as error:
             raise RecordingError.at("", str(error), "mend or cut the recording") from error
-        # blocks that were received live are labelled as they were then
-        received = block.wall_offset_ns is not None
-        label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
-        yield pipeline.step(SOURCE, block, driver.counter_modulus, label if received else None)

@@ -12,7 +12,8 @@ _CALL = re.compile(
     r">, (?P<rest>.*)"
 )
 _QUOTED = re.compile(r'"((?:\\x[0-9a-f]{2})*)"')
-_TERMINALS = "<char 136:"
+_FITTING = {"<char 136:": ("modbus-rtu", "slcan"), "TCP": ("modbus-tcp", "socketcand"), "NETLINK": ("netlink",)}
+"""The protocols that may be spoken to a terminal, over TCP and to the kernel."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def _plain(what: str) -> str:
 
 
 def _protocol(where: str, data: bytes) -> str:
-    fitting = ("modbus-rtu",) if _TERMINALS in where else ("modbus-tcp", "socketcand") if "TCP" in where else ()
+    fitting = next((names for mark, names in _FITTING.items() if mark in where), ())
     return next((name for name in fitting if permitted(name, data)), "")
 
 

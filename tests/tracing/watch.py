@@ -19,7 +19,11 @@ from typing import Any
 
 REPORT = "DELTAK_WRITES"
 PEERS = ("tests", "sim_bus", "drivers.conformance")
-RULES = {"an internet socket": ("modbus-tcp", "socketcand"), "a serial line": ("modbus-rtu",)}
+RULES = {
+    "an internet socket": ("modbus-tcp", "socketcand"),
+    "a serial line": ("modbus-rtu", "slcan"),
+    "a socket of family 16": ("netlink",),
+}
 
 permitted: Counter[str] = Counter()
 _purpose: list[list[bytes]] = []

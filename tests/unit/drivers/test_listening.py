@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 import drivers
+from drivers.can_link import question
 from drivers.listening import ForbiddenWriteError, check, permitted
 
 FOLDER = Path(drivers.__file__).parent
@@ -17,6 +18,8 @@ ALLOWED = {
     "serial_port.py": {"ioctl"},  # TIOCEXCL and TIOCNXCL, which concern who may open the line
     "modbus.py": {"send"},  # of a pipe
     "can_bus.py": {"send"},  # of a pipe: socketcand's handshake
+    "can_slcan.py": {"send"},  # of a pipe: opening the adapter listen-only, where that is asked for
+    "can_link.py": {"send"},  # of the gate: how an interface is set up, asked of the kernel
 }
 
 
@@ -57,6 +60,18 @@ def tcp(pdu: str, length: int | None = None) -> bytes:
         ("socketcand", b"< send 123 1 FF >", False),
         ("socketcand", b"< rawmode >< send 123 1 FF >", False),
         ("socketcand", b"< open can0 >< send 1 0 >", False),
+        ("slcan", b"C\r", True),
+        ("slcan", b"S6\r", True),
+        ("slcan", b"L\r", True),
+        ("slcan", b"O\r", False),
+        ("slcan", b"L\rO\r", False),
+        ("slcan", b"t1001FF\r", False),
+        ("slcan", b"S9\r", False),
+        ("slcan", b"", False),
+        ("netlink", question("can0"), True),
+        ("netlink", question("can0")[:4] + b"\x10" + question("can0")[5:], False),  # RTM_NEWLINK: would set it up
+        ("netlink", question("can0") + b"\0", False),
+        ("netlink", b"", False),
         ("serial", b"\x00", False),
         ("can", b"\x00" * 16, False),
     ],

@@ -10,6 +10,7 @@ from sim_bus.can_packing import Packing, load_database
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench, Device
 from sim_bus.errors import SimUsageError
+from sim_bus.fault_names import FRAMES
 from sim_bus.kernel_can import KernelFrames, KernelOutlet
 from sim_bus.socketcand_device import Endpoint, FrameText, SocketcandDevice
 from sim_bus.stream import Stream
@@ -54,31 +55,45 @@ class KernelDevice(Device):
         return {self._stream.source: facts | self._stream.ledger()}
 
 
+def make_stream(bench: Bench, number: int) -> Stream:
+    """Return what a source sends on a socketcand daemon."""
+    keys, source = bench.settings(CanSettings, number), bench.source(number)
+    packing, faults = _packing(bench, number, keys), bench.faults(number, text=True)
+    text = FrameText(packing.kinds, bench.clock)
+    faults.strange = text.strange
+    feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    return Stream(source.name, feed, bench.clock, text, faults)
+
+
+def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
+    database = load_database(bench.rig.folder / keys.dbc, f"source[{number}].dbc")
+    return Packing(database, bench.source(number), fd=keys.fd)
+
+
+def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
+    guard.virtual_can(keys.interface, keys.channel, f"source[{number}].channel")
+    source, packing, faults = bench.source(number), _packing(bench, number, keys), bench.faults(number)
+    faults.refuse(
+        ("corrupt", "truncate", "garbage", "disconnect", *FRAMES),
+        "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
+    )
+    render = KernelFrames(packing.kinds)
+    feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    return KernelDevice(bench.clock, Stream(source.name, feed, bench.clock, render, faults), keys.channel, render.size)
+
+
 def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
     """Return a daemon for each socketcand address, and a device for each other bus."""
     daemons: dict[Endpoint, dict[str, Stream]] = {}
     devices: list[Device] = []
     for number in numbers:
-        keys, source = bench.settings(CanSettings, number), bench.source(number)
-        where = f"source[{number}]"
-        database = load_database(bench.rig.folder / keys.dbc, f"{where}.dbc")
-        packing = Packing(database, source, fd=keys.fd)
-        feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack)
-        if keys.interface == "socketcand":
-            endpoint = Endpoint(guard.loopback(keys.host, f"{where}.host"), keys.port)
-            stream = Stream(source.name, feed, bench.clock, FrameText(packing.kinds, bench.clock), bench.faults(number))
-            if keys.channel in daemons.setdefault(endpoint, {}):
-                raise SimUsageError(f"{where}.channel: {keys.channel} is played for another source already")
-            daemons[endpoint][keys.channel] = stream
-        else:
-            guard.virtual_can(keys.interface, keys.channel, f"{where}.channel")
-            render = KernelFrames(packing.kinds)
-            faults = bench.faults(number)
-            faults.refuse(
-                ("corrupt", "truncate", "garbage", "disconnect"),
-                "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
-            )
-            stream = Stream(source.name, feed, bench.clock, render, faults)
-            devices.append(KernelDevice(bench.clock, stream, keys.channel, render.size))
+        keys, where = bench.settings(CanSettings, number), f"source[{number}]"
+        if keys.interface != "socketcand":
+            devices.append(_kernel_device(bench, number, keys))
+            continue
+        endpoint = Endpoint(guard.loopback(keys.host, f"{where}.host"), keys.port)
+        if keys.channel in daemons.setdefault(endpoint, {}):
+            raise SimUsageError(f"{where}.channel: {keys.channel} is played for another source already")
+        daemons[endpoint][keys.channel] = make_stream(bench, number)
     devices += [SocketcandDevice(bench.clock, endpoint, buses) for endpoint, buses in daemons.items()]
     return devices

@@ -29,6 +29,11 @@ class FrameKind:
     fd: bool
     size: int
 
+    @property
+    def digits(self) -> bytes:
+        """The identifier as text."""
+        return f"{self.identifier:08X}".encode() if self.extended else f"{self.identifier:03X}".encode()
+
 
 def load_database(path: Path, key: str) -> "Database":
     """Return the DBC file's content; SimUsageError when it cannot be read."""

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Literal
 
 LAG = 16384
@@ -19,6 +19,7 @@ class PlayClock:
         sources: the sources that have a device.
         start: "reader": starts when each of them has met a reader; "ready": when told.
         fast: go as fast as the readers read.
+        now_ns: the monotonic clock; a played one where nothing is real.
     """
 
     def __init__(
@@ -29,7 +30,9 @@ class PlayClock:
         start: Literal["reader", "ready"],
         *,
         fast: bool = False,
+        now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
+        self.now_ns = now_ns
         self.sample_rate_hz = sample_rate_hz
         self.total = total
         self.fast = fast
@@ -58,14 +61,14 @@ class PlayClock:
     def _begin(self) -> None:
         with self._lock:
             if not self.started.is_set():
-                self.start_ns, self.start_wall_ns = time.monotonic_ns(), time.time_ns()
+                self.start_ns, self.start_wall_ns = self.now_ns(), time.time_ns()
                 self.started.set()
 
     def head(self) -> int:
         """Return how many samples have been taken by now (in real time)."""
         if not self.started.is_set():
             return 0
-        elapsed = time.monotonic_ns() - self.start_ns
+        elapsed = self.now_ns() - self.start_ns
         # whole numbers where the rate is one: exact after any time
         rate = self.sample_rate_hz
         count = elapsed * int(rate) // NS if rate.is_integer() else int(elapsed * rate / NS)

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from pydantic import BaseModel
 
@@ -14,6 +14,14 @@ from sim_bus.scenario import Scenario
 from sim_bus.tape import Tape
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
+
+
+class Ledgered(Protocol):
+    """Whoever can tell what was shown."""
+
+    def ledger(self) -> Mapping[str, dict[str, Any]]:
+        """Return what was shown, by source."""
+        ...
 
 
 class Device(ABC):
@@ -51,11 +59,11 @@ class Bench:
     clock: PlayClock
     scenario: Scenario
 
-    def faults(self, number: int) -> LineFaults:
-        """Return the faults of a source."""
+    def faults(self, number: int, *, text: bool = False) -> LineFaults:
+        """Return the faults of a source; text: its line carries text."""
         source = self.source(number)
         struck = strikes(self.scenario, source.driver, source.name, self.clock.sample_rate_hz)
-        return LineFaults(struck, self.scenario.seed + number)
+        return LineFaults(struck, self.scenario.seed + number, text=text)
 
     def settings(self, model: type[SettingsType], number: int) -> SettingsType:
         """Return a source's own keys as the driver's settings; SimUsageError lists every fault."""

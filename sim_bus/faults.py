@@ -3,46 +3,24 @@
 A fault is called `<driver>.<name>`, e.g. serial.garbage; it strikes every source of that driver, or the one named.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from sim_bus.errors import SimUsageError
+from sim_bus.fault_names import COUNTERS, KNOWN, NUMBERS, FaultKind, names
 from sim_bus.ranges import Runs
 from sim_bus.scenario import FaultAt, Scenario
 from sim_bus.schedule import first_sample
 
-ONE_SAMPLE = 0.0
-SOME_TIME = 0.5
-
-STREAM_FAULTS: Mapping[str, float] = {
-    "drop": ONE_SAMPLE,
-    "duplicate": ONE_SAMPLE,
-    "reorder": ONE_SAMPLE,
-    "corrupt": ONE_SAMPLE,
-    "truncate": ONE_SAMPLE,
-    "garbage": ONE_SAMPLE,
-    "freeze": SOME_TIME,
-    "stall": SOME_TIME,
-    "disconnect": SOME_TIME,
-}
-"""What a device that sends by itself can do, and for how long where nothing is said.
-
-drop: the sample is not sent. duplicate: it is sent twice. reorder: it changes places with the next one. corrupt: one
-bit of it is wrong. truncate: its second half is missing. garbage: rubbish comes before it. freeze: nothing is sent.
-stall: everything is sent, but only at the end. disconnect: the line is gone for that time.
-"""
-MODBUS_FAULTS: Mapping[str, float] = {
-    "hang": SOME_TIME,
-    "silent": SOME_TIME,
-    "busy": SOME_TIME,
-    "disconnect": SOME_TIME,
-}
-"""hang: the registers do not move. silent: no answer. busy: exception 6. disconnect: the server is gone."""
-BY_THE_CLOCK = frozenset({"disconnect", "silent", "busy", "hang"})
-KNOWN: Mapping[str, Mapping[str, float]] = {"can": STREAM_FAULTS, "serial": STREAM_FAULTS, "modbus": MODBUS_FAULTS}
+LOSS = 0.2
+SHUFFLED = 50
+_LONGEST_RUBBISH = 40
+_BREAK = bytes(32)
+_PLAIN = FaultKind("", "")
+_NUMBERED = frozenset({*NUMBERS, *COUNTERS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +30,11 @@ class Strike:
     name: str
     first: int
     end: int
+    kind: FaultKind = field(default=_PLAIN, compare=False)
+
+    def hits(self, sample: int) -> bool:
+        """Tell whether it strikes a sample."""
+        return self.first <= sample < self.end
 
 
 def strikes(scenario: Scenario, driver: str, source: str, sample_rate_hz: float) -> tuple[Strike, ...]:
@@ -62,10 +45,9 @@ def strikes(scenario: Scenario, driver: str, source: str, sample_rate_hz: float)
 
 def check(scenario: Scenario, drivers: Sequence[str]) -> None:
     """Raise SimUsageError for a fault that does not exist, or that no source can have."""
-    names = [f"{driver}.{name}" for driver, faults in KNOWN.items() for name in faults]
-    wrong = [fault.name for fault in scenario.fault if fault.name not in names]
+    wrong = [fault.name for fault in scenario.fault if fault.name not in names()]
     if wrong:
-        raise SimUsageError(f"--fault: no fault is called {', '.join(wrong)}; faults are {', '.join(names)}")
+        raise SimUsageError(f"--fault: no fault is called {', '.join(wrong)}; faults are {', '.join(names())}")
     idle = [fault.name for fault in scenario.fault if _driver(fault) not in drivers]
     if idle:
         raise SimUsageError(f"--fault: {', '.join(idle)}: the configuration has no source with such a driver")
@@ -77,9 +59,10 @@ def _driver(fault: FaultAt) -> str:
 
 def _strike(fault: FaultAt, rate: float) -> Strike:
     driver, _, name = fault.name.partition(".")
+    kind = KNOWN[driver][name]
     first = first_sample(fault.at_s, rate)
-    end = first_sample(fault.at_s + (fault.for_s or KNOWN[driver][name]), rate)
-    return Strike(name, first, max(end, first + 1))
+    end = first_sample(fault.at_s + (fault.for_s or kind.lasts_s), rate)
+    return Strike(name, first, max(end, first + 1), kind)
 
 
 class LineFaults:
@@ -88,13 +71,22 @@ class LineFaults:
     Args:
         struck: the faults.
         seed: of wrong bits and rubbish.
+        text: the line carries text; a wrong bit makes a byte that is none (a wrong digit would be another number).
+
+    Attributes:
+        strange: makes what a bus sends besides samples, by the fault's name; None where it cannot.
     """
 
-    def __init__(self, struck: Sequence[Strike], seed: int) -> None:
-        self._strikes = tuple(struck)
+    def __init__(self, struck: Sequence[Strike], seed: int, *, text: bool = False) -> None:
+        self.strikes = tuple(struck)
+        self.strange: Callable[[str, int, bytes], bytes] | None = None
+        self._wrong_bits = (7,) if text else tuple(range(8))
         self._rng = np.random.default_rng([seed, 4])
         self._late: list[bytes] = []
-        self._swapped: bytes | None = None
+        self._swapped: tuple[int, bytes] | None = None
+        self._pool: list[tuple[int, bytes]] = []
+        self._newest = -1
+        self._gone: set[int] = set()
         self._done = {strike: Runs() for strike in struck}
 
     def active(self, name: str, sample: int) -> bool:
@@ -109,51 +101,127 @@ class LineFaults:
         return bool(self._hit(name, sample))
 
     def _hit(self, name: str, sample: int) -> list[Strike]:
-        return [strike for strike in self._strikes if strike.name == name and strike.first <= sample < strike.end]
+        return [strike for strike in self.strikes if strike.name == name and strike.hits(sample)]
 
     def apply(self, sample: int, data: bytes) -> bytes:
         """Return what goes over the line when a sample is due."""
-        if not self._strikes:
+        if not self.strikes:
             return data
-        if self.active("freeze", sample) or self.active("drop", sample):
+        if self._is_lost(sample):
+            self._gone.add(sample)
             data = b""
-        data = self._damaged(sample, data)
+        data = self._strange(sample, self._damaged(sample, data))
         if self.active("stall", sample):
             self._late.append(data)
             return b""
         late, self._late = b"".join(self._late), []
         return late + self._in_order(sample, data)
 
+    def _is_lost(self, sample: int) -> bool:
+        """Tell whether a sample is not sent at all."""
+        silent = [self.active(name, sample) for name in ("freeze", "silence", "drop", "restart")]
+        unlucky = bool(self._hit("loss", sample)) and float(self._rng.random()) < LOSS
+        return any(silent) or (unlucky and self.active("loss", sample))
+
     def _damaged(self, sample: int, data: bytes) -> bytes:
-        if data and self.active("corrupt", sample):
-            place = int(self._rng.integers(len(data)))
-            data = data[:place] + bytes([data[place] ^ 1 << int(self._rng.integers(8))]) + data[place + 1 :]
-        if self.active("truncate", sample):
-            data = data[: len(data) // 2]
-        if self.active("duplicate", sample):
-            data = data * 2
-        if self.active("garbage", sample):
-            data = self._rng.bytes(int(self._rng.integers(1, 40))) + data
+        for name, damage in self._damages.items():
+            if data and self.active(name, sample):
+                data = damage(data)
+                if KNOWN["serial"][name].loses:
+                    self._gone.add(sample)
         return data
 
+    @property
+    def _damages(self) -> Mapping[str, Callable[[bytes], bytes]]:
+        return {
+            "corrupt": self._wrong_bit,
+            "truncate": lambda data: data[: len(data) // 2],
+            "delete": self._without_a_byte,
+            "insert": self._with_a_byte,
+            "baud": lambda data: self._rng.bytes(len(data)),
+            "duplicate": lambda data: data * 2,
+            "garbage": lambda data: self._rng.bytes(int(self._rng.integers(1, _LONGEST_RUBBISH))) + data,
+            "break": lambda data: _BREAK + data,
+        }
+
+    def _place(self, data: bytes) -> int:
+        return int(self._rng.integers(len(data)))
+
+    def _wrong_bit(self, data: bytes) -> bytes:
+        place, bit = self._place(data), self._wrong_bits[int(self._rng.integers(len(self._wrong_bits)))]
+        return data[:place] + bytes([data[place] ^ 1 << bit]) + data[place + 1 :]
+
+    def _without_a_byte(self, data: bytes) -> bytes:
+        place = self._place(data)
+        return data[:place] + data[place + 1 :]
+
+    def _with_a_byte(self, data: bytes) -> bytes:
+        place = 1 + self._place(data[1:])
+        return data[:place] + self._rng.bytes(1) + data[place:]
+
+    def _strange(self, sample: int, data: bytes) -> bytes:
+        """Return the sample with what the bus sends besides, or instead of it."""
+        if self.strange is None:
+            return data
+        for name in ("foreign", "flood", "error-frame", "dlc", "bus-off"):
+            if self.active(name, sample):
+                data = self.strange(name, self._since(name, sample), data)
+                if KNOWN["can"][name].loses:
+                    self._gone.add(sample)
+        return data
+
+    def _since(self, name: str, sample: int) -> int:
+        """Return for how many samples a fault has lasted; negative, how many are left, at its last."""
+        strike = self._hit(name, sample)[0]
+        return -1 if sample == strike.end - 1 and strike.end > strike.first + 1 else sample - strike.first
+
     def _in_order(self, sample: int, data: bytes) -> bytes:
+        if self.active("shuffle", sample):
+            self._pool.append((sample, data))
+            return self._shuffled() if len(self._pool) == SHUFFLED else b""
+        ready = self._shuffled() + self._out(sample, data) if self._pool else b""
         earlier, self._swapped = self._swapped, None
         if earlier is None and self.active("reorder", sample):
-            self._swapped = data
-            return b""
-        return data + (earlier or b"")
+            self._swapped = (sample, data)
+            return ready
+        return (ready or self._out(sample, data)) + (self._out(*earlier) if earlier else b"")
+
+    def _shuffled(self) -> bytes:
+        """Return what was held back, in any order."""
+        order = self._rng.permutation(len(self._pool))
+        pool, self._pool = self._pool, []
+        return b"".join(self._out(*pool[place]) for place in order)
+
+    def _out(self, sample: int, data: bytes) -> bytes:
+        """Let a sample go; one that a newer one has overtaken is lost to whoever goes by the counter."""
+        if data and sample < self._newest:
+            self._gone.add(sample)
+        self._newest = max(self._newest, sample)
+        return data
 
     def refuse(self, names: Iterable[str], why: str) -> None:
         """Raise SimUsageError where a fault cannot be caused."""
-        here = sorted({strike.name for strike in self._strikes} & set(names))
+        here = sorted({strike.name for strike in self.strikes} & set(names))
         if here:
             raise SimUsageError(f"--fault: {', '.join(here)}: {why}")
 
+    @property
+    def gone(self) -> frozenset[int]:
+        """The samples so far that do not arrive whole, or only after newer ones."""
+        return frozenset(self._gone)
+
+    @property
+    def hidden(self) -> frozenset[int]:
+        """The samples that come without a number or a counter of their own."""
+        hiding = [strike for strike in self.strikes if strike.name in _NUMBERED and strike.kind.loses]
+        return frozenset(number for strike in hiding for number in range(strike.first, strike.end))
+
     def ledger(self, played: int) -> list[dict[str, Any]]:
         """Return every fault with the samples, among those played, that it struck (or lasted over)."""
-        return [{"fault": strike.name, "samples": self._struck(strike).before(played)} for strike in self._strikes]
+        return [{"fault": strike.name, "samples": self._struck(strike).before(played)} for strike in self.strikes]
 
     def _struck(self, strike: Strike) -> Runs:
         planned = Runs()
         planned.add(strike.first, strike.end - 1)
-        return planned if strike.name in BY_THE_CLOCK else self._done[strike]
+        elsewhere = strike.kind.timed or strike.name in _NUMBERED
+        return planned if elsewhere else self._done[strike]

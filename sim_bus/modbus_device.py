@@ -12,7 +12,6 @@ from pymodbus.constants import ExcCodes
 from pymodbus.framer import FramerType
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.pdu.file_message import ReadFifoQueueRequest, ReadFifoQueueResponse
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.base import ModbusBaseServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
@@ -21,6 +20,8 @@ from sim_bus import guard
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench, Device
 from sim_bus.errors import SimBusError
+from sim_bus.modbus_faults import Deliveries, Framing, ReplyFaults, split
+from sim_bus.modbus_server import SerialServer, TcpServer
 from sim_bus.modbus_units import Unit, make_unit
 from sim_bus.pty_line import PtyLine, join
 
@@ -39,8 +40,6 @@ def _sim_device(unit: Unit) -> SimDevice:
         unit.asked()
         if function not in _READ or values is not None:
             return ExcCodes.ILLEGAL_FUNCTION
-        if unit.suffers("busy"):
-            return ExcCodes.DEVICE_BUSY
         if not unit.suffers("hang"):
             unit.bring_up(memory, start, address, count)
         return None
@@ -71,12 +70,13 @@ def _fifo_request(units: Mapping[int, Unit]) -> type[ReadFifoQueueRequest]:
 class ModbusDevice(Device):
     """The units that share one TCP port or one serial line, served by a thread with an event loop of its own."""
 
-    unit_at: ClassVar[int]
-    """Where in a packet the unit's number stands."""
+    framing: ClassVar[Framing]
 
     def __init__(self, clock: PlayClock, units: Sequence[Unit]) -> None:
         super().__init__(clock)
         self.units = tuple(units)
+        self._by_number = {unit.settings.device_id: unit for unit in units}
+        self._faults = ReplyFaults(self.framing, units[0].settings.timeout_s, units[0].settings.device_id)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="modbus device", daemon=True)
         self._server: ModbusBaseServer | None = None
@@ -114,13 +114,19 @@ class ModbusDevice(Device):
         await server.serve_forever(background=True)
         return server
 
-    def _on_packet(self, sending: bool, data: bytes) -> bytes:
-        """Let no answer out while its unit is silent."""
-        mute = {unit.settings.device_id for unit in self.units if unit.suffers("silent")}
-        return b"" if sending and data and data[self.unit_at] in mute else data
+    def opened(self) -> int | None:
+        """Return the newest sample at which a connection is made; None where it is closed at once."""
+        if any(unit.suffers("accept-close") for unit in self.units):
+            return None
+        return max(unit.newest() for unit in self.units)
+
+    def deliveries(self, adu: bytes, opened: int) -> Deliveries:
+        """Return what goes out instead of a reply."""
+        unit = self._by_number.get(split(adu, self.framing)[1])
+        return [(0.0, adu)] if unit is None else self._faults.deliveries(adu, unit.suffering(opened))
 
     def _custom(self) -> list[type[ModbusPDU]]:
-        return [_fifo_request({unit.settings.device_id: unit for unit in self.units})]
+        return [_fifo_request(self._by_number)]
 
     @property
     def address(self) -> str:
@@ -153,7 +159,7 @@ class ModbusDevice(Device):
 class ModbusTcpDevice(ModbusDevice):
     """Units behind one TCP port."""
 
-    unit_at = 6
+    framing = "tcp"
 
     def __init__(self, clock: PlayClock, units: Sequence[Unit], host: str, port: int) -> None:
         super().__init__(clock, units)
@@ -179,15 +185,13 @@ class ModbusTcpDevice(ModbusDevice):
                 raise SimBusError(f'source "{self.units[0].source}": {words}') from error
 
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
-        return ModbusTcpServer(
-            devices, address=(self._host, self._port), custom_pdu=custom, trace_packet=self._on_packet
-        )
+        return TcpServer(self, devices, address=(self._host, self._port), custom_pdu=custom)
 
 
 class ModbusRtuDevice(ModbusDevice):
     """Units on one serial line: a pseudo-terminal, joined to a second one on whose far end the library listens."""
 
-    unit_at = 0
+    framing = "rtu"
 
     def __init__(self, clock: PlayClock, units: Sequence[Unit], line: PtyLine) -> None:
         super().__init__(clock, units)
@@ -212,15 +216,8 @@ class ModbusRtuDevice(ModbusDevice):
         self._line.close()
 
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
-        baudrate = self.units[0].settings.baudrate
-        return ModbusSerialServer(
-            devices,
-            framer=FramerType.RTU,
-            port=str(self._inner.path),
-            baudrate=baudrate,
-            custom_pdu=custom,
-            trace_packet=self._on_packet,
-        )
+        baudrate, port = self.units[0].settings.baudrate, str(self._inner.path)
+        return SerialServer(self, devices, framer=FramerType.RTU, port=port, baudrate=baudrate, custom_pdu=custom)
 
     async def _unplug(self, server: ModbusBaseServer) -> None:
         self._line.close()

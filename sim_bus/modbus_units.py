@@ -67,9 +67,28 @@ class Unit(ABC):
     def renew(self) -> None:
         """Forget what the registers hold: they are new and empty."""
 
+    def newest(self) -> int:
+        """Return the newest sample by now; -1 before the first."""
+        return self.clock.played() - 1 if self.clock.started.is_set() else -1
+
     def suffers(self, name: str) -> bool:
         """Tell whether a fault lasts at this time."""
-        return self.clock.started.is_set() and self.faults.at_time(name, self.clock.played() - 1)
+        return self.faults.at_time(name, self.newest())
+
+    def suffering(self, opened: int = 0) -> frozenset[str]:
+        """Return the faults that last at this time, on a connection made when `opened` was the newest sample."""
+        newest = self.newest()
+        dead = [strike for strike in self.faults.strikes if strike.name == "half-open"]
+        names = {strike.name for strike in self.faults.strikes if strike.hits(newest)} - {"half-open"}
+        if any(strike.first <= newest and opened < strike.end for strike in dead):
+            names.add("half-open")
+        return frozenset(names)
+
+    @property
+    def origin(self) -> int:
+        """The sample from which the device counts now: 0, or the first after its last restart."""
+        restarts = [strike.end for strike in self.faults.strikes if strike.name == "restart"]
+        return max((end for end in restarts if end <= self.newest()), default=0)
 
     def asked(self) -> None:
         """Count a request: the unit has a reader."""
@@ -84,8 +103,17 @@ class Unit(ABC):
             "requests": self.requests,
             "saturated": self.feed.saturated(played),
             "lost": self.lost.before(played),
+            "absent": self._absent(played),
             "faults": self.faults.ledger(played),
         }
+
+
+    def _absent(self, played: int) -> list[tuple[int, int]]:
+        """Return the samples that no reader could get whole."""
+        absent = Runs()
+        gone = {number for number in self.faults.hidden if number < played} | self.lost.numbers(played)
+        absent.add_each(np.array(sorted(gone), dtype=np.int64))
+        return absent.before(played)
 
 
 class RingUnit(Unit):
@@ -121,15 +149,15 @@ class RingUnit(Unit):
         self._written = 0
 
     def _advance(self, memory: list[int], start: int) -> None:
-        head = self.clock.head_for(self.source, self._room)
+        head, origin = self.clock.head_for(self.source, self._room), self.origin
         if head <= self._written:
             return
-        first = max(self._written, head - self._ring.slots)
+        first = max(self._written, head - self._ring.slots, origin)
         size = self._ring.registers
         for number, row in enumerate(self.feed.rows(first, head), first):
-            place = self._ring.address - start + self._ring.slot(number) * size
+            place = self._ring.address - start + self._ring.slot(number - origin) * size
             memory[place : place + size] = registers(row)
-        count = np.array([head % self._ring.modulus], dtype=self._index.fields[0].dtype)
+        count = np.array([(head - origin) % self._ring.modulus], dtype=self._index.fields[0].dtype)
         place = self._index_address - start
         memory[place : place + self._index.size // 2] = registers(self._index.pack({"index": count}).tobytes())
         self._written = head
@@ -206,6 +234,11 @@ class FifoUnit(Unit):
         return registers(b"".join(rows))
 
 
+UNFIT = {
+    "tcp": ("corrupt",),
+    "rtu": ("wrong-transaction", "wrong-protocol", "half-open", "accept-close"),
+}
+"""Faults that a transport cannot have: TCP mends wrong bits, a serial line has no connections."""
 UNITS: dict[str, type[Unit]] = {"ring": RingUnit, "poll": PollUnit, "fifo": FifoUnit}
 
 
@@ -213,8 +246,12 @@ def make_unit(bench: Bench, number: int, settings: ModbusSettings) -> Unit:
     """Return the device of one Modbus source; SimUsageError when the map names fields that there are not."""
     source = bench.source(number)
     numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
-    feed = Feed(bench.tape, bench.rig, source, numbers, _packer(settings))
-    return UNITS[settings.mode](source.name, settings, feed, bench.clock, bench.faults(number))
+    faults = bench.faults(number)
+    faults.refuse(UNFIT[settings.transport], f"cannot be caused on Modbus {settings.transport.upper()}")
+    if settings.mode != "ring":
+        faults.refuse(("restart",), "only a ring begins anew")
+    feed = Feed(bench.tape, bench.rig, source, numbers, _packer(settings), faults.strikes)
+    return UNITS[settings.mode](source.name, settings, feed, bench.clock, faults)
 
 
 def _packer(settings: ModbusSettings) -> "_Packer":

@@ -1,12 +1,12 @@
 """A rig being played: the tape, the clock and the devices of every source, from start to ledger."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from sim_bus.clock import PlayClock
-from sim_bus.device import Bench, Device
+from sim_bus.device import Bench, Device, Ledgered
 from sim_bus.factory import make_devices
 from sim_bus.faults import check
 from sim_bus.rigfile import RigFile
@@ -91,28 +91,33 @@ class Player:
     def ledger(self, played: int) -> dict[str, Any]:
         """Return what was played, in samples."""
         clock = self.clock
-        sources: dict[str, dict[str, Any]] = {}
-        for device in self.devices:
-            sources.update(device.ledger())
-        return {
-            "rig": self._rig_file.rig.name,
-            "scenario": self._scenario.title,
-            "seed": self._scenario.seed,
-            "sample_rate_hz": clock.sample_rate_hz,
-            "fast": clock.fast,
-            "samples": played,
-            "first": 0 if played else None,
-            "last": played - 1 if played else None,
-            "started_monotonic_ns": clock.start_ns,
-            "started_wall_ns": clock.start_wall_ns,
-            "changes": self.rig.timeline.summary(played),
-            "sensors": {
-                chain.channel.name: {
-                    "noise_sd": chain.noise_sd,
-                    "delay_s": chain.delay_s,
-                    "affected": chain.affected_before(played),
-                }
-                for chain in self.rig.sensors
-            },
-            "sources": sources,
-        }
+        started = {"started_monotonic_ns": clock.start_ns, "started_wall_ns": clock.start_wall_ns, "fast": clock.fast}
+        return ledger_of(self._rig_file, self._scenario, self.rig, self.devices, played) | started
+
+
+def ledger_of(
+    rig_file: RigFile, scenario: Scenario, rig: Rig, devices: Iterable[Ledgered], played: int
+) -> dict[str, Any]:
+    """Return what a rig's devices have played, in samples."""
+    sources: dict[str, dict[str, Any]] = {}
+    for device in devices:
+        sources.update(device.ledger())
+    return {
+        "rig": rig_file.rig.name,
+        "scenario": scenario.title,
+        "seed": scenario.seed,
+        "sample_rate_hz": rig_file.rig.sample_rate_hz,
+        "samples": played,
+        "first": 0 if played else None,
+        "last": played - 1 if played else None,
+        "changes": rig.timeline.summary(played),
+        "sensors": {
+            chain.channel.name: {
+                "noise_sd": chain.noise_sd,
+                "delay_s": chain.delay_s,
+                "affected": chain.affected_before(played),
+            }
+            for chain in rig.sensors
+        },
+        "sources": sources,
+    }

@@ -30,6 +30,10 @@ class Runs:
         for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
             self.add(first, last)
 
+    def numbers(self, end: int) -> set[int]:
+        """Return the numbers below `end` one by one."""
+        return {number for first, last in self.before(end) for number in range(first, last + 1)}
+
     def before(self, end: int) -> list[tuple[int, int]]:
         """Return the runs below `end`."""
         return [(first, min(last, end - 1)) for first, last in self._runs if first < end]

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -44,7 +44,8 @@ class Scenario(BaseModel):
     """What is played.
 
     `duration_s` 0 is without end. `start`: the clock starts when every source has met a reader, or when the devices
-    are ready. `noise` is the sensors' standard deviation by quantity in SI units. [draw] replaces [[change]].
+    are ready. `noise` is the sensors' standard deviation by quantity in SI units. [draw] replaces [[change]]. `rig` is
+    the configuration with which `deltak score` plays it (a path beside the file) and [expect] what is then to be found.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -60,6 +61,8 @@ class Scenario(BaseModel):
     change: tuple[Change, ...] = ()
     draw: Draw | None = None
     fault: tuple[FaultAt, ...] = ()
+    rig: str | None = None
+    expect: dict[str, Any] = {}
     folder: Path = Path()
 
     @model_validator(mode="after")
@@ -107,14 +110,19 @@ def built_in_names() -> tuple[str, ...]:
     return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
 
 
-def load_scenario(name_or_file: str, environment: Mapping[str, str] = os.environ) -> Scenario:
-    """Return a scenario by its built-in name or from a file; the seed in the environment goes before its own."""
-    path = Path(name_or_file)
+def scenario_path(name_or_file: str) -> Path:
+    """Return the file of a scenario by its built-in name or its path; SimUsageError when there is none."""
     if name_or_file in built_in_names():
-        path = Path(str(resources.files("sim_bus") / "scenarios" / f"{name_or_file}.toml"))
-    elif not path.is_file():
+        return Path(str(resources.files("sim_bus") / "scenarios" / f"{name_or_file}.toml"))
+    if not Path(name_or_file).is_file():
         names = ", ".join(built_in_names())
         raise SimUsageError(f'--scenario: "{name_or_file}" is neither a file nor one of {names}')
+    return Path(name_or_file)
+
+
+def load_scenario(name_or_file: str, environment: Mapping[str, str] = os.environ) -> Scenario:
+    """Return a scenario by its built-in name or from a file; the seed in the environment goes before its own."""
+    path = scenario_path(name_or_file)
     content = read_toml(path) | {"folder": path.resolve().parent}
     return checked(Scenario, content | _seed_of(environment), str(path))
 

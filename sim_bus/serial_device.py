@@ -10,13 +10,14 @@ import numpy as np
 
 from drivers import crc
 from drivers.fields import Layout
+from drivers.framing import FRAMINGS
 from drivers.serial_line import SerialSettings
 from sim_bus import guard
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench, Device
 from sim_bus.errors import SimUsageError
 from sim_bus.pty_line import PtyLine
-from sim_bus.rigfile import RigFile, Source
+from sim_bus.rigfile import Source
 from sim_bus.stream import Outlet, Stream
 from sim_bus.wire import Feed, Pack, Raw, WireNumber, split
 
@@ -94,10 +95,11 @@ class SerialDevice(Device):
 
 
 def binary_packer(settings: SerialSettings) -> Pack:
-    """Return what makes frames: sync, fields, check (low byte first, over the fields)."""
+    """Return what makes frames: sync or coding and end, fields, check (low byte first, over the fields)."""
     layout = Layout(settings.fields, settings.byte_order)
     check = crc.by_name(settings.crc) if settings.crc else None
     sync = np.frombuffer(bytes.fromhex(settings.sync or ""), dtype=np.uint8)
+    framing = FRAMINGS.get(settings.framing)
 
     def pack(raw: Raw) -> list[bytes]:
         body = layout.pack(raw)
@@ -105,7 +107,8 @@ def binary_packer(settings: SerialSettings) -> Pack:
         if check is not None:
             parts.append(check.bytes_of(body))
         frames = np.hstack(parts)
-        return split(frames.tobytes(), frames.shape[1])
+        packed = split(frames.tobytes(), frames.shape[1])
+        return packed if framing is None else [framing.encode(frame) + framing.end for frame in packed]
 
     return pack
 
@@ -141,11 +144,21 @@ def _text_numbers(settings: SerialSettings, source: Source) -> list[WireNumber]:
     ]
 
 
-def _feed(bench: Bench, rig: RigFile, source: Source, settings: SerialSettings) -> Feed:
+def make_stream(bench: Bench, number: int) -> Stream:
+    """Return what a serial source sends."""
+    settings, source, faults = bench.settings(SerialSettings, number), bench.source(number), bench.faults(number)
     if settings.format == "text":
-        return Feed(bench.tape, rig, source, _text_numbers(settings, source), text_packer(settings))
-    numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
-    return Feed(bench.tape, rig, source, numbers, binary_packer(settings))
+        numbers, pack = _text_numbers(settings, source), text_packer(settings)
+    else:
+        numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
+        pack = binary_packer(settings)
+    feed = Feed(bench.tape, bench.rig, source, numbers, pack, faults.strikes)
+    return Stream(source.name, feed, bench.clock, lambda _index, row: row, faults)
+
+
+def greeting(settings: SerialSettings) -> bytes:
+    """Return what a line begins with: an empty line tells a reader of text that the next one is whole."""
+    return b"\r\n" if settings.format == "text" else b""
 
 
 def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
@@ -153,19 +166,10 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
     devices: list[Device] = []
     taken: set[Path] = set()
     for number in numbers:
-        settings, source = bench.settings(SerialSettings, number), bench.source(number)
+        settings = bench.settings(SerialSettings, number)
         link = guard.pty_link(settings.port, bench.rig.folder, f"source[{number}].port")
         if link in taken:
             raise SimUsageError(f"source[{number}].port: {settings.port} is played for another source already")
         taken.add(link)
-        stream = Stream(
-            source.name,
-            _feed(bench, bench.rig, source, settings),
-            bench.clock,
-            lambda _index, row: row,
-            bench.faults(number),
-        )
-        # an empty line tells a reader of text that the next one is whole
-        greeting = b"\r\n" if settings.format == "text" else b""
-        devices.append(SerialDevice(bench.clock, stream, PtyLine(link), greeting))
+        devices.append(SerialDevice(bench.clock, make_stream(bench, number), PtyLine(link), greeting(settings)))
     return devices

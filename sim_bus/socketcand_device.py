@@ -27,46 +27,62 @@ class FrameText:
     """
 
     def __init__(self, kinds: Sequence[FrameKind], clock: PlayClock) -> None:
-        self._heads: list[tuple[bytes, int]] = []
-        for kind in kinds:
-            digits = f"{kind.identifier:08X}" if kind.extended else f"{kind.identifier:03X}"
-            self._heads.append((digits.encode(), kind.size))
+        self._heads = [(kind.digits, kind.size) for kind in kinds]
         self._clock = clock
         self._period_us = 1e6 / clock.sample_rate_hz
 
     def __call__(self, index: int, row: bytes) -> bytes:
-        stamp = self._clock.start_wall_ns // 1000 + round(index * self._period_us)
-        time = b"%d.%06d" % divmod(stamp, 1_000_000)
+        time = self._stamp(index)
         out = []
         for digits, size in self._heads:
             data, row = row[:size], row[size:]
-            out.append(b"< frame %s %s %s >" % (digits, time, data.hex().upper().encode()))
+            out.append(_frame(digits, time, data))
         return b"".join(out)
 
+    def _stamp(self, index: int) -> bytes:
+        stamp = self._clock.start_wall_ns // 1000 + round(index * self._period_us)
+        return b"%d.%06d" % divmod(stamp, 1_000_000)
 
-class Client(Outlet):
-    """One connection: first the handshake, then frames."""
+    def strange(self, name: str, since: int, text: bytes) -> bytes:
+        """Return the sample's text with what a fault sends besides it, or instead of it."""
+        time = self._stamp(self._clock.played() - 1)
+        if name == "dlc":
+            return _WHOLE.sub(rb"\1 >", text)
+        if name in _CROWDS:
+            return b"".join(_frame(FOREIGN, time, bytes(8)) for _ in range(_CROWDS[name])) + text
+        if name == "error-frame":
+            return b"< error %03X %s >" % (_BUS_ERROR, time) + text
+        # off the bus: said once at the beginning, and again when the controller was restarted
+        said = {0: _BUS_OFF, -1: _RESTARTED}
+        return b"< error %03X %s >" % (said[since], time) if since in said else b""
 
-    def __init__(self, connection: socket.socket, buses: Mapping[str, Stream]) -> None:
+
+FOREIGN = b"7E5"
+_CROWDS = {"foreign": 1, "flood": 100}
+_WHOLE = re.compile(rb"(< frame [^<>]*?)[0-9A-F]{2} >")
+_BUS_OFF, _BUS_ERROR, _RESTARTED = 0x40, 0x80, 0x100
+
+
+def _frame(digits: bytes, time: bytes, data: bytes) -> bytes:
+    return b"< frame %s %s %s >" % (digits, time, data.hex().upper().encode())
+
+
+class Session(Outlet):
+    """What one client is answered: first the handshake, then frames."""
+
+    def __init__(self, buses: Mapping[str, Stream]) -> None:
         super().__init__()
-        self.socket = connection
         self._buses = buses
         self._bus: Stream | None = None
         self._input = b""
         self.sent_frames = 0
-        connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def greet(self) -> None:
+        """Say that the daemon is there."""
         self._answer(b"< hi >")
 
-    def receive(self) -> None:
-        """Read and carry out what the client asks."""
-        try:
-            data = self.socket.recv(4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        self.gone = self.gone or not data
+    def hear(self, data: bytes) -> None:
+        """Carry out what the client asks."""
         self._input = (self._input + data)[-4096:]
         while match := _COMMAND.search(self._input):
             self._input = self._input[match.end() :]
@@ -89,6 +105,28 @@ class Client(Outlet):
     def _answer(self, text: bytes) -> None:
         self.put(text)
         self.flush()
+
+
+class Client(Session):
+    """One connection."""
+
+    def __init__(self, connection: socket.socket, buses: Mapping[str, Stream]) -> None:
+        super().__init__(buses)
+        self.socket = connection
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.greet()
+
+    def receive(self) -> None:
+        """Read and carry out what the client asks."""
+        try:
+            data = self.socket.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        self.gone = self.gone or not data
+        self.hear(data)
 
     def _send(self, data: bytes) -> int:
         try:

@@ -1,6 +1,5 @@
 """Samples that a device sends by itself: when they are due, to whom, and how late they went."""
 
-import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sim_bus.clock import PlayClock
+from sim_bus.clock import NS, PlayClock
 from sim_bus.faults import LineFaults
 from sim_bus.ranges import Runs
 from sim_bus.wire import Feed
@@ -140,7 +139,7 @@ class Stream:
 
     def _emit(self, first: int, end: int) -> None:
         if not self._clock.fast:
-            self._lateness.note(time.monotonic_ns() - self._clock.due_ns(first))
+            self._lateness.note(self._clock.now_ns() - self._clock.due_ns(first))
         if not self.outlets:
             self._unheard.add(first, end - 1)
             return
@@ -162,7 +161,13 @@ class Stream:
             return 0.0 if self.outlets and not self._clock.finished() else _IDLE_S / 10
         if self._clock.total is not None and self._next >= self._clock.total:
             return _IDLE_S
-        return min(_IDLE_S, max(0.0, (self._clock.due_ns(self._next) - time.monotonic_ns()) / 1e9))
+        return min(_IDLE_S, max(0.0, (self._clock.due_ns(self._next) - self._clock.now_ns()) / 1e9))
+
+    def next_due_ns(self) -> int:
+        """Return when the next sample is taken; never comes what lies beyond the end."""
+        if self._clock.total is not None and self._next >= self._clock.total:
+            return self._clock.now_ns() + NS
+        return self._clock.due_ns(self._next)
 
     def ledger(self) -> dict[str, Any]:
         """Return what was sent, to whom it did not come, and how late."""
@@ -171,7 +176,16 @@ class Stream:
             "sent": self._frames,
             "unheard": self._unheard.before(played),
             "lost": self._overflow.before(played),
+            "absent": self._absent(played),
             "lateness": self._lateness.summary(),
             "saturated": self._feed.saturated(played),
             "faults": self._faults.ledger(played),
         }
+
+    def _absent(self, played: int) -> list[tuple[int, int]]:
+        """Return the samples that no reader got whole and in order."""
+        absent = Runs()
+        gone = {number for number in self._faults.gone | self._faults.hidden if number < played}
+        gone |= self._unheard.numbers(played) | self._overflow.numbers(played)
+        absent.add_each(np.array(sorted(gone), dtype=np.int64))
+        return absent.before(played)

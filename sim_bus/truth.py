@@ -28,17 +28,20 @@ class TruthRecorder:
         """Keep a chunk."""
         self._chunks.append(chunk)
 
-    def write(self, path: Path, played: int, ledger: Mapping[str, Any]) -> None:
-        """Write the first `played` samples; the file appears whole or not at all."""
+    def arrays(self, played: int, ledger: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the file holds of the first `played` samples."""
         columns = {
             name: np.concatenate([getattr(chunk, name) for chunk in self._chunks] or [np.empty((0, 0))])[:played]
             for name in ("forces", "states", "parameters", "true", "readings")
         }
         index = np.arange(played, dtype=np.int64)
+        return {"index": index, "t_s": index / self._rate, **columns, **self._names(), "ledger": json.dumps(ledger)}
+
+    def write(self, path: Path, played: int, ledger: Mapping[str, Any]) -> None:
+        """Write the first `played` samples; the file appears whole or not at all."""
         partial = path.with_name(path.name + ".partial")
         with partial.open("wb") as file:
-            arrays: dict[str, Any] = {"index": index, "t_s": index / self._rate, **columns, **self._names()}
-            np.savez(file, **arrays, ledger=json.dumps(ledger))
+            np.savez(file, **self.arrays(played, ledger))
         partial.replace(path)
 
     def _names(self) -> dict[str, Any]:

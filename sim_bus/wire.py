@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bus.errors import SimUsageError
+from sim_bus.faults import Strike
 from sim_bus.rigfile import RigFile, Source
 from sim_bus.tape import CHUNK, KEPT, Chunk, Tape
+from sim_bus.wire_faults import NumberFaults
 
 FloatArray = NDArray[np.float64]
 NumberArray = NDArray[np.int64] | NDArray[np.float64]
@@ -73,15 +75,21 @@ class Feed:
         source: the source whose fields are filled.
         numbers: the fields on the wire.
         pack: makes rows of bytes from the raw numbers of every field.
+        strikes: the source's faults.
     """
 
-    def __init__(self, tape: Tape, rig: RigFile, source: Source, numbers: Sequence[WireNumber], pack: Pack) -> None:
+    def __init__(
+        self, tape: Tape, rig: RigFile, source: Source, numbers: Sequence[WireNumber], pack: Pack,
+        strikes: Sequence[Strike] = (),
+    ) -> None:  # fmt: skip
         self._tape = tape
         self._numbers = tuple(numbers)
         self._pack = pack
         self._channels = list(rig.channel)
         self._columns = _columns(rig, source, {number.name for number in numbers})
         self._counters = _counters(source, self._numbers)
+        tops = {number.name: number.high for number in numbers}
+        self._faults = NumberFaults(strikes, [(field, tops[field]) for field in source.map.values()])
         self._rows: deque[tuple[int, Sequence[bytes]]] = deque(maxlen=KEPT)
         self._saturated: dict[int, dict[str, NDArray[np.bool_]]] = {}
         self._past: Counter[str] = Counter()
@@ -89,11 +97,12 @@ class Feed:
     def raw(self, chunk: Chunk) -> tuple[dict[str, NumberArray], dict[str, NDArray[np.bool_]]]:
         """Return every field's raw numbers, and where a field could not hold its value."""
         index = np.arange(chunk.first, chunk.first + len(chunk))
+        counted = self._faults.counted(index)
         raw: dict[str, NumberArray] = {}
         held: dict[str, NDArray[np.bool_]] = {}
         for number in self._numbers:
             if number.name in self._counters:
-                raw[number.name] = number.count(index)
+                raw[number.name] = number.count(counted)
             elif number.name in self._columns:
                 column = self._columns[number.name]
                 channel = self._channels[column]
@@ -101,6 +110,7 @@ class Feed:
                 raw[number.name], held[number.name] = number.encode(values)
             else:
                 raw[number.name] = np.zeros(len(chunk), dtype=np.int64)
+        self._faults.spoil(index, raw)
         return raw, held
 
     def rows(self, first: int, end: int) -> list[bytes]:

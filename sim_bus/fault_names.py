@@ -1,0 +1,119 @@
+"""Every fault that a device or a line can have, by name: how long it lasts, what it is, what a reader makes of it.
+
+`cause` is what a reader that counts everything can say of it ("" where there is nothing to be seen from its side).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+ONE_SAMPLE = 0.0
+SOME_TIME = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class FaultKind:
+    """One fault.
+
+    Attributes:
+        words: what happens.
+        cause: what its reader can say of it.
+        lasts_s: for how long where nothing is said; 0 is one sample.
+        loses: the samples that it strikes never arrive whole.
+        timed: it lasts by the clock, whatever samples there are.
+    """
+
+    words: str
+    cause: str
+    lasts_s: float = ONE_SAMPLE
+    loses: bool = False
+    timed: bool = False
+
+
+NUMBERS: Mapping[str, FaultKind] = {
+    "nan": FaultKind("the first mapped field that is a float holds no number", "missing value", loses=True),
+    "range": FaultKind("the first mapped field is at the end of its range, or a million", "spike"),
+}
+"""What any device can put into its numbers."""
+
+COUNTERS: Mapping[str, FaultKind] = {
+    "stuck-counter": FaultKind("the counter stands still while samples come", "duplicate", 0.02, loses=True),
+    "counter-reset": FaultKind("the counter begins at 0 again, without a pause", "restart"),
+    "counter-jump": FaultKind("the counter leaps ahead by 1000, and stays there", "gap"),
+    "restart": FaultKind("silence, then the counter begins at 0 again", "restart", SOME_TIME, loses=True),
+}
+"""What a device that sends its own counter can do with it."""
+
+LINES: Mapping[str, FaultKind] = {
+    "drop": FaultKind("the sample is not sent", "gap", loses=True),
+    "loss": FaultKind("one sample in five is not sent", "gap", 1.0),
+    "duplicate": FaultKind("the sample is sent twice", "duplicate"),
+    "reorder": FaultKind("the sample changes places with the next one", "backwards", loses=True),
+    "shuffle": FaultKind("the samples come in any order within 50", "backwards", 0.1),
+    "corrupt": FaultKind("one bit of the sample is wrong", "crc", loses=True),
+    "truncate": FaultKind("the second half of the sample is missing", "crc", loses=True),
+    "garbage": FaultKind("rubbish comes before the sample", "stray bytes"),
+    "freeze": FaultKind("nothing is sent", "gap", SOME_TIME, loses=True),
+    "silence": FaultKind("nothing is sent for longer than a source may be silent", "stale", 3.0, loses=True),
+    "stall": FaultKind("everything is sent, but only at the end", "", SOME_TIME),
+    "disconnect": FaultKind("the line is gone", "lost", SOME_TIME, timed=True),
+}
+"""What any line can do to what a device sends by itself."""
+
+BYTES: Mapping[str, FaultKind] = {
+    "delete": FaultKind("one byte of the sample is missing", "crc", loses=True),
+    "insert": FaultKind("one byte too many lies in the sample", "crc", loses=True),
+    "break": FaultKind("32 zeros come before the sample", "stray bytes"),
+    "baud": FaultKind("every byte is another one, as at a wrong bit rate", "sync", SOME_TIME, loses=True),
+}
+"""What a serial line can do besides."""
+
+FRAMES: Mapping[str, FaultKind] = {
+    "dlc": FaultKind("the frame has a byte too few", "dlc", loses=True),
+    "foreign": FaultKind("a frame comes that nobody asked for", ""),
+    "flood": FaultKind("a hundred frames that nobody asked for come with each sample", "", 0.05),
+    "error-frame": FaultKind("the controller reports a bus error", "error frame"),
+    "bus-off": FaultKind("the controller is off the bus, and comes back", "error frame", SOME_TIME, loses=True),
+}
+"""What a CAN bus can do besides."""
+
+EXCEPTIONS = (1, 2, 3, 4, 5, 6, 8, 10, 11, 85)
+REPLIES: Mapping[str, FaultKind] = {
+    **{
+        f"exception-{code}": FaultKind(f"every answer is exception {code}", f"exception {code}", SOME_TIME, timed=True)
+        for code in EXCEPTIONS
+    },
+    "busy": FaultKind("every answer is exception 6", "exception 6", SOME_TIME, timed=True),
+    "hang": FaultKind("the registers do not move", "", SOME_TIME, timed=True),
+    "silent": FaultKind("no answer comes", "timeout", SOME_TIME, timed=True),
+    "late": FaultKind("answers come after they were given up", "timeout", SOME_TIME, timed=True),
+    "slow": FaultKind("answers take half of the time that they may take", "", SOME_TIME, timed=True),
+    "dribble": FaultKind("answers come byte by byte", "", SOME_TIME, timed=True),
+    "disconnect": FaultKind("the server is gone", "lost", SOME_TIME, timed=True),
+    "accept-close": FaultKind("connections are accepted and closed", "lost", SOME_TIME, timed=True),
+    "half-open": FaultKind("the connection is dead and nobody says so", "timeout", 0.05, timed=True),
+    "wrong-unit": FaultKind("answers carry another unit's number", "unit", 0.05, timed=True),
+    "wrong-transaction": FaultKind("answers carry another transaction number", "transaction", 0.05, timed=True),
+    "wrong-protocol": FaultKind("answers carry a protocol number that is not Modbus", "reply", 0.05, timed=True),
+    "wrong-function": FaultKind("answers are of another function", "reply", 0.05, timed=True),
+    "wrong-count": FaultKind("answers say another number of bytes than they have", "reply", 0.05, timed=True),
+    "short": FaultKind("answers have a register too few", "reply", 0.05, timed=True),
+    "long": FaultKind("answers have a register too many", "reply", 0.05, timed=True),
+    "corrupt": FaultKind("one bit of each answer is wrong (serial lines)", "timeout", 0.05, timed=True),
+    "truncate": FaultKind("the second half of each answer is missing", "timeout", 0.05, timed=True),
+    "garbage": FaultKind("rubbish comes before each answer", "reply", 0.05, timed=True),
+    "duplicate": FaultKind("each answer comes twice", "reply", 0.05, timed=True),
+    "restart": FaultKind("no answer, then an empty ring and an index from 0 on", "timeout", SOME_TIME, timed=True),
+}
+"""What a Modbus device or its line can do."""
+
+KNOWN: Mapping[str, Mapping[str, FaultKind]] = {
+    "can": {**LINES, **FRAMES, **COUNTERS, **NUMBERS},
+    "serial": {**LINES, **BYTES, **COUNTERS, **NUMBERS},
+    "modbus": {**REPLIES, **NUMBERS},
+}
+"""The faults of each driver's devices: a fault is called `<driver>.<name>`."""
+
+
+def names() -> list[str]:
+    """Return every fault's whole name."""
+    return [f"{driver}.{name}" for driver, faults in KNOWN.items() for name in faults]

@@ -1,0 +1,60 @@
+"""What a faulty device puts into its numbers: wrong values, and counters that stand still, leap or begin anew."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bus.errors import SimUsageError
+from sim_bus.fault_names import COUNTERS, NUMBERS
+from sim_bus.faults import Strike
+
+IntArray = NDArray[np.int64]
+NumberArray = NDArray[np.int64] | NDArray[np.float64]
+LEAP = 1000
+FAR = 1e6
+"""What a field that is a float shows out of its range."""
+
+
+class NumberFaults:
+    """The faults of one source's numbers.
+
+    Args:
+        strikes: the source's faults; those of lines and replies are passed over.
+        tops: for each mapped field in order the largest raw number that it holds; None for a float.
+    """
+
+    def __init__(self, strikes: Sequence[Strike], tops: Sequence[tuple[str, int | None]]) -> None:
+        self._counters = [strike for strike in strikes if strike.name in COUNTERS]
+        self._values = [(strike, *self._victim(strike.name, tops)) for strike in strikes if strike.name in NUMBERS]
+
+    def _victim(self, name: str, tops: Sequence[tuple[str, int | None]]) -> tuple[str, float]:
+        """Return the field that is struck, and what it shows."""
+        if name == "range":
+            field, top = tops[0]
+            return field, FAR if top is None else float(top)
+        for field, top in tops:
+            if top is None:
+                return field, float("nan")
+        raise SimUsageError(f"--fault: {name}: no mapped field is a float; integers hold numbers only")
+
+    def counted(self, index: IntArray) -> IntArray:
+        """Return sample numbers as the device counts them."""
+        for strike in self._counters:
+            index = self._miscounted(strike, index)
+        return index
+
+    def _miscounted(self, strike: Strike, index: IntArray) -> IntArray:
+        if strike.name == "stuck-counter":
+            return np.where((index >= strike.first) & (index < strike.end), strike.first - 1, index)
+        if strike.name == "counter-jump":
+            return np.where(index >= strike.first, index + LEAP, index)
+        begins = strike.end if strike.name == "restart" else strike.first
+        return np.where(index >= begins, index - begins, index)
+
+    def spoil(self, index: IntArray, raw: dict[str, NumberArray]) -> None:
+        """Put wrong values into raw numbers."""
+        for strike, field, value in self._values:
+            struck = (index >= strike.first) & (index < strike.end)
+            if struck.any():
+                raw[field] = np.where(struck, np.asarray(value, raw[field].dtype), raw[field])

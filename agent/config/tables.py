@@ -193,6 +193,27 @@ class Store(Table):
     """Where and how densely results are kept; path is absolute, by default the rig's name with .db beside the file."""
 
     path: FilePath = Path()
+class Recordings(Table):
+    """What the raw recordings of each source with `record = true` may take: megabytes and age, the oldest go first."""
+
+    max_mb: Positive = 1024.0
+    keep: Duration = float("inf")
+
+
+class Events(Table):
+    """The raw samples that are kept around alarms; the oldest records go first.
+
+    per_hour bounds what a restless alarm writes; max_count = 0 keeps none.
+    """
+
+    before_s: NotNegative = 10.0
+    after_s: NotNegative = 10.0
+    max_count: int = Field(default=100, ge=0, le=10_000)
+    max_mb: Positive = 100.0
+    keep: Duration = float("inf")
+    per_hour: int = Field(default=12, ge=1, le=3600)
+
+
     every_s: NotNegative = 1.0
     keep: Keep = Keep()
     max_mb: Positive = 1024.0
@@ -200,6 +221,8 @@ class Store(Table):
 
 class Columns(Table):
     """The names that recordings give to channels (and to `t`), and what stands between columns; None is sniffed."""
+    recordings: Recordings = Recordings()
+    events: Events = Events()
 
     names: dict[str, str] = Field(default_factory=dict)
     delimiter: str | None = None

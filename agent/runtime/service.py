@@ -15,7 +15,8 @@ from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline
-from agent.runtime.recorder import RawHeader, Recorder
+from agent.runtime.recording.header import RawHeader
+from agent.runtime.recording.recorder import Limits, Recorder
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
 from agent.storage.alarms import AlarmRow
@@ -134,7 +135,8 @@ class Service:
             for use in connection.uses:
                 config = wanted.get((use.rig, use.source))
                 if config is not None:
-                    connection.make_recorder = partial(_recorder, config, _path(config, db), use.source)
+                    path = _path(config, db)
+                    connection.make_recorder = partial(_recorder, config, path, use.source, self.writers[path].publish)
 
     def stop(self) -> None:
         """Ask `run` to return; safe from a signal handler."""
@@ -221,11 +223,20 @@ def run(
     return documents[0] if len(documents) == 1 else {"runs": documents}
 
 
-def _recorder(config: RigConfig, db: Path, source: str, driver: Driver) -> Recorder:
+def _recorder(
+    config: RigConfig, db: Path, source: str, publish: Callable[[Sequence[Record]], None], driver: Driver
+) -> Recorder:
+    rig, limits = config.rig.name, config.store.recordings
     header = RawHeader(
-        source, driver.request.fields, driver.counter_modulus, config.sha256, __version__, wall_ns()
+        source, driver.request.fields, driver.counter_modulus, config.sha256, __version__, wall_ns(), rig=rig
     )
-    return Recorder(db.with_name(db.name + ".raw"), header)
+
+    def tell(cause: str, message: str) -> None:
+        log.warning("%s", message)
+        publish([HealthEvent(rig, source, wall_ns(), cause, message)])
+
+    bounds = Limits(limits.max_mb * 1e6, limits.keep)
+    return Recorder(db.with_name(db.name + ".raw"), header, driver.heard_suffix, bounds, tell=tell)
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:

@@ -189,10 +189,6 @@ class Keep(Table):
     hour: Duration = float("inf")
 
 
-class Store(Table):
-    """Where and how densely results are kept; path is absolute, by default the rig's name with .db beside the file."""
-
-    path: FilePath = Path()
 class Recordings(Table):
     """What the raw recordings of each source with `record = true` may take: megabytes and age, the oldest go first."""
 
@@ -214,15 +210,19 @@ class Events(Table):
     per_hour: int = Field(default=12, ge=1, le=3600)
 
 
+class Store(Table):
+    """Where and how densely results are kept; path is absolute, by default the rig's name with .db beside the file."""
+
+    path: FilePath = Path()
     every_s: NotNegative = 1.0
     keep: Keep = Keep()
     max_mb: Positive = 1024.0
+    recordings: Recordings = Recordings()
+    events: Events = Events()
 
 
 class Columns(Table):
     """The names that recordings give to channels (and to `t`), and what stands between columns; None is sniffed."""
-    recordings: Recordings = Recordings()
-    events: Events = Events()
 
     names: dict[str, str] = Field(default_factory=dict)
     delimiter: str | None = None

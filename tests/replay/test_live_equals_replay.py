@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import can
+import cantools
 import numpy as np
 import pytest
 
@@ -116,8 +118,30 @@ def test_two_replays_agree_to_the_last_bit(live: Live, tmp_path: Path) -> None:
     assert _estimates(first, f"{EXACT}, {NUMBERS}") == _estimates(second, f"{EXACT}, {NUMBERS}")
 
 
+def _recordings(live: Live) -> list[Path]:
+    return sorted(path for path in live.db.with_name("live.db.raw").iterdir() if path.suffix in {".raw", ".log"})
+
+
 def test_raw_recording_of_a_live_run_replays_to_the_same_rows_to_the_last_bit(live: Live, tmp_path: Path) -> None:
-    segments = sorted(live.db.with_name("live.db.raw").glob("*.raw"))
-    document = replay.replay(config=live.config, recordings=segments, db=tmp_path / "raw.db")
-    assert document["samples"]["used"] == 3000
-    assert _estimates(tmp_path / "raw.db", f"{EXACT}, {NUMBERS}") == _estimates(live.db, f"{EXACT}, {NUMBERS}")
+    alarms = "SELECT kind, parameter, state, raised_at, cleared_at, delta, sd FROM v_alarms WHERE kind = 'level'"
+    for name in ("one.db", "two.db"):
+        document = replay.replay(config=live.config, recordings=_recordings(live), db=tmp_path / name)
+        assert document["samples"] == {"received": 3000, "used": 3000, "rejected": {}, "dropped": {}, "gaps": 0}
+        assert _estimates(tmp_path / name, f"{EXACT}, {NUMBERS}") == _estimates(live.db, f"{EXACT}, {NUMBERS}")
+        assert rows(tmp_path / name, alarms) == rows(live.db, alarms)
+
+
+def test_recording_has_the_form_that_other_tools_read_where_there_is_one(live: Live) -> None:
+    on_can = 'driver = "can"' in live.config.read_text(encoding="utf-8")
+    assert [path.suffix for path in _recordings(live)] == [".log" if on_can else ".raw"]
+
+
+def test_recorded_log_alone_holds_every_reading_for_python_can_and_cantools(live: Live) -> None:
+    (path,) = _recordings(live)
+    if path.suffix != ".log":
+        return
+    message = cantools.database.load_file(live.config.with_name("two-mass-rig.dbc")).get_message_by_name("RIG_SAMPLE")
+    with can.CanutilsLogReader(path) as frames:
+        decoded = [message.decode(bytes(frame.data)) for frame in frames if frame.arbitration_id == message.frame_id]
+    got = np.array([[float(row[name]) for name in ("Force", "X1", "X2")] for row in decoded])  # type: ignore[arg-type]
+    np.testing.assert_allclose(got, live.samples, rtol=0, atol=1e-12)

@@ -1,25 +1,35 @@
 """Modbus over TCP and RTU as a source of samples. Reads only; every reply is held against its request."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from drivers import clock
 from drivers.fields import ByteArray
-from drivers.modbus_frames import ReplyError, Request, RtuFrames, TcpFrames
-from drivers.modbus_modes import READERS, Reader, RingReader
+from drivers.modbus_fifo import FifoReader
+from drivers.modbus_frames import BUSY, ReplyError, Request, RtuFrames, TcpFrames
+from drivers.modbus_line import LaterError, ModbusLine, let_go, shared_line
+from drivers.modbus_modes import Reader, RefusedError
+from drivers.modbus_poll import PollReader
+from drivers.modbus_ring import RingReader
 from drivers.modbus_settings import ModbusSettings
-from drivers.pipe import Pipe, serial_pipe, tcp_pipe
+from drivers.pipe import serial_pipe, tcp_pipe
 from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
-from drivers.serial_port import SerialKeys
+from drivers.serial_port import SerialKeys, port_hint
 
-_LONGEST = 2048
-"""Bytes looked through for a reply; noise before them is forgotten."""
+READERS: Mapping[str, type[Reader]] = {"ring": RingReader, "poll": PollReader, "fifo": FifoReader}
+_PATIENCE = 3
+"""Requests in a row without an answer after which a unit counts as lost."""
+_BUSY_FIRST_S, _BUSY_MOST_S = 0.05, 1.0
+_FASTEST_PACED = 19200
 
 
 class ModbusDriver(Driver):
     """Samples of a device that speaks Modbus: a ring of slots, polled registers or a queue.
 
-    Raises DriverConfigError when made with fields that the settings do not have. A reply that fails a check, a late
-    one and a broken line raise DriverIOError; opened again, the driver goes on where it stopped.
+    Sources on one serial line or one TCP address share its connection. Raises DriverConfigError when made with fields
+    that the settings do not have. Replies that fail a check, exceptions, a broken line and several requests in a row
+    without an answer raise DriverIOError; opened again, the driver goes on where it stopped. A device that says it is
+    busy, and one that missed a request, are asked again later.
     """
 
     settings_model: ClassVar[type[DriverSettings]] = ModbusSettings
@@ -27,65 +37,97 @@ class ModbusDriver(Driver):
     def __init__(self, request: SourceRequest) -> None:
         super().__init__(request)
         self._settings: ModbusSettings = request.settings
-        self._reader: Reader = READERS[self._settings.mode](request, self._settings, self.counts, self.note)
+        self._reader = READERS[self._settings.mode](request, self._settings, self.counts, self.note)
         self._resolution = self._reader.layout.resolution(request.fields)
         self.counter_modulus = self._reader.modulus
-        self._pipe: Pipe | None = None
-        self._frames: TcpFrames | RtuFrames | None = None
+        self._line: ModbusLine | None = None
+        self._is_open = False
         self._opened = False
-        self._late_until = 0.0
+        self._unanswered = 0
+        self._busy_s = _BUSY_FIRST_S
 
     def open(self) -> None:
         self.close()
-        settings = self._settings
-        if settings.transport == "tcp":
-            self._frames, self._pipe = TcpFrames(), tcp_pipe(settings.host, int(settings.port), settings.timeout_s)
+        if self._settings.share:
+            self._line = shared_line(self._address(), self._manner(), self._make_line)
         else:
-            self._frames, self._pipe = RtuFrames(), self._serial()
-            self._pipe.drain(max(0.0, self._late_until - clock.monotonic()))
+            self._line = self._line or self._make_line()
+        self._is_open = True
+        self._line.open()
         self.counts.reopened += self._opened
         self._opened = True
-        if isinstance(self._reader, RingReader):
-            self._reader.forget_index()
+        self._reader.reopened()
 
     def read(self, timeout_s: float) -> SampleBlock:
-        return self._reader.read(self._ask, clock.monotonic() + timeout_s)
+        try:
+            return self._reader.read(self._ask, clock.monotonic() + timeout_s)
+        except LaterError as later:
+            self._reader.postpone(later.until)
+            return self._reader.empty()
 
     def close(self) -> None:
-        if self._pipe is not None:
-            self._pipe.close()
-        self._pipe = self._frames = None
+        """Let go of the line; it is kept in mind, and with it what answers its units owe."""
+        if self._line is None or not self._is_open:
+            return
+        self._is_open = False
+        if self._settings.share:
+            let_go(self._line)
+        else:
+            self._line.close()
 
     def resolution(self) -> tuple[float, ...]:
         return self._resolution
 
-    def _serial(self) -> Pipe:
+    def hints(self) -> tuple[str, ...]:
+        hint = port_hint(str(self._settings.port)) if self._settings.transport == "rtu" else None
+        return () if hint is None else (hint,)
+
+    def _address(self) -> str:
         settings = self._settings
+        return f"{settings.host}:{settings.port}" if settings.transport == "tcp" else self._device()
+
+    def _device(self) -> str:
+        return str(self.request.folder / str(self._settings.port))
+
+    def _manner(self) -> str:
+        settings = self._settings
+        if settings.transport == "tcp":
+            return "Modbus TCP"
+        return f"{settings.baudrate} baud, parity {settings.parity}, {settings.stopbits} stop bits"
+
+    def _make_line(self) -> ModbusLine:
+        settings = self._settings
+        if settings.transport == "tcp":
+            host, port, timeout_s = settings.host, int(settings.port), settings.timeout_s
+            return ModbusLine(lambda: tcp_pipe(host, port, timeout_s), TcpFrames(), None)
         keys = SerialKeys(
             port=str(settings.port), baudrate=settings.baudrate, parity=settings.parity, stopbits=settings.stopbits
         )
-        return serial_pipe(keys, str(self.request.folder / keys.port))
+        # the standard: silence of 3.5 characters of 11 bits between frames, from 19,200 baud on 1.75 ms
+        pause_s = 3.5 * 11 / min(settings.baudrate, _FASTEST_PACED + 2800)
+        return ModbusLine(lambda: serial_pipe(keys, self._device()), RtuFrames(), pause_s)
 
     def _ask(self, request: Request) -> ByteArray:
         """Return the register bytes that answer a request, by a deadline of its own."""
-        if self._pipe is None or self._frames is None:
+        if self._line is None or not self._is_open:
             raise DriverIOError(f"{self.request.name}: read before open")
-        self._pipe.send(self._frames.protocol, self._frames.request(request))
-        deadline = clock.monotonic() + self._settings.timeout_s
+        timeout_s, spare = self._settings.timeout_s, self._settings.gap
         try:
-            return self._await(self._pipe, self._frames, request, deadline)
+            answer = self._line.ask(request, timeout_s, self._reader.urgent_at, self.counts.faults, spare)
         except ReplyError as error:
             self.counts.faults[error.kind] += 1
-            raise DriverIOError(f"{self._pipe.name}: {error}") from error
+            raise self._verdict(error) from error
+        self._unanswered, self._busy_s = 0, _BUSY_FIRST_S
+        return answer
 
-    def _await(self, pipe: Pipe, frames: TcpFrames | RtuFrames, request: Request, deadline: float) -> ByteArray:
-        data = b""
-        while more := pipe.recv(deadline):
-            data = (data + more)[-_LONGEST:]
-            answer = frames.reply(data, request)
-            if answer is not None:
-                return answer
-        # a reply that comes later still must not be taken for the next one's: the line is listened out first
-        self._late_until = clock.monotonic() + self._settings.timeout_s
-        got = f"{len(data)} bytes that are no whole reply" if data else "no reply"
-        raise ReplyError("timeout", f"{got} within {self._settings.timeout_s:g} s to {request.words}")
+    def _verdict(self, error: ReplyError) -> LaterError | DriverIOError:
+        """Return whether a failure is worth waiting for, or costs the source."""
+        words = f"{self._address()}: {error}"
+        if error.code in BUSY:
+            until, self._busy_s = clock.monotonic() + self._busy_s, min(2 * self._busy_s, _BUSY_MOST_S)
+            return LaterError(until)
+        if error.silent:
+            self._unanswered += 1
+            lost = self._unanswered >= _PATIENCE
+            return DriverIOError(f"{words} ({self._unanswered} in a row)") if lost else LaterError(clock.monotonic())
+        return RefusedError(words, error.code) if error.code else DriverIOError(words)

@@ -6,6 +6,8 @@ the library hands out replies of another function, unit, transaction or length a
 
 import importlib
 import threading
+from abc import ABC, abstractmethod
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +22,13 @@ if TYPE_CHECKING:
 MAX_REGISTERS = 125
 FIFO = 24
 FIFO_REGISTERS = 31
+BUSY = frozenset({5, 6})
+"""Exceptions by which a device asks to be asked later."""
+GATEWAY = frozenset({10, 11})
+"""Exceptions by which a gateway says that a unit behind it is silent."""
+ADDRESS, VALUE = 2, 3
 _LONGEST_TCP = 260
+_REMEMBERED = 64
 _LOADING = threading.Lock()
 _EXCEPTIONS = {
     1: "illegal function",
@@ -33,14 +41,27 @@ _EXCEPTIONS = {
     10: "gateway path unavailable",
     11: "gateway target does not answer",
 }
+_ADVICE = {
+    1: "look at function, 3 or 4",
+    2: "look at address, which counts from 0, at function and at the number of registers",
+    3: "the device takes fewer registers at a time, or none here",
+    10: "look at the gateway's table of units",
+    11: "look at the unit, at device_id and at the gateway's line",
+}
 
 
 class ReplyError(Exception):
-    """A reply that is not the answer to its request; `kind` counts it."""
+    """A reply that is not the answer to its request, or none; `kind` counts it, `code` is that of an exception."""
 
-    def __init__(self, kind: str, words: str) -> None:
+    def __init__(self, kind: str, words: str, code: int = 0) -> None:
         super().__init__(words)
         self.kind = kind
+        self.code = code
+
+    @property
+    def silent(self) -> bool:
+        """Whether the unit itself did not answer, to us or to its gateway."""
+        return self.kind == "timeout" or self.code in GATEWAY
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +96,9 @@ def check_reply(pdu: bytes, request: Request) -> ByteArray:
 def _exception(pdu: bytes, request: Request) -> ReplyError:
     if len(pdu) != 2:
         return ReplyError("reply", f"an exception of {len(pdu)} bytes to {request.words}")
-    meaning = _EXCEPTIONS.get(pdu[1], "not a code of the standard")
-    return ReplyError(f"exception {pdu[1]}", f"the device answers exception {pdu[1]} ({meaning}) to {request.words}")
+    named = f"exception {pdu[1]} ({_EXCEPTIONS.get(pdu[1], 'not a code of the standard')})"
+    advice = f"; {_ADVICE[pdu[1]]}" if pdu[1] in _ADVICE else ""
+    return ReplyError(named, f"the device answers {named} to {request.words}{advice}", pdu[1])
 
 
 def _register_bytes(pdu: bytes, request: Request) -> ByteArray:
@@ -96,7 +118,37 @@ def _fifo_bytes(pdu: bytes, request: Request) -> ByteArray:
     return np.frombuffer(pdu, np.uint8, offset=5)
 
 
-class TcpFrames:
+class Frames(ABC):
+    """One way to put requests and replies on a wire.
+
+    Attributes:
+        protocol: its name in `drivers.listening`.
+        late: how many replies to requests that were given up stood in the bytes handed to `reply` last.
+    """
+
+    protocol: str
+    late: int = 0
+
+    @abstractmethod
+    def request(self, request: Request) -> bytes:
+        """Return the bytes of a request."""
+
+    @abstractmethod
+    def reply(self, data: bytes, request: Request) -> ByteArray | None:
+        """Return the reply's register bytes, None while there is none; ReplyError when it is no good answer."""
+
+    def give_up(self) -> None:  # noqa: B027 (where replies do not say which request they answer, nothing helps here)
+        """Wait for the last request's reply no longer; should it come, it is passed over."""
+
+    def restart(self) -> None:  # noqa: B027 (see above)
+        """Forget what was given up: the connection is new."""
+
+    def partial(self, data: bytes) -> bool:
+        """Tell whether the bytes end amid a frame."""
+        return bool(data)
+
+
+class TcpFrames(Frames):
     """Frames with the header of Modbus TCP."""
 
     protocol = "modbus-tcp"
@@ -107,14 +159,24 @@ class TcpFrames:
 
         self._framer: FramerBase = FramerSocket(_decoder())
         self._transaction = 0
+        self._given_up: deque[int] = deque(maxlen=_REMEMBERED)
 
     def request(self, request: Request) -> bytes:
         """Return the bytes of a request with a transaction number of its own."""
         self._transaction = self._transaction % 65535 + 1
         return self._framer.encode(request_pdu(request), request.unit, self._transaction)
 
+    def give_up(self) -> None:
+        self._given_up.append(self._transaction)
+
+    def restart(self) -> None:
+        self._given_up.clear()
+
+    def partial(self, data: bytes) -> bool:
+        return bool(self._behind_late(data)[0])
+
     def reply(self, data: bytes, request: Request) -> ByteArray | None:
-        """Return the reply's register bytes, None while it is incomplete; ReplyError when it is not the answer."""
+        data, self.late = self._behind_late(data)
         if len(data) >= 6:
             _check_header(data)
         used, unit, transaction, pdu = self._framer.decode(data)
@@ -124,9 +186,22 @@ class TcpFrames:
             raise ReplyError("transaction", f"a reply of transaction {transaction} to {self._transaction}")
         if unit != request.unit:
             raise ReplyError("unit", f"a reply of unit {unit} to {request.words}")
-        if used != len(data):
-            raise ReplyError("reply", f"{len(data) - used} bytes too many after the reply to {request.words}")
+        rest, late = self._behind_late(data[used:])
+        self.late += late
+        if rest:
+            raise ReplyError("reply", f"{len(rest)} bytes too many after the reply to {request.words}")
         return check_reply(pdu, request)
+
+    def _behind_late(self, data: bytes) -> tuple[bytes, int]:
+        """Return what stands behind the whole replies to requests that were given up, and how many these are."""
+        late = 0
+        while len(data) >= 6 and int.from_bytes(data[:2], "big") in self._given_up:
+            size = 6 + int.from_bytes(data[4:6], "big")
+            if len(data) < size:
+                break
+            data = data[size:]
+            late += 1
+        return data, late
 
 
 def _check_header(data: bytes) -> None:
@@ -137,8 +212,8 @@ def _check_header(data: bytes) -> None:
         raise ReplyError("reply", f"a reply that says it has {length} bytes")
 
 
-class RtuFrames:
-    """Frames with the checksum of Modbus RTU; finds the reply behind stray bytes."""
+class RtuFrames(Frames):
+    """Frames with the checksum of Modbus RTU; finds the reply behind stray bytes and behind late replies."""
 
     protocol = "modbus-rtu"
 
@@ -150,7 +225,6 @@ class RtuFrames:
         self._sent = b""
 
     def request(self, request: Request) -> bytes:
-        """Return the bytes of a request."""
         self._sent = self._framer.encode(request_pdu(request), request.unit, 0)
         return self._sent
 
@@ -158,13 +232,20 @@ class RtuFrames:
         """Return the reply's register bytes, None while there is none; ReplyError for an exception reply.
 
         The library's framer gives up at a stray byte that looks like a function code, so each place at which the
-        expected reply can begin is offered to it by itself. An echo of the request (two-wire adapters) is passed over.
+        expected reply can begin is offered to it by itself. An echo of the request (two-wire adapters) is passed over,
+        and so is a sound reply of another length: it answers a request that was given up.
         """
+        self.late = 0
         for start in _starts(data, request):
             piece = data[start : start + _rtu_size(data[start:])]
             used, _, _, pdu = self._framer.decode(piece)
             if used == len(piece) and pdu and piece != self._sent:
-                return check_reply(pdu, request)
+                try:
+                    return check_reply(pdu, request)
+                except ReplyError as error:
+                    if error.code:
+                        raise
+                    self.late += 1
         return None
 
 

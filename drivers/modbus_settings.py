@@ -49,6 +49,8 @@ class ModbusSettings(DriverSettings):
     ring: RingKeys | None = None
     address: Address | None = None
     period_s: float = Field(default=0.02, gt=0)
+    gap: int = Field(default=8, ge=0, le=120)
+    share: bool = True
     fields: Annotated[tuple[ModbusField, ...], AfterValidator(unique_names), Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -58,7 +60,11 @@ class ModbusSettings(DriverSettings):
         if self.transport == "tcp" and not 0 < int(self.port) < 65536:
             raise ValueError(f"port {self.port} is no TCP port; 1 to 65535 are")
         if self.transport == "rtu" and not isinstance(self.port, str):
-            raise ValueError('transport "rtu" needs the path of its serial port, e.g. port = "/dev/ttyUSB0"')
+            raise ValueError('transport "rtu" needs the path of its serial port, e.g. port = "/dev/serial/by-id/..."')
+        if self.transport == "rtu" and self.device_id == 0:
+            raise ValueError("device_id 0 calls all units of a serial line at once, and none of them answers; 1 to 247")
+        if self.transport == "rtu" and not self.share:
+            raise ValueError("share: a serial line is one connection; false is for TCP")
         return self
 
     @model_validator(mode="after")

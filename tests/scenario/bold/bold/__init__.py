@@ -10,5 +10,5 @@ class BoldDriver(ModbusDriver):
 
     def open(self) -> None:
         super().open()
-        self._pipe._socket.send(START)
-        self._pipe._socket.recv(1024)
+        self._line.pipe._socket.send(START)
+        self._line.pipe._socket.recv(1024)

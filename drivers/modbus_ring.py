@@ -1,0 +1,116 @@
+"""A Modbus device that keeps its newest samples in a ring of slots, and counts them in an index register."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import clock
+from drivers.fields import ByteArray, FieldSpec, Layout
+from drivers.modbus_codec import Ring, slot_layout, slots_of
+from drivers.modbus_frames import Request
+from drivers.modbus_modes import Ask, Reader
+from drivers.modbus_settings import ModbusSettings
+from drivers.port import Counts, DriverConfigError, IntArray, SampleBlock, SourceRequest
+
+_HURRY = 0.02
+INDEX = "index"
+
+
+class RingReader(Reader):
+    """Reads a ring: the index, the slots up to it, the index again."""
+
+    def __init__(self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]):
+        super().__init__(source, settings, counts, note)
+        if settings.ring is None or settings.index is None:
+            raise DriverConfigError(f'{source.name}: mode "ring" needs index and ring')
+        self.layout = slot_layout(settings.fields, settings.word_order)
+        index = FieldSpec(name=INDEX, type=settings.index.type)
+        self._index_layout = Layout((index,), "big", settings.word_order)
+        self._index_address = settings.index.address
+        self._ring = Ring(settings.ring.address, settings.ring.slots, self.layout.size // 2, index.modulus)
+        counted_by_index = source.counter in (None, INDEX)
+        self._counter = None if counted_by_index else source.counter
+        self.modulus = index.modulus if self._counter is None else self.layout.counter_field(self._counter).modulus
+        self._next: int | None = None
+        self._seen: int | None = None
+        self._pause_s = settings.period_s
+
+    def read(self, ask: Ask, deadline: float) -> SampleBlock:
+        while self._seen is None or self._seen == self._next:
+            if not self.wait_until_due(deadline):
+                return self.empty()
+            self._seen = self._follow(self._index(ask))
+            self.due = clock.monotonic() + self._pause_s
+        return self._fetch(ask, self._seen, deadline)
+
+    def reopened(self) -> None:
+        """Ask for the index anew before the next read."""
+        self._seen = None
+
+    def _request(self, address: int, count: int) -> Request:
+        return Request(self.settings.device_id, self.settings.function, address, count)
+
+    def _index(self, ask: Ask) -> int:
+        data = ask(self._request(self._index_address, self._index_layout.size // 2))
+        return int(self._index_layout.counter(data.reshape(1, -1), INDEX)[0])
+
+    def _follow(self, raw: int) -> int:
+        """Return the index unwrapped, and move the place to read from when samples were lost or counting began anew."""
+        head = raw if self._next is None else self._ring.unwrap(raw, self._next)
+        if self._next is not None and head < self._next:
+            head = self._restart(raw)
+        oldest = self._ring.oldest(head)
+        if self._next is None:
+            self._next = oldest
+        elif oldest > self._next:
+            self.counts.dropped["overrun"] += oldest - self._next
+            self._next = oldest
+        return head
+
+    def _restart(self, raw: int) -> int:
+        self.note(f"the device's index ran back to {raw}: it was restarted; reading goes on with its oldest sample")
+        self.counts.faults["restart"] += 1
+        self.epoch += 1
+        self._next = None
+        return raw
+
+    def _fetch(self, ask: Ask, head: int, deadline: float) -> SampleBlock:
+        first = end = self._next or 0
+        pieces: list[ByteArray] = []
+        for span in self._ring.spans(first, head):
+            pieces.append(ask(self._request(span.address, span.count)))
+            end = span.first + span.samples
+            if clock.monotonic() > deadline:
+                break
+        raw = self._index(ask)
+        after = self._ring.unwrap(raw, head)
+        if after < head:
+            self._seen = self._follow(raw)
+            return self.empty()
+        return self._deliver(first, end, after, np.concatenate(pieces))
+
+    def _deliver(self, first: int, end: int, after: int, data: ByteArray) -> SampleBlock:
+        arrival_ns = clock.monotonic_ns()
+        late = self._ring.overtaken(first, end - first, after)
+        slots = slots_of(data, self.layout)[~late]
+        self.counts.received += end - first
+        if late.any():
+            self.counts.rejected["overrun"] += int(late.sum())
+        self._next = end
+        backlog = after - end
+        # a device that fills much of its ring between two reads plays faster than in real time: it is not kept waiting
+        self._pause_s = self.settings.period_s * (_HURRY if 4 * (end - first) > self._ring.slots else 1.0)
+        self._seen = self._follow(after % self._ring.modulus) if backlog >= self._ring.samples_a_request else None
+        return SampleBlock(
+            self.layout.values(slots, self.source.fields),
+            arrival_ns,
+            self._count(slots, first, late),
+            None,
+            self.epoch,
+        )
+
+    def _count(self, slots: ByteArray, first: int, late: NDArray[np.bool_]) -> IntArray:
+        if self._counter is None:
+            return self._ring.raw(first, len(late))[~late]
+        return self.layout.counter(slots, self._counter)

@@ -16,7 +16,7 @@ ALLOWED = {
     "listening.py": {"sendall"},  # behind `check`
     "pipe.py": {"send", "write"},  # os.write behind `check`
     "serial_port.py": {"ioctl"},  # TIOCEXCL and TIOCNXCL, which concern who may open the line
-    "modbus.py": {"send"},  # of a pipe
+    "modbus_line.py": {"send"},  # of a pipe
     "can_bus.py": {"send"},  # of a pipe: socketcand's handshake
     "can_slcan.py": {"send"},  # of a pipe: opening the adapter listen-only, where that is asked for
     "can_link.py": {"send"},  # of the gate: how an interface is set up, asked of the kernel

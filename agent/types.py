@@ -198,6 +198,7 @@ class EventRecord:
             failed, before all of it had come), "failed" (nothing could be kept), "purged" (it made room for newer ones).
         from_ns, to_ns: times of its first and last sample.
         samples, bytes: how much it holds.
+        baseline_id: the baseline that alarms counted from then; None for the nominal.
         message: in words, what is remarkable.
     """
 
@@ -212,6 +213,7 @@ class EventRecord:
     to_ns: int
     samples: int
     bytes: int
+    baseline_id: int | None = None
     message: str = ""
 
 

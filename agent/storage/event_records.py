@@ -19,7 +19,8 @@ class RecordBook:
         seq, run = self._row(record, run_id, numbers, connection)
         plan.sealed(
             "event_records", seq, run, record.t_ns, record.kind, record.parameter, record.alarms, record.file,
-            record.state, record.from_ns, record.to_ns, record.samples, record.bytes, record.message,
+            record.state, record.from_ns, record.to_ns, record.samples, record.bytes, record.baseline_id,
+            record.message,
         )  # fmt: skip
 
     def _row(

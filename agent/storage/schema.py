@@ -55,7 +55,8 @@ TABLES: dict[str, str] = {
     "sequences": "name TEXT NOT NULL UNIQUE, high INTEGER NOT NULL",
     "event_records": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, kind TEXT NOT NULL, parameter TEXT NOT NULL, "
     "alarms INTEGER NOT NULL, file TEXT NOT NULL, state TEXT NOT NULL, from_ns INTEGER NOT NULL, "
-    "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, message TEXT NOT NULL",
+    "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, baseline_id INTEGER, "
+    "message TEXT NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
 _SINCE = {"event_records": 2}

@@ -119,8 +119,8 @@ EVENT_RECORDS = f"""CREATE VIEW v_event_records AS
  SELECT e.seq AS id, g.name AS rig, e.run_id AS run_id, e.t_ns AS t_ns, {time_text("e.t_ns")} AS time, e.kind AS kind,
  e.parameter AS parameter, (SELECT a.seq FROM alarms a WHERE a.run_id = e.run_id AND a.kind = e.kind
  AND a.parameter = e.parameter AND a.raised_ns = e.t_ns) AS alarm_id, e.alarms AS alarms,
- {time_text("e.from_ns")} AS from_time, {time_text("e.to_ns")} AS to_time, e.samples AS samples, e.bytes AS bytes,
+ e.from_ns AS from_ns, e.to_ns AS to_ns, e.samples AS samples, e.bytes AS bytes,
  e.state AS state, e.file AS file, r.config_sha256 AS config_sha256, r.code_version AS code_version,
- r.baseline_id AS baseline_id, e.message AS message
+ e.baseline_id AS baseline_id, e.message AS message
  FROM event_records e JOIN runs r ON r.seq = e.run_id JOIN rigs g ON g.seq = r.rig_id"""
 """Came with version 2."""

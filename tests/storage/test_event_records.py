@@ -18,8 +18,9 @@ from tests.storage.rows import START, batch, run_info, select, step
 FIRST_VERSION = Path(__file__).parent / "fixtures" / "version-1.db.gz"
 RAISED = START + 2_000_000_000
 RECORD = EventRecord(
-    "press-7", RAISED, "level", "k1", 1, "rig.db.events/press-7-00000000-k1.npz", "recording", START, RAISED, 2000, 9000
-)
+    "press-7", RAISED, "level", "k1", 1, "rig.db.events/press-7-00000000-k1.npz", "recording", START, RAISED, 2000,
+    9000, 7,
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -33,8 +34,8 @@ def test_record_is_listed_with_its_alarm_and_the_provenance_of_its_run(path: Pat
         store.write(run, [batch(40), step("NORM", "UNACK", RAISED), RECORD])
     (row,) = queries.event_records(path, "press-7")
     facts = {"alarm_id": 1, "run_id": 1, "t_ns": RAISED, "state": "recording", "samples": 2000, "bytes": 9000,
-             "config_sha256": "ab" * 32, "code_version": "0.1.0", "baseline_id": None, "kind": "level",
-             "time": "2026-01-01T00:00:02.000000000Z", "from_time": "2026-01-01T00:00:00.000000000Z"}  # fmt: skip
+             "config_sha256": "ab" * 32, "code_version": "0.1.0", "baseline_id": 7, "kind": "level",
+             "time": "2026-01-01T00:00:02.000000000Z", "from_ns": START}  # fmt: skip
     assert row.items() >= facts.items()
 
 

@@ -163,6 +163,12 @@ def longer_windows(config: RigConfig, plan: HopPlan) -> tuple[int, ...]:
     return tuple(dict.fromkeys(plan.window + count * plan.hop for count in hops))
 
 
+def _drift_window(config: RigConfig) -> int | None:
+    """Return the samples of the window in which parameters may run straight lines; None where they may not."""
+    length = config.estimator.drift_s
+    return None if length is None else round(length * config.rig.sample_rate_hz)
+
+
 def longest_bridge(model: Model, rate_hz: float) -> int:
     """Return the longest gap that is bridged, samples: 5, or a twentieth of the fastest period, but no more than 20."""
     speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
@@ -198,6 +204,7 @@ def window_settings(
         scale_column=_scale_columns(config, rig),
         longer=longer_windows(config, plan),
         input_sd=input_noise(config, input_resolution),
+        drift=_drift_window(config),
         wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
         lower=np.where(physical & (nominal != 0), np.where(needed, 0.02 * scale, 0.0), -np.inf),
         enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),

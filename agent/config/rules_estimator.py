@@ -84,6 +84,9 @@ def _check_lengths(draft: Draft, rate_hz: float) -> None:
             unknowns = f"{len(draft.estimated)} parameters and {draft.states or 0} states"
             faults.add(path, what, f"{unknowns} need at least {least}: {least / rate_hz:g} s")
     longest = max(estimator.windows_s, default=math.inf)
+    if readable(estimator.drift_s) and estimator.drift_s is not None and estimator.drift_s < longest < math.inf:
+        what = f"{estimator.drift_s:g} s is shorter than the window, {longest:g} s"
+        faults.add("estimator.drift_s", what, "lines have twice the unknowns: take three windows or more")
     if readable(estimator.hop_s) and estimator.hop_s > longest:
         what = f"{estimator.hop_s:g} s is longer than the window, {longest:g} s"
         faults.add("estimator.hop_s", what, "hop within the window, so that no sample is passed over")

@@ -136,6 +136,7 @@ class Estimator(Table):
     observer: Observer = Observer()
     resolve: Positive = 0.33
     passes: int = Field(default=1, ge=1, le=1000)
+    drift_s: Positive | None = None
 
     @property
     def windows_s(self) -> tuple[float, ...]:

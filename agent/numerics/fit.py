@@ -152,7 +152,7 @@ class _Unknowns:
 
 
 def _unknowns(Gamma: FloatArray, U: FloatArray, sd: FloatArray) -> _Unknowns:
-    left, pinv = _orthogonal(Gamma)
+    left, pinv = orthogonal(Gamma)
     return _Unknowns(left, pinv, U, shrinkage(U - left @ (left.T @ U), sd) if len(sd) else None)
 
 
@@ -193,7 +193,7 @@ def _outputs(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray) -> tu
     return np.vstack(outputs), np.vstack(leverage)
 
 
-def _orthogonal(Gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
+def orthogonal(Gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return an orthonormal basis of the columns of Gamma (N, n) and its pseudo-inverse, columns scaled first."""
     norms = np.linalg.norm(Gamma, axis=0)
     scale = np.where(norms > 0, 1.0 / np.where(norms > 0, norms, 1.0), 0.0)

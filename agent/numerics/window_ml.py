@@ -13,6 +13,7 @@ from agent.numerics.fit import Fit, Problem
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import MOST, Lacking
 from agent.numerics.memory import Memory, disjoint, far, quieter
+from agent.numerics.moving import Moving
 from agent.numerics.placing import place
 from agent.numerics.rows import Rows
 from agent.numerics.sensors import with_constant
@@ -56,6 +57,7 @@ class WindowML:
         self._upkeep = Upkeep()
         self._memory = Memory.empty(len(self.point.theta))
         self._lacking = Lacking(self.point.outputs)
+        self._moving = None if settings.drift is None else Moving(settings.drift)
         self._segment: Segment | None = None
         self._units = UNITS_MIN
         self._anchored = False
@@ -71,6 +73,8 @@ class WindowML:
         self._onset = self._blamed = None
         self._anchored = False
         self._lacking.forget()
+        if self._moving is not None:
+            self._moving.forget()
 
     def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end.
@@ -92,7 +96,8 @@ class WindowML:
         self._segment.append(index, v)
         while self._segment.ready():
             pieces.append(self._advance(self._segment))
-        keep = max(plan.window, *self.settings.longer, 0 if self._searched else self._record()) + plan.hop
+        longest = max(plan.window, *self.settings.longer, self.settings.drift or 0)
+        keep = max(longest, 0 if self._searched else self._record()) + plan.hop
         self._segment.trim(keep)
         self._lacking.trim(self._segment.first)
         return Rows.joined(pieces, q)
@@ -117,10 +122,12 @@ class WindowML:
             choose(rows, widening, rows.dof / point.dof, found.candidates, self.settings.wanted_sd, point.doubt)
         if moved_at is None:
             self._units = min(2 * self._units, max(UNITS_MAX, 2 * self.settings.plan.fulls))
-            return rows
-        # rows after the one that moved theta_r belong to the old operators and are computed again
-        self._units = UNITS_MIN
-        return rows.part(moved_at + 1)
+        else:
+            # rows after the one that moved theta_r belong to the old operators and are computed again
+            self._units, rows = UNITS_MIN, rows.part(moved_at + 1)
+        if self._moving is not None:
+            self._moving.follow(point, segment, self._lacking, rows, moved=moved_at is not None)
+        return rows
 
     def _judge(self, segment: Segment, found: Solved) -> int | None:
         """Give the verdicts in order; return the row at which theta_r was moved (those after it are void), or None."""

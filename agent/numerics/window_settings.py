@@ -36,6 +36,7 @@ class WindowSettings:
         court: tells a changed sensor from a changed structure; None believes in the structure.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
+        drift: samples of the window in which parameters that move may run straight lines; None where they may not.
     """
 
     period_s: float
@@ -53,3 +54,4 @@ class WindowSettings:
     suspects: Suspects | None = None
     court: Court | None = None
     input_sd: FloatArray | None = None
+    drift: int | None = None

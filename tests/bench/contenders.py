@@ -32,7 +32,13 @@ POLE_SCALES = (1.0, 2.0, 3.0, 6.0)
 WALKS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 MEMORIES = (0.98, 0.99, 0.996, 0.998)
 PASSES = 10
-WINDOWS = (("0.25", "0.25", 250), ("0.5", "0.5", 500), ("0.25-2", "[0.25, 0.5, 1.0, 2.0]", 2000))
+WINDOWS = (
+    ("0.25 s", "0.25", 250),
+    ("0.5 s", "0.5", 500),
+    ("0.25-2 s", "[0.25, 0.5, 1.0, 2.0]", 2000),
+    ("0.25 s, lines of 1 s", "0.25\ndrift_s = 1.0", 1000),
+    ("0.5 s, lines of 1.5 s", "0.5\ndrift_s = 1.5", 1500),
+)
 """Names of the product's windows, as the configuration says them, and the longest in samples."""
 BLOCK = 65_536
 """Samples that window-ml is given at once, as a replay reads them."""
@@ -94,7 +100,7 @@ def contenders(sigma: float, tuning_record: Record, score: Callable[[Estimates],
         best("joint EKF", [(f"walk {w:g}", joint_run(rivals.run_ekf, sigma, w)) for w in WALKS]),
         best("joint UKF", [(f"walk {w:g}", joint_run(rivals.run_ukf, sigma, w)) for w in WALKS]),
         *[
-            Contender(f"window-ml {name} s", product_run(sigma, s), "not tuned", samples)
+            Contender(f"window-ml {name}", product_run(sigma, s), "not tuned", samples)
             for name, s, samples in WINDOWS
         ],
     ]

@@ -15,6 +15,8 @@ ERROR = 0x20000000
 FD_FLAG = 0x04
 STANDARD_MASK = 0x7FF
 EXTENDED_MASK = 0x1FFFFFFF
+MOST_SECONDS = 9_000_000_000
+"""A time stamp beyond does not fit into 64 bits of nanoseconds."""
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 FRAME = np.dtype([("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "u1", (72,))])
@@ -102,8 +104,8 @@ class DaemonText:
 
     def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> bool:
         """Add a message's frame, if it is one; tell whether the message makes sense."""
-        row = pack_frame(ERROR, b"") if match[5] == b"error" else None
-        if match[5] is None:
+        row = _daemon_error(match[0]) if match[5] == b"error" else None
+        if match[5] is None and int(match[2]) <= MOST_SECONDS:
             row = _daemon_row(match[1], match[4])
         if row is not None:
             rows.append(row)
@@ -112,6 +114,13 @@ class DaemonText:
 
 
 _LONGEST_MESSAGE = 400
+_ERROR_CLASS = re.compile(rb"< *error ([0-9A-Fa-f]{1,8}) \d")
+
+
+def _daemon_error(message: bytes) -> bytes:
+    """Return an error frame of the class that the daemon names; it passes on no more of it."""
+    match = _ERROR_CLASS.match(message)
+    return pack_frame(ERROR | (int(match[1], 16) & EXTENDED_MASK if match else 0), bytes(8))
 
 
 def _daemon_row(digits: bytes, payload: bytes) -> bytes | None:
@@ -125,7 +134,8 @@ def _daemon_row(digits: bytes, payload: bytes) -> bytes | None:
 
 _CANDUMP = re.compile(
     r"\((\d{1,12})\.(\d{1,9})\) +(\S+) +([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
-    r"(?:(R)([0-8]?)|(#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64}))(?: [TR])?"
+    r"(?:(R)([0-8]?)|(#[0-9A-Fa-f])?((?:[0-9A-Fa-f]{2}){0,64}))(?: [TR])?",
+    re.ASCII,
 )
 
 
@@ -135,7 +145,7 @@ def candump_row(line: str) -> tuple[int, bytes] | None:
     if match is None:
         return None
     number = int(match[4], 16)
-    if number > (STANDARD_MASK if len(match[4]) == 3 else ERROR | EXTENDED_MASK):
+    if number > (STANDARD_MASK if len(match[4]) == 3 else ERROR | EXTENDED_MASK) or int(match[1]) > MOST_SECONDS:
         return None
     number |= EXTENDED if len(match[4]) == 8 and not number & ERROR else 0
     if match[5]:

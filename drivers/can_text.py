@@ -8,7 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.can_frames import EXTENDED, FD_FLAG, FD_LENGTHS, FRAME, Frames, FrameTable, candump_row
+from drivers.can_frames import (
+    EXTENDED,
+    EXTENDED_MASK,
+    FD_FLAG,
+    FD_LENGTHS,
+    FRAME,
+    MOST_SECONDS,
+    STANDARD_MASK,
+    Frames,
+    FrameTable,
+    candump_row,
+)
 from drivers.fields import ByteArray
 from drivers.port import IntArray
 
@@ -76,68 +87,83 @@ def _first(text: ByteArray, character: int, start: IntArray) -> IntArray:
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    """Where things stand in lines of one shape: columns of point, closing bracket, end of name, sign and data.
+
+    `end` is where the data end, before the direction that python-can writes there.
+    """
+
+    point: int
+    close: int
+    name_end: int
+    sign: int
+    data: int
+    end: int
+    fd: bool
+
+    @property
+    def size(self) -> int:
+        """Bytes of data."""
+        return (self.end - self.data) // 2
+
+    def possible(self) -> bool:
+        """Tell whether frames can be written so."""
+        whole = (self.end - self.data) % 2 == 0 and self.size in _LENGTHS[self.fd]
+        return whole and 1 < self.point <= 13 and 1 < self.close - self.point <= 10 and self.name_end > self.close + 2
+
+    def marked(self, cells: ByteArray) -> NDArray[np.bool_]:
+        """Tell of each line whether brackets, point, spaces and signs stand where the first line has them."""
+        right: NDArray[np.bool_] = (cells[:, 0] == _OPEN) & (cells[:, self.point] == _POINT)
+        right &= (cells[:, self.close] == _CLOSE) & (cells[:, self.close + 1] == _SPACE)
+        right &= (cells[:, self.name_end] == _SPACE) & (cells[:, self.sign] == _HASH)
+        right &= np.all(cells[:, self.close + 2 : self.name_end] > _SPACE, axis=1)
+        if self.fd:
+            right &= cells[:, self.sign + 1] == _HASH
+        if self.end < cells.shape[1]:
+            right &= (cells[:, self.end] == _SPACE) & ((cells[:, -1] == ord("R")) | (cells[:, -1] == ord("T")))
+        return right
+
+    def in_digits(self, digits: ByteArray) -> NDArray[np.bool_]:
+        """Tell of each line whether seconds, their parts, identifier, flags and data are digits of their kind."""
+        right: NDArray[np.bool_] = np.all(digits[:, 1 : self.point] < 10, axis=1)
+        right &= np.all(digits[:, self.point + 1 : self.close] < 10, axis=1)
+        right &= np.all(digits[:, self.name_end + 1 : self.sign] < 16, axis=1)
+        right &= np.all(digits[:, self.sign + 1 + self.fd : self.end] < 16, axis=1)
+        return right
+
+
+def _shape(line: ByteArray, close: int, sign: int) -> _Shape:
+    """Return the shape of a line."""
+    long = sign > close + 11 and line[sign - 9] == _SPACE
+    fd = sign + 1 < len(line) and line[sign + 1] == _HASH
+    end = len(line) - (2 if bytes(line[-2:]) in (b" R", b" T") else 0)
+    point = int(np.argmax(line[:close] == _POINT))
+    return _Shape(point, close, sign - (9 if long else 4), sign, sign + (3 if fd else 1), end, bool(fd))
+
+
 def _read_shape(
     lines: _Lines, rows: IntArray, first: int, into: tuple[FrameTable, IntArray, NDArray[np.bool_]]
 ) -> None:
     """Read lines that are like the first one of them, and mark those that were."""
     table, t_ns, read = into
-    start = int(lines.start[first])
-    length, close, sign = (int(at[first]) - start for at in (lines.end, lines.close, lines.sign))
-    cells = lines.text[lines.start[rows][:, None] + np.arange(length)]
-    suffix = 2 if bytes(cells[0, -2:]) in (b" R", b" T") else 0
-    name_end = sign - (9 if sign > close + 11 and cells[0, sign - 9] == _SPACE else 4)
-    fd = sign + 1 < length and cells[0, sign + 1] == _HASH
-    data = sign + (3 if fd else 1)
-    size, odd = divmod(length - suffix - data, 2)
-    point = int(np.argmax(cells[0, :close] == _POINT))
-    if (
-        odd
-        or name_end < close + 3
-        or size not in _LENGTHS[bool(fd)]
-        or not 0 < point < close - 1
-        or close - point > 10
-        or point > 13
-    ):
+    start, end = int(lines.start[first]), int(lines.end[first])
+    shape = _shape(lines.text[start:end], int(lines.close[first]) - start, int(lines.sign[first]) - start)
+    if not shape.possible():
         return
+    cells = lines.text[lines.start[rows][:, None] + np.arange(end - start)]
     digits = _DIGITS[cells]
-    right = _marked(cells, (close, point, name_end, sign), length, suffix) & _are_digits(
-        digits, (1, point, close, name_end, sign, data, length - suffix)
-    )
-    numbers = digits[:, name_end + 1 : sign]
-    identifier = _value_of(numbers, 16)
-    right &= identifier <= (0x7FF if numbers.shape[1] == 3 else 0x1FFFFFFF)
-    if fd:
-        right &= (cells[:, sign + 1] == _HASH) & (digits[:, sign + 2] < 16)
-    pairs = digits[:, data : length - suffix]
+    name, pairs = digits[:, shape.name_end + 1 : shape.sign], digits[:, shape.data : shape.end]
+    identifier, extended = _value_of(name, 16), name.shape[1] == 8
+    right = shape.marked(cells) & shape.in_digits(digits)
+    seconds, parts = _value_of(digits[:, 1 : shape.point], 10), digits[:, shape.point + 1 : shape.close]
+    right &= (identifier <= (EXTENDED_MASK if extended else STANDARD_MASK)) & (seconds <= MOST_SECONDS)
     made = np.zeros(len(rows), FRAME)
-    made["id"] = identifier + (EXTENDED if numbers.shape[1] == 8 else 0)
-    made["length"], made["flags"] = size, FD_FLAG if fd else 0
-    made["data"][:, :size] = (pairs[:, ::2] << 4) | (pairs[:, 1::2] & 15)
+    made["id"] = identifier + (EXTENDED if extended else 0)
+    made["length"], made["flags"] = shape.size, FD_FLAG if shape.fd else 0
+    made["data"][:, : shape.size] = (pairs[:, ::2] << 4) | (pairs[:, 1::2] & 15)
     table[rows], read[rows] = made, right
-    t_ns[rows] = _value_of(digits[:, 1:point], 10) * 10**9
-    t_ns[rows] += _value_of(digits[:, point + 1 : close], 10) * 10 ** (9 - (close - point - 1))
-
-
-def _marked(cells: ByteArray, marks: tuple[int, int, int, int], length: int, suffix: int) -> NDArray[np.bool_]:
-    """Tell of each line whether brackets, point, spaces and sign stand where the first line has them."""
-    close, point, name_end, sign = marks
-    right = (cells[:, 0] == _OPEN) & (cells[:, point] == _POINT) & (cells[:, close] == _CLOSE)
-    right &= (cells[:, close + 1] == _SPACE) & (cells[:, name_end] == _SPACE) & (cells[:, sign] == _HASH)
-    # the bus's name: no white space in it
-    right &= np.all(cells[:, close + 2 : name_end] > _SPACE, axis=1)
-    if suffix:
-        right &= (cells[:, length - 2] == _SPACE) & ((cells[:, -1] == ord("R")) | (cells[:, -1] == ord("T")))
-    marked: NDArray[np.bool_] = right
-    return marked
-
-
-def _are_digits(digits: ByteArray, at: tuple[int, int, int, int, int, int, int]) -> NDArray[np.bool_]:
-    """Tell of each line whether seconds, their parts, identifier and data are digits of their kind."""
-    seconds, point, close, name_end, sign, data, end = at
-    right = (digits[:, seconds:point] < 10).all(axis=1) & (digits[:, point + 1 : close] < 10).all(axis=1)
-    right &= (digits[:, name_end + 1 : sign] < 16).all(axis=1) & (digits[:, data:end] < 16).all(axis=1)
-    found: NDArray[np.bool_] = right
-    return found
+    t_ns[rows] = seconds * 10**9 + _value_of(parts, 10) * 10 ** (9 - parts.shape[1])
 
 
 def _value_of(digits: ByteArray, base: int) -> IntArray:

@@ -33,8 +33,9 @@ _STATE = re.compile(rb"s([awpb])(\d{3})(\d{3})")
 _ERRORS = re.compile(rb"e([1-9])([abBcfoOs]{1,9})")
 _STATUS = re.compile(rb"F([0-9A-Fa-f]{2})")
 _OTHER = re.compile(rb"|[zZ]|V[0-9A-Fa-f]{4}|v[0-9A-Fa-f]{1,4}|N[0-9A-Za-z]{4}")
-_FD_LETTERS = b"dDbB"
-_TAILS = frozenset(b"%c" % letter for letter in _FD_LETTERS)
+_LETTERS, _FD_LETTERS = b"tTrRxdDbB", b"dDbB"
+_LONGEST_HEAD = 10
+_HEAD = re.compile(rb"(?:[trdb][0-9A-Fa-f]{3}|[TRDBx][0-9A-Fa-f]{8})([0-9A-Fa-f])")
 _STATES = {b"a": 0x40, b"w": 0x0C, b"p": 0x30}
 _STATUS_BITS = {
     0x01: (0x4, 0x01),
@@ -55,7 +56,7 @@ class SlcanText:
         fd: whether the letters of FD frames are known.
 
     Of a line one cannot tell whether its beginning is missing, but by its first letter. The letters of FD frames are
-    digits too: such a line counts only behind one that was whole.
+    digits too: such a line does not count where it may be the end of the broken one before it.
     """
 
     def __init__(self, counts: Counts, *, fd: bool = True) -> None:
@@ -63,35 +64,48 @@ class SlcanText:
         self._fd = fd
         self._rest = b""
         self._begun = False
-        self._whole = False
+        self._broken: bytes | None = b""
         self._clock = StampClock()
 
     def feed(self, data: bytes, arrival_ns: int) -> Frames:
         """Return the frames that are whole now; arrival_ns is the time of those that bring no stamp."""
         rows: list[bytes] = []
         stamps: list[int] = []
-        end = 0
         text = self._rest + data
-        for match in _LINE.finditer(text):
+        end = max(text.rfind(b"\r"), text.rfind(b"\a")) + 1
+        for match in _LINE.finditer(text, 0, end):
             self._take(match[1], match[2] == b"\a", rows, stamps)
-            end = match.end()
         self._rest = text[end:][-_LONGEST:]
         return frames_of(rows, self._clock.times(stamps, arrival_ns)) if rows else no_frames()
 
     def _take(self, line: bytes, refused: bool, rows: list[bytes], stamps: list[int]) -> None:
-        tail, first = (not self._whole or not self._fd) and line[:1] in _TAILS, not self._begun
-        self._begun = True
-        item = None if tail or refused else _read(line)
-        self._whole = item is not None
+        first, self._begun = not self._begun, True
+        item = None if refused or self._may_be_tail(line) else _read(line)
+        self._broken = None
         if item is not None:
             rows += item[0]
             stamps += [item[1]] * len(item[0])
         elif refused and not line:
             self._counts.faults[REFUSED] += 1
-            self._whole = True
-        elif not first:  # the line that was being sent while this end was opened is nobody's
-            self._counts.received += 1
-            self._counts.rejected["text"] += 1
+        else:
+            self._broken = line
+            if not first:  # the line that was being sent while this end was opened is nobody's
+                self._counts.received += 1
+                self._counts.rejected["text"] += 1
+
+    def _may_be_tail(self, line: bytes) -> bool:
+        """Tell whether a line could be the end of the broken one before it, cut by a wrong or one more byte."""
+        if line[:1] not in _FD_LETTERS or not line:
+            return False
+        if not self._fd:
+            return True
+        if self._broken is None:
+            return False
+        head = _HEAD.match(self._broken)
+        if head is None:
+            return len(self._broken) < _LONGEST_HEAD or self._broken[:1] not in _LETTERS
+        missing = len(head[0]) + 2 * FD_LENGTHS[int(head[1], 16)] - len(self._broken) - len(line)
+        return missing in (0, 1, -4, -3)
 
 
 class StampClock:

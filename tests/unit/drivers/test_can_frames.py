@@ -28,6 +28,25 @@ def test_daemon_text_in_any_pieces_gives_the_frames_that_the_library_gives() -> 
         assert text.bad == 0
 
 
+@pytest.mark.parametrize(
+    ("line", "identifier"),
+    [
+        (b"< error 040 1.5 >", 0x40),
+        (b"< error 20000004 1.5 >", 4),
+        (b"< error 20 12.5 >", 0x20),
+        (b"< error could not open bus >", 0),
+    ],
+)
+def test_error_that_the_daemon_passes_on_keeps_its_class(line: bytes, identifier: int) -> None:
+    assert DaemonText().feed(line).table["id"].tolist() == [0x20000000 | identifier]
+
+
+@pytest.mark.parametrize("line", [b"< frame 123 9999999999.0 11 >", b"(9999999999.0) can0 123#11"])
+def test_time_stamp_that_no_clock_shows_makes_no_frame(line: bytes) -> None:
+    assert len(DaemonText().feed(line)) == 0
+    assert candump_row(line.decode()) is None
+
+
 def test_daemon_text_times_are_exact_nanoseconds() -> None:
     frames = DaemonText().feed(b"< frame 001 1700000000.123456789 00 >< frame 001 0.5 00 >")
     assert frames.t_ns.tolist() == [1700000000123456789, 500000000]

@@ -10,6 +10,8 @@ from drivers.patterns import LONGEST
 from drivers.port import Counts, DriverConfigError
 from drivers.serial_codec import Samples, SerialDecoder
 
+_NUMBER = re.compile(r"[ \t]*(?:(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|NaN|NAN)[ \t]*)?", re.ASCII)
+
 
 class TextDecoder(SerialDecoder):
     """Lines of delimited text, or lines that a pattern with named groups matches whole.
@@ -101,10 +103,10 @@ def _nmea_body(line: str) -> str | None:
 
 
 def _numbers(cells: Sequence[str | None], counter: int | None) -> list[float] | str:
-    try:
-        numbers = [float(cell) if cell and cell.strip() else float("nan") for cell in cells]
-    except ValueError:
+    # float() takes more for numbers than an instrument writes: 1_000, foreign digits, infinity
+    if not all(_NUMBER.fullmatch(cell) for cell in cells if cell):
         return "text"
+    numbers = [float(cell) if cell and not cell.isspace() else math.nan for cell in cells]
     if any(math.isinf(number) for number in numbers):
         return "text"
     if counter is not None and not (numbers[counter].is_integer() and 0 <= numbers[counter] < 2**53):

@@ -121,7 +121,9 @@ def test_garbage_for_long_is_counted_and_not_kept(rng: np.random.Generator) -> N
     assert 49_000 < counts.rejected.total() <= 50_000
 
 
-@pytest.mark.parametrize("count", [100_000, pytest.param(1_000_000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    "count", [100_000, pytest.param(10_000_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+)
 def test_mutated_frames_are_read_as_an_independent_decoder_reads_them(rng: np.random.Generator, count: int) -> None:
     batch = 2_000
     used = whole = 0
@@ -182,6 +184,11 @@ def test_text_lines_are_read_in_pieces_and_with_any_line_end() -> None:
         (b"1,2\n", "columns"),
         (b"1,2,x\n", "text"),
         (b"1,2,inf\n", "text"),
+        (b"1,2,1_000\n", "text"),
+        (b"1,2,3\x85\n", "text"),
+        (b"1,2," + b"9" * 400 + b"\n", "text"),
+        (b"1,2,0x10\n", "text"),
+        (b"1,2," + b" " * 1100 + b"3\n", "length"),
         (b"1.5,2,3\n", "counter"),
         (b",1,2\n", "counter"),
     ],

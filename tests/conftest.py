@@ -3,6 +3,7 @@
 import os
 import zlib
 from pathlib import Path
+from typing import Any
 
 # One BLAS thread, before anything imports numpy: small products are ten times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -38,9 +39,27 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """A run in which a driver wrote what a listener must not is red, whatever its tests say."""
-    session.config.stash[_WRITES] = tracing.end(session.config.stash[_REPORT])
-    if session.config.stash[_WRITES][1]:
+    seen, forbidden = tracing.end(session.config.stash[_REPORT])
+    others_seen, others_forbidden = session.config.stash.get(_WRITES, (0, []))
+    writes = session.config.stash[_WRITES] = (seen + others_seen, forbidden + others_forbidden)
+    told = getattr(session.config, "workeroutput", None)
+    if told is not None:
+        told["deltak"] = {"writes": writes, "figures": figures.FIGURES, "not tested": peers.NOT_TESTED}
+    elif writes[1]:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """Take over what one of several processes that share a run has to say at its end."""
+    told = getattr(node, "workeroutput", {}).get("deltak")
+    if told is None:
+        return
+    seen, forbidden = told["writes"]
+    before_seen, before_forbidden = node.config.stash.get(_WRITES, (0, []))
+    node.config.stash[_WRITES] = (before_seen + seen, before_forbidden + list(forbidden))
+    figures.FIGURES.extend(told["figures"])
+    peers.NOT_TESTED.extend(told["not tested"])
 
 
 def pytest_report_header() -> list[str]:

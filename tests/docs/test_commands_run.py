@@ -15,6 +15,8 @@ from tests.docs.documents import Block, blocks
 from tests.peers import ROOT
 from tests.rigs import two_mass_recording
 
+pytestmark = pytest.mark.realtime
+
 SHELL = blocks("sh")
 
 

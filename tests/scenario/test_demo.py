@@ -17,6 +17,8 @@ from tests.scenario.live import LIMIT_S, agent, example, hops, rows, wait_until
 from tests.scenario.offline import SECOND, bounds, called_for, play
 from tests.sim.rigs import ROOT, Simulator
 
+pytestmark = pytest.mark.realtime
+
 CALLED_FOR = [("B1", 1.0), ("B2", 1.0), ("k1", 0.0), ("k1", 2.0), ("k2", 0.0), ("k2", 2.0)]
 ROWS = 60
 

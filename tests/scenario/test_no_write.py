@@ -15,6 +15,8 @@ from tests.scenario.bold.bold import START
 from tests.scenario.traces import bus_writes, forbidden
 from tests.tracing import watch
 
+pytestmark = pytest.mark.realtime
+
 HERE = Path(__file__).parent
 
 

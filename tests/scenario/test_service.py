@@ -13,6 +13,8 @@ from agent.runtime.service import Service
 from tests.scenario.live import Agent, agent, example, hops, rows, wait_until
 from tests.sim.rigs import Simulator, free_port, simulator
 
+pytestmark = pytest.mark.realtime
+
 STEADY = ("--scenario", "steady")
 
 

@@ -17,6 +17,8 @@ from tests.peers import ROOT
 from tests.scenario import wires
 from tests.scenario.traces import Write, bus_writes, forbidden
 
+pytestmark = pytest.mark.realtime
+
 WIRES = "tcp", "rtu", "daemon", "serial"
 
 

@@ -22,7 +22,7 @@ from tests.vcan.test_vcan import kernel_has_vcan
 
 COMMAND = [sys.executable, "-m", "tests.uml.inside"]
 LIMIT_S = 180.0
-pytestmark = pytest.mark.timeout(LIMIT_S + 20.0)
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(LIMIT_S + 20.0)]
 HEALTHY = {"rejected": {}, "dropped": {}, "gaps": 0}
 
 

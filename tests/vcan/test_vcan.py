@@ -5,8 +5,12 @@ import socket
 import subprocess
 import sys
 
+import pytest
+
 from tests.peers import ROOT, program
 from tests.vcan import guest
+
+pytestmark = pytest.mark.realtime
 
 INSIDE = "tests/vcan/inside.py"
 LIMIT_S = 110.0

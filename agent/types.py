@@ -156,6 +156,21 @@ class AlarmTransition:
 
 
 @dataclass(frozen=True, slots=True)
+class SourceClock:
+    """What is known of a source's time; None where it is not.
+
+    Attributes:
+        drift_ppm, drift_sd_ppm: how fast its device's clock runs against the gateway's.
+        skew_s, skew_sd_s: how much later it is read than the rig's reference source; compensated.
+    """
+
+    drift_ppm: float | None = None
+    drift_sd_ppm: float | None = None
+    skew_s: float | None = None
+    skew_sd_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Health:
     """Conservation ledger of one source since run start, in sample instants: received = used + rejected + dropped.
 
@@ -172,6 +187,7 @@ class Health:
     gaps: int
     lag_s: float | None
     faults: Mapping[str, int] = field(default_factory=dict)
+    clock: SourceClock | None = None
 
 
 @dataclass(frozen=True, slots=True)

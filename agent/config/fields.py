@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, Strict
 
+LONGEST_SKEW_S: Final = 0.5
 NAME: Final = r"^[A-Za-z][A-Za-z0-9_.-]{0,63}$"
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*([smhdwy])")
 _SECONDS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86400.0, "y": 365.25 * 86400.0}
@@ -64,6 +65,16 @@ def _window(value: object) -> float | tuple[float, ...] | Literal["auto"]:
     return lengths
 
 
+def _skew(value: object) -> float | Literal["auto"]:
+    if value == "auto":
+        return "auto"
+    if not _is_number(value) or not math.isfinite(number := _as_float(value)):
+        raise ValueError(f'must be a number of seconds or "auto", not {shown(value)}')
+    if abs(number) > LONGEST_SKEW_S:
+        raise ValueError(f"must be at most {LONGEST_SKEW_S:g} s, not {shown(value)}")
+    return number
+
+
 def _intensities(value: object) -> float | tuple[float, ...]:
     wanted = "a number or a list with one number a mass"
     if not isinstance(value, list):
@@ -107,6 +118,7 @@ Text = Annotated[str, AfterValidator(_one_line)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Window = Annotated[float | tuple[float, ...] | Literal["auto"], PlainValidator(_window)]
+Skew = Annotated[float | Literal["auto"], PlainValidator(_skew)]
 Intensities = Annotated[float | tuple[float, ...], PlainValidator(_intensities)]
 Duration = Annotated[float, PlainValidator(_duration)]
 FilePath = Annotated[Path, PlainValidator(_path)]

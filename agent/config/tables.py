@@ -19,6 +19,7 @@ from agent.config.fields import (
     NotNegative,
     Positive,
     Row,
+    Skew,
     Table,
     Text,
     Window,
@@ -174,6 +175,9 @@ class Source(Table):
     counter: Text | None = None
     stale_s: Positive = 2.0
     record: bool = False
+    skew_s: Skew = "auto"
+    own_clock: bool = False
+    rate_hz: Positive | None = Field(default=None, description="samples a second of this device, such as 200.0")
     settings: Any = None
 
     def connection(self, folder: Path) -> str:

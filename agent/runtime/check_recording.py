@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
+from agent.blocks.acquisition import Acquisition, Aligned
+from agent.blocks.alignment import Alignment
+from agent.blocks.alignment_plan import make_acquisition
 from agent.blocks.friction import dry_friction
 from agent.config import RigConfig
 from agent.errors import RecordingError
@@ -73,21 +75,18 @@ def read_recording(config: RigConfig, path: Path) -> Recorded:
     return Recorded(path.name, inputs, y, _pieces(aligned), noise, facts)
 
 
-def _acquisition(config: RigConfig) -> Acquisition:
-    channels = [*config.inputs, *config.outputs]
-    names = [channel.name for channel in channels]
-    scales = {c.name: ChannelScale(c.scale, c.offset, c.si_factor) for c in channels}
-    plan = source_plan(SOURCE, {name: name for name in names}, names, scales)
-    return Acquisition([plan], len(channels), len(config.inputs), config.rig.clock, config.rig.sample_rate_hz)
+def _acquisition(config: RigConfig) -> Acquisition | Alignment:
+    names = {channel.name: channel.name for channel in (*config.inputs, *config.outputs)}
+    return make_acquisition(config, {SOURCE: names}, np.zeros(len(config.outputs)), keep_incomplete=False)
 
 
-def _all(acquisition: Acquisition, driver: Driver) -> list[Aligned]:
+def _all(acquisition: Acquisition | Alignment, driver: Driver) -> list[Aligned]:
     found: list[Aligned] = []
     while True:
         try:
             found += acquisition.step(SOURCE, driver.read(1.0), driver.counter_modulus)
         except EOFError:
-            return found
+            return found + (acquisition.finish() if isinstance(acquisition, Alignment) else [])
         except DriverError as error:
             raise RecordingError.at("", str(error), "mend or cut the recording") from error
 
@@ -116,7 +115,7 @@ def _noise(signal: FloatArray) -> float:
 
 
 def _facts(
-    config: RigConfig, acquisition: Acquisition, driver: Driver,
+    config: RigConfig, acquisition: Acquisition | Alignment, driver: Driver,
     columns: tuple[FloatArray, FloatArray, IntArray], noise: FloatArray,
 ) -> dict[str, Any]:  # fmt: skip
     u, y, index = columns

@@ -11,16 +11,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
+from agent.blocks.acquisition import Acquisition, Aligned
 from agent.blocks.alarm import LevelAlarms
+from agent.blocks.alignment import Alignment
+from agent.blocks.alignment_plan import make_acquisition
 from agent.blocks.estimation import Estimation
 from agent.blocks.friction import dry_friction
 from agent.blocks.quality import Quality, QualitySettings
 from agent.blocks.rig_model import hop_plan, longest_bridge, rig_model
 from agent.blocks.sensor_alarms import SensorAlarms
+from agent.blocks.source_clocks import SourceClocks
 from agent.config import RigConfig
 from agent.runtime.methods import make_estimation
-from agent.types import Health, IntArray, Record, Samples
+from agent.types import Health, HealthEvent, IntArray, Record, Samples
 from drivers.port import Counts, SampleBlock
 
 Label = Callable[[IntArray], IntArray]
@@ -54,12 +57,7 @@ class Pipeline:
         self.config = config
         channels = [*config.inputs, *config.outputs]
         names = [channel.name for channel in channels]
-        scales = {c.name: ChannelScale(c.scale, c.offset, c.si_factor) for c in channels}
-        plans = [source_plan(name, fields, names, scales) for name, fields in sources.items()]
         rig = config.rig
-        self.acquisition = Acquisition(
-            plans, len(channels), len(config.inputs), rig.clock, rig.sample_rate_hz, keep_incomplete=True
-        )
         all_steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in channels])
         steps = all_steps[len(config.inputs) :]
         longest = longest_bridge(rig_model(config).model, rig.sample_rate_hz)
@@ -68,6 +66,8 @@ class Pipeline:
         )
         # first, since it says in words what the others would stumble over
         self.estimation: Estimation = make_estimation(config, steps, all_steps[: len(config.inputs)])
+        self.acquisition: Acquisition | Alignment = make_acquisition(config, sources, steps)
+        self.clocks = SourceClocks()
         self.friction = dry_friction(config, steps)
         self.newest_ns = 0
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
@@ -78,20 +78,38 @@ class Pipeline:
 
         label: time stamps of sample indices; None takes the block's own stamps (a recording's), or index / rate.
         """
-        records: list[Record] = []
-        for aligned in self.acquisition.step(source, block, modulus):
-            t_ns = self._stamps(aligned) if label is None else label(aligned.index)
-            self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
-            pieces = self.quality.step(aligned.index, t_ns, np.hstack([aligned.u, aligned.y]))
-            records += self._estimated(pieces)
+        if isinstance(self.acquisition, Alignment):
+            records = self._rows(self.acquisition.step(source, block, modulus, label), None)
+            records += self._skews(self.acquisition)
+        else:
+            records = self._rows(self.acquisition.step(source, block, modulus), label)
+        if label is not None and len(block):
+            self.clocks.observe(self.acquisition.sources[source], block.arrival_ns)
         return records
 
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
-        return self._estimated(self.quality.finish())
+        records: list[Record] = []
+        if isinstance(self.acquisition, Alignment):
+            records = self._rows(self.acquisition.finish(), None) + self._skews(self.acquisition)
+        return records + self._estimated(self.quality.finish())
+
+    def _rows(self, pieces: Sequence[Aligned], label: Label | None) -> list[Record]:
+        records: list[Record] = []
+        for aligned in pieces:
+            t_ns = self._stamps(aligned) if label is None else label(aligned.index)
+            self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
+            records += self._estimated(self.quality.step(aligned.index, t_ns, np.hstack([aligned.u, aligned.y])))
+        return records
+
+    def _skews(self, alignment: Alignment) -> list[Record]:
+        rig, t_ns = self.config.rig.name, self.newest_ns
+        return [HealthEvent(rig, event.source, t_ns, event.cause, event.message) for event in alignment.take_events()]
 
     def _estimated(self, pieces: Sequence[Samples]) -> list[Record]:
         records: list[Record] = []
+        if isinstance(self.acquisition, Alignment):
+            self.acquisition.arrived(pieces)
         for samples in pieces:
             complete = replace(samples, u=self.friction.step(samples)) if samples.usable else samples
             batch = self.estimation.step(complete)
@@ -115,14 +133,25 @@ class Pipeline:
         return [self._health_of(name, state, t_ns, lag_s) for name, state in conservation.items()]
 
     def _health_of(self, name: str, conservation: Conservation, t_ns: int, lag_s: float | None) -> Health:
-        state = self.acquisition.sources[name]
-        driver = conservation.driver
+        state, driver = self.acquisition.sources[name], conservation.driver
+        used, refused = self._ends(name)
         return Health(
             rig=self.config.rig.name, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
-            used=self.estimation.used + self.quality.waiting,
-            rejected=dict(driver.rejected + state.refusals() + self.quality.rejected),
-            dropped=dict(driver.dropped + conservation.dropped), gaps=state.gaps, lag_s=lag_s, faults=dict(driver.faults),
+            used=used, rejected=dict(driver.rejected + state.refusals() + refused),
+            dropped=dict(driver.dropped + conservation.dropped), gaps=state.gaps, lag_s=lag_s,
+            faults=dict(driver.faults), clock=self.clocks.report(name, *self._skew(name)),
         )  # fmt: skip
+
+    def _ends(self, name: str) -> tuple[int, Counter[str]]:
+        """How many of a source's samples were used or still wait, and those refused after it, by reason."""
+        if isinstance(self.acquisition, Alignment):
+            stream = self.acquisition.streams[name]
+            return stream.tally.used + stream.waiting, stream.tally.rejected
+        return self.estimation.used + self.quality.waiting, self.quality.rejected
+
+    def _skew(self, name: str) -> tuple[float | None, float | None]:
+        found = self.acquisition.skews() if isinstance(self.acquisition, Alignment) else {}
+        return found.get(name, (None, None))
 
 
 def resolutions(maps: Sequence[Mapping[str, str]], steps: Sequence[Sequence[float]]) -> dict[str, float]:

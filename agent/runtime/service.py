@@ -15,8 +15,9 @@ from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline
-from agent.runtime.recording.header import RawHeader
-from agent.runtime.recording.recorder import Limits, Recorder
+from agent.runtime.recording.event_writer import EventWriter
+from agent.runtime.recording.events import EventKeeper
+from agent.runtime.recording.wiring import event_writer, recorder
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
 from agent.storage.alarms import AlarmRow
@@ -24,7 +25,7 @@ from agent.storage.retention import Retention
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import AlarmTransition, HealthEvent, Record, RunInfo
-from drivers.port import Driver, DriverConfigError
+from drivers.port import DriverConfigError
 from drivers.reconnect import LinkEvent
 
 HEALTH_PERIOD_NS = 10_000_000_000
@@ -44,6 +45,7 @@ class RigRuntime:
         self.pipeline = Pipeline(config, wire_steps(config), maps)
         self._labels = SampleLabels(config.rig.sample_rate_hz)
         self._publish = publish
+        self.events: EventKeeper | None = None
         self._lost: dict[str, bool] = {}
 
     def restore(self, standing: Sequence[AlarmRow]) -> None:
@@ -61,15 +63,24 @@ class RigRuntime:
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", 0.0))
         block = part(arrival.block, use.columns)
         offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
-        records = self.pipeline.step(
-            use.source, block, arrival.modulus, lambda index: self._labels.label(index, block.arrival_ns, offset)
-        )
+        label = partial(self._labels.label, arrival_ns=block.arrival_ns, offset_ns=offset)
+        remembered = label if self.events is None else self.events.labelled(label)
+        records = self.pipeline.step(use.source, block, arrival.modulus, remembered)
+        if self.events is not None:
+            self.events.take(use.source, block, arrival.modulus)
         self._emit(records)
         self._note_steps()
 
     def finish(self) -> None:
         """Publish what the last samples lead to."""
         self._emit(self.pipeline.finish())
+        if self.events is not None:
+            self.events.finish()
+
+    def poll(self) -> None:
+        """End the event record whose time has come, even where no samples come."""
+        if self.events is not None:
+            self.events.poll()
 
     def _note_steps(self) -> None:
         for label, step in self._labels.steps:
@@ -112,6 +123,8 @@ class RigRuntime:
         if records:
             self.summary.take(records)
             self._publish(records)
+        if self.events is not None:
+            self.events.see(records)
 
 
 class Service:
@@ -125,6 +138,7 @@ class Service:
         self._record(configs, db)
         self._writer_of = {c.rig.name: self.writers[_path(c, db)] for c in configs}
         self.rigs = {c.rig.name: RigRuntime(c, self._writer_of[c.rig.name].publish) for c in configs}
+        self._event_writers = self._keep_events(configs, db) if kind == "live" else []
         for config in configs:
             self.rigs[config.rig.name].summary.db = str(_path(config, db))
 
@@ -136,7 +150,18 @@ class Service:
                 config = wanted.get((use.rig, use.source))
                 if config is not None:
                     path = _path(config, db)
-                    connection.make_recorder = partial(_recorder, config, path, use.source, self.writers[path].publish)
+                    connection.make_recorder = partial(recorder, config, path, use.source, self.writers[path].publish)
+
+    def _keep_events(self, configs: Sequence[RigConfig], db: Path | None) -> list[EventWriter]:
+        """See that raw samples around alarms are kept, unless the configuration says that none are."""
+        found = []
+        for config in configs:
+            if config.store.events.max_count:
+                path, rig = _path(config, db), self.rigs[config.rig.name]
+                publish = self.writers[path].publish
+                found.append(event_writer(config, path, publish))
+                rig.events = EventKeeper(config, found[-1], publish)
+        return found
 
     def stop(self) -> None:
         """Ask `run` to return; safe from a signal handler."""
@@ -162,6 +187,8 @@ class Service:
     def _start(self) -> None:
         for writer in self.writers.values():
             writer.start()
+        for events in self._event_writers:
+            events.start()
         for name, rig in self.rigs.items():
             writer = self._writer_of[name]
             rig.summary.run_id = writer.run_ids.get(name)
@@ -170,16 +197,19 @@ class Service:
             connection.start()
 
     def process(self) -> None:
-        """Compute what has arrived."""
-        for connection in self.connections:
-            arrivals, events = connection.take()
+        """Compute what has arrived, in the order of arrival over all sources."""
+        taken = [(connection, *connection.take()) for connection in self.connections]
+        arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
+        for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
             for use in connection.uses:
-                rig = self.rigs[use.rig]
-                # samples first: those that came before a loss must not end it
-                for arrival in arrivals:
-                    rig.take(use, arrival)
+                self.rigs[use.rig].take(use, arrival)
+        # samples first: those that came before a loss must not end it
+        for connection, _, events in taken:
+            for use in connection.uses:
                 for event in events:
-                    rig.link(use.source, event)
+                    self.rigs[use.rig].link(use.source, event)
+        for rig in self.rigs.values():
+            rig.poll()
 
     def _ledgers(self) -> None:
         for rig in self.rigs.values():
@@ -192,6 +222,8 @@ class Service:
         for rig in self.rigs.values():
             rig.finish()
         self._ledgers()
+        for events in self._event_writers:
+            events.stop()
         for writer in self.writers.values():
             writer.stop()
         for name, rig in self.rigs.items():
@@ -221,22 +253,6 @@ def run(
     seconds = (monotonic_ns() - started) / 1e9
     documents = [rig.summary.document(seconds) for rig in service.rigs.values()]
     return documents[0] if len(documents) == 1 else {"runs": documents}
-
-
-def _recorder(
-    config: RigConfig, db: Path, source: str, publish: Callable[[Sequence[Record]], None], driver: Driver
-) -> Recorder:
-    rig, limits = config.rig.name, config.store.recordings
-    header = RawHeader(
-        source, driver.request.fields, driver.counter_modulus, config.sha256, __version__, wall_ns(), rig=rig
-    )
-
-    def tell(cause: str, message: str) -> None:
-        log.warning("%s", message)
-        publish([HealthEvent(rig, source, wall_ns(), cause, message)])
-
-    bounds = Limits(limits.max_mb * 1e6, limits.keep)
-    return Recorder(db.with_name(db.name + ".raw"), header, driver.heard_suffix, bounds, tell=tell)
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:

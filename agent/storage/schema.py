@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from agent import __version__
 from agent.storage.checksum import row_crc
-from agent.storage.views import EVENT_RECORDS, VIEWS
+from agent.storage.views import CLOCKS, EVENT_RECORDS, VIEWS
 
 if TYPE_CHECKING:
     from sqlite_utils import Database
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -108,6 +108,13 @@ def _event_records(db: "Database") -> None:
     _mark(db.conn, 2)
 
 
+def _clocks(db: "Database") -> None:
+    """Version 3: drift and skew of sources in v_health."""
+    for statement in CLOCKS:
+        db.conn.execute(statement)
+    _mark(db.conn, 3)
+
+
 def _create(connection: sqlite3.Connection, table: str) -> None:
     columns = TABLES[table]
     connection.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
@@ -139,6 +146,7 @@ def migrations() -> "Migrations":
     steps = Migrations("deltak")
     steps(name="0001_tables_views_and_marks")(_tables_views_and_marks)
     steps(name="0002_event_records")(_event_records)
+    steps(name="0003_clocks")(_clocks)
     return steps
 
 

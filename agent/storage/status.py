@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from agent.storage.rows import Numbers, Plan
-from agent.types import Health, HealthEvent
+from agent.types import Health, HealthEvent, SourceClock
 
 
 def add_health(plan: Plan, record: Health, run_id: int, numbers: Numbers) -> None:
@@ -18,9 +19,15 @@ def add_health(plan: Plan, record: Health, run_id: int, numbers: Numbers) -> Non
 def _reasons(record: Health) -> str | None:
     kinds = {
         "rejected": _counted(record.rejected), "dropped": _counted(record.dropped), "faults": _counted(record.faults),
+        "clock": _figures(record.clock),
     }  # fmt: skip
     known = {kind: reasons for kind, reasons in kinds.items() if reasons}
     return json.dumps(known, sort_keys=True) if known else None
+
+
+def _figures(clock: SourceClock | None) -> dict[str, float]:
+    """What is known of a source's time; v_health takes it out again."""
+    return {} if clock is None else {name: value for name, value in asdict(clock).items() if value is not None}
 
 
 def _counted(reasons: Mapping[str, int]) -> dict[str, int]:

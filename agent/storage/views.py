@@ -124,3 +124,17 @@ EVENT_RECORDS = f"""CREATE VIEW v_event_records AS
  e.baseline_id AS baseline_id, e.message AS message
  FROM event_records e JOIN runs r ON r.seq = e.run_id JOIN rigs g ON g.seq = r.rig_id"""
 """Came with version 2."""
+
+CLOCKS: tuple[str, ...] = (
+    "DROP VIEW v_health",
+    f"""CREATE VIEW v_health AS SELECT g.name AS rig, x.source AS source, x.t_ns AS t_ns, {time_text("x.t_ns")} AS time,
+ x.received AS received, x.used AS used, x.rejected AS rejected, x.dropped AS dropped, x.gaps AS gaps,
+ x.lag_s AS lag_s, json_extract(x.reasons, '$.clock.drift_ppm') AS drift_ppm,
+ json_extract(x.reasons, '$.clock.drift_sd_ppm') AS drift_sd_ppm,
+ json_extract(x.reasons, '$.clock.skew_s') AS skew_s, json_extract(x.reasons, '$.clock.skew_sd_s') AS skew_sd_s
+ FROM health x JOIN runs r ON r.seq = x.run_id JOIN rigs g ON g.seq = r.rig_id
+ WHERE NOT {_covered("x.run_id", "x.t_ns")}""",
+    "DROP VIEW v_health_reasons",
+    f"CREATE VIEW v_health_reasons AS {_HEALTH_REASONS} AND k.key <> 'clock'",
+)
+"""Came with version 3: what is known of the sources' clocks, in v_health."""

@@ -14,7 +14,7 @@ from agent.storage import connect, queries
 from agent.storage.checksum import column_crc, row_crc
 from agent.storage.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of, version_mark
 from agent.storage.store import Store
-from agent.types import EstimateBatch, HealthEvent, Reason, Status
+from agent.types import EstimateBatch, HealthEvent, Reason, SourceClock, Status
 from tests.storage.rows import HOP, PARAMETERS, START, batch, ledger, run_info, select, step, warming
 
 CONTRACT = {
@@ -25,7 +25,7 @@ CONTRACT = {
     "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until "
     "delta sd limit_value probability message",
     "v_alarm_events": "id alarm_id t_ns time from_state to_state cause by comment",
-    "v_health": "rig source t_ns time received used rejected dropped gaps lag_s",
+    "v_health": "rig source t_ns time received used rejected dropped gaps lag_s drift_ppm drift_sd_ppm skew_s skew_sd_s",
     "v_health_reasons": "rig source t_ns kind reason count",
     "v_runs": "run_id rig kind started_at code_version config_sha256 baseline_id boot_id",
     "v_meta": "key value",
@@ -263,6 +263,15 @@ def test_health_reasons_are_counted_by_kind(path: Path) -> None:
     reasons = select(path, "SELECT kind, reason, count FROM v_health_reasons ORDER BY kind, reason")
     assert reasons == [("dropped", "queue full", 5), ("rejected", "crc", 3), ("rejected", "duplicate", 2)]
     assert queries.health(path)[0]["reasons"] == {"rejected": {}, "dropped": {}}
+
+
+def test_health_tells_drift_and_skew_of_a_source_and_counts_them_nowhere(path: Path) -> None:
+    stored(
+        path, ledger(clock=SourceClock(12.5, 0.25, 0.0037, 1e-5)), ledger(START + 10**10, clock=SourceClock(8.0, 2.0))
+    )
+    rows = select(path, "SELECT drift_ppm, drift_sd_ppm, skew_s, skew_sd_s FROM v_health ORDER BY t_ns")
+    assert rows == [(12.5, 0.25, 0.0037, 1e-5), (8.0, 2.0, None, None)]
+    assert select(path, "SELECT DISTINCT kind FROM v_health_reasons ORDER BY kind") == [("dropped",), ("rejected",)]
 
 
 def test_seq_never_goes_back_after_everything_was_deleted(path: Path) -> None:

@@ -15,15 +15,7 @@ def single(scales: dict[str, ChannelScale] | None = None, rate_hz: float = 1000.
     scales = scales or dict.fromkeys(CHANNELS, PLAIN)
     # fields come in the order of the map, not of the channels
     plan = source_plan("rig", {"x1": "a", "x2": "b", "force": "c"}, CHANNELS, scales)
-    return Acquisition([plan], 3, 1, "counter", rate_hz)
-
-
-def pair() -> Acquisition:
-    plans = [
-        source_plan("one", {"force": "f", "x1": "a"}, CHANNELS, dict.fromkeys(CHANNELS, PLAIN)),
-        source_plan("two", {"x2": "b"}, CHANNELS, dict.fromkeys(CHANNELS, PLAIN)),
-    ]
-    return Acquisition(plans, 3, 1, "counter", 1000.0)
+    return Acquisition(plan, 1, "counter", rate_hz)
 
 
 def block(
@@ -74,27 +66,6 @@ def test_acquisition_values_that_are_none_are_refused_by_reason() -> None:
     assert indices(pieces) == [0, 3, 5]
     assert acquisition.sources["rig"].refusals() == {"missing value": 1, "not finite": 2}
     assert all(np.isfinite(p.y).all() and np.isfinite(p.u).all() for p in pieces)
-
-
-def test_acquisition_two_sources_join_by_counter_whoever_comes_first() -> None:
-    acquisition = pair()
-    assert acquisition.step("one", block([0, 1, 2, 3], columns=2), 256) == []
-    (piece,) = acquisition.step("two", block([1, 2], [[10.0], [20.0]], columns=1), 256)
-    assert piece.index.tolist() == [1, 2]
-    np.testing.assert_allclose(piece.u[:, 0], [1, 2])
-    np.testing.assert_allclose(piece.y, [[2, 10], [4, 20]])
-    (piece,) = acquisition.step("two", block([3, 4], [[30.0], [40.0]], columns=1), 256)
-    assert piece.index.tolist() == [3]
-    assert acquisition.sources["one"].refusals() == {"unpaired": 1}
-
-
-def test_acquisition_partner_that_never_comes_is_counted_after_a_second() -> None:
-    acquisition = pair()
-    for start in range(0, 3000, 500):
-        acquisition.step("one", block(range(start, start + 500), columns=2), None)
-    state = acquisition.sources["one"]
-    assert state.refusals()["unpaired"] + len(state.index) == 3000
-    assert len(state.index) <= 1000
 
 
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=80), st.integers(0, 2**32 - 1), st.data())

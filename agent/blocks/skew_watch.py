@@ -1,0 +1,207 @@
+"""How much later one source of a rig is read than another: measured while the rig runs, and followed."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.numerics.sensors import with_constant
+from agent.numerics.skew import Delays, Skew, SkewMeter, combined
+from agent.types import FloatArray, IntArray
+
+Reader = Callable[[IntArray, FloatArray], FloatArray]
+"""Rows (n,) and a delay of each channel (c,) -> readings (n, c), inputs first; NaN where one is missing."""
+MOST_S = 0.12
+"""Greatest skew that is looked for."""
+ENOUGH = 3
+"""Stretches that must agree before rows are let go."""
+PRECISE = 0.1
+"""Of a sample: rows are let go when the skew is known to this."""
+LONGER_AFTER = 4
+"""After so many stretches that did not tell enough the next ones are twice as long."""
+PATIENCE_S = 30.0
+"""Rows wait no longer than this for the skew."""
+EVERY_S = 10.0
+REMEMBERED = 6
+FLOOR = 0.01
+"""Of a sample: what interpolation leaves, and what no measurement is better than."""
+SMALL = 0.02
+"""Of a sample: changes below are left alone."""
+
+
+class SkewEvent(NamedTuple):
+    """Something to tell of a source, once."""
+
+    source: str
+    cause: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class SkewGroup:
+    """A source whose skew is measured, and its channels (numbers among the rig's, inputs first)."""
+
+    source: str
+    channels: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class SkewWatch:
+    """The skews of a rig's sources against the reference source.
+
+    Attributes:
+        meter: measures them on a stretch.
+        groups: of what.
+        against: the reference source's name.
+        channels, inputs: number of the rig's channels, and of those that are inputs.
+        stretch, longest: samples of a stretch, at first and at most.
+        rate_hz: of rows.
+        complete: inputs and outputs -> the model's inputs (with the signs of dry friction).
+        skew_s, sd_s: (g,) what is compensated now and how well it is known; sd inf while it is not.
+        holding: rows are to wait.
+    """
+
+    meter: SkewMeter
+    groups: tuple[SkewGroup, ...]
+    against: str
+    channels: int
+    inputs: int
+    stretch: int
+    longest: int
+    rate_hz: float
+    complete: Callable[[FloatArray, FloatArray], FloatArray]
+    skew_s: FloatArray = field(init=False)
+    sd_s: FloatArray = field(init=False)
+    holding: bool = True
+    _found: deque[Delays] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _theta: FloatArray = field(init=False)
+    _measured: FloatArray = field(init=False)
+    _first: int | None = None
+    _next: int = 0
+    _tried: int = 0
+    _events: list[SkewEvent] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.skew_s, self.sd_s = np.zeros(len(self.groups)), np.full(len(self.groups), np.inf)
+        self._theta, self._measured = self.meter.model.nominal, np.zeros(len(self.groups))
+
+    @property
+    def margin(self) -> int:
+        """Samples before and after a stretch that must be there as well."""
+        return round(MOST_S * self.rate_hz) + 4
+
+    @property
+    def history(self) -> int:
+        """Samples that must be kept behind the newest row."""
+        return self.longest + 2 * self.margin + 8
+
+    def delays(self) -> FloatArray:
+        """Return the skew of each channel (c,), s."""
+        return self._spread(self.skew_s)
+
+    def take_events(self) -> list[SkewEvent]:
+        """Return what was found since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def known(self) -> dict[str, tuple[float | None, float | None]]:
+        """Return the skew measured of each source and its sd, s; None while it is not known."""
+        found: dict[str, tuple[float | None, float | None]] = {}
+        for group, skew, sd in zip(self.groups, self._measured.tolist(), self.sd_s.tolist(), strict=True):
+            found[group.source] = (skew, sd) if np.isfinite(sd) else (None, None)
+        return found
+
+    def look(self, first: int, ready: int, newest: int, read: Reader) -> None:
+        """Measure the stretches that are complete.
+
+        Args:
+            first: the first row of which every source has a reading at hand.
+            ready: rows up to this one can be read with any skew.
+            newest: the reference's newest sample.
+            read: reads rows.
+        """
+        if self._first is None:
+            self._first, self._next = first, first + self.margin
+        self._next = max(self._next, first + self.margin)
+        while ready >= self._next + self.stretch:
+            rows = np.arange(self._next, self._next + self.stretch, dtype=np.int64)
+            self._next += self.stretch if self.holding else round(EVERY_S * self.rate_hz)
+            self._measure(rows, read)
+            self._decide()
+        if self.holding and newest > self._first + PATIENCE_S * self.rate_hz:
+            self.let_go()
+
+    def let_go(self) -> None:
+        """Hold rows no longer, whatever is known."""
+        if self.holding:
+            self.holding = False
+            self._adopt()
+
+    def _measure(self, rows: IntArray, read: Reader) -> None:
+        self._tried += 1
+        if not np.all(np.isfinite(read(rows, self.delays()))):
+            return
+
+        def resampled(skew: FloatArray) -> FloatArray:
+            readings = read(rows, self._spread(np.clip(skew, -MOST_S, MOST_S)))
+            u, y = readings[:, : self.inputs], readings[:, self.inputs :]
+            return np.hstack([y, with_constant(self.complete(y, u), self._width())])
+
+        try:
+            found = self.meter.measure(resampled, self.skew_s, self._theta)
+        except (ValueError, np.linalg.LinAlgError):
+            return  # no gain, or readings that are no motion at all: this stretch tells nothing
+        if found.sure and np.all(np.abs(found.delay_s) < MOST_S):
+            self._found.append(found)
+            self._theta = found.theta
+
+    def _width(self) -> int:
+        return self.meter.model.continuous(self._theta).m
+
+    def _spread(self, skew: FloatArray) -> FloatArray:
+        delays = np.zeros(self.channels)
+        for group, delay in zip(self.groups, skew.tolist(), strict=True):
+            delays[list(group.channels)] = delay
+        return delays
+
+    def _decide(self) -> None:
+        """Let rows go when enough is known; afterwards follow what changes."""
+        known = self._together()
+        if not self.holding:
+            self._adopt()
+        elif known is not None and known.stretches >= ENOUGH and np.all(known.sd_s * self.rate_hz < PRECISE):
+            self.let_go()
+        if self._tried % LONGER_AFTER == 0:
+            self.stretch = min(2 * self.stretch, self.longest)
+
+    def _together(self) -> Skew | None:
+        return combined(self._found, FLOOR / self.rate_hz)
+
+    def _adopt(self) -> None:
+        """Compensate by what is known where that differs surely from what is compensated."""
+        known = self._together()
+        if known is None:
+            if np.all(np.isinf(self.sd_s)) and not self._events:
+                self._say_unknown()
+            return
+        first = np.isinf(self.sd_s)
+        off = np.abs(known.delay_s - self.skew_s)
+        moved = (off > 3 * known.sd_s) & (off * self.rate_hz > SMALL)
+        self.skew_s = np.where(moved, known.delay_s, self.skew_s)
+        self.sd_s, self._measured = known.sd_s, known.delay_s
+        self._say(np.flatnonzero(moved | first), known)
+
+    def _say(self, which: Sequence[int] | IntArray, known: Skew) -> None:
+        for number in which:
+            delay, sd = 1e3 * float(known.delay_s[number]), 1e3 * float(known.sd_s[number])
+            source = self.groups[number].source
+            words = f"{source}: read {abs(delay):.3f} ± {sd:.3f} ms {'later' if delay > 0 else 'earlier'} than "
+            words += self.against + ("; compensated" if self.skew_s[number] else "; nothing to compensate")
+            self._events.append(SkewEvent(source, "skew", words))
+
+    def _say_unknown(self) -> None:
+        for group in self.groups:
+            words = f"{group.source}: how much later it is read than {self.against} does not show; taken as nothing"
+            self._events.append(SkewEvent(group.source, "skew", words))

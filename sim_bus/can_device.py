@@ -1,4 +1,4 @@
-"""Simulated CAN devices: on a socketcand daemon of our own, or on a vcan interface of the kernel."""
+"""Simulated CAN devices: on a socketcand daemon of our own, behind an slcan adapter, or on a vcan of the kernel."""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -12,6 +12,8 @@ from sim_bus.device import Bench, Device
 from sim_bus.errors import SimUsageError
 from sim_bus.fault_names import FRAMES
 from sim_bus.kernel_can import KernelFrames, KernelOutlet
+from sim_bus.pty_line import PtyLine
+from sim_bus.slcan_device import SlcanDevice, SlcanText
 from sim_bus.socketcand_device import Endpoint, FrameText, SocketcandDevice
 from sim_bus.stream import Stream
 from sim_bus.wire import Feed
@@ -66,6 +68,9 @@ def make_stream(bench: Bench, number: int) -> Stream:
 
 
 def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
+    for key in ("samples_per_frame", "counter_modulus", "checksum"):
+        if getattr(keys, key) != CanSettings.model_fields[key].default:
+            raise SimUsageError(f"source[{number}].{key}: frames laid out so cannot be simulated")
     database = load_database(bench.rig.folder / keys.dbc, f"source[{number}].dbc")
     return Packing(database, bench.source(number), fd=keys.fd)
 
@@ -82,12 +87,24 @@ def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
     return KernelDevice(bench.clock, Stream(source.name, feed, bench.clock, render, faults), keys.channel, render.size)
 
 
+def _adapter(bench: Bench, number: int, keys: CanSettings) -> Device:
+    link = guard.pty_link(keys.channel, bench.rig.folder, f"source[{number}].channel")
+    source, packing, faults = bench.source(number), _packing(bench, number, keys), bench.faults(number)
+    faults.refuse(FRAMES, "cannot be caused behind an adapter; play a socketcand")
+    feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    text = SlcanText(packing.kinds, bench.clock.sample_rate_hz)
+    return SlcanDevice(bench.clock, Stream(source.name, feed, bench.clock, text, faults), PtyLine(link))
+
+
 def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
     """Return a daemon for each socketcand address, and a device for each other bus."""
     daemons: dict[Endpoint, dict[str, Stream]] = {}
     devices: list[Device] = []
     for number in numbers:
         keys, where = bench.settings(CanSettings, number), f"source[{number}]"
+        if keys.interface == "slcan":
+            devices.append(_adapter(bench, number, keys))
+            continue
         if keys.interface != "socketcand":
             devices.append(_kernel_device(bench, number, keys))
             continue

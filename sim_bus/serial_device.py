@@ -68,15 +68,24 @@ class SerialDevice(Device):
         """Begin to send some time after the line was opened, and stop when it is closed."""
         self._plug(not self._stream.disconnected)
         if not self._line.is_open or not self._line.has_reader():
-            if self._outlet is not None:
-                self._outlet.gone = True
-            self._outlet = self._opened_at = None
+            self._hang_up()
+            self._opened_at = None
         elif self._opened_at is None:
             self._opened_at = time.monotonic()
-        elif self._outlet is None and time.monotonic() >= self._opened_at + SETTLE_S:
+        elif self._outlet is None and self._may_send():
             self._outlet = PtyOutlet(self._line)
             self._outlet.put(self._greeting)
             self._stream.add(self._outlet)
+
+    def _may_send(self) -> bool:
+        """Tell whether the reader has had time to set up the line."""
+        return self._opened_at is not None and time.monotonic() >= self._opened_at + SETTLE_S
+
+    def _hang_up(self) -> None:
+        """Send no more to this reader."""
+        if self._outlet is not None:
+            self._outlet.gone = True
+        self._outlet = None
 
     def _plug(self, plugged: bool) -> None:
         if plugged and not self._line.is_open:

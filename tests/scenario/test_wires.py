@@ -19,7 +19,7 @@ from tests.scenario.traces import Write, bus_writes, forbidden
 
 pytestmark = pytest.mark.realtime
 
-WIRES = "tcp", "rtu", "daemon", "serial"
+WIRES = "tcp", "rtu", "daemon", "serial", "slcan"
 
 
 class Played:
@@ -68,7 +68,7 @@ def test_kernel_saw_the_agent_write_read_requests_and_handshakes_only(played: Pl
     assert kinds.count("modbus-rtu") > 20
     assert kinds.count("socketcand") == 2
     assert set(kinds) == {"modbus-tcp", "modbus-rtu", "socketcand"}
-    assert len({write.where for write in played.writes}) == 3  # nothing at all went to the serial line
+    assert len({write.where for write in played.writes}) == 3  # nothing at all went to the serial line and the adapter
 
 
 @pytest.mark.parametrize(

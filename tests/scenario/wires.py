@@ -28,7 +28,7 @@ NEAR = 1e-9
 SYSTEM_CALLS = "write,writev,pwrite64,pwritev,pwritev2,sendto,sendmsg,sendmmsg,sendfile,splice"
 _TCP = 'transport = "tcp"\nhost = "127.0.0.1"'
 _RTU = 'transport = "rtu"\nbaudrate = 921600'
-_BUSES = {"tcp": "modbus", "rtu": "modbus", "daemon": "can", "serial": "serial", "vcan": "can"}
+_BUSES = {"tcp": "modbus", "rtu": "modbus", "daemon": "can", "serial": "serial", "vcan": "can", "slcan": "can"}
 
 EXACT = "parameter", "unit", "status", "reason", "reference", "window_s", "n_used", "n_missing", "span_s", "method"
 ALARM = "raised", "cleared", "kind", "parameter", "priority", "state"
@@ -50,6 +50,9 @@ def configure(name: str, folder: Path, wire: Wire = COARSE, *, fast: bool = True
     text = path.read_text(encoding="utf-8").replace('name = "demo"', f'name = "{name}"')
     if name == "rtu":
         text = re.sub(r"port = \d+", 'port = "demo.tty"', text.replace(_TCP, _RTU))
+    if name == "slcan":
+        text = re.sub(r'interface = "socketcand"\nhost = .*\nport = \d+', 'interface = "slcan"', text)
+        text = text.replace('channel = "vcan0"', 'channel = "demo.tty"')
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -7,11 +7,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from agent.blocks.advice import ModelAdvice
 from agent.blocks.sensor_labels import SensorEvent
 from agent.numerics.hops import HopPlan
 from agent.numerics.lacking import MOST, Lacking
 from agent.numerics.rows import Rows
-from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, SensorFault, Status
+from agent.numerics.suspects import Accusation
+from agent.types import (
+    CodeArray,
+    EstimateBatch,
+    FloatArray,
+    HealthEvent,
+    IntArray,
+    Reason,
+    Samples,
+    SensorFault,
+    Status,
+)
 
 BoolArray = NDArray[np.bool_]
 
@@ -21,6 +33,10 @@ class Estimator(Protocol):
 
     def start_segment(self) -> None:
         """Forget the samples before a gap."""
+        ...
+
+    def take_findings(self) -> list[tuple[int, Accusation]]:
+        """Return (sample of a row, what the model was found to lack there) since the last call."""
         ...
 
     def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
@@ -71,11 +87,14 @@ class Estimation:
     _blamed_at: int = 0
     _said: SensorFault | None = None
     _events: list[SensorEvent] = field(default_factory=list)
+    _advice: list[HealthEvent] = field(default_factory=list)
     _lacking: Lacking = field(default_factory=lambda: Lacking(0))
+    _model: ModelAdvice = field(default_factory=lambda: ModelAdvice("", 1.0))
 
     def __post_init__(self) -> None:
         q = len(self.labels.parameters)
         self._held, self._held_ns = np.full(q, np.nan), np.zeros(q, dtype=np.int64)
+        self._model = ModelAdvice(self.labels.rig, self.labels.rate_hz)
 
     def step(self, samples: Samples) -> EstimateBatch | None:
         """Take samples of one segment; return the estimates that they end, None when there are none."""
@@ -92,7 +111,11 @@ class Estimation:
             self._lacking.append(int(samples.index[0]), samples.missing)
         lacking = () if samples.missing is None else (samples.missing,)
         rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u, *lacking)
-        return self._batch(rows, samples) if len(rows.index) else None
+        if not len(rows.index):
+            return None
+        batch = self._batch(rows, samples)
+        self._advice += self._model.step(self.estimator.take_findings(), batch)
+        return batch
 
     def _unusable(self, samples: Samples) -> EstimateBatch | None:
         """Return rows without estimates for samples that nothing can be made of."""
@@ -134,6 +157,11 @@ class Estimation:
         """Return which sensors were blamed or acquitted since the last call."""
         events, self._events = self._events, []
         return events
+
+    def take_advice(self) -> list[HealthEvent]:
+        """Return what the model was found to lack since the last call."""
+        advice, self._advice = self._advice, []
+        return advice
 
     def _note_blame(self, rows: Rows, status: CodeArray, t_ns: IntArray) -> None:
         """Say once which sensor changed, at once where that is sure, after a window where it may be the structure."""

@@ -8,6 +8,7 @@ from agent.config import RigConfig
 from agent.config.tables import LinearModel, MechanicsModel, Parameter
 from agent.numerics.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.hops import HopPlan
+from agent.numerics.masses import masses_of
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.statespace import AffineModel, Model, affine_model
@@ -211,6 +212,7 @@ def window_settings(
         suspects=suspects_of(
             rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, known_noise(config, resolution)
         ),
+        masses=masses_of(rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold),
         court=Court(
             rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
         ),

@@ -37,6 +37,11 @@ class Suspect:
     between: tuple[str, str]
 
 
+def mass_suspect(name: str) -> Suspect:
+    """Return the suspect that a mass is wrong."""
+    return Suspect(Reason.MASS, (name, GROUND))
+
+
 @dataclass(frozen=True, slots=True)
 class Accusation:
     """The suspect that explains most of a residual.
@@ -77,8 +82,9 @@ class Suspects:
     hold: Hold
 
     def accuse(
-        self, theta: FloatArray, gain: Gain, v: FloatArray, dof: float, bridge: Bridge | None = None
-    ) -> Accusation | None:
+        self, theta: FloatArray, gain: Gain, v: FloatArray, dof: float, bridge: Bridge | None = None, *,
+        least: float = SHARE,
+    ) -> Accusation | None:  # fmt: skip
         """Name the suspect that a window gives away; None where no one explains enough.
 
         Args:
@@ -87,6 +93,7 @@ class Suspects:
             v: (W, p+m) outputs and inputs.
             dof: effective degrees of freedom of the residual.
             bridge: what the window lacks.
+            least: share of the residual's sum of squares that a suspect must explain.
         """
         p, k = gain.L.shape[1], len(self.suspects)
         y, u, constant = v[:, :p], v[:, p : p + self.given], v[:, p + self.given :]
@@ -97,7 +104,8 @@ class Suspects:
         here = linearise(sampled, gain, columns, np.zeros(sampled.n), bridge)
         tested = np.zeros(len(full), dtype=bool)
         tested[own : own + k] = True
-        return self._worst(here.e, here.psi[:, ~tested], here.psi[:, tested], dof)
+        found = self._worst(here.e, here.psi[:, ~tested], here.psi[:, tested], dof)
+        return None if found is None or found.share < least else found
 
     def _own(self, k: int) -> int:
         """Parameters of the rig's model that are neither suspects nor sensor constants; they stand first."""
@@ -129,7 +137,7 @@ class Suspects:
         share = explained / max(float(left @ left), 1e-300)
         worst = int(np.argmax(share))
         found = float(share[worst])
-        if found < SHARE or found * dof < EVIDENCE * (1.0 - found):
+        if found * dof < EVIDENCE * (1.0 - found):
             return None
         if not self.masses[worst]:
             return Accusation(self.suspects[worst], found)
@@ -172,7 +180,7 @@ def _masses(model: MassSpringDamper) -> Iterator[Suspect]:
     """Every mass that is taken as known where a force is measured: in free decay all of them are a matter of scale."""
     for mass in model.structure.masses if model.forces else ():
         if mass.value > 0 and mass.name not in model.parameters:
-            yield Suspect(Reason.MASS, (mass.name, GROUND))
+            yield mass_suspect(mass.name)
 
 
 def _forces(model: MassSpringDamper) -> Iterator[Suspect]:

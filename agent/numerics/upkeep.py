@@ -1,5 +1,7 @@
 """What is looked at now and then while nothing happens: the residual's colour, and what the model may lack."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,7 +9,9 @@ from agent.numerics.colour import Colour, colour_of
 from agent.numerics.fit import linearise
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import Lacking
+from agent.numerics.masses import LEAST
 from agent.numerics.rows import Rows
+from agent.numerics.suspects import Accusation, mass_suspect
 from agent.numerics.working_point import WorkingPoint
 
 FloatArray = NDArray[np.float64]
@@ -27,11 +31,13 @@ class Upkeep:
     Attributes:
         coloured_at: newest sample of the window whose colour is in use.
         accused: the Reason that was found for what the model lacks, 0 for none; accused_at its newest sample.
+        findings: (sample, accusation) of every look that found something, until they are taken away.
     """
 
     def __init__(self) -> None:
         self.coloured_at = self.accused_at = NEVER
         self.accused = 0
+        self.findings: list[tuple[int, Accusation]] = []
 
     def due(self, point: WorkingPoint, rows: Rows) -> BoolArray:
         """(N,) rows from which on the residual's colour is due for a look."""
@@ -60,7 +66,7 @@ class Upkeep:
 
     def review(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Accuse where the residual is coloured; what a model lacks colours it, so a white one clears all suspects."""
-        if point.colour.share < 1.0:
+        if point.colour.share < 1.0 or point.wrong is not None:
             self.accuse(point, segment, lacking, rows, row)
         else:
             self.accused_at, self.accused, rows.suspect[row:] = int(rows.index[row]), 0, 0
@@ -74,10 +80,28 @@ class Upkeep:
         v = segment.samples(index + 1 - min(point.settings.plan.window, ACCUSED), index + 1)
         if not np.isfinite(v).all():
             return
-        bridge = lacking.bridge(v, index + 1)
-        found = suspects.accuse(point.theta, point.gain, v, point.dof * point.colour.share, bridge)
+        bridge, wrong = lacking.bridge(v, index + 1), point.wrong
+        if wrong is not None:
+            # what a calibration found is small in a residual that it learnt or that unknown forces explain, and
+            # colours it: it stands as long as it explains more than others do
+            found = suspects.accuse(point.theta, point.gain, v, point.dof, bridge, least=0.0)
+            if found is not None and found.suspect == mass_suspect(wrong.name) and abs(found.change) >= LEAST:
+                self._blame(replace(found, change=wrong.change), rows, row)
+                return
+            point.wrong = None
+        self._blame(suspects.accuse(point.theta, point.gain, v, point.dof * point.colour.share, bridge), rows, row)
+
+    def believe(self, point: WorkingPoint, rows: Rows, row: int) -> None:
+        """Take what a calibration that did not stand said of a mass."""
+        if point.wrong is not None:
+            self.accused_at = int(rows.index[row])
+            self._blame(Accusation(mass_suspect(point.wrong.name), 1.0, point.wrong.change), rows, row)
+
+    def _blame(self, found: Accusation | None, rows: Rows, row: int) -> None:
         self.accused = 0 if found is None else int(found.suspect.reason)
         rows.suspect[row:] = self.accused
+        if found is not None:
+            self.findings.append((int(rows.index[row]), found))
 
 
 def _widen(rows: Rows, row: int, before: Colour, now: Colour) -> None:

@@ -20,6 +20,7 @@ from agent.numerics.sensors import with_constant
 from agent.numerics.solved import Solved, mend, solved
 from agent.numerics.statespace import Model
 from agent.numerics.straddle import Window, is_clean
+from agent.numerics.suspects import Accusation
 from agent.numerics.upkeep import NEVER, Upkeep
 from agent.numerics.verdict import Before, Verdict
 from agent.numerics.window import solve_windows
@@ -66,6 +67,11 @@ class WindowML:
         self._last_fit = self._steady_since = NEVER
         self._onset: int | None = None
         self._blamed: Verdict | None = None
+
+    def take_findings(self) -> list[tuple[int, Accusation]]:
+        """Return (sample, accusation) of what the model was found to lack since the last call."""
+        found, self._upkeep.findings = self._upkeep.findings, []
+        return found
 
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt of the parameters stays."""
@@ -227,12 +233,18 @@ class WindowML:
         since = index - (index if self._onset is None else self._onset)
         excited = bool(np.any(rows.sd[row] < self.settings.enough_sd))
         if not healthy or excited:
-            rows.changing[row], rows.mismatch[row] = since < window, since >= window
+            # a rig that was never understood is not changing where what it lacks is known
+            lasting = since >= window or (not self.point.settled and bool(self._upkeep.accused))
+            rows.changing[row], rows.mismatch[row] = not lasting, lasting
         if self._blamed is not None:
             blamed = Reason.SENSOR if self._blamed.changed == "sensor" else Reason.INSEPARABLE
             rows.suspect[row], rows.channel[row] = blamed, self._blamed.channel
-        elif since >= window and index - self._upkeep.accused_at >= window:
+        elif since >= window and index - self._upkeep.accused_at >= window and self._unsuspected():
             self._upkeep.accuse(self.point, segment, self._lacking, rows, row)
+
+    def _unsuspected(self) -> bool:
+        """Tell whether nothing better is known than what a look at theta_r would say."""
+        return self.point.settled or self.point.wrong is None
 
     def _is_clean(self, segment: Segment, rows: Rows, row: int) -> bool:
         """Tell whether a window that its residual does not accuse is free of what contradicts the past."""
@@ -282,6 +294,7 @@ class WindowML:
         if self._blamed is None and fit.converged and self._move(segment, rows, row, fit, dof, whole=whole):
             return True
         restore()
+        self._upkeep.believe(point, rows, row)
         # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is
         self._failed = 0 if point.settled else min(self._failed + 1, MOST_FAILED)
         return False

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.gains import Gains
 from agent.numerics.hops import HopPlan
+from agent.numerics.masses import Masses
 from agent.numerics.statespace import Hold
 from agent.numerics.suspects import Suspects
 from agent.numerics.verdict import Court
@@ -34,6 +35,7 @@ class WindowSettings:
         input_sd: (k,) noise of the first k inputs as far as it is known; None for none.
         suspects: what to look for where the model does not fit; None for nothing.
         court: tells a changed sensor from a changed structure; None believes in the structure.
+        masses: those that the model takes as known, which may be wrong; None for nothing.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
         drift: samples of the window in which parameters that move may run straight lines; None where they may not.
@@ -55,3 +57,4 @@ class WindowSettings:
     court: Court | None = None
     input_sd: FloatArray | None = None
     drift: int | None = None
+    masses: Masses | None = None

@@ -6,15 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.bridge import Bridge
-from agent.numerics.calibrate import Calibrator
+from agent.numerics.calibrate import Calibration, Calibrator
 from agent.numerics.choice import gate
 from agent.numerics.colour import Colour, InputNoise
 from agent.numerics.commission import Commission
 from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.hops import HopOperators
+from agent.numerics.masses import MassError
 from agent.numerics.observer import Gain, Noise
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, Model, discretise
+from agent.numerics.suspects import mass_suspect
 from agent.numerics.window_settings import WindowSettings
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +30,7 @@ class WorkingPoint:
         scale: (q,) sizes of the parameters.
         noise: of the sensors and of unknown forces.
         colour, commission: what they add to intervals.
+        wrong: a mass that explained a record better than unknown forces; None for none. It outlives a fit that failed.
         settled: noise and theta come from a fit, not from the configuration.
         discrete, gain, operators: the sampled model, the observer and the lifted filters at theta_r.
         unknowns: of a window; dof: degrees of freedom that its residual has left.
@@ -38,12 +41,13 @@ class WorkingPoint:
         self.settings = settings
         self.theta = np.array(model.nominal, dtype=float)
         self.scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
-        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor)
+        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor, settings.masses)
         directions = settings.gains.disturbance
         unforced = np.zeros(0 if directions is None else directions.shape[1])
         self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)
         self.colour = Colour.white(len(self.theta))
         self.commission = Commission(np.ones(len(self.theta)))
+        self.wrong: MassError | None = None
         self.settled = False
         self.rebuild()
         self.unknowns = self.discrete.model.n + len(self.theta)
@@ -132,11 +136,20 @@ class WorkingPoint:
         """Fit a window from theta (q,); afresh also learns what disturbs it, near needs no wide basin."""
         if afresh:
             calibration = self.calibrator.calibrate(problem, theta)
-            self.noise = calibration.noise
+            self.noise, self.wrong = calibration.noise, self._confirmed(calibration, problem)
             return calibration.fit
         gains, noise = self.settings.gains, self.noise
         stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
         return fit_window(problem, theta, np.zeros(self.n), stages[1:] if near else stages)
+
+    def _confirmed(self, calibration: Calibration, problem: Problem) -> MassError | None:
+        """Return the wrong mass that a calibration found, unless the model lacks something that explains more."""
+        wrong, fit, suspects = calibration.wrong, calibration.fit, self.settings.suspects
+        if wrong is None or suspects is None:
+            return wrong
+        gain = self.settings.gains.settled(self.sampled(fit.theta), calibration.noise)
+        chief = suspects.accuse(fit.theta, gain, problem.v, float(fit.residual.size), problem.bridge, least=0.0)
+        return wrong if chief is None or chief.suspect == mass_suspect(wrong.name) else None
 
     def input_noise(self, discrete: Discrete, gain: Gain, samples: int) -> InputNoise | None:
         """What noise of measured inputs adds to residuals; None where none is known."""

@@ -115,6 +115,7 @@ class Pipeline:
             batch = self.estimation.step(complete)
             if batch is not None:
                 records.append(batch)
+                records.extend(self.estimation.take_advice())
                 records.extend(self.alarms.step(batch))
                 records.extend(self.sensor_alarms.confirm(batch))
                 records.extend(self.sensor_alarms.step(self.estimation.take_events()))

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from agent.blocks.advice import SOURCE
 from agent.config import RigConfig
 from agent.text import iso_time
-from agent.types import AlarmTransition, EstimateBatch, Health, Reason, Record, Status
+from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, Status
 
 _COLUMNS = ("value", "sd", "lower", "upper")
 
@@ -27,6 +28,7 @@ class RunSummary:
     _first_ns: int | None = None
     _alarms: list[dict[str, Any]] = field(default_factory=list)
     _health: dict[str, Health] = field(default_factory=dict)
+    _advice: list[str] = field(default_factory=list)
 
     def take(self, records: Sequence[Record]) -> None:
         """Note records in order of time."""
@@ -35,6 +37,8 @@ class RunSummary:
                 self._estimates(record)
             elif isinstance(record, AlarmTransition):
                 self._alarm(record)
+            elif isinstance(record, HealthEvent) and record.source == SOURCE:
+                self._advice.append(record.message)
             elif isinstance(record, Health):
                 self._health[record.source] = record
 
@@ -76,7 +80,8 @@ class RunSummary:
         span = samples["used"] / self.config.rig.sample_rate_hz
         return {
             "rig": self.config.rig.name, "db": self.db, "run_id": self.run_id, "samples": samples, "span_s": span,
-            "windows": self.windows, "estimates": self.estimates(), "alarms": self._alarms, "seconds": seconds,
+            "windows": self.windows, "estimates": self.estimates(), "alarms": self._alarms, "advice": self._advice,
+            "seconds": seconds,
             "samples_per_s": samples["received"] / seconds if seconds > 0 else None,
         }  # fmt: skip
 

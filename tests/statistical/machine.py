@@ -80,14 +80,22 @@ Found = TypeVar("Found")
 
 
 @cache
-def configuration(noise_sd: float | None, window_s: float = 1.0, limits: tuple[float, ...] = ()) -> RigConfig:
-    """The rig with sensors of a noise (None: to be learnt), limits in each parameter's unit or 10 % of nominal."""
+def configuration(
+    noise_sd: float | None, window_s: float = 1.0, limits: tuple[float, ...] = (),
+    masses: tuple[float, float] = (5.0, 3.0),
+) -> RigConfig:  # fmt: skip
+    """The rig with sensors of a noise (None: to be learnt), limits in each parameter's unit or 10 % of nominal.
+
+    masses: what the configuration says of them, right or wrong.
+    """
     texts = [f"limit = {limit}" for limit in limits] or ["limit_percent = 10.0"] * len(NAMES)
     alarms = "".join(ALARM.format(name=name, limit=text) for name, text in zip(NAMES, texts, strict=True))
     noise = "" if noise_sd is None else f"noise_sd = {noise_sd!r}"
     with TemporaryDirectory() as folder:
         file = Path(folder) / "rig.toml"
-        file.write_text(TEXT.format(noise=noise, window_s=window_s, alarms=alarms), encoding="utf-8")
+        text = TEXT.format(noise=noise, window_s=window_s, alarms=alarms)
+        text = text.replace("value = 5.0", f"value = {masses[0]}").replace("value = 3.0", f"value = {masses[1]}")
+        file.write_text(text, encoding="utf-8")
         return load(file)
 
 

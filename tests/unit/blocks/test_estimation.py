@@ -8,6 +8,7 @@ from scipy.stats import t as student
 
 from agent.blocks.estimation import Estimation, Labels
 from agent.numerics.rows import Rows
+from agent.numerics.suspects import Accusation, Suspect, mass_suspect
 from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
 START = 1_760_000_000_123_456_789
@@ -22,6 +23,12 @@ class Told:
     changing: set[int] = field(default_factory=set)
     mismatch: set[int] = field(default_factory=set)
     segments: int = 0
+    lacking: dict[int, Accusation] = field(default_factory=dict)
+    findings: list[tuple[int, Accusation]] = field(default_factory=list)
+
+    def take_findings(self) -> list[tuple[int, Accusation]]:
+        found, self.findings = self.findings, []
+        return found
 
     def start_segment(self) -> None:
         self.segments += 1
@@ -30,6 +37,8 @@ class Told:
         due = np.array([i for i in range(index, index + len(y)) if i % HOP == HOP - 1], dtype=np.int64)
         rows = Rows.warming(due, 2)
         for row, i in enumerate(due.tolist()):
+            if i in self.lacking:
+                self.findings.append((i, self.lacking[i]))
             if i >= 29:
                 rows.full[row], rows.dof[row] = True, 40.0
                 rows.theta[row], rows.sd[row] = [i, 2.0 * i], [self.sd.get(i, 0.1), 0.1]
@@ -110,3 +119,22 @@ def test_estimation_gap_starts_the_method_anew_and_counts_every_sample() -> None
 def test_estimation_warming_row_says_how_many_samples_there_are() -> None:
     batches = feed(estimation(Told()), [7, 13])
     assert column(batches, "n_used").tolist() == [10, 20, 30, 30, 30, 30, 30, 30, 30, 30]
+
+
+RUBS = Accusation(Suspect(Reason.DRY_FRICTION, ("m1", "ground")), 0.9)
+HEAVIER = Accusation(mass_suspect("m2"), 0.9, 0.25)
+
+
+@pytest.mark.parametrize("cuts", [[], [40], [35, 40, 61, 90]])
+def test_estimation_says_once_what_the_model_lacks_at_the_time_of_its_row(cuts: list[int]) -> None:
+    block = estimation(Told(lacking={39: RUBS, 59: HEAVIER, 69: RUBS, 79: HEAVIER}))
+    feed(block, cuts)
+    said = [(event.source, event.t_ns, event.cause, event.message) for event in block.take_advice()]
+    assert said == [
+        ("model", START + 39_000_000, "dry friction",
+         "what the model leaves looks like dry friction at m1: add it under model.friction"),
+        ("model", START + 59_000_000, "mass",
+         ('mass m2 looks 25 % larger than model.mass says: correct its value, or make it a parameter: add "m2" to '
+         "estimator.estimate")),
+    ]  # fmt: skip
+    assert block.take_advice() == []

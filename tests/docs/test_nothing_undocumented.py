@@ -14,6 +14,7 @@ from agent.config import tables
 from agent.config.load import RESERVED
 from agent.runtime.cli import app
 from agent.storage.store import Store
+from agent.types import Reason
 from tests.docs.documents import links
 from tests.peers import ROOT
 
@@ -92,6 +93,11 @@ def test_every_view_and_column_is_documented(tmp_path: Path) -> None:
             assert {column[1] for column in store.connection.execute(f"PRAGMA table_info({view})")} == columns_told(
                 view
             )
+
+
+@pytest.mark.parametrize("reason", [reason for reason in Reason if reason])
+def test_every_reason_is_documented(reason: Reason) -> None:
+    assert f"`{reason.name.lower().replace('_', ' ')}`" in DATABASE
 
 
 def test_links_lead_somewhere() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from agent.storage.batches import joined_runs
 from agent.types import AlarmTransition, EstimateBatch, Record
 
+SHORTEST_S, LONGEST_S = 0.2, 5.0
 _FEW = 64  # so many small batches are joined into one, so that waiting rows cost their bytes and little more
 
 
@@ -70,15 +71,15 @@ class Pause:
 
     def __init__(self) -> None:
         self.cause: str | None = None
-        self.length_s = 0.2
+        self.length_s = SHORTEST_S
         self._since = self._last = 0.0
 
     def failed(self, cause: str) -> None:
         now = time.monotonic()
         if self.cause is None:
-            self._since, self.length_s = now, 0.1
+            self._since, self.length_s = now, SHORTEST_S / 2
         self.cause, self._last = cause, now
-        self.length_s = min(5.0, 2 * self.length_s)
+        self.length_s = min(LONGEST_S, 2 * self.length_s)
 
     def over(self) -> bool:
         return time.monotonic() >= self._last + self.length_s

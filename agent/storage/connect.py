@@ -13,7 +13,6 @@ WAL_BOUND = 16 * 1024 * 1024
 """Bytes that the write-ahead log may take whatever readers do."""
 FRAME_BYTES = PAGE_SIZE + 24
 _WRITER = (
-    "PRAGMA journal_mode = WAL",
     "PRAGMA synchronous = FULL",  # NORMAL loses acknowledged rows at a power cut
     "PRAGMA mmap_size = 0",  # a stray write must not reach the file
     "PRAGMA wal_autocheckpoint = 0",  # the store checkpoints by itself, between commits
@@ -70,9 +69,10 @@ def build(path: Path) -> None:
     connection = sqlite3.connect(path, isolation_level=None)
     try:
         connection.execute(f"PRAGMA page_size = {PAGE_SIZE}")
-        connection.execute("PRAGMA journal_mode = WAL")
+        _use_log(connection)
         connection.execute("PRAGMA synchronous = FULL")
         upgrade(connection)
+        empty_log(connection)  # closing would do so as well, but does not say when it fails
     finally:
         connection.close()
 
@@ -81,12 +81,30 @@ def connect_writer(path: Path) -> sqlite3.Connection:
     """Open the writing connection; transactions are begun and ended by hand."""
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1.0, cached_statements=64)
     try:
+        _use_log(connection)
         for pragma in _WRITER:
             connection.execute(pragma).fetchall()
     except BaseException:
         connection.close()
         raise
     return connection
+
+
+def _use_log(connection: sqlite3.Connection) -> None:
+    """Set the journal to the write-ahead log; SQLite answers with another mode where a disk refuses, and goes on."""
+    mode = connection.execute("PRAGMA journal_mode = WAL").fetchone()[0]
+    if mode != "wal":
+        error = sqlite3.OperationalError(f"the journal stays in mode {mode}")
+        error.sqlite_errorcode = sqlite3.SQLITE_IOERR
+        raise error
+
+
+def empty_log(connection: sqlite3.Connection) -> None:
+    """Move the whole write-ahead log into the file; raises where a part of it stays."""
+    if connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]:
+        error = sqlite3.OperationalError("the write-ahead log cannot be emptied")
+        error.sqlite_errorcode = sqlite3.SQLITE_BUSY
+        raise error
 
 
 def connect_reader(path: Path) -> sqlite3.Connection:

@@ -17,6 +17,7 @@ _OURS_WRITTEN = b"CREATE VIEW v_estimates_windows"
 _FIXED = ((16, PAGE_SIZE.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))), (44, b"\0\0\0\4"), (56, b"\0\0\0\1"))
 """Header bytes that every file of ours has; SQLite takes some of them, when wrong, for a file it may not write to."""
 _HEAD = 256 * 1024
+_BLOCK = 1024 * 1024
 
 
 class Kind(Enum):
@@ -38,6 +39,25 @@ def sync_folder(folder: Path) -> None:
     """Make renames and new names in a folder survive a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def renew(path: Path) -> None:
+    """Write a file's content once more, as it is, and sync it; nothing where there is none.
+
+    A sync that failed leaves the file's cache clean: it reads well, a later sync succeeds, and yet part of it is not on
+    the disk. So a process that did not see that sync (its predecessor did, and was killed) trusts no log that it finds.
+    """
+    try:
+        handle = os.open(path, os.O_RDWR)
+    except FileNotFoundError:
+        return
+    try:
+        place = 0
+        while block := os.pread(handle, _BLOCK, place):
+            place += os.pwrite(handle, block, place)
         os.fsync(handle)
     finally:
         os.close(handle)

@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from agent.storage.checksum import row_crc
-from agent.storage.connect import build
+from agent.storage.connect import build, empty_log
 from agent.storage.files import beside, sync_folder
 from agent.storage.pages import scan
 from agent.storage.rows import VERDICTS, Row
@@ -118,7 +118,7 @@ def _copy_rows(damaged: Path, fresh: Path) -> tuple[int, int]:
         _complete(target)
         saved = sum(target.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in _TOLD)  # noqa: S608 - own
         lost = sum(not _holds(target, table, seq) for table, seq in refused)
-        target.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        empty_log(target)
     return saved, lost
 
 

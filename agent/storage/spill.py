@@ -30,8 +30,14 @@ def open_spill(path: Path) -> sqlite3.Connection:
         _remove(fresh)
         build(fresh)
         fresh.rename(side)
+    connection = connect_writer(side)
+    try:
+        connection.execute("SELECT count(*) FROM meta").fetchone()  # makes its log, whose name must last as well
         sync_folder(path.parent)
-    return connect_writer(side)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
 
 
 def merge(path: Path, target: sqlite3.Connection) -> int:

@@ -18,7 +18,7 @@ from agent.storage.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writ
 from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
 from agent.storage.event_records import RecordBook
-from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse
+from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse, renew, sync_folder
 from agent.storage.retention import Retention, Upkeep
 from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.salvage import Recovery, finish_interrupted, recover
@@ -83,7 +83,18 @@ class Store:
         return store
 
     def _attach(self) -> None:
-        """Open the file; on a full disk after dropping the ballast and the oldest hour of rows."""
+        """Open the file; on a full disk after dropping the ballast and the oldest hour of rows.
+
+        A file that was opened in part is closed again: what it acknowledged might not outlive a power cut.
+        """
+        try:
+            self._attach_file()
+        except BaseException:
+            self._disconnect()
+            raise
+        self._ballast.lay()
+
+    def _attach_file(self) -> None:
         try:
             self._open_file()
         except (sqlite3.Error, OSError):
@@ -93,7 +104,6 @@ class Store:
             self._open_file()
             self._upkeep.make_room()
             self.checkpoint("TRUNCATE")
-        self._ballast.lay()
 
     def _open_file(self) -> None:
         """Open the file, bring it up to date and learn what it names; a damaged one is replaced by what it tells."""
@@ -107,10 +117,12 @@ class Store:
         damage = "its header is damaged" if kind is Kind.DAMAGED else self._connect()
         if damage:
             self._replace(damage)
+        sync_folder(self.path.parent)  # SQLite does so for its log, but does not mind when it fails
 
     def _connect(self) -> str | None:
         """Open the file; returns what is wrong with it, None when nothing was found."""
         try:
+            renew(beside(self.path, "-wal"))
             self._connection = connect_writer(self.path)
             upgrade(self._connection)
             found = problems_at_start(self._connection)

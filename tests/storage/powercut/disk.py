@@ -2,6 +2,7 @@
 
 What was synced stays. Of what was not, any part may be there: nothing, a prefix, any subset, in any order, writes torn
 at multiples of 512 bytes. Names (created, renamed, deleted) are there up to some point after the folder's last sync.
+After a sync that failed nothing of what it was to write ever arrives, though processes still read it, as on Linux.
 """
 
 import struct
@@ -22,9 +23,9 @@ class Operation:
     content: bytes
 
 
-def read_log(path: Path) -> list[Operation]:
-    """Return the operations that oplog.c recorded."""
-    octets = path.read_bytes()
+def read_log(path: Path, begin: int = 0) -> list[Operation]:
+    """Return the operations that oplog.c recorded, from an offset on."""
+    octets = path.read_bytes()[begin:]
     operations, place = [], 0
     while place < len(octets):
         kind, number, offset, length = struct.unpack_from("<cIQQ", octets, place)
@@ -58,6 +59,9 @@ class Disk:
             for write in file.pending:
                 _write(file.synced, write)
             file.pending.clear()
+        elif kind == "F":  # what a failed sync was to write is clean in the cache from then on, and nowhere else
+            file = self.files[operation.file]
+            file.pending = [change for change in file.pending if change.kind == "T"]
         elif kind in "OUR":
             if kind == "O":
                 self.files[operation.file] = File()

@@ -1,10 +1,11 @@
-/* Records what a process does to files below DELTAK_OPLOG_ROOT, in order, to DELTAK_OPLOG (LD_PRELOAD).
+/* Records what a process does to files below a folder, in order, and makes some of it fail (LD_PRELOAD).
  *
- * One record an operation: kind (1 byte), file number (u32), offset (u64), length (u64), then `length` bytes.
- *   O open that creates or truncates (name)   W write (bytes)   T truncate to offset   S sync   U unlink (name)
+ * DELTAK_OPLOG_ROOT is the folder, DELTAK_OPLOG the log. One record an operation: kind (1 byte), file number (u32),
+ * offset (u64), length (u64), then `length` bytes.
+ *   O open that creates (name)   W write (bytes)   T truncate to offset   S sync   F sync that failed   U unlink (name)
  *   R rename (old \0 new)   D folder synced   A bytes written to standard output: what the process acknowledged
- * File numbers are inode numbers' stand-ins: one a path at creation, kept over renames by the reader of the log.
- * DELTAK_OPLOG_FAIL=<kind>:<errno>:<first>:<count> makes operations of a kind (W or S) fail, counted from 1.
+ * File numbers are those of inodes, so that several processes may write one log, one after another.
+ * oplog_fail(kind, errno, first, count) makes operations of a kind (W S D O R U T) fail, counted from 1 and from the call.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -26,11 +27,8 @@ static int log_fd = -1;
 static char root[1024];
 static size_t root_length;
 static uint32_t number_of[MOST]; /* descriptor -> file number, 0: not watched, FOLDER: the watched folder itself */
-static uint32_t next_number = 1;
 #define FOLDER 0xffffffffu
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
-static struct { char name[1024]; uint32_t number; } names[MOST];
-static size_t names_count;
 
 static ssize_t (*real_write)(int, const void *, size_t);
 static ssize_t (*real_pwrite)(int, const void *, size_t, off_t);
@@ -43,7 +41,8 @@ static int (*real_open)(const char *, int, ...);
 
 static char fail_kind;
 static int fail_errno;
-static long fail_first, fail_count, seen_writes, seen_syncs;
+static long fail_first, fail_count, seen[128];
+static char failed[1100]; /* kind, a space and the path of the operation that failed last */
 
 __attribute__((constructor)) static void start(void) {
     real_write = dlsym(RTLD_NEXT, "write");
@@ -54,10 +53,9 @@ __attribute__((constructor)) static void start(void) {
     real_unlink = dlsym(RTLD_NEXT, "unlink");
     real_rename = dlsym(RTLD_NEXT, "rename");
     real_open = dlsym(RTLD_NEXT, "open64");
-    const char *where = getenv("DELTAK_OPLOG"), *below = getenv("DELTAK_OPLOG_ROOT"), *fail = getenv("DELTAK_OPLOG_FAIL");
+    const char *where = getenv("DELTAK_OPLOG"), *below = getenv("DELTAK_OPLOG_ROOT");
     if (below != NULL) { snprintf(root, sizeof root, "%s", below); root_length = strlen(root); }
     if (where != NULL && below != NULL) log_fd = real_open(where, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
-    if (fail != NULL) sscanf(fail, "%c:%d:%ld:%ld", &fail_kind, &fail_errno, &fail_first, &fail_count);
 }
 
 static int watched(const char *path) { return root_length > 0 && strncmp(path, root, root_length) == 0; }
@@ -71,36 +69,35 @@ static void note(char kind, uint32_t number, uint64_t offset, const void *bytes,
     if (writev(log_fd, parts, length > 0 ? 2 : 1) < 0) _exit(99);
 }
 
-static int fails(char kind) {
-    if (fail_kind != kind) return 0;
-    long count = kind == 'W' ? ++seen_writes : ++seen_syncs;
-    if (count < fail_first || count >= fail_first + fail_count) return 0;
+void oplog_fail(char kind, int error, long first, long count) {
+    pthread_mutex_lock(&lock);
+    fail_kind = kind; fail_errno = error; fail_first = first; fail_count = count; failed[0] = 0;
+    memset(seen, 0, sizeof seen);
+    pthread_mutex_unlock(&lock);
+}
+long oplog_seen(char kind) { return seen[(int)kind]; }
+const char *oplog_failed(void) { return failed; }
+
+static int fails(char kind, int fd, const char *path) {
+    long count = ++seen[(int)kind];
+    if (fail_kind != kind || count < fail_first || count >= fail_first + fail_count) return 0;
+    char link[64], name[1024] = "";
+    snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+    if (path == NULL && readlink(link, name, sizeof name - 1) > 0) path = name;
+    snprintf(failed, sizeof failed, "%c %s", kind, path == NULL ? "" : path);
     errno = fail_errno;
     return 1;
-}
-
-static uint32_t numbered(const char *path, int fresh) {
-    for (size_t i = 0; i < names_count; i++)
-        if (strcmp(names[i].name, path) == 0) {
-            if (fresh) names[i].number = next_number++;
-            return names[i].number;
-        }
-    if (names_count == MOST) _exit(98);
-    snprintf(names[names_count].name, sizeof names[0].name, "%s", path);
-    names[names_count].number = next_number++;
-    return names[names_count++].number;
 }
 
 static int opened(const char *path, int flags, mode_t mode) {
     if (!watched(path)) return real_open(path, flags, mode);
     pthread_mutex_lock(&lock);
     int existed = access(path, F_OK) == 0;
-    int fd = real_open(path, flags, mode);
+    int fd = fails('O', -1, path) ? -1 : real_open(path, flags, mode);
     if (fd >= 0 && fd < MOST) {
         struct stat info;
-        if (fstat(fd, &info) == 0 && S_ISDIR(info.st_mode)) number_of[fd] = FOLDER;
-        else {
-            number_of[fd] = numbered(path, !existed);
+        if (fstat(fd, &info) == 0) number_of[fd] = S_ISDIR(info.st_mode) ? FOLDER : (uint32_t)info.st_ino;
+        if (number_of[fd] != FOLDER) {
             if (!existed) note('O', number_of[fd], 0, path, strlen(path));
             else if (flags & O_TRUNC) note('T', number_of[fd], 0, NULL, 0);
         }
@@ -126,7 +123,7 @@ ssize_t write(int fd, const void *bytes, size_t length) {
     ssize_t done;
     if (number != 0 && number != FOLDER) {
         off_t place = lseek(fd, 0, SEEK_CUR);
-        done = fails('W') ? -1 : real_write(fd, bytes, length);
+        done = fails('W', fd, NULL) ? -1 : real_write(fd, bytes, length);
         if (done > 0) note('W', number, (uint64_t)place, bytes, (uint64_t)done);
     } else {
         if (fd == 1) note('A', 0, 0, bytes, length);
@@ -139,7 +136,7 @@ ssize_t write(int fd, const void *bytes, size_t length) {
 ssize_t pwrite64(int fd, const void *bytes, size_t length, off_t place) {
     pthread_mutex_lock(&lock);
     uint32_t number = file_of(fd);
-    ssize_t done = number != 0 && fails('W') ? -1 : real_pwrite(fd, bytes, length, place);
+    ssize_t done = number != 0 && fails('W', fd, NULL) ? -1 : real_pwrite(fd, bytes, length, place);
     if (done > 0 && number != 0 && number != FOLDER) note('W', number, (uint64_t)place, bytes, (uint64_t)done);
     pthread_mutex_unlock(&lock);
     return done;
@@ -148,8 +145,8 @@ ssize_t pwrite(int fd, const void *bytes, size_t length, off_t place) { return p
 
 int ftruncate64(int fd, off_t size) {
     pthread_mutex_lock(&lock);
-    int done = real_ftruncate(fd, size);
     uint32_t number = file_of(fd);
+    int done = number != 0 && fails('T', fd, NULL) ? -1 : real_ftruncate(fd, size);
     if (done == 0 && number != 0) note('T', number, (uint64_t)size, NULL, 0);
     pthread_mutex_unlock(&lock);
     return done;
@@ -159,8 +156,9 @@ int ftruncate(int fd, off_t size) { return ftruncate64(fd, size); }
 static int synced(int fd) {
     pthread_mutex_lock(&lock);
     uint32_t number = file_of(fd);
-    int done = number != 0 && fails('S') ? -1 : 0; /* the log is the disk: nothing need be flushed for real */
-    if (done == 0 && number != 0) note(number == FOLDER ? 'D' : 'S', number, 0, NULL, 0);
+    int done = fails(number == FOLDER ? 'D' : 'S', fd, NULL) ? -1 : 0; /* the log is the disk: nothing need be flushed for real */
+    if (done == 0) note(number == FOLDER ? 'D' : 'S', number, 0, NULL, 0);
+    else if (number != FOLDER) note('F', number, 0, NULL, 0);
     pthread_mutex_unlock(&lock);
     return done;
 }
@@ -177,7 +175,7 @@ int close(int fd) {
 
 int unlink(const char *path) {
     pthread_mutex_lock(&lock);
-    int done = real_unlink(path);
+    int done = watched(path) && fails('U', -1, path) ? -1 : real_unlink(path);
     if (done == 0 && watched(path)) note('U', 0, 0, path, strlen(path));
     pthread_mutex_unlock(&lock);
     return done;
@@ -185,18 +183,11 @@ int unlink(const char *path) {
 
 int rename(const char *old, const char *new) {
     pthread_mutex_lock(&lock);
-    int done = real_rename(old, new);
+    int done = watched(old) && fails('R', -1, old) ? -1 : real_rename(old, new);
     if (done == 0 && watched(old)) {
         char both[2100];
         int length = snprintf(both, sizeof both, "%s%c%s", old, 0, new);
         note('R', 0, 0, both, (uint64_t)length);
-        uint32_t number = numbered(old, 0);
-        for (size_t i = 0; i < names_count; i++)
-            if (strcmp(names[i].name, old) == 0) names[i].name[0] = 0;
-        size_t i = 0;
-        while (i < names_count && strcmp(names[i].name, new) != 0) i++;
-        if (i == names_count) { snprintf(names[i].name, sizeof names[0].name, "%s", new); names_count++; }
-        names[i].number = number;
     }
     pthread_mutex_unlock(&lock);
     return done;

@@ -15,19 +15,7 @@ from tests.storage.powercut.disk import Operation, cuts, read_log
 from tests.storage.powercut.workload import PROFILES, records
 from tests.storage.rows import batch, run_info
 
-HERE = Path(__file__).parent
 WRITES = {"live": 45, "bulk": 12, "keep": 40}
-
-
-@pytest.fixture(scope="session")
-def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recorder of file operations, compiled here."""
-    compiler = peers.program("cc", "gcc")
-    library = tmp_path_factory.mktemp("shim") / "oplog.so"
-    subprocess.run(
-        [compiler, "-O2", "-Wall", "-Werror", "-shared", "-fPIC", "-o", library, HERE / "oplog.c", "-ldl"], check=True
-    )
-    return library
 
 
 def record(
@@ -38,6 +26,7 @@ def record(
     work.mkdir()
     if prepare is not None:
         (work / "rig.db").write_bytes(prepare)
+        (folder / "inode").write_text(str((work / "rig.db").stat().st_ino))
     environment = {
         **os.environ,
         "LD_PRELOAD": str(shim),
@@ -59,6 +48,12 @@ def record(
     return operations
 
 
+def laid_before(path: Path, inode: int, content: bytes) -> list[Operation]:
+    """Return the operations that put a file there before the recording began."""
+    start = Operation("O", inode, 0, str(path).encode())
+    return [start, Operation("W", inode, 0, content), Operation("S", inode, 0, b""), Operation("D", 0, 0, b"")]
+
+
 def lay(files: dict[str, bytes], folder: Path) -> Path:
     """Write what the disk held into an empty folder; return the database's path."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -71,8 +66,7 @@ def lay(files: dict[str, bytes], folder: Path) -> Path:
 
 def lost_after(path: Path, profile: str, acknowledged: bytes) -> int:
     """Start on a disk after a cut, as the agent does; return how many acknowledged writes are missing or incomplete."""
-    lines = acknowledged.split(b"\n")[:-1]
-    kind, count = PROFILES[profile], sum(line.isdigit() for line in lines)
+    kind, numbers = PROFILES[profile], [int(line) for line in acknowledged.split(b"\n")[:-1] if line.isdigit()]
     with Store.open(path, kind.keep) as store:
         assert store.recovery is None, f"the cut left a damaged file: {store.recovery}"
         execute = store.connection.execute
@@ -86,7 +80,7 @@ def lost_after(path: Path, profile: str, acknowledged: bytes) -> int:
         alarms = execute("SELECT count(*) FROM alarm_events").fetchone()[0]
         store.write(store.begin_run(run_info()), [batch(1, start=2 * 10**18)])
     lost, expected_alarms = 0, 0
-    for number in range(count):
+    for number in numbers:
         made = records(kind, number)
         expected_alarms += sum(type(r).__name__ == "AlarmTransition" for r in made)
         lost += any(t >= kept and present.get(int(t)) != 4 for t in made[0].t_ns)
@@ -120,8 +114,7 @@ def test_power_cut_while_a_damaged_file_is_replaced_leaves_a_way_on(
     octets = bytearray(whole.read_bytes())
     octets[40 * 1024 : 41 * 1024] = bytes(1024)
     operations = record(shim, memory, "live", prepare=bytes(octets))
-    start = Operation("O", 10**6, 0, str(memory / "work" / "rig.db").encode())
-    first = [start, Operation("W", 10**6, 0, bytes(octets)), Operation("S", 10**6, 0, b""), Operation("D", 0, 0, b"")]
+    first = laid_before(memory / "work" / "rig.db", int((memory / "inode").read_text()), bytes(octets))
     recovered = 0
     for _, files, _ in cuts(first + operations, 100, rng):
         with Store.open(lay(files, memory / "cut")) as store:

@@ -36,6 +36,12 @@ _LONGEST_BLOCK = 1 << 30
 _COUNTER, _TIMES, _OFFSET = 1, 2, 4
 
 
+def encode_header(header: RawHeader) -> bytes:
+    """Return what a file begins with."""
+    facts = json.dumps(asdict(header)).encode()
+    return MAGIC + struct.pack("<I", len(facts)) + facts
+
+
 def encode_block(block: SampleBlock) -> bytes:
     """Return a block as it stands in a file."""
     values = np.ascontiguousarray(block.values, dtype="<f8")
@@ -99,8 +105,7 @@ class BlockSegment:
     def __init__(self, path: Path, header: RawHeader) -> None:
         self.path = path
         self._file = path.open("xb")
-        facts = json.dumps(asdict(header)).encode()
-        self._file.write(MAGIC + struct.pack("<I", len(facts)) + facts)
+        self._file.write(encode_header(header))
 
     def add(self, block: SampleBlock, heard: Heard | None) -> None:
         """Append a block of samples."""

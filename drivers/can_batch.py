@@ -31,7 +31,7 @@ class _Vector(ctypes.Structure):
     _fields_ = (("base", ctypes.c_size_t), ("length", ctypes.c_size_t))
 
 
-class _Message(ctypes.Structure):
+class _Header(ctypes.Structure):
     _fields_ = (
         ("name", ctypes.c_size_t),
         ("name_length", ctypes.c_uint32),
@@ -40,8 +40,11 @@ class _Message(ctypes.Structure):
         ("control", ctypes.c_size_t),
         ("control_length", ctypes.c_size_t),
         ("flags", ctypes.c_int),
-        ("length", ctypes.c_uint32),
     )
+
+
+class _Message(ctypes.Structure):
+    _fields_ = (("header", _Header), ("length", ctypes.c_uint32))
 
 
 @cache
@@ -77,13 +80,14 @@ class BatchReceiver:
         place = np.arange(most)
         self._vectors["base"] = self._table.ctypes.data + FRAME.itemsize * place
         self._vectors["length"] = 72
-        self._messages["vectors"] = self._vectors.ctypes.data + self._vectors.itemsize * place
-        self._messages["vector_count"] = 1
-        self._messages["control"] = self._control.ctypes.data + _CONTROL.itemsize * place
+        header = self._messages["header"]
+        header["vectors"] = self._vectors.ctypes.data + self._vectors.itemsize * place
+        header["vector_count"] = 1
+        header["control"] = self._control.ctypes.data + _CONTROL.itemsize * place
 
     def receive(self) -> Frames:
         """Return the frames that wait, without waiting; OSError when the socket fails."""
-        self._messages["control_length"] = _CONTROL.itemsize
+        self._messages["header"]["control_length"] = _CONTROL.itemsize
         most, messages = len(self._messages), self._messages.ctypes.data
         count = self._call(
             ctypes.c_int(self._descriptor), ctypes.c_void_p(messages), ctypes.c_uint(most),
@@ -103,7 +107,8 @@ class BatchReceiver:
     def _stamps(self, count: int) -> IntArray:
         """Return the times of the newest frames (count,), and note the count of lost ones."""
         control = self._control[:count]
-        counted = (self._messages["control_length"][:count] >= _WITH_LOST) & (control["kind2"] == _SO_RXQ_OVFL)
+        lengths = self._messages["header"]["control_length"][:count]
+        counted = (lengths >= _WITH_LOST) & (control["kind2"] == _SO_RXQ_OVFL)
         if counted.any():
             self.lost = int(control["lost"][np.flatnonzero(counted)[-1]])
         times = control["seconds"] * 10**9 + control["nanoseconds"]

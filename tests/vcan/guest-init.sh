@@ -5,7 +5,7 @@ export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/r
 mount -t proc proc /proc
 mount -t sysfs sys /sys
 folder=$modules/$(uname -r)/kernel
-for module in net/can/can net/can/can-raw drivers/net/can/dev/can-dev drivers/net/can/vcan fs/overlayfs/overlay; do
+for module in net/can/can net/can/can-raw drivers/net/can/dev/can-dev drivers/net/can/vcan drivers/net/can/slcan/slcan fs/overlayfs/overlay; do
     insmod "$folder/$module.ko"
 done
 mount -t tmpfs memory /mnt

@@ -12,7 +12,7 @@ from tests.vcan import guest
 
 pytestmark = pytest.mark.realtime
 
-INSIDE = "tests/vcan/inside.py"
+INSIDE = ("tests/vcan/inside.py", "tests/vcan/inside_batches.py", "tests/vcan/inside_slcan.py")
 LIMIT_S = 110.0
 
 
@@ -27,7 +27,7 @@ def kernel_has_vcan() -> bool:
 def test_can_path_over_a_kernel_bus_passes_every_test_inside() -> None:
     for name in ("candump", "cangen", "canplayer"):
         program(name, "can-utils")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", INSIDE]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", *INSIDE]
     if kernel_has_vcan():
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT_S, check=False)
         status, output = done.returncode, done.stdout + done.stderr

@@ -52,14 +52,14 @@ class Table(NamedTuple):
     counter: IntArray | None
 
 
-def table_of(items: Sequence[Taken], labels: Sequence[Labels]) -> Table:
-    """Return the samples of one source that were taken and have a time stamp."""
+def table_of(items: Sequence[Taken], labels: Sequence[Labels], span: tuple[int, int]) -> Table:
+    """Return the samples of one source that were taken, lie within the span, and have a time stamp."""
     number = _joined([item.number[item.kept] for item in items])
     known, stamps = _joined([label.number for label in labels]), _joined([label.t_ns for label in labels])
     order = np.argsort(known, kind="stable")
     known, stamps = known[order], stamps[order]
     place = np.searchsorted(known, number)
-    found = np.isin(number, known)
+    found = np.isin(number, known) & (number >= span[0]) & (number <= span[1])
     values = np.concatenate([item.block.values[item.kept] for item in items] or [np.zeros((0, 0))])
     counters = [item.block.counter[item.kept] for item in items if item.block.counter is not None]
     counter = _joined(counters)[found] if counters and len(counters) == len(items) else None

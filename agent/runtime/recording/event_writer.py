@@ -35,11 +35,15 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One writing of a record: what is known of it, and everything that belongs into it so far."""
+    """One writing of a record: what is known of it, and everything that belongs into it so far.
+
+    span: the numbers of the first and the last sample that are wanted.
+    """
 
     record: EventRecord
     items: Sequence[Taken]
     labels: Sequence[Labels]
+    span: tuple[int, int]
     moduli: dict[str, int | None]
 
 
@@ -132,7 +136,7 @@ class EventWriter:
         """Write a record's files; return its row."""
         if len(self._facts.channels) > 1:
             return self._written_raw(job)
-        table = table_of(job.items, job.labels)
+        table = table_of(job.items, job.labels, job.span)
         (channels,) = self._facts.channels.values()
         span = (int(table.t_ns[0]), int(table.t_ns[-1])) if len(table.t_ns) else (job.record.t_ns, job.record.t_ns)
         record = replace(job.record, from_ns=span[0], to_ns=span[1], samples=len(table.t_ns))

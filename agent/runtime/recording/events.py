@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+import numpy as np
+
 from agent.blocks.indexing import Indexer, Origin
 from agent.config import RigConfig
 from agent.runtime.clock import wall_ns
@@ -43,6 +45,7 @@ class Open:
     record: EventRecord
     items: list[Taken]
     labels: list[Labels]
+    since: int
     until: int
     until_s: float
     last: int
@@ -51,7 +54,10 @@ class Open:
 
 @dataclass(slots=True)
 class Memory:
-    """What came last: blocks and time stamps that reach `span` samples back, and no more bytes than may be."""
+    """What came last: blocks and time stamps that reach `span` samples back, and no more bytes than may be.
+
+    They reach back from before the newest block, as an alarm may be raised by its first sample.
+    """
 
     span: int
     items: deque[Taken] = field(default_factory=deque)
@@ -59,15 +65,25 @@ class Memory:
     held: int = 0
 
     def add(self, item: Taken) -> None:
+        before = self.items[-1].moment if self.items else item.moment
         self.items.append(item)
         self.held += item.block.values.nbytes
-        while len(self.items) > 1 and (item.moment - self.items[0].moment > self.span or self.held > MOST_BYTES):
+        while len(self.items) > 1 and (before - self.items[0].moment > self.span or self.held > MOST_BYTES):
             self.held -= self.items.popleft().block.values.nbytes
 
     def label(self, labels: Labels) -> None:
+        before = int((self.labels[-1] if self.labels else labels).number[-1])
         self.labels.append(labels)
-        while self.labels and int(labels.number[-1]) - int(self.labels[0].number[-1]) > self.span:
+        while before - int(self.labels[0].number[-1]) > self.span:
             self.labels.popleft()
+
+    def number_at(self, t_ns: int, otherwise: int) -> int:
+        """Return the number of the sample with a time stamp; what is given where there is none."""
+        for labels in reversed(self.labels):
+            place = np.flatnonzero(labels.t_ns == t_ns)
+            if len(place):
+                return int(labels.number[place[-1]])
+        return otherwise
 
 
 class EventKeeper:
@@ -150,27 +166,30 @@ class EventKeeper:
             self._end("cut", "the agent was stopped before all of it had come")
 
     def _raised(self, alarm: AlarmTransition) -> None:
-        now = self._clock()
-        if self._open is None:
-            self._begin(alarm, now)
-            return
+        now, at = self._clock(), self._memory.number_at(alarm.t_ns, self._moment)
+        if self._open is not None and at > self._open.until:
+            self._end("complete", "")
         event = self._open
+        if event is None:
+            self._begin(alarm, at, now)
+            return
         event.record = replace(event.record, alarms=event.record.alarms + 1)
-        event.until = min(self._moment + self._after, event.last)
+        event.until = min(at + self._after, event.last)
         event.until_s = min(now + self._after_s + PATIENCE_S, event.last_s)
 
-    def _begin(self, alarm: AlarmTransition, now: float) -> None:
+    def _begin(self, alarm: AlarmTransition, at: int, now: float) -> None:
         if not self._may_begin(now):
             return
         record = EventRecord(
             alarm.rig, alarm.t_ns, alarm.kind, alarm.parameter, 1, self._writer.name(alarm.kind, alarm.parameter),
             "recording", alarm.t_ns, alarm.t_ns, 0, 0, self._baseline_id,
         )  # fmt: skip
-        until, until_s = self._moment + self._after, now + self._after_s + PATIENCE_S
-        last, last_s = self._moment + LONGEST * self._after, now + LONGEST * self._after_s + PATIENCE_S
-        since = self._moment - self._before
+        until_s = now + self._after_s + PATIENCE_S
+        last, last_s = at + LONGEST * self._after, now + LONGEST * self._after_s + PATIENCE_S
+        since = at - self._before
         items = [item for item in self._memory.items if item.moment >= since]
-        self._open = Open(record, items, list(self._memory.labels), until, until_s, last, last_s)
+        labels = list(self._memory.labels)
+        self._open = Open(record, items, labels, since, at + self._after, until_s, last, last_s)
         self._submit(record)
 
     def _may_begin(self, now: float) -> bool:
@@ -193,5 +212,7 @@ class EventKeeper:
             self._open = None
 
     def _submit(self, record: EventRecord) -> None:
-        if self._open is not None:
-            self._writer.submit(Job(record, tuple(self._open.items), tuple(self._open.labels), dict(self._moduli)))
+        event = self._open
+        if event is not None:
+            span = (event.since, event.until)
+            self._writer.submit(Job(record, tuple(event.items), tuple(event.labels), span, dict(self._moduli)))

@@ -15,6 +15,8 @@ Reader = Callable[[IntArray, FloatArray], FloatArray]
 """Rows (n,) and a delay of each channel (c,) -> readings (n, c), inputs first; NaN where one is missing."""
 MOST_S = 0.12
 """Greatest skew that is looked for."""
+STARTS_S = (0.04, 0.08, -0.03, -0.06)
+"""Where else than at nothing a skew is looked for, until one is found."""
 ENOUGH = 3
 """Stretches that must agree before rows are let go."""
 PRECISE = 0.1
@@ -149,13 +151,22 @@ class SkewWatch:
             u, y = readings[:, : self.inputs], readings[:, self.inputs :]
             return np.hstack([y, with_constant(self.complete(y, u), self._width())])
 
+        elsewhere = [np.full(len(self.groups), start) for start in STARTS_S]
+        starts = [self._found[-1].delay_s] if self._found else [self.skew_s, *elsewhere]
+        tried = [self._try(resampled, start) for start in starts]
+        sure = [found for found in tried if found is not None]
+        if sure:
+            best = min(sure, key=lambda found: found.misfit)
+            self._found.append(best)
+            self._theta = best.theta
+
+    def _try(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray) -> Delays | None:
+        """Measure a stretch from one start; None where it tells nothing."""
         try:
-            found = self.meter.measure(resampled, self.skew_s, self._theta)
+            found = self.meter.measure(resampled, start_s, self._theta)
         except (ValueError, np.linalg.LinAlgError):
-            return  # no gain, or readings that are no motion at all: this stretch tells nothing
-        if found.sure and np.all(np.abs(found.delay_s) < MOST_S):
-            self._found.append(found)
-            self._theta = found.theta
+            return None  # no gain, or readings that are no motion at all
+        return found if found.sure and bool(np.all(np.abs(found.delay_s) < MOST_S)) else None
 
     def _width(self) -> int:
         return self.meter.model.continuous(self._theta).m

@@ -100,13 +100,24 @@ def _widened(s: StateSpace, groups: Sequence[Group], delays: FloatArray, rates: 
 class Delays(NamedTuple):
     """What one stretch of samples tells: delays (g,) and their sd, s, and the model's own parameters there.
 
-    sure: the fit found its maximum, and the stretch tells all delays.
+    sure: the fit found its maximum, and the stretch tells all delays. misfit: rms of what is left, in the noise's sd.
     """
 
     delay_s: FloatArray
     sd_s: FloatArray
     theta: FloatArray
     sure: bool
+    misfit: float
+
+
+class _Turn(NamedTuple):
+    """One fit: the delays left and their sd (g,), the model's own parameters, rms of what is left."""
+
+    step_s: FloatArray
+    sd_s: FloatArray
+    theta: FloatArray
+    converged: bool
+    misfit: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,19 +152,19 @@ class SkewMeter:
             start_s: (g,) where to begin.
             theta: (q,) the model's own parameters to begin with.
         """
-        delays, sd = np.array(start_s, dtype=float), np.full(len(self.groups), np.inf)
-        found = np.array(theta, dtype=float)
+        delays, found = np.array(start_s, dtype=float), np.array(theta, dtype=float)
         for _ in range(TURNS):
-            step, sd, found, converged = self._turn(resampled(delays), found)
-            delays = delays + step
-            if not (converged and np.all(np.isfinite(sd))):
-                return Delays(delays, sd, found, sure=False)
-            if np.all(np.abs(step) < CLOSE * sd):
-                return Delays(delays, sd, found, sure=True)
-        return Delays(delays, sd, found, sure=bool(np.all(np.abs(step) < sd)))
+            turn = self._turn(resampled(delays), found)
+            delays, found = delays + turn.step_s, turn.theta
+            told = turn.converged and bool(np.all(np.isfinite(turn.sd_s)))
+            near = told and bool(np.all(np.abs(turn.step_s) < CLOSE * turn.sd_s))
+            if near or not told:
+                break
+        sure = told and bool(np.all(np.abs(turn.step_s) < turn.sd_s))
+        return Delays(delays, turn.sd_s, found, sure, turn.misfit)
 
-    def _turn(self, v: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-        """Fit once; return the delays left and their sd (g,), the model's own parameters, whether that converged."""
+    def _turn(self, v: FloatArray, theta: FloatArray) -> "_Turn":
+        """Fit once."""
         p, g = len(self.sigma), len(self.groups)
         delayed = DelayedModel(self.model, self.groups, self.signals)
         y, u = v[:, :p], v[:, p:]
@@ -174,7 +185,7 @@ class SkewMeter:
         left = fit.residual.size - len(begin) - len(x0)
         spread = float(np.sqrt(np.sum(fit.residual**2) / max(left, 1)))
         sd = np.sqrt(np.diag(fit.covariance)) * spread
-        return fit.theta[-g:], sd[-g:], fit.theta[:-g], fit.converged
+        return _Turn(fit.theta[-g:], sd[-g:], fit.theta[:-g], fit.converged, spread)
 
     def _noise(self, y: FloatArray) -> Noise:
         from agent.numerics.noise import sensor_noise

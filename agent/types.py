@@ -246,4 +246,30 @@ class RunInfo:
     boot_id: str | None = None
 
 
-Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """What a rig's windows have taught of its disturbances, for the next start with the same configuration.
+
+    Attributes:
+        sigma: (p,) noise sd of each output, SI.
+        process: (d,) sd of the unknown force in each direction.
+        factor: (q,) the commissioning factor of each parameter; None while too few windows have been seen.
+        searched: a long record has been searched for unknown forces.
+    """
+
+    sigma: tuple[float, ...]
+    process: tuple[float, ...]
+    factor: tuple[float, ...] | None
+    searched: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRecord:
+    """A rig was calibrated, or knows more than before."""
+
+    rig: str
+    t_ns: int
+    calibrated: Calibrated
+
+
+Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | CalibrationRecord

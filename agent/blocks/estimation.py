@@ -14,6 +14,8 @@ from agent.numerics.lacking import MOST, Lacking
 from agent.numerics.rows import Rows
 from agent.numerics.suspects import Accusation
 from agent.types import (
+    Calibrated,
+    CalibrationRecord,
     CodeArray,
     EstimateBatch,
     FloatArray,
@@ -33,6 +35,14 @@ class Estimator(Protocol):
 
     def start_segment(self) -> None:
         """Forget the samples before a gap."""
+        ...
+
+    def calibrated(self) -> Calibrated | None:
+        """Return what is known of the rig's disturbances; None while that is nothing to rely on."""
+        ...
+
+    def adopt(self, known: Calibrated) -> None:
+        """Begin with what an earlier run knew."""
         ...
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
@@ -88,6 +98,8 @@ class Estimation:
     _said: SensorFault | None = None
     _events: list[SensorEvent] = field(default_factory=list)
     _advice: list[HealthEvent] = field(default_factory=list)
+    _known: Calibrated | None = None
+    _learnt: list[CalibrationRecord] = field(default_factory=list)
     _lacking: Lacking = field(default_factory=lambda: Lacking(0))
     _model: ModelAdvice = field(default_factory=lambda: ModelAdvice("", 1.0))
 
@@ -115,6 +127,7 @@ class Estimation:
             return None
         batch = self._batch(rows, samples)
         self._advice += self._model.step(self.estimator.take_findings(), batch)
+        self._note_calibration(int(batch.t_ns[-1]))
         return batch
 
     def _unusable(self, samples: Samples) -> EstimateBatch | None:
@@ -157,6 +170,22 @@ class Estimation:
         """Return which sensors were blamed or acquitted since the last call."""
         events, self._events = self._events, []
         return events
+
+    def adopt(self, known: Calibrated) -> None:
+        """Begin with what an earlier run knew of the rig's disturbances."""
+        self.estimator.adopt(known)
+        self._known = known
+
+    def take_calibration(self) -> list[CalibrationRecord]:
+        """Return what was learnt of the rig's disturbances since the last call, the newest."""
+        learnt, self._learnt = self._learnt, []
+        return learnt
+
+    def _note_calibration(self, t_ns: int) -> None:
+        known = self.estimator.calibrated()
+        if known is not None and known != self._known:
+            self._known = known
+            self._learnt = [CalibrationRecord(self.labels.rig, t_ns, known)]
 
     def take_advice(self) -> list[HealthEvent]:
         """Return what the model was found to lack since the last call."""

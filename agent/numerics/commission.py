@@ -40,6 +40,10 @@ class Commission:
         self._theta.clear()
         self._sd.clear()
 
+    def adopt(self, factor: FloatArray) -> None:
+        """Take a factor that is known already."""
+        self.factor, self.known = factor, True
+
     def add(self, theta: FloatArray, sd: FloatArray) -> bool:
         """Take windows theta, sd (N, q); return whether that completed the collection."""
         if self.known:

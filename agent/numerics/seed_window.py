@@ -19,6 +19,7 @@ from agent.numerics.rows import Rows
 from agent.numerics.seed import Batch, Descent, Stopping, Structured, descend, general_solution, observe, structured
 from agent.numerics.statespace import Hold, Model, StateSpace, discretise
 from agent.numerics.suspects import Accusation
+from agent.types import Calibrated
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -153,6 +154,13 @@ class SeedWindow:
         self._run_up = settling(self._sampled, settings.gain, settings.settled)
         self._history = settings.plan.window + (self._run_up if settings.passes > 1 else 0)
         self.start_segment()
+
+    def calibrated(self) -> Calibrated | None:
+        """Return nothing: this method learns no disturbances."""
+        return None
+
+    def adopt(self, known: Calibrated) -> None:
+        """Take nothing."""
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
         """Return nothing: this method does not ask what the model lacks."""

@@ -26,7 +26,7 @@ from agent.numerics.verdict import Before, Verdict
 from agent.numerics.window import solve_windows
 from agent.numerics.window_settings import WindowSettings
 from agent.numerics.working_point import WorkingPoint
-from agent.types import Reason
+from agent.types import Calibrated, Reason
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -61,12 +61,22 @@ class WindowML:
         self._moving = None if settings.drift is None else Moving(settings.drift)
         self._segment: Segment | None = None
         self._units = UNITS_MIN
-        self._anchored = False
+        self._anchored = self._adopted = False
         self._searched = settings.gains.disturbance is None
         self._failed = self._heard = 0
         self._last_fit = self._steady_since = NEVER
         self._onset: int | None = None
         self._blamed: Verdict | None = None
+
+    def calibrated(self) -> Calibrated | None:
+        """Return what is known of the rig's disturbances; None while that is nothing to rely on."""
+        point = self.point
+        return point.calibrated(searched=self._searched) if point.settled and point.wrong is None else None
+
+    def adopt(self, known: Calibrated) -> None:
+        """Begin with what an earlier run knew; a first window that it does not explain ends that."""
+        self._adopted = self.point.adopt(known)
+        self._searched = self._searched or (self._adopted and known.searched)
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
         """Return (sample, accusation) of what the model was found to lack since the last call."""
@@ -279,7 +289,7 @@ class WindowML:
         if not point.settled:
             point.take_sizes(v)
         restore, was_settled = point.kept(), point.settled
-        afresh = not was_settled or bool(quieter(point, rows)[row])
+        afresh = not (was_settled or self._adopted) or bool(quieter(point, rows)[row])
         most = CALIBRATION if afresh else LONG
         whole = len(v) <= most or self._lacking.count(rows.index[row : row + 1], len(v))[0] > 0
         v = v if whole else v[-LONG:]
@@ -294,6 +304,8 @@ class WindowML:
         if self._blamed is None and fit.converged and self._move(segment, rows, row, fit, dof, whole=whole):
             return True
         restore()
+        if self._adopted and not point.settled:
+            self._adopted, self._searched = False, self.settings.gains.disturbance is None
         self._upkeep.believe(point, rows, row)
         # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is
         self._failed = 0 if point.settled else min(self._failed + 1, MOST_FAILED)

@@ -18,6 +18,7 @@ from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, Model, discretise
 from agent.numerics.suspects import mass_suspect
 from agent.numerics.window_settings import WindowSettings
+from agent.types import Calibrated
 
 FloatArray = NDArray[np.float64]
 
@@ -52,6 +53,23 @@ class WorkingPoint:
         self.rebuild()
         self.unknowns = self.discrete.model.n + len(self.theta)
         self.dof = self.dof_of(settings.plan.window)
+
+    def calibrated(self, *, searched: bool) -> Calibrated:
+        """Return what is known of the disturbances, as plain numbers."""
+        factor = tuple(self.commission.factor.tolist()) if self.commission.known else None
+        return Calibrated(tuple(self.noise.sigma.tolist()), tuple(self.noise.process.tolist()), factor, searched)
+
+    def adopt(self, known: Calibrated) -> bool:
+        """Begin with disturbances that are known, where they are of this rig's size; tell whether they were."""
+        sigma, process = np.array(known.sigma), np.array(known.process)
+        if (sigma.shape, process.shape) != (self.noise.sigma.shape, self.noise.process.shape):
+            return False
+        stated = self.settings.sigma
+        self.noise = Noise(np.where(np.isfinite(stated), stated, sigma), process)
+        if known.factor is not None and len(known.factor) == len(self.theta):
+            self.commission.adopt(np.array(known.factor))
+        self.rebuild()
+        return True
 
     def rebuild(self) -> None:
         """Make observer and operators about theta_r."""
@@ -140,7 +158,9 @@ class WorkingPoint:
             return calibration.fit
         gains, noise = self.settings.gains, self.noise
         stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
-        return fit_window(problem, theta, np.zeros(self.n), stages[1:] if near else stages)
+        fit = fit_window(problem, theta, np.zeros(self.n), stages[1:] if near else stages)
+        # from far away, or in a window that says little, the steps may not have sufficed
+        return fit if fit.converged else fit_window(problem, fit.theta, fit.x0, stages[1:])
 
     def _confirmed(self, calibration: Calibration, problem: Problem) -> MassError | None:
         """Return the wrong mass that a calibration found, unless the model lacks something that explains more."""

@@ -23,7 +23,7 @@ from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.source_clocks import SourceClocks
 from agent.config import RigConfig
 from agent.runtime.methods import make_estimation
-from agent.types import Health, HealthEvent, IntArray, Record, Samples
+from agent.types import Calibrated, Health, HealthEvent, IntArray, Record, Samples
 from drivers.port import Counts, SampleBlock
 
 Label = Callable[[IntArray], IntArray]
@@ -73,6 +73,11 @@ class Pipeline:
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(rig.name)
 
+    def adopt(self, calibrated: Calibrated | None) -> None:
+        """Begin with what an earlier run learnt of the rig's disturbances, before the first sample."""
+        if calibrated is not None:
+            self.estimation.adopt(calibrated)
+
     def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> list[Record]:
         """Take a block of one source and return what it leads to, in order of time.
 
@@ -116,6 +121,7 @@ class Pipeline:
             if batch is not None:
                 records.append(batch)
                 records.extend(self.estimation.take_advice())
+                records.extend(self.estimation.take_calibration())
                 records.extend(self.alarms.step(batch))
                 records.extend(self.sensor_alarms.confirm(batch))
                 records.extend(self.sensor_alarms.step(self.estimation.take_events()))

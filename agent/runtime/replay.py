@@ -55,6 +55,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
         if writer is not None:
             stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
+            pipeline.adopt(writer.calibrations[rig.rig.name])
         for records in _records(pipeline, tracks):
             summary.take(records)
             if writer is not None:

@@ -24,7 +24,7 @@ from agent.storage.alarms import AlarmRow
 from agent.storage.retention import Retention
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
-from agent.types import AlarmTransition, HealthEvent, Record, RunInfo
+from agent.types import AlarmTransition, Calibrated, HealthEvent, Record, RunInfo
 from drivers.port import DriverConfigError
 from drivers.reconnect import LinkEvent
 
@@ -48,8 +48,9 @@ class RigRuntime:
         self.events: EventKeeper | None = None
         self._lost: dict[str, bool] = {}
 
-    def restore(self, standing: Sequence[AlarmRow]) -> None:
-        """Go on with the alarms that the run before left standing."""
+    def restore(self, standing: Sequence[AlarmRow], calibrated: Calibrated | None = None) -> None:
+        """Go on with the alarms that the run before left standing, and with what it knew of the disturbances."""
+        self.pipeline.adopt(calibrated)
         levels = {row.parameter: {"state": row.state} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
         self.pipeline.sensor_alarms.restore(
@@ -192,7 +193,7 @@ class Service:
         for name, rig in self.rigs.items():
             writer = self._writer_of[name]
             rig.summary.run_id = writer.run_ids.get(name)
-            rig.restore(writer.standing.get(name, []))
+            rig.restore(writer.standing.get(name, []), writer.calibrations.get(name))
         for connection in self.connections:
             connection.start()
 

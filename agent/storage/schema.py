@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -57,9 +57,10 @@ TABLES: dict[str, str] = {
     "alarms INTEGER NOT NULL, file TEXT NOT NULL, state TEXT NOT NULL, from_ns INTEGER NOT NULL, "
     "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, baseline_id INTEGER, "
     "message TEXT NOT NULL",
+    "calibrations": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, content TEXT NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
-_SINCE = {"event_records": 2}
+_SINCE = {"event_records": 2, "calibrations": 4}
 """The version that brought a table, of those that version 1 did not have."""
 
 _CONSUMERS = (
@@ -115,6 +116,12 @@ def _clocks(db: "Database") -> None:
     _mark(db.conn, 3)
 
 
+def _calibrations(db: "Database") -> None:
+    """Version 4: what was learnt of a rig's disturbances."""
+    _create(db.conn, "calibrations")
+    _mark(db.conn, 4)
+
+
 def _create(connection: sqlite3.Connection, table: str) -> None:
     columns = TABLES[table]
     connection.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
@@ -147,6 +154,7 @@ def migrations() -> "Migrations":
     steps(name="0001_tables_views_and_marks")(_tables_views_and_marks)
     steps(name="0002_event_records")(_event_records)
     steps(name="0003_clocks")(_clocks)
+    steps(name="0004_calibrations")(_calibrations)
     return steps
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from agent.errors import StoreError
 from agent.storage.alarms import AlarmBook, AlarmRow, standing_alarms
 from agent.storage.batches import joined_runs, take
+from agent.storage.calibrations import CalibrationBook, newest_calibration
 from agent.storage.checksum import row_crc
 from agent.storage.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writer, create, is_damage, may_pass
 from agent.storage.coverage import Coverage
@@ -26,7 +27,17 @@ from agent.storage.schema import insert_sql, upgrade
 from agent.storage.spill import merge, open_spill
 from agent.storage.status import add_event, add_health
 from agent.storage.verify import Scrubber, problems_at_start
-from agent.types import AlarmTransition, EstimateBatch, EventRecord, Health, HealthEvent, Record, RunInfo
+from agent.types import (
+    AlarmTransition,
+    Calibrated,
+    CalibrationRecord,
+    EstimateBatch,
+    EventRecord,
+    Health,
+    HealthEvent,
+    Record,
+    RunInfo,
+)
 
 _CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 _COMMITS_A_CHECKPOINT = 300
@@ -53,7 +64,7 @@ class Store:
         self.names = Names(self.numbers)
         self._books: dict[int, AlarmBook] = {}
         self._coverage: dict[int, Coverage] = {}
-        self._records = RecordBook()
+        self._records, self._calibrations = RecordBook(), CalibrationBook()
         self._since_checkpoint = [0, 0]
         self._keep = keep
         self._upkeep = Upkeep(self, keep)
@@ -147,7 +158,7 @@ class Store:
         self.names = Names(self.numbers)
         self._books.clear()
         self._coverage.clear()
-        self._records = RecordBook()
+        self._records, self._calibrations = RecordBook(), CalibrationBook()
         self._upkeep = Upkeep(self, self._keep)
         problem = self._connect()
         if problem is not None:
@@ -199,6 +210,11 @@ class Store:
         with self._mutex:
             return standing_alarms(self.connection, rig, kind)
 
+    def calibration(self, run: RunInfo) -> Calibrated | None:
+        """Return what earlier runs like this one learnt of the rig's disturbances; None for nothing."""
+        with self._mutex:
+            return newest_calibration(self.connection, run)
+
     def write(self, run_id: int, records: Sequence[Record]) -> None:
         """Store records of a run; on return they are committed and survive a power cut.
 
@@ -230,6 +246,8 @@ class Store:
             add_health(plan, record, run_id, self.numbers)
         elif isinstance(record, HealthEvent):
             add_event(plan, record, run_id, self.numbers)
+        elif isinstance(record, CalibrationRecord):
+            self._calibrations.apply(plan, record, run_id, self.numbers)
         elif isinstance(record, EventRecord):
             self._records.apply(plan, record, run_id, self.numbers, self.connection)
 

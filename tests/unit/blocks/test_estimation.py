@@ -9,7 +9,7 @@ from scipy.stats import t as student
 from agent.blocks.estimation import Estimation, Labels
 from agent.numerics.rows import Rows
 from agent.numerics.suspects import Accusation, Suspect, mass_suspect
-from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+from agent.types import Calibrated, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
 START = 1_760_000_000_123_456_789
 HOP = 10
@@ -25,6 +25,13 @@ class Told:
     segments: int = 0
     lacking: dict[int, Accusation] = field(default_factory=dict)
     findings: list[tuple[int, Accusation]] = field(default_factory=list)
+    known: Calibrated | None = None
+
+    def calibrated(self) -> Calibrated | None:
+        return self.known
+
+    def adopt(self, known: Calibrated) -> None:
+        self.known = known
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
         found, self.findings = self.findings, []

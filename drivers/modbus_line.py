@@ -1,9 +1,9 @@
 """One connection to the units behind it, shared by all sources that name it: a serial line, a gateway, a device.
 
 Requests go out one at a time, the most urgent first. A unit that does not answer costs the others little: once it has
-failed it is given no longer than its answers used to take, but for every fourth time. A late answer is never taken
-for another's: over TCP its transaction is known to be given up; over RTU, where answers do not say what they answer,
-the unit is left alone for a while and then asked for a number of registers that it owes no answer of. Units answer in
+failed it is given no longer than its answers used to take, but for now and then. A late answer is never taken for
+another's: over TCP its transaction is known to be given up; over RTU, where answers do not say what they answer, the
+unit is left alone for a while and then asked for a number of registers that it owes no answer of. Units answer in
 order, so that with that answer all late ones have come.
 """
 
@@ -24,7 +24,7 @@ _LONGEST = 2048
 """Bytes looked through for a reply; noise before them is forgotten."""
 _SHORTEST_S = 0.05
 _USUAL = 4.0
-_FULL_EVERY = 4
+_FULL_EVERY, _FULL_EVERY_UNKNOWN = 16, 4
 _DEAF = 3
 _REMEMBERED_S, _EACH_S = 5.0, 0.7
 """How long a lost request's answer may still come: at most, and for each other length there is to ask for."""
@@ -163,7 +163,8 @@ class ModbusLine:
 
     def _allowed(self, unit: _Unit, timeout_s: float) -> float:
         usual = unit.slowest_s or self._usual_s
-        if not unit.unanswered or not usual or unit.unanswered % _FULL_EVERY == 0:
+        every = _FULL_EVERY if unit.slowest_s else _FULL_EVERY_UNKNOWN
+        if not usual or unit.unanswered % every == 0:
             return timeout_s
         return min(timeout_s, max(_SHORTEST_S, _USUAL * usual))
 

@@ -96,13 +96,14 @@ class Device:
         if data is None:
             return
         frame, rest = self._split(buffers.get(end, b"") + data)
-        buffers[end] = rest
-        if frame:
+        while frame:
             self.registers.requests.append(frame)
             reply = self._reply(frame)
             reply = self.lie(reply) if self.lie else reply
             if reply:
                 os.write(end, reply)
+            frame, rest = self._split(rest)
+        buffers[end] = rest
 
     def _up(self) -> None: ...
     def _down(self) -> None: ...

@@ -45,3 +45,19 @@ def test_agent_with_a_driver_that_writes_is_seen_by_the_kernel_and_by_the_watch(
     said = report.read_text(encoding="utf-8").splitlines()
     assert any(f"to an internet socket: {START.hex(' ')}" in line for line in said)
     assert any(re.fullmatch(r"permitted \d+", line) for line in said)
+
+
+def test_agent_on_a_line_of_frames_with_ends_opens_it_to_read_only_and_writes_nothing_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peers.program("strace", "strace")
+    monkeypatch.setattr(wires, "SYSTEM_CALLS", f"openat,{wires.SYSTEM_CALLS}")
+    document = wires.run([wires.configure("cobs", tmp_path)], tmp_path / "live.db", tmp_path / "trace")
+    assert document["samples"]["used"] == 3000
+    lines = (tmp_path / "trace").read_text(encoding="ascii").splitlines(keepends=True)
+    path = "".join(f"\\x{byte:02x}" for byte in b"demo.tty")
+    opened = [line for line in lines if f'{path}"' in line and "openat(" in line]
+    assert opened
+    assert all("O_RDONLY|O_NOCTTY|O_NONBLOCK" in line for line in opened), opened
+    (tmp_path / "writes").write_text("".join(line for line in lines if "openat" not in line), encoding="ascii")
+    assert bus_writes(tmp_path / "writes") == []

@@ -28,7 +28,7 @@ NEAR = 1e-9
 SYSTEM_CALLS = "write,writev,pwrite64,pwritev,pwritev2,sendto,sendmsg,sendmmsg,sendfile,splice"
 _TCP = 'transport = "tcp"\nhost = "127.0.0.1"'
 _RTU = 'transport = "rtu"\nbaudrate = 921600'
-_BUSES = {"tcp": "modbus", "rtu": "modbus", "daemon": "can", "serial": "serial", "vcan": "can", "slcan": "can"}
+_BUSES = {"tcp": "modbus", "rtu": "modbus", "daemon": "can", "serial": "serial", "vcan": "can", "slcan": "can", "cobs": "serial"}
 
 EXACT = "parameter", "unit", "status", "reason", "reference", "window_s", "n_used", "n_missing", "span_s", "method"
 ALARM = "raised", "cleared", "kind", "parameter", "priority", "state"
@@ -53,6 +53,9 @@ def configure(name: str, folder: Path, wire: Wire = COARSE, *, fast: bool = True
     if name == "slcan":
         text = re.sub(r'interface = "socketcand"\nhost = .*\nport = \d+', 'interface = "slcan"', text)
         text = text.replace('channel = "vcan0"', 'channel = "demo.tty"')
+    if name == "cobs":
+        assert 'sync = "AA55"' in text
+        text = text.replace('sync = "AA55"', 'framing = "cobs"')
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -128,8 +128,11 @@ def test_garbage_for_long_is_counted_and_not_kept(rng: np.random.Generator, name
     assert numbers(decoder_, [coded(name, b"")[-1:], *good]) == [0, 1, 2]
 
 
+SOAK = [pytest.mark.soak, pytest.mark.timeout(3600)]
+
+
 @BOTH
-@pytest.mark.parametrize("count", [20_000, pytest.param(10_000_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
+@pytest.mark.parametrize("count", [20_000, pytest.param(10_000_000, marks=SOAK)])
 def test_mutated_frames_are_read_as_others_read_them(rng: np.random.Generator, name: str, count: int) -> None:
     batch, used, whole = 2_000, 0, 0
     good = frames(name, batch, rng)

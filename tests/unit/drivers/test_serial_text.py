@@ -38,12 +38,12 @@ def number(cell: str) -> float | None:
 
 
 def nmea(text: str) -> list[str] | None:
-    head, dollar, rest = text.partition("$")
-    body, star, digits = rest.rpartition("*")
+    _, dollar, rest = text.partition("$")
+    body, star, sum_ = rest.rpartition("*")
     check = 0
     for character in body:
         check ^= ord(character)
-    good = dollar and star and len(digits) == 2 and f"{check:02X}" == digits.upper()
+    good = dollar and star and len(sum_) == 2 and f"{check:02X}" == sum_.upper()
     return body.split(",")[1:] if good else None
 
 

@@ -186,6 +186,14 @@ def alarms(
 
 
 @app.command()
+def records(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False) -> None:
+    """List the raw samples that were kept around alarms; deltak replay reads the files."""
+    from agent.runtime import commands_queries
+
+    commands_queries.records(db, rig, _form(json=json, csv=csv))
+
+
+@app.command()
 def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
     db: Database,
     parameter: Annotated[str, typer.Argument(metavar="PARAMETER", help="For example k1.", show_default=False)],
@@ -207,7 +215,7 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
 def export(
     db: Database,
     what: Annotated[
-        str, typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health or runs.")
+        str, typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health, runs, event_records.")
     ] = "estimates",
     rig: Rig = None,
     to: Annotated[

@@ -21,6 +21,10 @@ ALARM_COLUMNS = (
     "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at", "acked_by",
     "shelved_until", "delta", "sd", "limit_value", "probability", "message",
 )  # fmt: skip
+RECORD_COLUMNS = (
+    "id", "rig", "run_id", "t_ns", "time", "kind", "parameter", "alarm_id", "alarms", "from_ns", "to_ns", "samples",
+    "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
+)  # fmt: skip
 TABLE_ROWS = 40
 """A table for people shows the newest rows; JSON and CSV give all."""
 
@@ -46,6 +50,15 @@ def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
         _print_alarm_table(rows)
     else:
         _print_rows("alarms", ALARM_COLUMNS, rows, form)
+
+
+def records(db: Path, rig: str | None, form: str) -> None:
+    """Print the index of event records. Raises StoreError; UsageError for an unknown rig."""
+    rows = queries.event_records(db, rig)
+    if form == "table":
+        _print_record_table(rows)
+    else:
+        _print_rows("records", RECORD_COLUMNS, rows, form)
 
 
 def _print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str) -> None:
@@ -94,3 +107,17 @@ def _print_alarm_table(rows: Sequence[Row]) -> None:
 def _alarm_cells(row: Row) -> tuple[str, ...]:
     raised, cleared = short_time(row["raised_at"]), short_time(row["cleared_at"])
     return str(row["id"]), row["rig"], row["priority"], row["state"], raised, cleared, row["message"]
+
+
+def _print_record_table(rows: Sequence[Row]) -> None:
+    if not rows:
+        sys.stdout.write("no records\n")
+        return
+    columns = ("id", "rig", "raised", "alarm", "state", "samples", "file")
+    print_table("", columns, (_record_cells(row) for row in rows), right={"samples"})
+
+
+def _record_cells(row: Row) -> tuple[str, ...]:
+    what = f"{row['kind']} {row['parameter']}" + (f" and {row['alarms'] - 1} more" if row["alarms"] > 1 else "")
+    words = f"{row['state']}: {row['message']}" if row["message"] else row["state"]
+    return str(row["id"]), row["rig"], short_time(row["time"]), what, words, str(row["samples"]), row["file"]

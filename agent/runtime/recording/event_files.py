@@ -11,6 +11,8 @@ import io
 import json
 import os
 import re
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +25,10 @@ from agent.types import FloatArray, IntArray
 from drivers.port import SampleBlock
 
 FORMAT = "DELTAKEVENT1"
+META = (
+    "rig", "t_ns", "kind", "parameter", "alarms", "from_ns", "to_ns", "samples", "state", "baseline_id", "message",
+)  # fmt: skip
+"""What `meta` holds of the record; beside it config_sha256 and code_version."""
 _PART = ".part"
 
 
@@ -91,12 +97,14 @@ def raw_bytes(header: RawHeader, items: Sequence[Taken]) -> bytes:
 def read_meta(path: Path) -> dict[str, Any]:
     """Return the provenance that an NPZ file of an event holds; empty when it holds none."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # opened here: numpy leaves a file that it cannot read open
+        with path.open("rb") as octets, np.load(octets, allow_pickle=False) as file:
             name = "deltak.meta" if "deltak.meta" in file.files else "meta"
             meta = json.loads(str(file[name]))
-            return meta if isinstance(meta, dict) and meta.get("format") == FORMAT else {}
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return {}
+    whole = isinstance(meta, dict) and meta.get("format") == FORMAT and set(META) <= meta.keys()
+    return meta if whole else {}
 
 
 class EventFolder:

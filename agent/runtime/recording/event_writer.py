@@ -11,13 +11,23 @@ from typing import Any
 
 from agent.config.tables import Events
 from agent.runtime.clock import wall_ns
-from agent.runtime.recording.event_files import EventFolder, Labels, Taken, npz_bytes, raw_bytes, read_meta, table_of
+from agent.runtime.recording.event_files import (
+    META,
+    EventFolder,
+    Labels,
+    Taken,
+    npz_bytes,
+    raw_bytes,
+    read_meta,
+    table_of,
+)
 from agent.runtime.recording.folder import room
 from agent.runtime.recording.header import RawHeader
 from agent.types import EventRecord, HealthEvent, Record
 
 MOST_JOBS = 8
 SUFFIX = ".events"
+ENDED = "the agent ended before all of it had come"
 
 log = logging.getLogger(__name__)
 
@@ -125,6 +135,11 @@ class EventWriter:
         except OSError as error:
             self._lost(job, error.strerror or str(error))
             return
+        except Exception as error:
+            # a fault here costs this record, is seen by all, and no other
+            log.exception("%s: an event record could not be made", self._facts.rig)
+            self._lost(job, f"{type(error).__name__}: {error}")
+            return
         self._rows[record.file] = record
         events: list[Record] = [record]
         if self._failing:
@@ -161,11 +176,9 @@ class EventWriter:
 
     def _meta(self, record: EventRecord) -> dict[str, Any]:
         """Return the provenance that stands in the file; until it is complete, what is found there is cut."""
-        facts = {"rig": record.rig, "t_ns": record.t_ns, "kind": record.kind, "parameter": record.parameter}
-        state = "cut" if record.state == "recording" else record.state
-        facts |= {"alarms": record.alarms, "from_ns": record.from_ns, "to_ns": record.to_ns, "samples": record.samples}
+        found = record if record.state != "recording" else replace(record, state="cut")
         provenance = {"config_sha256": self._facts.config_sha256, "code_version": self._facts.code_version}
-        return facts | provenance | {"baseline_id": record.baseline_id, "state": state, "message": record.message}
+        return {name: getattr(found, name) for name in META} | provenance
 
     def _lost(self, job: Job, why: str) -> None:
         """Note a record that could not be written: what of it is there already stays, and is cut."""
@@ -206,11 +219,8 @@ class EventWriter:
         path = self._folder.folder / name
         if file in self._rows or path.suffix != ".npz" or not (meta := read_meta(path)):
             return None
-        names = ("rig", "t_ns", "kind", "parameter", "alarms", "from_ns", "to_ns", "samples")
-        return EventRecord(
-            **{name: meta[name] for name in names}, file=file, state=meta["state"], bytes=path.stat().st_size,
-            baseline_id=meta["baseline_id"], message=meta["message"] or "the agent ended before all of it had come",
-        )  # fmt: skip
+        row = EventRecord(**{name: meta[name] for name in META}, file=file, bytes=path.stat().st_size)
+        return row if row.state != "cut" or row.message else replace(row, message=ENDED)
 
     def _make_room(self) -> None:
         """Delete the oldest records where the disk is nearly full; OSError when that does not help."""
@@ -254,5 +264,5 @@ def _after_restart(row: EventRecord, there: set[str]) -> EventRecord | None:
     if not left:
         return replace(row, state="purged")
     if row.state == "recording":
-        return replace(row, state="cut", message="the agent ended before all of it had come")
+        return replace(row, state="cut", message=ENDED)
     return None

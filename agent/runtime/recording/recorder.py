@@ -1,5 +1,6 @@
 """Records one source in a thread of its own, into files that are bounded by size and age."""
 
+import logging
 import threading
 import time
 from collections import deque
@@ -12,6 +13,8 @@ from agent.runtime.recording import blocks, heard
 from agent.runtime.recording.folder import Shelf, room
 from agent.runtime.recording.header import RawHeader
 from drivers.port import Heard, SampleBlock
+
+log = logging.getLogger(__name__)
 
 SEGMENT_BYTES = 16 << 20
 SEGMENT_S = 3600.0
@@ -115,12 +118,20 @@ class Recorder:
                 self.recorded += samples
             self._shelf.prune(None if self._segment is None else self._segment.path)
         except OSError as error:
-            self.dropped += samples
-            self._abandon()
-            self._failed(error.strerror or str(error))
+            self._give_up(samples, error.strerror or str(error))
+        except Exception as error:
+            # a fault in a driver's text costs these samples, is seen by all, and no others
+            log.exception("%s: cannot be recorded", self._header.source)
+            self._give_up(samples, f"{type(error).__name__}: {error}")
         else:
             if waiting:
                 self._recovered()
+
+    def _give_up(self, samples: int, cause: str) -> None:
+        """Count what is lost; the next deliveries go to a new file."""
+        self.dropped += samples
+        self._abandon()
+        self._failed(cause)
 
     def _append(self, waiting: list[tuple[SampleBlock, Heard | None]]) -> None:
         self._make_room()

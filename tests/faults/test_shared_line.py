@@ -1,12 +1,15 @@
 """Many units on one line: everybody's share of it, and what a silent one costs the others."""
 
+import json
 import struct
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers import clock
@@ -16,6 +19,7 @@ from drivers.port import SourceRequest
 from drivers.reconnect import ReconnectingDriver
 from tests import figures
 from tests.conformance.modbus_device import PtyDevice, Registers, crc16
+from tests.sim.rigs import MODEL, free_port, simulator
 from tests.unit.drivers.played_line import PlayedLine
 from tests.unit.drivers.test_modbus_line import numbers, rtu, tcp
 
@@ -161,3 +165,61 @@ def test_line_that_cannot_keep_up_is_shared_evenly(tmp_path: Path) -> None:
         f"8 Modbus units ask for many times what their line carries: {min(counts)} to {max(counts)} polls each"
     )
     assert min(counts) >= 0.8 * max(counts)
+
+
+TWO_RINGS = """
+[[source]]
+name = "{name}"
+driver = "modbus"
+device_id = {unit}
+{where}
+mode = "ring"
+index = {{ address = 0, type = "uint32" }}
+ring = {{ address = 16, slots = 4096 }}
+fields = [{fields}]
+map = {{ {map} }}
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("transport", ["rtu", "tcp"])
+def test_two_rings_of_a_simulated_line_are_read_whole_side_by_side(tmp_path: Path, transport: str) -> None:
+    port = "line" if transport == "rtu" else free_port()
+    keys: dict[str, object] = {"transport": transport, "port": port, "baudrate": 921600}
+    where = "\n".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
+    parts = {1: ("F", "force = 'F'"), 2: ("X1", "x1 = 'X1'")}
+    text = MODEL.format(rate=1000.0) + "".join(
+        TWO_RINGS.format(
+            name=f"unit{unit}", unit=unit, where=where, map=map_, fields=f'{{ name = "{name}", type = "float32" }}'
+        )
+        for unit, (name, map_) in parts.items()
+    )
+    ring = {"mode": "ring", "index": {"address": 0}, "ring": {"address": 16, "slots": 4096}, "timeout_s": 2.0, **keys}
+    with simulator(tmp_path, text.replace("'", '"'), "--scenario", "default") as sim:
+        drivers = []
+        for unit, (name, _) in parts.items():
+            fields = [{"name": name, "type": "float32"}]
+            settings = ModbusSettings.model_validate({**ring, "device_id": unit, "fields": fields})
+            drivers.append(ModbusDriver(SourceRequest(f"unit{unit}", settings, (name,), None, tmp_path)))
+        with ThreadPoolExecutor(2) as pool:
+            values = list(pool.map(lambda driver: read_ring(driver, 1000), drivers))
+        assert sim.stop() == 0
+    readings = sim.truth()["readings"]
+    for column, got in enumerate(values):
+        np.testing.assert_allclose(got, readings[: len(got), column], rtol=1e-6, atol=1e-12)
+
+
+def read_ring(driver: ModbusDriver, count: int) -> list[float]:
+    """Return the first samples of a ring, whose numbers must follow each other."""
+    values: list[float] = []
+    driver.open()
+    deadline = time.monotonic() + 20.0
+    while len(values) < count:
+        assert time.monotonic() < deadline, len(values)
+        block = driver.read(0.1)
+        if len(block):
+            assert block.counter is not None
+            np.testing.assert_array_equal(block.counter, np.arange(len(values), len(values) + len(block)))
+            values += block.values[:, 0].tolist()
+    driver.close()
+    return values

@@ -28,7 +28,15 @@ NEAR = 1e-9
 SYSTEM_CALLS = "write,writev,pwrite64,pwritev,pwritev2,sendto,sendmsg,sendmmsg,sendfile,splice"
 _TCP = 'transport = "tcp"\nhost = "127.0.0.1"'
 _RTU = 'transport = "rtu"\nbaudrate = 921600'
-_BUSES = {"tcp": "modbus", "rtu": "modbus", "daemon": "can", "serial": "serial", "vcan": "can", "slcan": "can", "cobs": "serial"}
+_BUSES = {
+    "tcp": "modbus",
+    "rtu": "modbus",
+    "daemon": "can",
+    "serial": "serial",
+    "vcan": "can",
+    "slcan": "can",
+    "cobs": "serial",
+}
 
 EXACT = "parameter", "unit", "status", "reason", "reference", "window_s", "n_used", "n_missing", "span_s", "method"
 ALARM = "raised", "cleared", "kind", "parameter", "priority", "state"

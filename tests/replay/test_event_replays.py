@@ -85,7 +85,7 @@ def test_record_of_an_alarm_replays_to_the_same_alarm_and_the_same_change(live: 
     (again,) = asked(db, query, record["parameter"], record["time"][:19] + "%")
     (before,) = asked(live.db, "SELECT * FROM v_alarms WHERE id = ?", record["alarm_id"])
     assert abs(again["delta"] - before["delta"]) <= 3 * before["sd"]
-    shown = "SELECT value, sd FROM v_estimates WHERE parameter = ? AND status = 'valid' AND t_ns <= ? ORDER BY t_ns DESC"
+    shown = "SELECT value, sd FROM v_estimates WHERE parameter = ? AND status = 'valid' AND t_ns <= ? ORDER BY 1 - t_ns"
     (ours, *_), (theirs, *_) = (asked(name, shown, record["parameter"], record["to_ns"]) for name in (db, live.db))
     assert abs(ours["value"] - theirs["value"]) <= 3 * theirs["sd"]
 

@@ -59,10 +59,13 @@ class ModbusDriver(Driver):
         self._reader.reopened()
 
     def read(self, timeout_s: float) -> SampleBlock:
+        deadline = clock.monotonic() + timeout_s
         try:
-            return self._reader.read(self._ask, clock.monotonic() + timeout_s)
+            return self._reader.read(self._ask, deadline)
         except LaterError as later:
+            # a reader amid its slots does not wait by itself
             self._reader.postpone(later.until)
+            self._reader.wait_until_due(deadline)
             return self._reader.empty()
 
     def close(self) -> None:
@@ -116,7 +119,10 @@ class ModbusDriver(Driver):
             answer = self._line.ask(request, timeout_s, self._reader.urgent_at, self.counts.faults, spare)
         except ReplyError as error:
             self.counts.faults[error.kind] += 1
-            raise self._verdict(error) from error
+            verdict = self._verdict(error)
+            if isinstance(verdict, DriverIOError):
+                verdict.kind = error.kind
+            raise verdict from error
         self._unanswered, self._busy_s = 0, _BUSY_FIRST_S
         return answer
 

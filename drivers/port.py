@@ -39,7 +39,9 @@ class DriverConfigError(DriverError):
 
 
 class DriverIOError(DriverError, OSError):
-    """The bus or the device failed: retrying may help."""
+    """The bus or the device failed: retrying may help. kind: a short word for what it was, where one is known."""
+
+    kind: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,11 +30,13 @@ class LinkEvent:
             or what the driver reports of its bus: "bus-off", which is away as well, "error-passive" and such.
         message: in words.
         at_s: when, on the wrapper's clock.
+        kind: a short word for what a lost source died of ("timeout", "exception 2 ..."), where one is known.
     """
 
     cause: str
     message: str
     at_s: float
+    kind: str = ""
 
     @property
     def away(self) -> bool:
@@ -118,7 +120,7 @@ class ReconnectingDriver:
         try:
             block = self._read_open(timeout_s)
         except DriverIOError as error:
-            self._lose("lost", str(error))
+            self._lose("lost", str(error), error.kind)
             return self._nothing()
         self._judge(len(block))
         self._pass_on()
@@ -159,14 +161,14 @@ class ReconnectingDriver:
             self._events.append(LinkEvent("recovered", f"{self.driver.request.name}: delivers samples again", now))
             self._fault = None
 
-    def _lose(self, cause: str, message: str) -> None:
+    def _lose(self, cause: str, message: str, kind: str = "") -> None:
         """Close the source, plan the next try, and say so unless it is lost already."""
         self.close()
         now = self._clock()
         self._retry_at = now + self._backoff.next_s()
         if self._fault is None:
             self._fault = cause
-            self._events.append(LinkEvent(cause, message, now))
+            self._events.append(LinkEvent(cause, message, now, kind))
 
     def _nothing(self) -> SampleBlock:
         return SampleBlock(np.empty((0, len(self.driver.request.fields))), clock.monotonic_ns())

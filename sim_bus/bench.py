@@ -55,6 +55,16 @@ class PlayedBench:
         """Names of the sources."""
         return self._file.source_names
 
+    @property
+    def duration_s(self) -> float:
+        """How long the scenario is, s."""
+        return self.scenario.duration_s
+
+    @property
+    def expect(self) -> Mapping[str, Any]:
+        """What is to be found."""
+        return self.scenario.expect
+
     def _machine(self, number: int, name: str) -> PlayedSource:
         time = self._times[name]
         clock = PlayClock(self._file.rig.sample_rate_hz, self.total, (name,), "ready", now_ns=time)

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 ONE_SAMPLE = 0.0
 SOME_TIME = 0.5
@@ -31,7 +31,7 @@ class FaultKind:
 
 NUMBERS: Mapping[str, FaultKind] = {
     "nan": FaultKind("the first mapped field that is a float holds no number", "missing value", loses=True),
-    "range": FaultKind("the first mapped field is at the end of its range, or a million", "spike"),
+    "range": FaultKind("the last mapped field is at the end of its range, or a million", "spike"),
 }
 """What any device can put into its numbers."""
 
@@ -50,8 +50,8 @@ LINES: Mapping[str, FaultKind] = {
     "reorder": FaultKind("the sample changes places with the next one", "backwards", loses=True),
     "shuffle": FaultKind("the samples come in any order within 50", "backwards", 0.1),
     "corrupt": FaultKind("one bit of the sample is wrong", "crc", loses=True),
-    "truncate": FaultKind("the second half of the sample is missing", "crc", loses=True),
-    "garbage": FaultKind("rubbish comes before the sample", "stray bytes"),
+    "truncate": FaultKind("the second half of the sample is missing", "stray bytes", loses=True),
+    "garbage": FaultKind("rubbish comes before the sample", "sync"),
     "freeze": FaultKind("nothing is sent", "gap", SOME_TIME, loses=True),
     "silence": FaultKind("nothing is sent for longer than a source may be silent", "stale", 3.0, loses=True),
     "stall": FaultKind("everything is sent, but only at the end", "", SOME_TIME),
@@ -62,7 +62,7 @@ LINES: Mapping[str, FaultKind] = {
 BYTES: Mapping[str, FaultKind] = {
     "delete": FaultKind("one byte of the sample is missing", "crc", loses=True),
     "insert": FaultKind("one byte too many lies in the sample", "crc", loses=True),
-    "break": FaultKind("32 zeros come before the sample", "stray bytes"),
+    "break": FaultKind("32 zeros come before the sample", "sync"),
     "baud": FaultKind("every byte is another one, as at a wrong bit rate", "sync", SOME_TIME, loses=True),
 }
 """What a serial line can do besides."""
@@ -71,18 +71,35 @@ FRAMES: Mapping[str, FaultKind] = {
     "dlc": FaultKind("the frame has a byte too few", "dlc", loses=True),
     "foreign": FaultKind("a frame comes that nobody asked for", ""),
     "flood": FaultKind("a hundred frames that nobody asked for come with each sample", "", 0.05),
-    "error-frame": FaultKind("the controller reports a bus error", "error frame"),
-    "bus-off": FaultKind("the controller is off the bus, and comes back", "error frame", SOME_TIME, loses=True),
+    "error-frame": FaultKind("the controller reports a bus error", "bus error"),
+    "bus-off": FaultKind("the controller is off the bus, and comes back", "bus-off", SOME_TIME, loses=True),
 }
 """What a CAN bus can do besides."""
 
-EXCEPTIONS = (1, 2, 3, 4, 5, 6, 8, 10, 11, 85)
+_ON_TEXT = {
+    name: replace(LINES[name], cause=cause)
+    for name, cause in (("corrupt", "text"), ("garbage", "text"), ("truncate", "gap"))
+}
+"""What a broken message of a CAN daemon looks like."""
+
+EXCEPTIONS: Mapping[int, str] = {
+    1: "illegal function",
+    2: "illegal data address",
+    3: "illegal data value",
+    4: "device failure",
+    5: "acknowledge, still working",
+    6: "device busy",
+    8: "memory parity error",
+    10: "gateway path unavailable",
+    11: "gateway target does not answer",
+    85: "not a code of the standard",
+}
 REPLIES: Mapping[str, FaultKind] = {
     **{
-        f"exception-{code}": FaultKind(f"every answer is exception {code}", f"exception {code}", SOME_TIME, timed=True)
-        for code in EXCEPTIONS
+        f"exception-{code}": FaultKind(f"every answer is {named}", named, SOME_TIME, timed=True)
+        for code, named in ((code, f"exception {code} ({words})") for code, words in EXCEPTIONS.items())
     },
-    "busy": FaultKind("every answer is exception 6", "exception 6", SOME_TIME, timed=True),
+    "busy": FaultKind("every answer is exception 6", "exception 6 (device busy)", SOME_TIME, timed=True),
     "hang": FaultKind("the registers do not move", "", SOME_TIME, timed=True),
     "silent": FaultKind("no answer comes", "timeout", SOME_TIME, timed=True),
     "late": FaultKind("answers come after they were given up", "timeout", SOME_TIME, timed=True),
@@ -107,7 +124,7 @@ REPLIES: Mapping[str, FaultKind] = {
 """What a Modbus device or its line can do."""
 
 KNOWN: Mapping[str, Mapping[str, FaultKind]] = {
-    "can": {**LINES, **FRAMES, **COUNTERS, **NUMBERS},
+    "can": {**LINES, **_ON_TEXT, **FRAMES, **COUNTERS, **NUMBERS},
     "serial": {**LINES, **BYTES, **COUNTERS, **NUMBERS},
     "modbus": {**REPLIES, **NUMBERS},
 }

@@ -17,7 +17,7 @@ from sim_bus.schedule import first_sample
 
 LOSS = 0.2
 SHUFFLED = 50
-_LONGEST_RUBBISH = 40
+_RUBBISH = 24, 40
 _BREAK = bytes(32)
 _PLAIN = FaultKind("", "")
 _NUMBERED = frozenset({*NUMBERS, *COUNTERS})
@@ -140,7 +140,7 @@ class LineFaults:
             "insert": self._with_a_byte,
             "baud": lambda data: self._rng.bytes(len(data)),
             "duplicate": lambda data: data * 2,
-            "garbage": lambda data: self._rng.bytes(int(self._rng.integers(1, _LONGEST_RUBBISH))) + data,
+            "garbage": lambda data: self._rng.bytes(int(self._rng.integers(*_RUBBISH))) + data,
             "break": lambda data: _BREAK + data,
         }
 

@@ -31,6 +31,10 @@ def registers(data: bytes) -> list[int]:
     return numbers
 
 
+_ANSWERED = frozenset({"slow", "dribble", "hang", "half-open", "nan", "range"})
+"""Faults during which answers still come; after any other the reader asks again for what it missed."""
+
+
 class Unit(ABC):
     """One source's device.
 
@@ -142,8 +146,7 @@ class RingUnit(Unit):
         index_end = self._index_address + self._index.size // 2
         if not self.clock.fast or (address < index_end and self._index_address < address + count):
             self._advance(memory, start)
-        if self.clock.fast:
-            self._note_taken(address, count)
+        self._note_taken(address, count)
 
     def renew(self) -> None:
         self._written = 0
@@ -163,12 +166,20 @@ class RingUnit(Unit):
         self._written = head
 
     def _note_taken(self, address: int, count: int) -> None:
-        """Move on past the samples whose whole slots lie in a request."""
+        """Move on past the samples whose whole slots lie in a request, and past those that are there no more."""
+        origin = self.origin
+        oldest = max(self._written - self._ring.slots, origin)
+        if self._taken < oldest:
+            self.lost.add(self._taken, oldest - 1)
+            self._taken = oldest
+        if self.suffering() - _ANSWERED:
+            return
         offset, size = address - self._ring.address, self._ring.registers
         first, end = -(-offset // size), (offset + count) // size
-        while self._taken < self._written and first <= self._ring.slot(self._taken) < end:
+        while self._taken < self._written and first <= self._ring.slot(self._taken - origin) < end:
             self._taken += 1
-        self.clock.take(self.source, self._taken)
+        if self.clock.fast:
+            self.clock.take(self.source, self._taken)
 
 
 class PollUnit(Unit):

@@ -159,11 +159,12 @@ class StreamLine(Line):
 
     def take(self) -> bytes:
         self._stream.step()
-        if self._reader is None or self._stream.disconnected:
-            if self._reader is not None:
-                self._reader.gone = True
-            raise DriverIOError("the line was unplugged" if self._channel is None else "the device hung up")
+        if self._reader is None:
+            raise DriverIOError("read before open")
         data, self._reader.data = bytes(self._reader.data), bytearray()
+        self._reader.gone = self._stream.disconnected
+        if self._reader.gone and not data:
+            raise DriverIOError("the line was unplugged" if self._channel is None else "the device hung up")
         return data
 
     def next_ns(self) -> int:

@@ -31,7 +31,7 @@ class NumberFaults:
     def _victim(self, name: str, tops: Sequence[tuple[str, int | None]]) -> tuple[str, float]:
         """Return the field that is struck, and what it shows."""
         if name == "range":
-            field, top = tops[0]
+            field, top = tops[-1]
             return field, FAR if top is None else float(top)
         for field, top in tops:
             if top is None:

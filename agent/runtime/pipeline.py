@@ -49,6 +49,9 @@ class Pipeline:
         config: the rig's configuration.
         resolution: (channels,) smallest step of the wire for each channel, in the reading's unit; inputs first.
         sources: names of its sources with their channel -> field maps; one called "recording" for a replay.
+
+    Attributes:
+        watch: shown the samples that reach the estimation, where somebody asks.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Pipeline:
         self.clocks = SourceClocks()
         self.friction = dry_friction(config, steps)
         self.newest_ns = 0
+        self.watch: Callable[[Samples], None] | None = None
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(rig.name)
 
@@ -117,6 +121,8 @@ class Pipeline:
             self.acquisition.arrived(pieces)
         for samples in pieces:
             complete = replace(samples, u=self.friction.step(samples)) if samples.usable else samples
+            if self.watch is not None:
+                self.watch(complete)
             batch = self.estimation.step(complete)
             if batch is not None:
                 records.append(batch)

@@ -11,6 +11,7 @@ from types import FrameType
 from typing import Any, Literal
 
 from agent import __version__
+from agent.blocks.source_events import Signs, SourceEvents
 from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
@@ -38,8 +39,12 @@ log = logging.getLogger(__name__)
 class RigRuntime:
     """One rig while it runs: its pipeline, labels, summary and the alarms of its sources."""
 
-    def __init__(self, config: RigConfig, publish: Callable[[Sequence[Record]], None]) -> None:
+    def __init__(
+        self, config: RigConfig, publish: Callable[[Sequence[Record]], None], wall: Callable[[], int] = wall_ns
+    ) -> None:
         self.config = config
+        self._wall = wall
+        self._episodes = SourceEvents()
         self.summary = RunSummary(config)
         maps = {source.name: source.map for source in config.source}
         self.pipeline = Pipeline(config, wire_steps(config), maps)
@@ -60,8 +65,9 @@ class RigRuntime:
 
     def take(self, use: Use, arrival: Arrival) -> None:
         """Process one block of one of the rig's sources."""
+        seen_s = arrival.block.arrival_ns / 1e9
         if self._lost.get(use.source):
-            self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", 0.0))
+            self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
         block = part(arrival.block, use.columns)
         offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
         label = partial(self._labels.label, arrival_ns=block.arrival_ns, offset_ns=offset)
@@ -71,10 +77,13 @@ class RigRuntime:
             self.events.take(use.source, block, arrival.modulus)
         self._emit(records)
         self._note_steps()
+        self._judge(use.source, arrival, block.arrival_ns)
 
     def finish(self) -> None:
         """Publish what the last samples lead to."""
         self._emit(self.pipeline.finish())
+        for source, (cause, count) in self._episodes.finish().items():
+            self._tell(source, cause, count)
         if self.events is not None:
             self.events.finish()
 
@@ -82,6 +91,24 @@ class RigRuntime:
         """End the event record whose time has come, even where no samples come."""
         if self.events is not None:
             self.events.poll()
+
+    def _judge(self, source: str, arrival: Arrival, now_ns: int) -> None:
+        """Tell what was counted about a source, once an episode."""
+        (health,) = self.pipeline.health({source: Conservation(arrival.counts, Counter())}, 0, None)
+        restarts = self.pipeline.acquisition.sources[source].indexer.restarts
+        lost = Counter(health.rejected) + Counter(health.dropped)
+        if len(self.config.source) > 1:
+            del lost["spike"]  # of a channel, which may be another source's
+        faults = Counter(arrival.counts.faults)
+        restarts += faults.pop("restart", 0)
+        due = self._episodes.step(source, Signs(restarts, lost, faults, health.gaps), now_ns)
+        if due is not None:
+            self._tell(source, *due)
+
+    def _tell(self, source: str, cause: str, count: int) -> None:
+        words = f"{source}: {cause}, counted {count} times" if count > 1 else f"{source}: {cause}"
+        log.warning("%s: %s", source, words)
+        self._emit([HealthEvent(self.config.rig.name, source, self._wall(), cause, words)])
 
     def _note_steps(self) -> None:
         for label, step in self._labels.steps:
@@ -91,11 +118,13 @@ class RigRuntime:
 
     def link(self, source: str, event: LinkEvent) -> None:
         """Raise or clear a source's alarm and note the event."""
-        t_ns, lost, back = wall_ns(), event.away, event.cause == "recovered"
+        t_ns, lost, back = self._wall(), event.away, event.cause == "recovered"
         if back and not self._lost.get(source, False):
             return  # its samples have told already
+        self._episodes.told(source, round(event.at_s * 1e9), away=lost)
         log.warning("%s: %s", source, event.message)
-        records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, event.cause, event.message)]
+        cause = event.kind or event.cause
+        records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, cause, event.message)]
         if (lost or back) and lost != self._lost.get(source, False):
             self._lost[source] = lost
             records.append(self._source_alarm(source, event, t_ns, lost=lost))

@@ -1,0 +1,139 @@
+"""One scenario from end to end on simulated time: the configured drivers on played lines, the agent's own pipeline.
+
+The simulator is a plug-in (entry-point group `deltak.simulators`): it plays each source's device, faults included, to
+the driver that the configuration names. No clock is read and no bus is opened, so two runs are alike.
+"""
+
+import random
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Protocol
+
+from agent.config import RigConfig, driver_class, load
+from agent.config.tables import Source
+from agent.errors import UsageError
+from agent.runtime.pipeline import Conservation
+from agent.runtime.service import RigRuntime
+from agent.runtime.sources import Arrival, Use
+from agent.types import Health, Record, Samples
+from drivers.port import Driver, SourceRequest
+from drivers.reconnect import ReconnectingDriver
+
+GROUP = "deltak.simulators"
+READ_S = 0.2
+STEP_S = 0.05
+LINGER_S = 0.5
+"""Played on after the last sample, so that what a device still holds is read."""
+
+Progress = Callable[[float], None]
+
+
+class Bench(Protocol):
+    """A scenario that is ready to be played."""
+
+    @property
+    def config(self) -> Path: ...
+    @property
+    def duration_s(self) -> float: ...
+    @property
+    def expect(self) -> Mapping[str, Any]: ...
+    def at(self, source: str) -> AbstractContextManager[None]: ...
+    def now_s(self, source: str) -> float: ...
+    def strikes(self) -> Sequence[tuple[str, str, int, int]]: ...
+    def finish(self) -> Mapping[str, Any]: ...
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What the agent made of a scenario.
+
+    Attributes:
+        truth: what was played, as in a truth file.
+        records: all that was published.
+        samples: what reached the estimation.
+        heard: (source, s on its played clock, samples) of every block.
+        health: the ledger of each source at the end.
+    """
+
+    config: RigConfig
+    truth: Mapping[str, Any] = field(default_factory=dict)
+    records: list[Record] = field(default_factory=list)
+    samples: list[Samples] = field(default_factory=list)
+    heard: list[tuple[str, float, int]] = field(default_factory=list)
+    health: list[Health] = field(default_factory=list)
+
+
+class _Reader:
+    """One source: its driver, kept open, on its played machine."""
+
+    def __init__(self, bench: Bench, config: RigConfig, source: Source) -> None:
+        self.source = source
+        self._bench = bench
+        self._use = Use(config.rig.name, source.name, tuple(range(len(source.map))))
+        request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
+        with bench.at(source.name):
+            self.driver: Driver = driver_class(source.driver)(request)
+            self._link = ReconnectingDriver(self.driver, source.stale_s, rng=random.Random(1))  # noqa: S311 (jitter)
+
+    def read_until(self, then_s: float, rig: RigRuntime, outcome: Outcome) -> None:
+        """Read and process until the source's time has come."""
+        with self._bench.at(self.source.name):
+            while self._bench.now_s(self.source.name) < then_s:
+                block = self._link.read(READ_S)
+                if len(block):
+                    outcome.heard.append((self.source.name, self._bench.now_s(self.source.name), len(block)))
+                    whole = replace(block, wall_offset_ns=0)
+                    rig.take(self._use, Arrival(whole, deepcopy(self.driver.counts), self.driver.counter_modulus))
+                for event in self._link.take_events():
+                    rig.link(self.source.name, event)
+
+    def close(self) -> None:
+        with self._bench.at(self.source.name):
+            self._link.close()
+
+
+def open_bench(scenario: str, faults: Sequence[str]) -> Bench:
+    """Return the bench of a scenario, with more faults. Raises UsageError without a simulator."""
+    points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
+    if not points:
+        raise UsageError.at("score", "no simulator is installed", "install deltak with its simulator")
+    bench: Bench = points[0].load()(scenario, faults)
+    return bench
+
+
+def play(bench: Bench, progress: Progress) -> Outcome:
+    """Play a scenario to its end; `progress` is told the share that is done."""
+    config = load(bench.config)
+    outcome = Outcome(config)
+    now = _Now()
+    rig = RigRuntime(config, outcome.records.extend, now)
+    rig.pipeline.watch = outcome.samples.append
+    readers = [_Reader(bench, config, source) for source in config.source]
+    end = bench.duration_s + LINGER_S
+    while now.seconds < end:
+        now.seconds = min(end, now.seconds + STEP_S)
+        for reader in readers:
+            reader.read_until(now.seconds, rig, outcome)
+        progress(now.seconds / end)
+    for reader in readers:
+        reader.close()
+    rig.finish()
+    ledger = {r.source.name: Conservation(r.driver.counts, Counter()) for r in readers}
+    outcome.health = rig.pipeline.health(ledger, 0, None)
+    outcome.truth = bench.finish()
+    return outcome
+
+
+@dataclass(slots=True)
+class _Now:
+    """The wall clock of a played run: seconds since its first sample."""
+
+    seconds: float = 0.0
+
+    def __call__(self) -> int:
+        return round(self.seconds * 1e9)

@@ -1,0 +1,81 @@
+"""Every fault that the simulator can cause, on simulated time: what was lost, what was told, what no estimate used.
+
+The simulator says what it broke; the shadow of the samples that were used is held against what the sensors read.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from sim_bus.fault_names import KNOWN, names
+from tests.faults.played import RATE, Run, run
+
+AT_S = 1.2
+LINE = {"serial": "serial", "can": "can", "modbus": "tcp"}
+OTHER_LINE = {"serial.nan": "text", "can.nan": "can float", "modbus.nan": "float", "modbus.corrupt": "rtu"}
+STRANGE_COUNT = {"counter-reset", "restart"}
+"""While a counter runs behind, its samples are refused; that it began anew is known after a tenth of a second."""
+
+CAUSES = {
+    "can.drop": "gap", "can.loss": "gap", "can.duplicate": "duplicate", "can.reorder": "backwards",
+    "can.shuffle": "backwards", "can.corrupt": "text", "can.truncate": "gap", "can.garbage": "text",
+    "can.freeze": "gap", "can.silence": "stale", "can.stall": "", "can.disconnect": "lost", "can.dlc": "dlc",
+    "can.foreign": "", "can.flood": "", "can.error-frame": "bus error", "can.bus-off": "bus-off",
+    "can.stuck-counter": "duplicate", "can.counter-reset": "restart", "can.counter-jump": "gap",
+    "can.restart": "restart", "can.nan": "missing value", "can.range": "spike",
+    "serial.drop": "gap", "serial.loss": "gap", "serial.duplicate": "duplicate", "serial.reorder": "backwards",
+    "serial.shuffle": "backwards", "serial.corrupt": "crc", "serial.truncate": "stray bytes", "serial.garbage": "sync",
+    "serial.freeze": "gap", "serial.silence": "stale", "serial.stall": "", "serial.disconnect": "lost",
+    "serial.delete": "crc", "serial.insert": "crc", "serial.break": "sync", "serial.baud": "sync",
+    "serial.stuck-counter": "duplicate", "serial.counter-reset": "restart", "serial.counter-jump": "gap",
+    "serial.restart": "restart", "serial.nan": "missing value", "serial.range": "spike",
+    "modbus.exception-1": "exception 1 (illegal function)",
+    "modbus.exception-2": "exception 2 (illegal data address)",
+    "modbus.exception-3": "exception 3 (illegal data value)",
+    "modbus.exception-4": "exception 4 (device failure)",
+    "modbus.exception-5": "exception 5 (acknowledge, still working)",
+    "modbus.exception-6": "exception 6 (device busy)", "modbus.exception-8": "exception 8 (memory parity error)",
+    "modbus.exception-10": "exception 10 (gateway path unavailable)",
+    "modbus.exception-11": "exception 11 (gateway target does not answer)",
+    "modbus.exception-85": "exception 85 (not a code of the standard)", "modbus.busy": "exception 6 (device busy)",
+    "modbus.hang": "", "modbus.silent": "timeout", "modbus.late": "timeout", "modbus.slow": "", "modbus.dribble": "",
+    "modbus.disconnect": "lost", "modbus.accept-close": "lost", "modbus.half-open": "timeout",
+    "modbus.wrong-unit": "unit", "modbus.wrong-transaction": "transaction", "modbus.wrong-protocol": "reply",
+    "modbus.wrong-function": "reply", "modbus.wrong-count": "reply", "modbus.short": "reply", "modbus.long": "reply",
+    "modbus.corrupt": "timeout", "modbus.truncate": "timeout", "modbus.garbage": "reply", "modbus.duplicate": "reply",
+    "modbus.restart": "timeout", "modbus.nan": "missing value", "modbus.range": "spike",
+}  # fmt: skip
+"""Every fault, and the one thing that the agent has to say of it."""
+
+
+def struck(name: str, folder: Path) -> Run:
+    driver, _, fault = name.partition(".")
+    lasts = KNOWN[driver][fault].lasts_s
+    return run(OTHER_LINE.get(name, LINE[driver]), [f"{name}@{AT_S}s"], folder, AT_S + lasts + 0.8)
+
+
+def test_every_fault_has_a_case() -> None:
+    assert sorted(CAUSES) == sorted(names())
+    assert {name: KNOWN[name.split(".")[0]][name.split(".")[1]].cause for name in CAUSES} == CAUSES
+
+
+@pytest.mark.parametrize("name", names())
+def test_fault_is_counted_to_the_sample_told_once_and_in_no_estimate(name: str, tmp_path: Path) -> None:
+    found = struck(name, tmp_path)
+    samples = found.found["samples"]
+    assert samples["balanced"], samples
+    assert found.causes == ([CAUSES[name]] if CAUSES[name] else [])
+    assert found.found["spoilt_rows"] == 0
+    assert len(found.judge.matched.number) > AT_S * RATE
+    assert found.found["faults"][0]["recovery_s"] < 2.0
+    refused = samples["rejected"].get("backwards", 0) if name.partition(".")[2] in STRANGE_COUNT else 0
+    spikes = samples["rejected"].get("spike", 0)
+    assert found.lost >= found.absent
+    assert len(found.lost) == len(found.absent) + refused + spikes
+    assert samples["gaps"] == gaps(found) + (name.endswith(("counter-reset", "counter-jump")))
+
+
+def gaps(found: Run) -> int:
+    """Places where the simulator says that samples are missing, but for those at the end, after which nothing comes."""
+    (runs,) = found.found["samples"]["absent"].values()
+    return sum(last < found.found["samples"]["played"] - 1 for _, last in runs)

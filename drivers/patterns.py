@@ -81,8 +81,6 @@ class _Reader:
         effort = once.effort * times
         if once.first & follow and times > least:
             effort += log2(times - least + 1)
-        if once.empty and times > 1:
-            effort = float("inf")
         return _Part(once.first, once.empty or least == 0, effort)
 
     def _branch(self, ways: Sequence[_Part], follow: int) -> _Part:

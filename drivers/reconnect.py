@@ -5,6 +5,7 @@ It never sleeps by itself beyond the time-out of `read`, and then on an event th
 
 import random
 import threading
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -94,6 +95,7 @@ class ReconnectingDriver:
         self._backoff = Backoff(rng or random.Random())  # noqa: S311 (jitter keeps no secret)
         self._retry_at = clock()
         self._heard_at = clock()
+        self._bad_before: Counter[str] = Counter()
         self._fault: str | None = None
         self._events: list[LinkEvent] = []
 
@@ -135,17 +137,32 @@ class ReconnectingDriver:
         if not self.is_open:
             self.driver.open()
             self.is_open = True
-            self._heard_at = self._clock()
+            self._hear(self._clock())
         return self.driver.read(timeout_s)
 
     def _judge(self, samples: int) -> None:
         now = self._clock()
         if samples:
-            self._heard_at = now
+            self._hear(now)
             self._backoff.reset()
             self._recover(now)
         elif now - self._heard_at > self._stale_s and not self.driver.finite:
-            self._lose("stale", f"{self.driver.request.name}: silent for {self._stale_s:g} s")
+            self._lose("stale", f"{self.driver.request.name}: {self._silence()}")
+
+    def _hear(self, now: float) -> None:
+        self._heard_at = now
+        self._bad_before = self._bad()
+
+    def _bad(self) -> Counter[str]:
+        return self.driver.counts.rejected + self.driver.counts.faults
+
+    def _silence(self) -> str:
+        """Return what came instead of samples, in words: a line that talks rubbish is not silent."""
+        bad = self._bad() - self._bad_before
+        if not bad:
+            return f"silent for {self._stale_s:g} s"
+        reasons = ", ".join(f"{count} {reason}" for reason, count in bad.most_common(3))
+        return f"no good sample for {self._stale_s:g} s: {reasons}"
 
     def _pass_on(self) -> None:
         """Make events of what the driver reports of its bus."""

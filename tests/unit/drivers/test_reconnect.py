@@ -137,6 +137,20 @@ def test_silence_beyond_stale_s_is_said_once_and_reopens(parts: Parts) -> None:
     assert causes(wrapper) == ["recovered"]
 
 
+def test_line_that_talks_rubbish_is_not_called_silent(parts: Parts) -> None:
+    driver, wrapper, clock = parts
+    driver.reads.append(1)
+    driver.counts.rejected["crc"] = 7  # before the last good sample: another matter
+    wrapper.read(0.1)
+    for _ in range(3):
+        driver.counts.rejected["sync"] += 100
+        driver.counts.faults["stray bytes"] += 5
+        clock.now += 1.0
+        wrapper.read(0.1)
+    (event,) = wrapper.take_events()
+    assert (event.cause, event.message) == ("stale", "press: no good sample for 2 s: 300 sync, 15 stray bytes")
+
+
 def test_config_error_passes_through(parts: Parts) -> None:
     driver, wrapper, _ = parts
     driver.opens.append(DriverConfigError("no such field"))

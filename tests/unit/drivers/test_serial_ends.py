@@ -132,6 +132,18 @@ SOAK = [pytest.mark.soak, pytest.mark.timeout(3600)]
 
 
 @BOTH
+def test_garbage_without_an_end_takes_the_next_frame_along_however_it_is_cut(
+    rng: np.random.Generator, name: str
+) -> None:
+    first, second, third = frames(name, 3, rng)
+    garbage = b"\x05" * 60
+    for pieces in ([first, garbage + second, third], [first, garbage[:30], garbage[30:], second, third]):
+        decoder_, counts = decoder(name)
+        assert numbers(decoder_, pieces) == [0, 2]
+        assert counts.received == 2 + counts.rejected.total()
+
+
+@BOTH
 @pytest.mark.parametrize("count", [20_000, pytest.param(10_000_000, marks=SOAK)])
 def test_mutated_frames_are_read_as_others_read_them(rng: np.random.Generator, name: str, count: int) -> None:
     batch, used, whole = 2_000, 0, 0

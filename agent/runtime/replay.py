@@ -16,7 +16,7 @@ from agent.config import RigConfig, driver_class, load
 from agent.errors import RecordingError
 from agent.runtime.clock import SampleLabels, boot_id, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
-from agent.runtime.recording.source import is_own, own_recording, own_recordings
+from agent.runtime.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.results import RunSummary
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
@@ -68,6 +68,7 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
 
     Raises RecordingError.
     """
+    recordings = without_indexes(recordings)
     own = [path for path in recordings if is_own(path)]
     if not own:
         return [Track(SOURCE, opened(rig, path)) for path in recordings]

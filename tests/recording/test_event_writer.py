@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -225,6 +226,28 @@ def test_slow_disk_costs_records_that_are_told_and_never_waits(tmp_path: Path, t
 
 def row(name: str, state: str) -> EventRecord:
     return replace(job(f"rig.db.events/{name}").record, state=state)  # type: ignore[arg-type]
+
+
+def test_file_is_on_the_disk_before_it_has_its_name_and_its_name_before_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    sync, rename = os.fsync, Path.rename
+
+    def synced(descriptor: int) -> None:
+        done.append(f"sync {Path(f'/proc/self/fd/{descriptor}').readlink().name}")
+        sync(descriptor)
+
+    def renamed(self: Path, target: Path) -> Path:
+        done.append(f"rename {target.name}")
+        return rename(self, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "rename", renamed)
+    folder = EventFolder(tmp_path / "rig.db.events", "press-7")
+    folder.write("one.npz", b"content")
+    assert done[1:] == ["sync one.npz.part", "rename one.npz", "sync rig.db.events"]
+    assert done[0] == f"sync {tmp_path.name}"
 
 
 def test_restart_says_what_became_of_the_records_of_the_run_before(tmp_path: Path, told: Told) -> None:

@@ -209,6 +209,17 @@ def test_room_leaves_a_tenth_of_a_small_disk_and_64_mib_of_a_large_one(
     assert disk(10_000_000, 16_384) == 0
 
 
+def test_recorder_writes_and_syncs_no_more_often_than_once_a_period(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr("agent.runtime.recording.blocks.os.fdatasync", synced.append)
+    monkeypatch.setattr("agent.runtime.recording.recorder.PERIOD_S", 60.0)
+    recorder = recorded(tmp_path, [block(i) for i in range(500)])
+    assert recorder.recorded == 25_000
+    assert len(synced) == 1
+
+
 def test_recorder_never_blocks_and_counts_and_tells_what_does_not_fit(tmp_path: Path, told: Told) -> None:
     recorder = Recorder(tmp_path, HEADER, most=3, tell=told)
     for i in range(10):

@@ -1,5 +1,7 @@
 """A live run and the replay of the same samples with the live labels give the same rows."""
 
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -125,7 +127,8 @@ def _recordings(live: Live) -> list[Path]:
 def test_raw_recording_of_a_live_run_replays_to_the_same_rows_to_the_last_bit(live: Live, tmp_path: Path) -> None:
     alarms = "SELECT kind, parameter, state, raised_at, cleared_at, delta, sd FROM v_alarms WHERE kind = 'level'"
     for name in ("one.db", "two.db"):
-        document = replay.replay(config=live.config, recordings=_recordings(live), db=tmp_path / name)
+        files = sorted(live.db.with_name("live.db.raw").iterdir()) if name == "one.db" else _recordings(live)
+        document = replay.replay(config=live.config, recordings=files, db=tmp_path / name)
         assert document["samples"] == {"received": 3000, "used": 3000, "rejected": {}, "dropped": {}, "gaps": 0}
         assert _estimates(tmp_path / name, f"{EXACT}, {NUMBERS}") == _estimates(live.db, f"{EXACT}, {NUMBERS}")
         assert rows(tmp_path / name, alarms) == rows(live.db, alarms)
@@ -134,6 +137,18 @@ def test_raw_recording_of_a_live_run_replays_to_the_same_rows_to_the_last_bit(li
 def test_recording_has_the_form_that_other_tools_read_where_there_is_one(live: Live) -> None:
     on_can = 'driver = "can"' in live.config.read_text(encoding="utf-8")
     assert [path.suffix for path in _recordings(live)] == [".log" if on_can else ".raw"]
+
+
+def test_recorded_log_is_converted_to_other_forms_by_python_can_and_replays_from_them(
+    live: Live, tmp_path: Path
+) -> None:
+    (path,) = _recordings(live)
+    if path.suffix != ".log":
+        return
+    convert = [sys.executable, "-m", "can.logconvert", str(path), str(tmp_path / "out.blf")]
+    subprocess.run(convert, check=True, capture_output=True, timeout=60)
+    document = replay.replay(config=live.config, recordings=[tmp_path / "out.blf"], db=None)
+    assert document["samples"] == {"received": 3000, "used": 3000, "rejected": {}, "dropped": {}, "gaps": 0}
 
 
 def test_recorded_log_alone_holds_every_reading_for_python_can_and_cantools(live: Live) -> None:

@@ -20,7 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agent.runtime.recording.blocks import encode_block, encode_header
+from agent.runtime.recording.folder import make_folder
 from agent.runtime.recording.header import RawHeader
+from agent.storage.files import sync_folder
 from agent.types import FloatArray, IntArray
 from drivers.port import SampleBlock
 
@@ -140,7 +142,7 @@ class EventFolder:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file so that it is there whole, and on the disk, or not at all. Raises OSError."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         part = self.folder / (name + _PART)
         try:
             with part.open("wb") as file:
@@ -151,8 +153,4 @@ class EventFolder:
         except OSError:
             part.unlink(missing_ok=True)
             raise
-        descriptor = os.open(self.folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync_folder(self.folder)

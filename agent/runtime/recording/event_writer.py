@@ -21,7 +21,7 @@ from agent.runtime.recording.event_files import (
     read_meta,
     table_of,
 )
-from agent.runtime.recording.folder import room
+from agent.runtime.recording.folder import make_folder, room
 from agent.runtime.recording.header import RawHeader
 from agent.types import EventRecord, HealthEvent, Record
 
@@ -224,7 +224,7 @@ class EventWriter:
 
     def _make_room(self) -> None:
         """Delete the oldest records where the disk is nearly full; OSError when that does not help."""
-        self._folder.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self._folder.folder)
         groups = list(self._folder.groups().values())
         while room(self._folder.folder) <= 0:
             if not groups:

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from agent.storage.files import sync_folder
+
 LEAST_FREE = 64 << 20
 """Bytes of the disk, or a tenth of a small one, that recordings leave to the database."""
 
@@ -16,6 +18,13 @@ def room(folder: Path) -> int:
     disk = os.statvfs(folder)
     size, free = disk.f_blocks * disk.f_frsize, disk.f_bavail * disk.f_frsize
     return free - min(LEAST_FREE, size // 10)
+
+
+def make_folder(folder: Path) -> None:
+    """See that a folder is there, and on the disk."""
+    if not folder.is_dir():
+        folder.mkdir(parents=True, exist_ok=True)
+        sync_folder(folder.parent)
 
 
 @dataclass(slots=True)
@@ -47,7 +56,7 @@ class Shelf:
 
     def next(self, suffix: str) -> Path:
         """Return the name of the file after the newest one; makes the folder."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         there = self.files()
         number = int(there[-1].stem.rsplit("-", 1)[1]) + 1 if there else 0
         return self.folder / f"{self.name}-{number:08d}{suffix}"

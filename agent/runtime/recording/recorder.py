@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from agent.runtime.recording import blocks, heard
-from agent.runtime.recording.folder import Shelf, room
+from agent.runtime.recording.folder import Shelf, make_folder, room
 from agent.runtime.recording.header import RawHeader
+from agent.storage.files import sync_folder
 from drivers.port import Heard, SampleBlock
 
 log = logging.getLogger(__name__)
 
+PERIOD_S = 1.0
 SEGMENT_BYTES = 16 << 20
 SEGMENT_S = 3600.0
 """A file that is older ends even when it is small, so that an age can be kept to."""
@@ -89,7 +91,8 @@ class Recorder:
                 self.dropped += len(block)
                 return
             self._queue.append((block, what))
-            self._condition.notify()
+            if len(self._queue) >= self._most // 2:
+                self._condition.notify()
 
     def stop(self, timeout_s: float = 10.0) -> None:
         """Write what waits, sync and end the thread."""
@@ -102,7 +105,8 @@ class Recorder:
         over = False
         while not over:
             with self._condition:
-                self._condition.wait_for(lambda: self._queue or self._stopping, 1.0)
+                # one write and sync a period: a flash wears by the number of them
+                self._condition.wait_for(lambda: self._stopping or len(self._queue) >= self._most // 2, PERIOD_S)
                 waiting, over = list(self._queue), self._stopping
                 self._queue.clear()
             self.progress += 1
@@ -143,7 +147,7 @@ class Recorder:
     def _make_room(self) -> None:
         """Delete the oldest files where the disk is nearly full; OSError when that does not help."""
         folder = self._shelf.folder
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         writing = None if self._segment is None else self._segment.path
         old = [path for path in self._shelf.files() if path != writing]
         while room(folder) <= 0:
@@ -159,6 +163,7 @@ class Recorder:
             path = self._shelf.next(self._suffix or blocks.SUFFIX)
             make = blocks.BlockSegment if self._suffix is None else heard.HeardSegment
             self._segment, self._begun_s = make(path, self._header), time.monotonic()
+            sync_folder(path.parent)
         return self._segment
 
     def _aged(self) -> bool:

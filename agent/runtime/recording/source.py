@@ -121,6 +121,11 @@ def is_own(path: Path) -> bool:
     return path.suffix == blocks.SUFFIX or heard.index_of(path).is_file()
 
 
+def without_indexes(paths: Sequence[Path]) -> list[Path]:
+    """Return the recordings among the files of a folder: an index belongs to the log of its name."""
+    return [path for path in paths if path.suffix != heard.INDEX or not path.with_suffix("").is_file()]
+
+
 def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
     """Return the drivers that play the agent's own recordings, by the name of the source; not open.
 

@@ -15,7 +15,7 @@ from drivers import clock
 from drivers.port import Driver, DriverIOError, SampleBlock
 
 FIRST_S = 0.1
-CEILING_S = 1.5
+CEILING_S = 1.2
 """Longest pause between two tries, so that a source is read again within 2 s of its return."""
 
 AWAY = frozenset({"lost", "stale", "bus-off"})

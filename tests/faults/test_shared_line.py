@@ -1,6 +1,7 @@
 """Many units on one line: everybody's share of it, and what a silent one costs the others."""
 
 import json
+import random
 import struct
 import threading
 import time
@@ -39,7 +40,10 @@ class Rig:
 
     def __init__(self, line: PlayedLine, **keys: object) -> None:
         self.line = line
-        self.links = [ReconnectingDriver(source(unit, period_s=PERIOD_S, **keys), 3600.0) for unit in UNITS]
+        self.links = [
+            ReconnectingDriver(source(unit, period_s=PERIOD_S, **keys), 3600.0, rng=random.Random(unit))
+            for unit in UNITS
+        ]
         self.samples = [0] * len(self.links)
         self.events: list[list[str]] = [[] for _ in self.links]
 

@@ -115,8 +115,9 @@ class KernelBus(CanBus):
 
     def _count_lost(self, lost: int) -> None:
         """Take the kernel's count of the frames that it has lost on this socket so far."""
-        self._counts.dropped["kernel queue"] += (lost - self._lost) % (1 << 32)
-        self._lost = lost
+        if lost != self._lost:
+            self._counts.dropped["kernel queue"] += (lost - self._lost) % (1 << 32)
+            self._lost = lost
 
     def close(self) -> None:
         self._socket.close()

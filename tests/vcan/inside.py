@@ -1,13 +1,12 @@
 """What is tested where vcan0 exists; test_vcan.py starts it (its name keeps pytest from collecting it elsewhere)."""
 
 import itertools
-import random
 import socket
 import struct
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from drivers.can import CanDriver, CanSettings
 from drivers.can_frames import candump_frames
 from drivers.conformance import DriverConformance, Line
 from drivers.port import FloatArray, SampleBlock, SourceRequest
-from drivers.reconnect import ReconnectingDriver
 from tests.conformance import test_can_conformance as can_lines
 
 FOLDER = Path(can_lines.__file__).parent
@@ -28,28 +26,28 @@ def ip(*words: str) -> None:
     subprocess.run(["ip", "link", *words], check=True)
 
 
-def make_bus() -> None:
-    ip("add", "dev", "vcan0", "type", "vcan")
-    ip("set", "vcan0", "up")
+def make_bus(bus: str = "vcan0") -> None:
+    ip("add", "dev", bus, "type", "vcan")
+    ip("set", bus, "up")
 
 
-def bus_is_there() -> bool:
-    return "vcan0" in [name for _, name in socket.if_nameindex()]
+def bus_is_there(bus: str = "vcan0") -> bool:
+    return bus in [name for _, name in socket.if_nameindex()]
 
 
-def raw_socket(fd: bool = False) -> socket.socket:
+def raw_socket(fd: bool = False, bus: str = "vcan0") -> socket.socket:
     raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd))
     try:
-        raw.bind(("vcan0",))
+        raw.bind((bus,))
     except OSError:
         raw.close()
         raise
     return raw
 
 
-def request(*fields: str, counter: str = "RIG_SAMPLE.Counter", fd: bool = False) -> SourceRequest:
-    settings = CanSettings(interface="socketcan", channel="vcan0", dbc=Path("rig.dbc"), fd=fd)
+def request(*fields: str, counter: str = "RIG_SAMPLE.Counter", fd: bool = False, bus: str = "vcan0") -> SourceRequest:
+    settings = CanSettings(interface="socketcan", channel=bus, dbc=Path("rig.dbc"), fd=fd)
     return SourceRequest("line", settings, fields or ("RIG_SAMPLE.Force", "RIG_SAMPLE.X1"), counter, FOLDER)
 
 
@@ -57,21 +55,22 @@ class KernelLine(can_lines.DaemonLine):
     """The same samples, as frames on the kernel's bus; whatever else appears on it was written by the driver."""
 
     protocol = "can"
+    bus = "vcan0"
 
     def __init__(self) -> None:
         self.played = 0
         self.sent: list[bytes] = []
         self.foreign: list[bytes] = []
-        if not bus_is_there():
-            make_bus()
+        if not bus_is_there(self.bus):
+            make_bus(self.bus)
         self.listen()
 
     def listen(self) -> None:
-        self.sender, self.monitor = raw_socket(fd=True), raw_socket(fd=True)
+        self.sender, self.monitor = raw_socket(True, self.bus), raw_socket(True, self.bus)
         self.monitor.setblocking(False)
 
     def request(self) -> SourceRequest:
-        return request(*self.fields, counter=self.counter, fd=True)
+        return request(*self.fields, counter=self.counter, fd=True, bus=self.bus)
 
     def play(self, values: FloatArray) -> None:
         for row in values:
@@ -105,10 +104,10 @@ class KernelLine(can_lines.DaemonLine):
         self.hear()
         self.sender.close()
         self.monitor.close()
-        ip("del", "vcan0")
+        ip("del", self.bus)
 
     def restore(self) -> None:
-        make_bus()
+        make_bus(self.bus)
         self.listen()
 
     def written(self) -> Sequence[bytes]:
@@ -229,66 +228,3 @@ def test_frames_that_the_kernel_drops_are_counted_to_the_last_one(driver: CanDri
 
 def drained(driver: CanDriver) -> int:
     return sum(map(len, itertools.takewhile(len, iter(lambda: driver.read(0.2), None))))
-
-
-@pytest.fixture
-def traffic() -> Iterator[None]:
-    """Somebody who sends samples all the time, whatever happens to the bus."""
-    stop = threading.Event()
-
-    def send() -> None:
-        for number in itertools.count():
-            if stop.wait(0.002):
-                return
-            try:
-                with raw_socket() as raw:
-                    raw.send(sample_frame(number))
-            except OSError:
-                continue
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    yield
-    stop.set()
-    thread.join()
-
-
-def seconds_until(reader: ReconnectingDriver, condition: Callable[[SampleBlock], object]) -> float:
-    begun = time.monotonic()
-    while not condition(reader.read(0.02)):
-        assert time.monotonic() - begun < DEADLINE_S
-    return time.monotonic() - begun
-
-
-def stay_away(reader: ReconnectingDriver, seconds: float) -> None:
-    """Go on trying for a while, so that the pauses between tries grow."""
-    deadline = time.monotonic() + seconds
-    seconds_until(reader, lambda _: time.monotonic() > deadline)
-
-
-@pytest.mark.usefixtures("traffic")
-@pytest.mark.parametrize(
-    ("away", "back"),
-    [
-        ([("set", "vcan0", "down")], [("set", "vcan0", "up")]),
-        ([("del", "vcan0")], [("add", "dev", "vcan0", "type", "vcan"), ("set", "vcan0", "up")]),
-    ],
-    ids=["down and up", "deleted and made anew"],
-)
-def test_bus_that_goes_and_returns_is_read_again_within_two_seconds(
-    away: list[tuple[str, ...]], back: list[tuple[str, ...]]
-) -> None:
-    if not bus_is_there():
-        make_bus()
-    reader = ReconnectingDriver(CanDriver(request()), 1.0, rng=random.Random(0))
-    seconds_until(reader, len)
-    for _ in range(2):
-        for words in away:
-            ip(*words)
-        assert seconds_until(reader, lambda _: reader.faulty) < 2.0
-        stay_away(reader, 0.4)
-        for words in back:
-            ip(*words)
-        assert seconds_until(reader, len) < 2.0
-    assert [event.cause for event in reader.take_events()] == ["lost", "recovered"] * 2
-    reader.close()

@@ -112,7 +112,7 @@ class FrameDecoder:
         values = message.values(sound.table, self._columns)
         if message.switches:
             # a frame of other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
-            bare = np.logical_and.reduce(np.isnan(values), axis=1).reshape(len(sound), -1).all(axis=1)
+            bare = np.logical_and.reduce(np.isnan(values), axis=1).reshape(len(sound), len(message.samples)).all(axis=1)
             self._reject("mux", int((bare & ~message.knows(sound.table)).sum()), len(message.samples))
             sound, values = _picked(sound, ~bare), values[~np.repeat(bare, len(message.samples))]
         self._counts.received += len(values)

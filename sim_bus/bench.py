@@ -18,7 +18,7 @@ from sim_bus.modbus_units import make_unit
 from sim_bus.played import START_NS, Line, ModbusLine, PlayedSource, PlayedTime, StreamLine
 from sim_bus.player import ledger_of
 from sim_bus.rigfile import RigFile, read_rig
-from sim_bus.scenario import Scenario, load_scenario, scenario_path
+from sim_bus.scenario import Scenario, built_in_names, load_scenario, scenario_path
 from sim_bus.tape import CHUNK, Rig, Tape
 from sim_bus.truth import TruthRecorder
 
@@ -108,6 +108,11 @@ class PlayedBench:
         self._tape.chunk((self.total - 1) // CHUNK)
         ledger = ledger_of(self._file, self.scenario, self._rig, self._lines.values(), self.total)
         return self._truth.arrays(self.total, ledger)
+
+
+def scored() -> list[str]:
+    """Return the names of the scenarios that come along with a rig to score them with."""
+    return [name for name in built_in_names() if load_scenario(name).rig is not None]
 
 
 def open_bench(name_or_file: str, more_faults: Sequence[str] = ()) -> PlayedBench:

@@ -29,7 +29,8 @@ class Force(BaseModel):
     """One [[force]] of a scenario. Without `at` it acts wherever the configuration has a force channel.
 
     random: normal, `rms`, N. sweep: `amplitude`, `from_hz` to `to_hz` in `over_s`, again and again. steps: plus and
-    minus `amplitude`, changing each half `period_s`. impacts: a half sine of `amplitude` and `width_s` each `period_s`.
+    minus `amplitude`, changing each half `period_s`. impacts: a half sine of `amplitude` and `width_s` each `period_s`,
+    every blow another by `spread` (a share of the amplitude, one standard deviation).
     recorded: `column` of an NPZ or CSV `file`, times `gain`, again and again. Outside `from_s` .. `until_s` it is 0.
     """
 
@@ -44,6 +45,7 @@ class Force(BaseModel):
     over_s: float | None = Field(default=None, gt=0)
     period_s: float | None = Field(default=None, gt=0)
     width_s: float | None = Field(default=None, gt=0)
+    spread: float = Field(default=0.0, ge=0)
     file: str | None = None
     column: str | None = None
     gain: float = 1.0
@@ -69,15 +71,29 @@ def _steps(force: Force, t: FloatArray) -> FloatArray:
     return np.asarray((force.amplitude or 0.0) * (1.0 - 2.0 * half), dtype=np.float64)
 
 
-def _impacts(force: Force, t: FloatArray) -> FloatArray:
-    into = np.mod(t, force.period_s or 1.0) / (force.width_s or 1.0)
-    return np.where(into < 1.0, (force.amplitude or 0.0) * np.sin(np.pi * into), 0.0)
+class _Blows:
+    """Blows of a hammer, none like the other."""
+
+    def __init__(self, force: Force, rate: float, rng: np.random.Generator) -> None:
+        self._force = force
+        self._rate = rate
+        self._rng = rng
+        self._strengths = np.ones(0)
+
+    def __call__(self, index: IntArray) -> FloatArray:
+        force, t = self._force, index / self._rate
+        period = force.period_s or 1.0
+        blow = np.floor(t / period + 1e-9).astype(np.int64)
+        while len(self._strengths) <= int(blow.max(initial=0)):
+            self._strengths = np.append(self._strengths, 1.0 + force.spread * self._rng.standard_normal(64))
+        into = (t - blow * period) / (force.width_s or 1.0)
+        shape = np.where((into >= 0) & (into < 1.0), np.sin(np.pi * np.clip(into, 0.0, 1.0)), 0.0)
+        return np.asarray((force.amplitude or 0.0) * self._strengths[blow] * shape)
 
 
 _SHAPES: dict[str, Callable[[Force, FloatArray], FloatArray]] = {
     "sweep": _sweep,
     "steps": _steps,
-    "impacts": _impacts,
     "none": lambda _force, t: np.zeros_like(t),
 }
 
@@ -121,6 +137,8 @@ class ForceStream:
         if force.kind == "random":
             rms = force.rms or 0.0
             return lambda index: rms * rng.standard_normal(len(index))
+        if force.kind == "impacts":
+            return _Blows(force, self._rate, rng)
         if force.kind == "recorded":
             column = read_column(folder / (force.file or ""), force.column or "")
             return lambda index: force.gain * column[index % len(column)]

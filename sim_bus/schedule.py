@@ -7,6 +7,7 @@ value; a T between two samples takes effect at the later one.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -69,6 +70,13 @@ class Draw(BaseModel):
         return moved
 
 
+class Path(Protocol):
+    """What moves parameters besides a schedule."""
+
+    def offset(self, name: str, index: int) -> float: ...
+    def next_after(self, index: int) -> int | None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class _Move:
     """One parameter's way from sample `start` on: to `target` in `ramp` samples, moving every `every` samples."""
@@ -98,12 +106,16 @@ class Timeline:
 
     Args:
         nominal: every parameter's value before any change.
+        wear: what moves them besides.
         changes: the schedule; of two changes of one parameter at one time the later in the list wins.
         sample_rate_hz: samples a second.
     """
 
-    def __init__(self, nominal: Values, changes: Sequence[Change], sample_rate_hz: float) -> None:
+    def __init__(
+        self, nominal: Values, changes: Sequence[Change], sample_rate_hz: float, wear: Sequence[Path] = ()
+    ) -> None:
         self.names = tuple(nominal)
+        self._wear = tuple(wear)
         self._rate = sample_rate_hz
         self._moves: dict[str, list[_Move]] = {name: [_Move(0, 0, 1, value, value)] for name, value in nominal.items()}
         for change in sorted(changes, key=lambda change: change.at_s):
@@ -123,7 +135,10 @@ class Timeline:
 
     def values(self, index: int) -> dict[str, float]:
         """Return the values that govern the interval from sample `index` to the next."""
-        return {name: self._value(name, index) for name in self.names}
+        return {name: self._value(name, index) + self._worn(name, index) for name in self.names}
+
+    def _worn(self, name: str, index: int) -> float:
+        return math.fsum(path.offset(name, index) for path in self._wear)
 
     def summary(self, end: int) -> list[dict[str, str | int | float]]:
         """Return every change before sample `end`: parameter, first sample, samples that it takes, from, to."""
@@ -136,6 +151,7 @@ class Timeline:
 
     def _next_move(self, index: int, stop: int) -> int:
         later = [stop, *(move.start for moves in self._moves.values() for move in moves if move.start > index)]
+        later += [after for path in self._wear if (after := path.next_after(index)) is not None]
         later += [after for name in self.names if (after := self._move(name, index).next_after(index)) is not None]
         return min(later)
 

@@ -1,6 +1,6 @@
-"""What sensors make of the true signals: bias, gain, drift, noise, spikes, a rail, a stuck value.
+"""What sensors make of the true signals: bias, gain, drift, noise, spikes, a rail, steps, a stuck value.
 
-Delay is taken where the motion is computed (it is exact there); quantisation belongs to the wire.
+Delay is taken where the motion is computed (it is exact there); the wire rounds on its own.
 """
 
 from collections.abc import Mapping
@@ -19,8 +19,8 @@ IntArray = NDArray[np.int64]
 class Sensor(BaseModel):
     """One [[sensor]]: numbers are in the channel's unit; `from_s` .. `until_s` bounds bias, gain, drift, stuck, rail.
 
-    reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail; with
-    `stuck` the reading of `from_s` stays. `delay_s` is added to the channel's own.
+    reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail and
+    rounded to `step`; with `stuck` the reading of `from_s` stays. `delay_s` is added to the channel's own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -31,6 +31,7 @@ class Sensor(BaseModel):
     gain: float = 0.0
     drift_per_s: float = 0.0
     rail: float = Field(default=float("inf"), gt=0)
+    step: float = Field(default=0.0, ge=0)
     stuck: bool = False
     spike: float = 0.0
     spikes_hz: float = Field(default=0.0, ge=0)
@@ -91,6 +92,8 @@ class SensorChain:
             changed = changed + np.where(hit, sensor.spike * np.sign(self._rng.random(len(index)) - 0.5), 0.0)
         railed = np.clip(changed, -sensor.rail, sensor.rail)
         self._note("saturated", index[(railed != changed) & live])
+        if sensor.step:
+            railed = np.rint(railed / sensor.step) * sensor.step
         if sensor.stuck and live.any():
             railed = np.full_like(railed, self._stuck_at.setdefault(number, float(readings[live][0])))
             self._note("stuck", index[live])

@@ -20,6 +20,7 @@ from sim_bus.rigfile import Channel, RigFile
 from sim_bus.scenario import Scenario
 from sim_bus.schedule import Timeline
 from sim_bus.sensors import SensorChain, noise_for
+from sim_bus.wear import WearPath
 
 FloatArray = NDArray[np.float64]
 CHUNK = 1024
@@ -116,7 +117,7 @@ class Rig:
         self.channels = rig.channel
         self.graph: Graph = rig.model.graph
         self._rate, self._hold = rig.rig.sample_rate_hz, rig.estimator.hold
-        self.timeline = Timeline(rig.model.nominal, scenario.changes, self._rate)
+        self.timeline = Timeline(rig.model.nominal, scenario.changes, self._rate, _paths(scenario, self._rate))
         forces = scenario.forces_on(rig)
         self._forces = ForceStream(forces, self.graph.nodes, self._rate, scenario.seed, scenario.folder)
         self.sensors = [self._sensor(number, channel, scenario) for number, channel in enumerate(rig.channel)]
@@ -187,6 +188,10 @@ class Rig:
             self._past[column] = line[len(sensed) :]
             columns.append(chain.read(index, line[: len(sensed)]))
         return np.column_stack(columns)
+
+
+def _paths(scenario: Scenario, rate: float) -> list[WearPath]:
+    return [WearPath(wear, rate, (scenario.seed, 6, number)) for number, wear in enumerate(scenario.wear)]
 
 
 class Tape:

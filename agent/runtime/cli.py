@@ -156,6 +156,26 @@ def replay(
 
 
 @app.command()
+def score(
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(metavar="SCENARIO...", help="Scenarios that name their rig; all that ship.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None, typer.Option(metavar="F@T", help="One more fault in each, NAME@SECONDS.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Play scenarios from end to end on simulated time, and hold what was found against what they expect."""
+    from agent.runtime import commands_score
+    from agent.runtime.scoring.score import score as body
+
+    document = body(scenarios or [], fault or [], commands_score.progress())
+    _answer(document, commands_score.print_score, as_json=json)
+    if not document["ok"]:
+        raise typer.Exit(commands_score.NOT_MET)
+
+
+@app.command()
 def estimates(
     db: Database,
     rig: Rig = None,

@@ -86,6 +86,7 @@ class Judge:
             "alarms": self.alarms(),
             "faults": self.faults(),
             "events": [[e.source, e.cause] for e in self._events() if e.cause not in _GOOD_NEWS],
+            "remarks": [record.cause for record in self._told() if record.source not in self._sources],
             "sensors": sorted({a.parameter for a in self._raised("sensor")}),
             "sources_lost": len(self._raised("source")),
         }
@@ -162,8 +163,15 @@ class Judge:
         within = total[self.rows.index + 1][:, None] - total[first]
         return int(((within > 0) & self.rows.valid).any(axis=1).sum())
 
-    def _events(self) -> list[HealthEvent]:
+    @property
+    def _sources(self) -> set[str]:
+        return {source.name for source in self._config.source}
+
+    def _told(self) -> list[HealthEvent]:
         return [record for record in self._outcome.records if isinstance(record, HealthEvent)]
+
+    def _events(self) -> list[HealthEvent]:
+        return [record for record in self._told() if record.source in self._sources]
 
     def _raised(self, kind: str) -> list[AlarmTransition]:
         changes = [record for record in self._outcome.records if isinstance(record, AlarmTransition)]

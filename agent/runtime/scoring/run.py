@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from agent.config import RigConfig, driver_class, load
 from agent.config.tables import Source
-from agent.errors import UsageError
+from agent.errors import Fault, UsageError
 from agent.runtime.pipeline import Conservation
 from agent.runtime.service import RigRuntime
 from agent.runtime.sources import Arrival, Use
@@ -97,13 +97,40 @@ class _Reader:
             self._link.close()
 
 
-def open_bench(scenario: str, faults: Sequence[str]) -> Bench:
-    """Return the bench of a scenario, with more faults. Raises UsageError without a simulator."""
+class Simulator(Protocol):
+    """What the plug-in offers."""
+
+    def scored(self) -> Sequence[str]: ...
+    def open_bench(self, name_or_file: str, more_faults: Sequence[str]) -> Bench: ...
+
+
+def _simulator() -> Simulator:
     points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
     if not points:
         raise UsageError.at("score", "no simulator is installed", "install deltak with its simulator")
-    bench: Bench = points[0].load()(scenario, faults)
-    return bench
+    simulator: Simulator = points[0].load()
+    return simulator
+
+
+def shipped() -> Sequence[str]:
+    """Return the names of the scenarios that ship with an expectation. Raises UsageError without a simulator."""
+    return _simulator().scored()
+
+
+def open_bench(scenario: str, faults: Sequence[str]) -> Bench:
+    """Return the bench of a scenario, with more faults. Raises UsageError."""
+    try:
+        return _simulator().open_bench(scenario, faults)
+    except ValueError as error:
+        lines = getattr(error, "lines", (str(error),))
+        raise UsageError([Fault(*_parted(line)) for line in lines]) from error
+
+
+def _parted(line: str) -> tuple[str, str, str]:
+    """Return where, what and advice of a simulator's line."""
+    where, _, rest = line.partition(": ")
+    what, _, advice = rest.partition("; ")
+    return where, what, advice
 
 
 def play(bench: Bench, progress: Progress) -> Outcome:

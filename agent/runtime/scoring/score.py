@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from agent.errors import UsageError
 from agent.runtime.scoring.judge import Judge
-from agent.runtime.scoring.run import open_bench, play
+from agent.runtime.scoring.run import open_bench, play, shipped
 
 Report = Callable[[str, float], None]
 
@@ -44,11 +44,11 @@ class Expect(BaseModel):
 
 
 def score(scenarios: Sequence[str], faults: Sequence[str], report: Report) -> dict[str, Any]:
-    """Score scenarios; `report` is told each one's name and the share that is done.
+    """Score scenarios, all that ship where none is named; `report` is told each one's name and the share done.
 
     Raises UsageError, ConfigError, ModelError, and what the simulator raises.
     """
-    found = [_scored(name, faults, report) for name in scenarios]
+    found = [_scored(name, faults, report) for name in scenarios or shipped()]
     return {"scenarios": found, "ok": all(entry["ok"] for entry in found)}
 
 

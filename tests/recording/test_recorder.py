@@ -175,6 +175,25 @@ def test_failing_disk_costs_samples_that_are_counted_and_told_once_and_the_next_
     assert [b.arrival_ns for b in read_blocks(segments(tmp_path)[0])] == [10**9 + 3, 10**9 + 4]
 
 
+def test_after_a_failed_sync_recording_goes_on_in_a_new_file(
+    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(tmp_path, HEADER, tell=told)
+    recorder._write([(block(0), None)])
+
+    def failing(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("agent.runtime.recording.blocks.os.fdatasync", failing)
+    recorder._write([(block(1), None)])
+    monkeypatch.undo()
+    recorder._write([(block(2), None)])
+    recorder._abandon()
+    assert len(segments(tmp_path)) == 2
+    assert [b.arrival_ns for b in read_blocks(segments(tmp_path)[1])] == [10**9 + 2]
+    assert (recorder.recorded, recorder.dropped) == (100, 50)
+
+
 def disk_with(monkeypatch: pytest.MonkeyPatch, free: Callable[[], int]) -> None:
     monkeypatch.setattr("agent.runtime.recording.recorder.room", lambda _: free())
 

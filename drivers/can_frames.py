@@ -75,7 +75,7 @@ def identifier(digits: str, extended: bool) -> int:
 
 
 _SOCKETCAND = re.compile(
-    rb"< *(?:frame ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) (\d{1,12})\.(\d{1,9}) *((?:[0-9A-Fa-f]{2} ?){0,64}) *"
+    rb"< *(?:frame ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) (\d{1,12})\.(\d{1,9})(?: +((?:[0-9A-Fa-f]{2} ?){0,64}))? *"
     rb"|(error|hi|ok|echo) ?[^<>]*)>"
 )
 
@@ -106,7 +106,7 @@ class DaemonText:
         """Add a message's frame, if it is one; tell whether the message makes sense."""
         row = _daemon_error(match[0]) if match[5] == b"error" else None
         if match[5] is None and int(match[2]) <= MOST_SECONDS:
-            row = _daemon_row(match[1], match[4])
+            row = _daemon_row(match[1], match[4] or b"")
         if row is not None:
             rows.append(row)
             times.append(int(match[2]) * 10**9 + int(match[3].ljust(9, b"0")) if match[2] else 0)

@@ -1,7 +1,6 @@
 from pathlib import Path
 
 import can
-import numpy as np
 import pytest
 from can.interfaces.socketcand.socketcand import convert_ascii_message_to_can_message
 
@@ -65,18 +64,6 @@ def test_daemon_message_that_is_no_frame_is_counted_and_the_next_one_read(line: 
     text = DaemonText()
     assert len(text.feed(line + LINES[0])) == 1
     assert text.bad == 1
-
-
-@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.soak)])
-def test_daemon_text_mutated_is_read_or_counted_and_never_kept(rng: np.random.Generator, count: int) -> None:
-    text, good = DaemonText(), 0
-    for _ in range(count // 100):
-        stream = bytearray(LINES[0] * 100)
-        for place in rng.integers(0, len(stream), 20):
-            stream[place] ^= 1 << int(rng.integers(8))
-        good += len(text.feed(bytes(stream)))
-        assert len(text._rest) <= 400
-    assert good >= 0.7 * count
 
 
 def test_candump_lines_of_every_kind_are_read_as_the_library_reads_them(tmp_path: Path) -> None:

@@ -238,23 +238,3 @@ def test_j1939_message_is_known_by_its_group_alone(asked: int, sent: int, mine: 
     codec, _, _ = decoder(Database(j1939(asked)), ("M.a",))
     out = codec.decode(frames_of([pack_frame(sent | EXTENDED, bytes(8))], np.arange(1)))
     assert len(out.values) == mine
-
-
-@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.soak)])
-def test_mutated_frames_are_read_as_cantools_reads_them_or_rejected(rng: np.random.Generator, count: int) -> None:
-    message = sample_message()
-    codec, counts, _ = decoder(Database(message), ("M.a", "M.b"), "M.n")
-    rows = [mutated_frame(rng) for _ in range(count)]
-    out = codec.decode(frames_of(rows, np.arange(count)))
-    expected = [message.decode(row[8:16]) for row in rows if row[:5] == b"\x00\x01\x00\x00\x08"]
-    assert out.values.tolist() == [[row["a"], row["b"]] for row in expected]
-    foreign = [row for row in rows if int.from_bytes(row[:4], "little") not in (0x100, 0x100 | REMOTE)]
-    assert counts.faults.total() >= sum(bool(row[3] & 0x20) for row in rows) > 0
-    assert counts.received == count - len(foreign) == len(expected) + counts.rejected.total()
-
-
-def mutated_frame(rng: np.random.Generator) -> bytes:
-    row = bytearray(pack_frame(0x100, rng.integers(0, 256, 8, np.uint8).tobytes()))
-    for place in rng.integers(0, 16, rng.integers(0, 3)):
-        row[place] ^= 1 << int(rng.integers(8))
-    return bytes(row)

@@ -107,7 +107,7 @@ class Layout:
         start = self.offsets[name]
         columns = slots[:, start : start + field.size]
         if self.word_order == "little" and field.size > 2:
-            columns = columns.reshape(len(slots), -1, 2)[:, ::-1].reshape(len(slots), field.size)
+            columns = columns.reshape(len(slots), field.size // 2, 2)[:, ::-1].reshape(len(slots), field.size)
         wire = field.dtype.newbyteorder(">" if self.byte_order == "big" else "<")
         return np.ascontiguousarray(columns).view(wire)[:, 0]
 
@@ -140,7 +140,7 @@ class Layout:
         wire = field.dtype.newbyteorder(">" if self.byte_order == "big" else "<")
         data = np.asarray(numbers).astype(wire).reshape(-1, 1).view(np.uint8)
         if self.word_order == "little" and field.size > 2:
-            data = data.reshape(len(data), -1, 2)[:, ::-1].reshape(len(data), field.size)
+            data = data.reshape(len(data), field.size // 2, 2)[:, ::-1].reshape(len(data), field.size)
         return np.ascontiguousarray(data)
 
 

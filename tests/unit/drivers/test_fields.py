@@ -52,6 +52,14 @@ def test_word_order_little_with_a_field_across_registers_is_refused() -> None:
         Layout((FieldSpec(name="a", type="uint8"), FieldSpec(name="b", type="uint32")), "big", "little")
 
 
+@pytest.mark.parametrize("words", ["big", "little"])
+def test_no_slots_give_no_values(words: str) -> None:
+    layout = Layout((FieldSpec(name="a", type="int32"), FieldSpec(name="b", type="float64")), "big", words)
+    assert layout.values(np.empty((0, 12), np.uint8), ["b", "a"]).shape == (0, 2)
+    assert layout.counter(np.empty((0, 12), np.uint8), "a").shape == (0,)
+    assert layout.pack({"a": np.empty(0), "b": np.empty(0)}).shape == (0, 12)
+
+
 def test_values_apply_scale_then_offset() -> None:
     layout = Layout((FieldSpec(name="a", type="int16", scale=0.5, offset=-3.0),))
     assert layout.values(np.array([[0xFF, 0xFE]], np.uint8), ["a"])[0, 0] == -4.0

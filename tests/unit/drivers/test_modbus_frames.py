@@ -86,6 +86,7 @@ def test_rtu_reply_behind_a_cut_one_and_an_echo_is_found() -> None:
     frames = RtuFrames()
     for before in (reply[:-3], frames.request(READ), bytes(9)):
         assert frames.reply(before, READ) is None
+        assert frames.late == 0
         data = frames.reply(before + reply, READ)
         assert data is not None
         assert data.view(">i4")[0] == 935

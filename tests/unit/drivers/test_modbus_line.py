@@ -215,6 +215,24 @@ def test_line_without_any_answer_is_opened_anew() -> None:
     assert line.connections == 2
 
 
+def test_connection_over_which_nobody_answers_is_made_anew_though_others_hold_it() -> None:
+    line = PlayedLine(lambda request: (tcp(request, numbers(request[7:])), 0.001))
+    with clock.playing(line):
+        drivers = [driver_of(device_id=unit, timeout_s=0.1) for unit in (1, 2, 3)]
+        for driver in drivers:
+            driver.open()
+            assert len(driver.read(0.2)) == 1
+        line.answer = silent
+        clock.sleep(0.2)
+        assert [len(driver.read(0.2)) for driver in drivers] == [0, 0, 0]
+        line.answer = lambda request: (tcp(request, numbers(request[7:])), 0.001)
+        clock.sleep(0.2)
+        assert all(len(driver.read(0.2)) for driver in drivers)
+        assert line.connections == 2
+        for driver in drivers:
+            driver.close()
+
+
 def test_sources_of_one_line_share_a_connection_until_the_last_is_closed() -> None:
     with played(sound_rtu) as line:
         one, other = driver_of(**RTU, device_id=1), driver_of(**RTU, device_id=2)

@@ -20,7 +20,8 @@ READERS: Mapping[str, type[Reader]] = {"ring": RingReader, "poll": PollReader, "
 _PATIENCE = 3
 """Requests in a row without an answer after which a unit counts as lost."""
 _BUSY_FIRST_S, _BUSY_MOST_S = 0.05, 1.0
-_FASTEST_PACED = 19200
+_FASTEST_PACED = 22000
+_REQUEST_BYTES, _ANSWER_BYTES, _BITS_A_BYTE = 8, 5, 11
 
 
 class ModbusDriver(Driver):
@@ -82,8 +83,18 @@ class ModbusDriver(Driver):
         return self._resolution
 
     def hints(self) -> tuple[str, ...]:
-        hint = port_hint(str(self._settings.port)) if self._settings.transport == "rtu" else None
-        return () if hint is None else (hint,)
+        if self._settings.transport == "tcp":
+            return ()
+        return tuple(hint for hint in (port_hint(str(self._settings.port)), self._slow_hint()) if hint is not None)
+
+    def _slow_hint(self) -> str | None:
+        """Return advice where the longest answer cannot come over the line in time."""
+        settings, most = self._settings, self._reader.most_registers
+        seconds = (_REQUEST_BYTES + _ANSWER_BYTES + 2 * most) * _BITS_A_BYTE / settings.baudrate
+        if seconds < settings.timeout_s:
+            return None
+        takes = f"an answer of {most} registers takes {seconds:.2g} s at {settings.baudrate} baud"
+        return f"{takes}, and has {settings.timeout_s:g} s; raise timeout_s or baudrate"
 
     def _address(self) -> str:
         settings = self._settings
@@ -106,8 +117,8 @@ class ModbusDriver(Driver):
         keys = SerialKeys(
             port=str(settings.port), baudrate=settings.baudrate, parity=settings.parity, stopbits=settings.stopbits
         )
-        # the standard: silence of 3.5 characters of 11 bits between frames, from 19,200 baud on 1.75 ms
-        pause_s = 3.5 * 11 / min(settings.baudrate, _FASTEST_PACED + 2800)
+        # the standard: silence of 3.5 characters between frames, and 1.75 ms where that would be shorter
+        pause_s = 3.5 * _BITS_A_BYTE / min(settings.baudrate, _FASTEST_PACED)
         return ModbusLine(lambda: serial_pipe(keys, self._device()), RtuFrames(), pause_s)
 
     def _ask(self, request: Request) -> ByteArray:

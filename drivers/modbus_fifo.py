@@ -26,6 +26,10 @@ class FifoReader(Reader):
         self.modulus = self.layout.counter_field(source.counter).modulus if source.counter else None
         self._last: int | None = None
 
+    @property
+    def most_registers(self) -> int:
+        return FIFO_REGISTERS
+
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
         while self.wait_until_due(deadline):
             slots = self._new(self._whole(ask(self._request)))

@@ -41,6 +41,11 @@ class Reader(ABC):
         self.due = 0.0
         self.epoch = 0
 
+    @property
+    @abstractmethod
+    def most_registers(self) -> int:
+        """Registers of the longest answer."""
+
     @abstractmethod
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
         """Return what is new, waiting until `deadline` (clock.monotonic) at most."""

@@ -81,6 +81,10 @@ class PollReader(Reader):
         self.layout = Layout(tuple(self._fields), "big", settings.word_order)
         self.modulus = self.layout.counter_field(source.counter).modulus if source.counter else None
 
+    @property
+    def most_registers(self) -> int:
+        return max(request.count for request in self._plan.requests)
+
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
         failure, self._failure = self._failure, None
         if failure is not None:

@@ -36,6 +36,10 @@ class RingReader(Reader):
         self._seen: int | None = None
         self._pause_s = settings.period_s
 
+    @property
+    def most_registers(self) -> int:
+        return self._ring.samples_a_request * self._ring.registers
+
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
         while self._seen is None or self._seen == self._next:
             if not self.wait_until_due(deadline):

@@ -302,3 +302,22 @@ def test_settings_of_a_shared_line_that_cannot_work_are_refused(keys: dict[str, 
 def test_check_points_out_a_port_that_a_replug_may_change() -> None:
     assert "a replug may change it" in driver_of(transport="rtu", port="/dev/ttyUSB3").hints()[0]
     assert driver_of().hints() == ()
+
+
+@pytest.mark.parametrize(
+    ("keys", "registers"),
+    [
+        ({"mode": "ring", "index": {"address": 0}, "ring": {"address": 16, "slots": 99}}, 124),
+        ({"mode": "fifo", "address": 7}, 31),
+    ],
+)
+def test_check_points_out_an_answer_that_cannot_come_in_time(keys: dict[str, object], registers: int) -> None:
+    def hints(baudrate: int) -> tuple[str, ...]:
+        fields = [{"name": "a", "type": "int32"}, {"name": "b", "type": "int32"}]
+        settings = ModbusSettings.model_validate({**RTU, **keys, "fields": fields, "baudrate": baudrate})
+        return ModbusDriver(SourceRequest("x", settings, ("a",))).hints()
+
+    assert hints(19200) == ()
+    (hint,) = hints(1200)
+    assert hint.startswith(f"an answer of {registers} registers takes ")
+    assert hint.endswith(" s at 1200 baud, and has 0.5 s; raise timeout_s or baudrate")

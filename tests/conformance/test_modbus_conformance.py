@@ -94,6 +94,13 @@ class RingLine(Line):
         shutil.rmtree(self.folder)
 
 
+class OwnLine(RingLine):
+    """The same ring over a connection that no other source uses."""
+
+    def keys(self) -> dict[str, object]:
+        return {**super().keys(), "share": False}
+
+
 class RtuLine(RingLine):
     """The same ring on a serial line, its words in the other order."""
 
@@ -148,6 +155,11 @@ class FifoLine(RingLine):
 class TestModbusTcpRing(DriverConformance):
     def make_line(self) -> Line:
         return RingLine()
+
+
+class TestModbusTcpRingUnshared(DriverConformance):
+    def make_line(self) -> Line:
+        return OwnLine()
 
 
 class TestModbusRtuRing(DriverConformance):

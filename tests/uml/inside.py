@@ -1,8 +1,9 @@
 """Device, agent and can-utils on the kernel's virtual buses. A plain script: test_uml.py judges what it leaves behind.
 
 One agent watches three rigs: vcan0 carries ten seconds of a simulated device beside frames of cangen, with candump
-taking everything down; on vcan1 canplayer plays the first three seconds of candump's log; vcan2 is set down and up,
-deleted and made anew, while a device sends. Nothing heavy is imported, as a guest computes slowly.
+taking everything down and the agent recording; on vcan1 canplayer plays the first three seconds of that recording;
+vcan2 is set down and up, deleted and made anew, while a device sends. Nothing heavy is imported, as a guest computes
+slowly.
 """
 
 import json
@@ -43,6 +44,8 @@ def configure(rig: str, bus: str, folder: Path) -> Path:
     own.mkdir()
     path = write_config("can", COARSE, own).config
     text = path.read_text(encoding="utf-8").replace('"demo"', f'"{rig}"').replace('"vcan0"', f'"{bus}"')
+    if rig == "played":
+        text = text.replace('driver = "can"', 'driver = "can"\nrecord = true')
     path.write_text(text.replace("stale_s = 30.0", "stale_s = 300.0"), encoding="utf-8")
     return path
 
@@ -105,9 +108,9 @@ def watch_and_play(folder: Path, db: Path) -> None:
 
 
 def play_log(folder: Path, db: Path) -> None:
-    """vcan1: canplayer plays what candump took down of the first three seconds."""
-    lines = (folder / "candump.log").read_text(encoding="ascii").splitlines()
-    chosen = [line for line in lines if " 100#" in line][:3000]
+    """vcan1: canplayer plays what the agent recorded of the first three seconds."""
+    (recording,) = (folder / "live.db.raw").glob("played-can-*.log")
+    chosen = recording.read_text(encoding="ascii").splitlines()[:3000]
     (folder / "short.log").write_text("".join(f"{line}\n" for line in chosen), encoding="ascii")
     subprocess.run(["canplayer", "-I", folder / "short.log", "vcan1=vcan0"], check=True)
     until(lambda: rows(db, "canplayer") >= 60, "60 rows of what canplayer sent")
@@ -157,6 +160,7 @@ def main(results: Path) -> None:
     (folder / "back.json").write_text(json.dumps(back), encoding="ascii")
     for name in ("live.db", "run.json", "back.json", "truth.npz", "candump.log"):
         shutil.copy(folder / name, results)
+    shutil.copytree(folder / "live.db.raw", results / "live.db.raw")
     shutil.rmtree(folder)
 
 

@@ -35,6 +35,7 @@ class Left:
         runs = json.loads((folder / "run.json").read_text())["runs"]
         self.runs: Mapping[str, Any] = {run["rig"]: run for run in runs}
         self.frames = [line.split()[2].split("#") for line in (folder / "candump.log").read_text().splitlines()]
+        self.recording = next((folder / "live.db.raw").glob("*.log"))
         self.integers = wires.integers(folder / "truth.npz", COARSE)
 
 
@@ -71,6 +72,28 @@ def test_rows_and_alarms_on_vcan_are_those_of_the_recording(left: Left, tmp_path
     assert len(live.rows) == 800
     assert len(live.alarms) == 4
     wires.assert_same(live, recorded, wires.NEAR)
+
+
+def test_recording_is_to_the_letter_what_candump_took_down_of_the_device(left: Left) -> None:
+    recorded = left.recording.read_text(encoding="ascii").splitlines()
+    lines = [line for line in (left.folder / "candump.log").read_text(encoding="ascii").splitlines() if " 100#" in line]
+    assert len(recorded) == 10_000
+    # a busy machine makes candump itself lose frames; what it took down is ours, in its order, to the microsecond
+    ours = iter(recorded)
+    assert all(line in ours for line in lines)
+    assert len(lines) > 5000
+
+
+def test_recording_from_vcan_replays_to_the_rows_and_alarms_of_the_live_run(left: Left, tmp_path: Path) -> None:
+    config = wires.configure("daemon", tmp_path)
+    replayed = wires.replayed(config, left.recording, tmp_path / "replay.db", SAME_ARITHMETIC)
+    live = wires.outcome(left.db, "played")
+    assert len(live.rows) == 800
+    wires.assert_same(live, replayed, wires.NEAR)
+    times = "SELECT t_ns FROM v_estimates WHERE rig = ? ORDER BY t_ns, parameter"
+    with closing(wires.opened(left.db)) as ours, closing(wires.opened(tmp_path / "replay.db")) as theirs:
+        first, second = ours.execute(times, ("played",)).fetchall(), theirs.execute(times, ("daemon",)).fetchall()
+    assert list(map(tuple, first)) == list(map(tuple, second))
 
 
 def test_what_canplayer_sends_gives_the_rows_of_the_device_itself(left: Left) -> None:

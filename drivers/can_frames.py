@@ -1,6 +1,7 @@
 """CAN frames as rows of a numpy table, laid out like the kernel's own canfd_frame. Pure: no I/O."""
 
 import re
+import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,8 @@ FRAME = np.dtype([("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved",
 """One frame: identifier with the flag bits above, data padded by eight bytes so that a 64-bit number can be read
 from any byte of it."""
 
+_ROW = struct.Struct("<IBBxx72s")
+
 FrameTable = NDArray[np.void]
 
 
@@ -44,9 +47,7 @@ class Frames:
 
 def pack_frame(identifier: int, data: bytes, flags: int = 0, length: int | None = None) -> bytes:
     """Return one frame as a row of the table."""
-    size = len(data) if length is None else length
-    head = identifier.to_bytes(4, "little") + bytes((size, flags, 0, 0))
-    return head + data.ljust(72, b"\0")
+    return _ROW.pack(identifier, len(data) if length is None else length, flags, data)
 
 
 def frames_of(rows: Sequence[bytes], t_ns: IntArray) -> Frames:

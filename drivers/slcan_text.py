@@ -5,6 +5,7 @@ kernel's driver understands too. A line ends with a carriage return, or with the
 """
 
 import re
+from binascii import unhexlify
 
 import numpy as np
 
@@ -118,6 +119,8 @@ class StampClock:
 
     def times(self, stamps: list[int], arrival_ns: int) -> IntArray:
         """Return times (n,) of stamps, ms; −1 for none, which takes the time of the newest one, or of arrival."""
+        if self._ms is None and max(stamps) < 0:
+            return np.full(len(stamps), arrival_ns)
         return np.array([self._time(ms, arrival_ns) for ms in stamps], np.int64)
 
     def _time(self, ms: int, arrival_ns: int) -> int:
@@ -153,26 +156,23 @@ def _read(line: bytes) -> tuple[list[bytes], int] | None:
 
 
 def _frame(match: re.Match[bytes]) -> tuple[list[bytes], int] | None:
-    letter, digits = match[1] or match[3], match[2] or match[4]
-    number = int(digits, 16) | (EXTENDED if match[3] else 0)
-    code, payload = int(match[5], 16), match[6]
+    standard, digits, extended, long_digits, code, payload = match.groups()
+    number = int(long_digits, 16) | EXTENDED if extended else int(digits, 16)
+    letter, length = extended or standard, FD_LENGTHS[int(code, 16)]
     fd = letter in _FD_LETTERS
-    if not fd and code > 8:
+    if length > 8 and not fd:
         return None
-    length = FD_LENGTHS[code]
     size = 0 if letter in b"rR" else 2 * length
-    stamp = _stamp(payload[size:])
+    stamp = -1 if len(payload) == size else _stamp(payload[size:])
     if len(payload) < size or stamp is None:
         return None
     if letter in b"rR":
         return [pack_frame(number | REMOTE, b"", 0, length)], stamp
-    return [pack_frame(number, bytes.fromhex(payload[:size].decode()), FD_FLAG if fd else 0)], stamp
+    return [pack_frame(number, unhexlify(payload[:size]), FD_FLAG if fd else 0)], stamp
 
 
 def _stamp(digits: bytes) -> int | None:
-    """Return the milliseconds behind a frame, −1 where there are none, None where something else stands."""
-    if not digits:
-        return -1
+    """Return the milliseconds behind a frame, None where something else stands."""
     ms = int(digits, 16) if len(digits) == 4 else WRAP_MS
     return ms if ms < WRAP_MS else None
 

@@ -105,6 +105,7 @@ def _tables_views_and_marks(db: "Database") -> None:
 def _event_records(db: "Database") -> None:
     """Version 2: the index of the samples kept around alarms."""
     _create(db.conn, "event_records")
+    db.conn.execute("CREATE INDEX alarms_by_time ON alarms (run_id, raised_ns)")
     db.conn.execute(EVENT_RECORDS)
     _mark(db.conn, 2)
 

@@ -165,6 +165,10 @@ def test_what_the_bus_lost_is_kept_as_it_grows() -> None:
         "dropped": {"kernel queue": 2}, "text": 2, "reopened": 1,
     }  # fmt: skip
     assert keeper.take() is None
+    keeper.add(Frames(random_frames(1).table, np.array([START // 1000 * 1000])), {"kernel queue": 5}, 2, 1)
+    third = keeper.take()
+    assert third is not None
+    assert third.beside == {}
 
 
 def short_index(path: Path) -> None:

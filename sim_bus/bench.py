@@ -5,6 +5,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.can import CanSettings
 from drivers.clock import playing
 from drivers.modbus_settings import ModbusSettings
@@ -15,6 +17,7 @@ from sim_bus.device import Bench
 from sim_bus.errors import SimUsageError
 from sim_bus.faults import check, strikes
 from sim_bus.modbus_units import make_unit
+from sim_bus.oscillator import OwnTape
 from sim_bus.played import START_NS, Line, ModbusLine, PlayedSource, PlayedTime, StreamLine
 from sim_bus.player import ledger_of
 from sim_bus.rigfile import RigFile, read_rig
@@ -48,6 +51,7 @@ class PlayedBench:
         self.total = round(scenario.duration_s * rate)
         self._times = {name: PlayedTime() for name in self.sources}
         self._lines: dict[str, Line] = {}
+        self._own: dict[int, OwnTape] = {}
         self._machines = {name: self._machine(number, name) for number, name in enumerate(self.sources)}
 
     @property
@@ -69,8 +73,10 @@ class PlayedBench:
         time = self._times[name]
         clock = PlayClock(self._file.rig.sample_rate_hz, self.total, (name,), "ready", now_ns=time)
         clock.ready()
-        self._lines[name] = self._line(Bench(self._file, self._tape, clock, self.scenario), number, time)
+        bench = Bench(self._file, self._tape, clock, self.scenario)
+        self._lines[name] = self._line(bench, number, time)
         time.begin()
+        self._own |= bench.own_tapes
         return PlayedSource(time, self._lines[name])
 
     def _line(self, bench: Bench, number: int, time: PlayedTime) -> Line:
@@ -107,7 +113,17 @@ class PlayedBench:
         """Return what a truth file holds of the whole scenario, the ledger as text in it."""
         self._tape.chunk((self.total - 1) // CHUNK)
         ledger = ledger_of(self._file, self.scenario, self._rig, self._lines.values(), self.total)
-        return self._truth.arrays(self.total, ledger)
+        arrays = self._truth.arrays(self.total, ledger)
+        for number, tape in self._own.items():
+            tape.chunk((self.total - 1) // CHUNK)
+            self._own_readings(arrays["readings"], number, np.concatenate(tape.readings)[: self.total])
+        return arrays
+
+    def _own_readings(self, readings: Any, number: int, own: Any) -> None:
+        """Put what a device with a clock of its own read in place of what it would have read by the rig's."""
+        names = [channel.name for channel in self._file.channel]
+        for channel in self._file.source[number].map:
+            readings[:, names.index(channel)] = own[:, names.index(channel)]
 
 
 def scored() -> list[str]:

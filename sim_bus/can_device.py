@@ -61,10 +61,10 @@ def make_stream(bench: Bench, number: int) -> Stream:
     """Return what a source sends on a socketcand daemon."""
     keys, source = bench.settings(CanSettings, number), bench.source(number)
     packing, faults = _packing(bench, number, keys), bench.faults(number, text=True)
-    text = FrameText(packing.kinds, bench.clock)
+    text = FrameText(packing.kinds, bench.clock_of(number))
     faults.strange = text.strange
-    feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack, faults.strikes)
-    return Stream(source.name, feed, bench.clock, text, faults)
+    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    return Stream(source.name, feed, bench.clock_of(number), text, faults)
 
 
 def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
@@ -83,17 +83,18 @@ def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
         "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
     )
     render = KernelFrames(packing.kinds)
-    feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack, faults.strikes)
-    return KernelDevice(bench.clock, Stream(source.name, feed, bench.clock, render, faults), keys.channel, render.size)
+    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    stream = Stream(source.name, feed, bench.clock_of(number), render, faults)
+    return KernelDevice(bench.clock, stream, keys.channel, render.size)
 
 
 def _adapter(bench: Bench, number: int, keys: CanSettings) -> Device:
     link = guard.pty_link(keys.channel, bench.rig.folder, f"source[{number}].channel")
     source, packing, faults = bench.source(number), _packing(bench, number, keys), bench.faults(number)
     faults.refuse(FRAMES, "cannot be caused behind an adapter; play a socketcand")
-    feed = Feed(bench.tape, bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
     text = SlcanText(packing.kinds, bench.clock.sample_rate_hz)
-    return SlcanDevice(bench.clock, Stream(source.name, feed, bench.clock, text, faults), PtyLine(link))
+    return SlcanDevice(bench.clock, Stream(source.name, feed, bench.clock_of(number), text, faults), PtyLine(link))
 
 
 def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:

@@ -18,10 +18,23 @@ LINGER_S = 1.0
 """With --duration the devices stay readable this long after the last sample."""
 
 
+def _list_faults(wanted: bool) -> None:
+    if not wanted:
+        return
+    from sim_bus.fault_names import KNOWN
+
+    for driver, faults in KNOWN.items():
+        for name, kind in faults.items():
+            seen = f"; the agent tells: {kind.cause}" if kind.cause else ""
+            lasts = f" ({kind.lasts_s:g} s)" if kind.lasts_s else ""
+            sys.stdout.write(f"{driver}.{name}: {kind.words}{lasts}{seen}\n")
+    raise typer.Exit
+
+
 def sim(
     config: Annotated[Path, typer.Argument(help="Configuration whose sources are played.", metavar="CONFIG")],
     scenario: Annotated[
-        str, typer.Option(help="Scenario file, or one that comes along: steady, default, paper, random.")
+        str, typer.Option(help="Scenario file, or the name of one that comes along: steady, default, step ...")
     ] = "steady",
     fault: Annotated[
         list[str] | None, typer.Option(help="Fault to cause, NAME@SECONDS, e.g. serial.garbage@10s.", metavar="F@T")
@@ -32,6 +45,10 @@ def sim(
     fast: Annotated[bool, typer.Option("--fast", help="Play as fast as the readers read.")] = False,
     truth: Annotated[Path | None, typer.Option(help="Write what was played to this NPZ file at the end.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the ledger as JSON at the end.")] = False,
+    _list: Annotated[
+        bool,
+        typer.Option("--list-faults", is_eager=True, callback=_list_faults, help="Name every fault, then end."),
+    ] = False,
 ) -> None:
     """Play the devices of CONFIG's sources; prints `ready` when they can be read, ends with SIGTERM."""
     from sim_bus.errors import SimError

@@ -2,15 +2,17 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from pydantic import BaseModel
 
 from sim_bus.clock import PlayClock
 from sim_bus.faults import LineFaults, strikes
+from sim_bus.oscillator import OwnClock, OwnTape
 from sim_bus.rigfile import RigFile, Source, checked
 from sim_bus.scenario import Scenario
+from sim_bus.sensors import Oscillator
 from sim_bus.tape import Tape
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
@@ -52,12 +54,33 @@ class Bench:
         tape: what is played.
         clock: how much of it there is by now.
         scenario: its faults and seed.
+        own_tapes: what devices with clocks of their own read, by source.
     """
 
     rig: RigFile
     tape: Tape
     clock: PlayClock
     scenario: Scenario
+    own_tapes: dict[int, OwnTape] = field(default_factory=dict)
+
+    def oscillator(self, number: int) -> Oscillator | None:
+        """Return the clock of a source's device; None where it is the rig's own."""
+        name = self.rig.source_names[number]
+        return next((own for own in self.scenario.device if own.source == name), None)
+
+    def clock_of(self, number: int) -> PlayClock:
+        """Return what paces a source's device."""
+        own = self.oscillator(number)
+        return self.clock if own is None else OwnClock(self.clock, own.slowness)
+
+    def tape_of(self, number: int) -> Tape:
+        """Return what a source's device reads."""
+        own = self.oscillator(number)
+        if own is None:
+            return self.tape
+        made = OwnTape(self.tape, own, self.rig.rig.sample_rate_hz, self.scenario.seed + number)
+        self.own_tapes[number] = made
+        return made
 
     def faults(self, number: int, *, text: bool = False) -> LineFaults:
         """Return the faults of a source; text: its line carries text."""

@@ -261,8 +261,8 @@ def make_unit(bench: Bench, number: int, settings: ModbusSettings) -> Unit:
     faults.refuse(UNFIT[settings.transport], f"cannot be caused on Modbus {settings.transport.upper()}")
     if settings.mode != "ring":
         faults.refuse(("restart",), "only a ring begins anew")
-    feed = Feed(bench.tape, bench.rig, source, numbers, _packer(settings), faults.strikes)
-    return UNITS[settings.mode](source.name, settings, feed, bench.clock, faults)
+    feed = Feed(bench.tape_of(number), bench.rig, source, numbers, _packer(settings), faults.strikes)
+    return UNITS[settings.mode](source.name, settings, feed, bench.clock_of(number), faults)
 
 
 def _packer(settings: ModbusSettings) -> "_Packer":

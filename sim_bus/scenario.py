@@ -13,7 +13,7 @@ from sim_bus.errors import SimUsageError
 from sim_bus.excitation import Force
 from sim_bus.rigfile import Quantity, RigFile, checked, read_toml
 from sim_bus.schedule import Change, Draw
-from sim_bus.sensors import Sensor
+from sim_bus.sensors import Oscillator, Sensor
 from sim_bus.wear import Wear
 
 SEED_VARIABLE = "DELTAK_SEED"
@@ -62,6 +62,7 @@ class Scenario(BaseModel):
     change: tuple[Change, ...] = ()
     wear: tuple[Wear, ...] = ()
     draw: Draw | None = None
+    device: tuple[Oscillator, ...] = ()
     fault: tuple[FaultAt, ...] = ()
     rig: str | None = None
     expect: dict[str, Any] = {}
@@ -94,6 +95,7 @@ class Scenario(BaseModel):
         wrong = [f"force.at: {n}" for _, n in self.forces_on(rig) if n not in nodes]
         wrong += [f"initial: {n}" for n in (*self.initial.displacement, *self.initial.velocity) if n not in nodes]
         wrong += [f"sensor.channel: {s.channel}" for s in self.sensor if s.channel not in channels]
+        wrong += [f"device.source: {d.source}" for d in self.device if d.source not in rig.source_names]
         wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
         wrong += [

@@ -40,6 +40,25 @@ class Sensor(BaseModel):
     until_s: float = float("inf")
 
 
+class Oscillator(BaseModel):
+    """One [[device]]: the clock by which a source's device samples.
+
+    `drift_ppm` above 0: it is slow, its samples come later and later. `jitter_s`: standard deviation of when within
+    its turn a sample is taken (at most 0.45 of a sample).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    source: str
+    drift_ppm: float = Field(default=0.0, gt=-1e5, lt=1e5)
+    jitter_s: float = Field(default=0.0, ge=0)
+
+    @property
+    def slowness(self) -> float:
+        """Seconds of the rig in a second of the device."""
+        return 1.0 + 1e-6 * self.drift_ppm
+
+
 class SensorChain:
     """One channel's sensor, drawn in order.
 

@@ -116,11 +116,12 @@ class Rig:
         scenario.fits(rig)
         self.channels = rig.channel
         self.graph: Graph = rig.model.graph
-        self._rate, self._hold = rig.rig.sample_rate_hz, rig.estimator.hold
+        self._rate, self.hold = rig.rig.sample_rate_hz, rig.estimator.hold
         self.timeline = Timeline(rig.model.nominal, scenario.changes, self._rate, _paths(scenario, self._rate))
         forces = scenario.forces_on(rig)
         self._forces = ForceStream(forces, self.graph.nodes, self._rate, scenario.seed, scenario.folder)
-        self.sensors = [self._sensor(number, channel, scenario) for number, channel in enumerate(rig.channel)]
+        self._scenario = scenario
+        self.sensors = self.more_sensors()
         lags = [chain.delay_s * self._rate for chain in self.sensors]
         self._whole = [math.ceil(lag - 1e-9) for lag in lags]
         self._parts = tuple(max(0.0, whole - lag) for whole, lag in zip(self._whole, lags, strict=True))
@@ -129,6 +130,10 @@ class Rig:
         self._ahead = self._forces.take(1)
         self._index = 0
         self._past = self._before_start()
+
+    def more_sensors(self) -> list[SensorChain]:
+        """Return the sensors anew, as they are before the first sample."""
+        return [self._sensor(number, channel, self._scenario) for number, channel in enumerate(self.channels)]
 
     def _sensor(self, number: int, channel: Channel, scenario: Scenario) -> SensorChain:
         own = [sensor for sensor in scenario.sensor if sensor.channel == channel.name]
@@ -156,7 +161,7 @@ class Rig:
             if len(self._prepared) >= _PREPARED:
                 self._prepared.clear()
             motion = equations(self.graph, values)
-            self._prepared[key] = Signals(motion, self.channels, 1.0 / self._rate, self._hold, self._parts)
+            self._prepared[key] = Signals(motion, self.channels, 1.0 / self._rate, self.hold, self._parts)
         return self._prepared[key]
 
     def advance(self, count: int) -> Chunk:

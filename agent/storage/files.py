@@ -123,38 +123,38 @@ _LOCK_MARK = b"deltak "
 class Lock:
     """The right to change a database: flock on DB.lock, freed by the kernel when its holder dies.
 
-    Its descriptor, `handle`, is -1 once it is released. Raises StoreHeldError when another process holds it.
-    The file stays: removing it would let two processes lock two different files of one name.
+    Raises StoreHeldError when another process holds it. The file stays: removing it would let two processes lock two
+    different files of one name.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = beside(path, ".lock")
         try:
-            self.handle = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o660)
+            self._handle = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o660)
         except PermissionError as error:
             raise StoreError.at(str(self._file), "permission denied", "run as the owner of the folder") from error
         try:
-            fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             holder = self._holder()
-            os.close(self.handle)
+            os.close(self._handle)
             what = f"process {holder} is writing to this database"
             raise StoreHeldError.at(str(path), what, "stop it first") from error
         self._sign()
 
     def _holder(self) -> str:
-        words = os.pread(self.handle, 64, 0).decode("ascii", "replace").split()
+        words = os.pread(self._handle, 64, 0).decode("ascii", "replace").split()
         return words[1] if len(words) > 1 else "unknown"
 
     def _sign(self) -> None:
         """Write who holds the lock; on a full disk the lock holds unsigned."""
         with suppress(OSError):
-            os.pwrite(self.handle, (_LOCK_MARK + f"{os.getpid()}".encode()).ljust(32) + b"\n", 0)
+            os.pwrite(self._handle, (_LOCK_MARK + f"{os.getpid()}".encode()).ljust(32) + b"\n", 0)
 
     def release(self) -> None:
-        if self.handle >= 0:
-            os.close(self.handle)
-            self.handle = -1
+        if self._handle >= 0:
+            os.close(self._handle)
+            self._handle = -1
 
 
 class Ballast:

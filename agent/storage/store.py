@@ -20,7 +20,6 @@ from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
 from agent.storage.event_records import RecordBook
 from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse, renew, sync_folder
-from agent.storage.receipts import Receipts
 from agent.storage.retention import Retention, Upkeep
 from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.salvage import Recovery, finish_interrupted, recover
@@ -57,7 +56,6 @@ class Store:
     def __init__(self, path: Path, lock: Lock, keep: Retention) -> None:
         self.path = path
         self._lock = lock
-        self._receipts = Receipts(lock.handle)
         self._mutex = threading.RLock()
         self._connection: sqlite3.Connection | None = None
         self._side: sqlite3.Connection | None = None
@@ -127,10 +125,7 @@ class Store:
         refuse(self.path, kind)
         if kind is Kind.MISSING:
             create(self.path)
-        if kind is Kind.MISSING:
-            self._receipts.forget()
-        damage = "its header is damaged" if kind is Kind.DAMAGED else self._receipts.missing(self.path)
-        damage = damage or self._connect()
+        damage = "its header is damaged" if kind is Kind.DAMAGED else self._connect()
         if damage:
             self._replace(damage)
         sync_folder(self.path.parent)  # SQLite does so for its log, but does not mind when it fails
@@ -159,7 +154,7 @@ class Store:
     def _replace(self, damage: str) -> None:
         """Go on in a new file with the rows that could be saved; runs must be begun again."""
         self._disconnect()
-        self.recovery = recover(self.path, damage, self._receipts.highs)
+        self.recovery = recover(self.path, damage)
         self.names = Names(self.numbers)
         self._books.clear()
         self._coverage.clear()
@@ -269,7 +264,6 @@ class Store:
                 for table, rows in source.rows.items():
                     connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
         self.names.saved()
-        self._receipts.note(plan.rows)
         self._since_checkpoint[0] += 1
         self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
 

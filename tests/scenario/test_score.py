@@ -13,8 +13,8 @@ from agent.runtime.scoring.score import score
 from sim_bus.scenario import scenario_path
 
 SHIPPED = (
-    "bus-off", "busy-plc", "hammer", "healthy", "noisy-line", "ramp", "rebooted", "standstill", "step", "stuck-sensor",
-    "sweep", "unplugged", "wandering", "warm-day",
+    "bus-off", "busy-plc", "hammer", "healthy", "noisy-line", "ramp", "rebooted", "slow-clock", "standstill", "step",
+    "stuck-sensor", "sweep", "unplugged", "wandering", "warm-day",
 )  # fmt: skip
 
 

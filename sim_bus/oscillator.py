@@ -1,0 +1,130 @@
+"""Devices with clocks of their own: sampling a little too slowly or too fast, and never quite in time.
+
+A device whose clock drifts takes its sample k at the rig's time k·(1 + drift); what is read there lies between two
+samples of the rig. Displacements of nodes with mass are interpolated by Hermite's cubic through position and velocity
+(exact but for terms of the fourth order), other motions by the cubic through four samples, forces as they are held.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bus.clock import PlayClock
+from sim_bus.sensors import Oscillator
+from sim_bus.tape import CHUNK, Chunk, Rig, Tape
+
+FloatArray = NDArray[np.float64]
+_MOST_JITTER = 0.45
+"""Of a sample: samples stay in order."""
+
+
+class OwnTape(Tape):
+    """What one device reads of the rig by its own clock, in the same chunks.
+
+    Args:
+        tape: the rig's.
+        own: the device's clock.
+        sample_rate_hz: nominal samples a second.
+        seed: of the jitter.
+    """
+
+    def __init__(self, tape: Tape, own: Oscillator, sample_rate_hz: float, seed: int) -> None:
+        super().__init__(tape.rig)
+        self._rigs = tape
+        self._own = own
+        self._rate = sample_rate_hz
+        self._rng = np.random.default_rng([seed, 7])
+        self._sensors = tape.rig.more_sensors()
+        self.readings: list[FloatArray] = []
+
+    def _make(self) -> None:
+        chunk = self._resampled(self._made)
+        self._chunks.append(chunk)
+        self._made += 1
+        self.readings.append(chunk.readings)
+
+    def _resampled(self, number: int) -> Chunk:
+        index = np.arange(number * CHUNK, (number + 1) * CHUNK)
+        sigma = self._own.jitter_s * self._rate
+        jitter = np.clip(sigma * self._rng.standard_normal(CHUNK), -_MOST_JITTER, _MOST_JITTER)
+        moment = index * self._own.slowness + jitter
+        columns = [
+            chain.read(index, self._at(column, np.maximum(moment - chain.delay_s * self._rate, 0.0)))
+            for column, chain in enumerate(self._sensors)
+        ]
+        here = self._rigs.chunk(number)
+        return Chunk(here.first, here.forces, here.states, here.parameters, here.true, np.column_stack(columns))
+
+    def _at(self, column: int, moment: FloatArray) -> FloatArray:
+        """Return what an ideal sensor reads at moments, counted in the rig's samples."""
+        low, high = max(int(moment.min()) - 1, 0), int(moment.max()) + 3
+        chunks = [self._rigs.chunk(n) for n in range(low // CHUNK, high // CHUNK + 1)]
+        start = chunks[0].first
+        true = np.concatenate([chunk.true[:, column] for chunk in chunks])
+        before = np.floor(moment).astype(np.int64) - start
+        part = moment - np.floor(moment)
+        rates = self._rates(column, chunks)
+        if self._rigs.rig.channels[column].quantity == "force":
+            ahead = part if self._rigs.rig.hold == "first" else np.zeros_like(part)
+            return np.asarray(true[before] + ahead * (true[before + 1] - true[before]))
+        if rates is not None:
+            return _hermite(true, rates / self._rate, before, part)
+        return _cubic(true, before, part)
+
+    def _rates(self, column: int, chunks: list[Chunk]) -> FloatArray | None:
+        """Return how fast a channel's signal changes at the samples, where the state tells."""
+        rig: Rig = self._rigs.rig
+        channel = rig.channels[column]
+        name = f"v.{channel.at}"
+        if channel.quantity != "displacement" or name not in rig.graph.state_names:
+            return None
+        place = rig.graph.state_names.index(name)
+        return np.concatenate([chunk.states[:, place] for chunk in chunks])
+
+
+def _hermite(y: FloatArray, slope: FloatArray, i: NDArray[np.int64], s: FloatArray) -> FloatArray:
+    """Return the cubic through two samples with their slopes (per sample), s of the way from sample i on."""
+    rest = 1.0 - s
+    ends = rest**2 * (1.0 + 2.0 * s) * y[i] + s**2 * (3.0 - 2.0 * s) * y[i + 1]
+    return np.asarray(ends + s * rest**2 * slope[i] - s**2 * rest * slope[i + 1])
+
+
+def _cubic(y: FloatArray, i: NDArray[np.int64], s: FloatArray) -> FloatArray:
+    """Return the cubic through the samples i − 1 .. i + 2 (at the very beginning 0 .. 3), s beyond sample i."""
+    first = np.maximum(i - 1, 0)
+    x = s + (i - first)
+    out = np.zeros(len(i))
+    for k in range(4):
+        weight = np.ones(len(i))
+        for other in range(4):
+            if other != k:
+                weight = weight * (x - other) / (k - other)
+        out += weight * y[first + k]
+    return out
+
+
+class OwnClock(PlayClock):
+    """The clock of a device that shares its rig's start, and not its pace."""
+
+    def __init__(self, rigs: PlayClock, slowness: float) -> None:
+        super().__init__(
+            rigs.sample_rate_hz / slowness, rigs.total, (), "ready", fast=rigs.fast, now_ns=rigs.now_ns
+        )
+        self._rigs = rigs
+        self.started = rigs.started
+
+    def meet(self, source: str) -> None:
+        self._rigs.meet(source)
+
+    def take(self, source: str, taken: int) -> None:
+        self._rigs.take(source, taken)
+
+    def head(self) -> int:
+        self.start_ns, self.start_wall_ns = self._rigs.start_ns, self._rigs.start_wall_ns
+        return super().head()
+
+    def head_for(self, source: str, room: int) -> int:
+        return self._rigs.head_for(source, room) if self.fast else self.head()
+
+    def due_ns(self, index: int) -> int:
+        self.start_ns = self._rigs.start_ns
+        return super().due_ns(index)

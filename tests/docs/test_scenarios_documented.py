@@ -1,0 +1,36 @@
+"""Every key of a scenario, every fault and every scenario that comes along is in docs/scenarios.md, as it is."""
+
+import pytest
+from pydantic import BaseModel
+
+from agent.runtime.scoring.score import Expect
+from sim_bus.excitation import Force
+from sim_bus.fault_names import KNOWN
+from sim_bus.scenario import FaultAt, Initial, Scenario, built_in_names, load_scenario
+from sim_bus.schedule import Change, Draw
+from sim_bus.sensors import Oscillator, Sensor
+from sim_bus.wear import Wear
+from tests.docs.test_nothing_undocumented import documented
+from tests.peers import ROOT
+
+TEXT = (ROOT / "docs/scenarios.md").read_text(encoding="utf-8")
+PARTS = (Scenario, Initial, Force, Change, Draw, Wear, Sensor, Oscillator, FaultAt, Expect)
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)
+def test_every_key_of_a_scenario_is_documented(part: type[BaseModel]) -> None:
+    headed = {name for name in Scenario.model_fields if f"[{name}]" in TEXT}
+    assert set(part.model_fields) - documented(TEXT) - headed - {"folder"} == set()
+
+
+@pytest.mark.parametrize("driver", KNOWN)
+def test_every_fault_is_documented_as_it_is(driver: str) -> None:
+    for name, kind in KNOWN[driver].items():
+        lasts = f"{kind.lasts_s:g} s" if kind.lasts_s else "a sample"
+        told = kind.cause or "(nothing to tell)"
+        assert f"| `{driver}.{name}` | {kind.words} | {lasts} | {told} |" in TEXT
+
+
+def test_every_scenario_that_comes_along_is_documented() -> None:
+    for name in built_in_names():
+        assert f"| `{name}` | {load_scenario(name, {}).title} |" in TEXT

@@ -1,0 +1,76 @@
+"""Devices with clocks of their own, held against a plant that is stepped at their own moments."""
+
+import numpy as np
+import pytest
+
+from sim_bus.clock import PlayClock
+from sim_bus.oscillator import OwnClock, OwnTape, _cubic
+from sim_bus.plant import equations, propagate, step
+from sim_bus.scenario import Scenario
+from sim_bus.sensors import Oscillator
+from sim_bus.tape import CHUNK, Rig, Tape
+from tests.sim.rigs import ring_config, rig
+
+RIG = rig(ring_config(1502))
+SCENARIO = Scenario.model_validate(
+    {"seed": 3, "force": [{"kind": "sweep", "amplitude": 10.0, "from_hz": 1, "to_hz": 9, "over_s": 1.0}]}
+)
+
+
+def tape(**clock: float) -> tuple[Tape, OwnTape]:
+    whole = Tape(Rig(RIG, SCENARIO))
+    return whole, OwnTape(whole, Oscillator(source="plc", **clock), 1000.0, 1)
+
+
+def test_own_tape_without_drift_or_jitter_reads_what_the_rig_reads() -> None:
+    whole, own = tape()
+    np.testing.assert_allclose(own.chunk(1).readings, whole.chunk(1).readings, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("ppm", [5000.0, -5000.0])
+def test_own_tape_of_a_drifting_clock_reads_the_motion_at_its_own_moments(ppm: float) -> None:
+    whole, own = tape(drift_ppm=ppm)
+    here = whole.chunk(0)
+    motion = equations(RIG.model.graph, RIG.model.nominal)
+    for k in (10, 250, 700):
+        moment = k * (1.0 + 1e-6 * ppm)
+        i, part = int(moment), moment - int(moment)
+        within = step(motion, 1e-3, "first", part)
+        x = within.A @ here.states[i] + within.B0 @ here.forces[i] + within.B1 @ here.forces[i + 1]
+        read = own.chunk(0).readings[k] * [c.si_factor for c in RIG.channel]
+        np.testing.assert_allclose(read[1:], x[:2], rtol=0, atol=2e-12)
+        assert read[0] == pytest.approx((1 - part) * here.forces[i, 1] + part * here.forces[i + 1, 1], abs=1e-9)
+
+
+def test_own_tape_goes_on_over_chunks_without_a_step() -> None:
+    _, own = tape(drift_ppm=300.0)
+    x1 = np.concatenate([own.chunk(n).readings[:, 1] for n in range(3)])
+    curl = np.abs(np.diff(x1, 3))
+    assert curl[CHUNK - 5 : CHUNK + 5].max() <= 2.0 * np.median(curl) + 1e-9
+
+
+def test_own_tape_jitter_has_the_spread_that_was_asked_for() -> None:
+    whole, own = tape(jitter_s=1e-4)
+    late = own.chunk(0).readings[:, 0] - whole.chunk(0).readings[:, 0]
+    slope = np.gradient(whole.chunk(0).readings[:, 0], 1e-3)
+    steep = np.abs(slope) > np.percentile(np.abs(slope), 50)
+    assert np.std(late[steep] / slope[steep]) == pytest.approx(1e-4, rel=0.15)
+
+
+def test_cubic_is_exact_for_cubics_at_the_very_beginning_too() -> None:
+    t = np.arange(12.0)
+    y = 2.0 * t**3 - t**2 + 4.0
+    at = np.array([0.3, 1.7, 7.25])
+    found = _cubic(y, np.floor(at).astype(np.int64), at - np.floor(at))
+    np.testing.assert_allclose(found, 2.0 * at**3 - at**2 + 4.0, rtol=1e-12)
+
+
+def test_own_clock_counts_fewer_samples_when_it_is_slow() -> None:
+    now = [0]
+    whole = PlayClock(1000.0, None, ("plc",), "ready", now_ns=lambda: now[0])
+    slow = OwnClock(whole, 1.001)
+    whole.ready()
+    now[0] = 100_000_000_000
+    assert whole.head() == 100_001
+    assert slow.head() == 99_901
+    assert slow.due_ns(1000) == 1_001_000_000

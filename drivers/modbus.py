@@ -7,7 +7,7 @@ from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus_fifo import FifoReader
 from drivers.modbus_frames import BUSY, ReplyError, Request, RtuFrames, TcpFrames
-from drivers.modbus_line import LaterError, ModbusLine, let_go, shared_line
+from drivers.modbus_line import ROUNDING_S, LaterError, ModbusLine, let_go, shared_line
 from drivers.modbus_modes import Reader, RefusedError
 from drivers.modbus_poll import PollReader
 from drivers.modbus_ring import RingReader
@@ -45,6 +45,7 @@ class ModbusDriver(Driver):
         self._is_open = False
         self._opened = False
         self._unanswered = 0
+        self._not_before = 0.0
         self._busy_s = _BUSY_FIRST_S
 
     def open(self) -> None:
@@ -60,13 +61,14 @@ class ModbusDriver(Driver):
         self._reader.reopened()
 
     def read(self, timeout_s: float) -> SampleBlock:
-        deadline = clock.monotonic() + timeout_s
+        now = clock.monotonic()
+        if self._not_before > now + ROUNDING_S:
+            clock.sleep(min(timeout_s, self._not_before - now))
+            return self._reader.empty()
         try:
-            return self._reader.read(self._ask, deadline)
+            return self._reader.read(self._ask, now + timeout_s)
         except LaterError as later:
-            # a reader amid its slots does not wait by itself
-            self._reader.postpone(later.until)
-            self._reader.wait_until_due(deadline)
+            self._not_before = later.until
             return self._reader.empty()
 
     def close(self) -> None:

@@ -29,7 +29,8 @@ _DEAF = 3
 _REMEMBERED_S, _EACH_S = 5.0, 0.7
 """How long a lost request's answer may still come: at most, and for each other length there is to ask for."""
 _FADE = 0.98
-_ROUNDING_S = 1e-6
+ROUNDING_S = 1e-6
+"""Times this near are the same: a wait may end so much early."""
 
 
 class LaterError(Exception):
@@ -107,7 +108,7 @@ class ModbusLine:
         """
         with self._turns.taken(urgent_at):
             unit = self._units.setdefault(request.unit, _Unit())
-            if unit.late_until > clock.monotonic() + _ROUNDING_S:
+            if unit.late_until > clock.monotonic() + ROUNDING_S:
                 raise LaterError(unit.late_until)
             if request.count in unit.lost:
                 self._come_level(request, unit, timeout_s, faults, spare)
@@ -229,7 +230,7 @@ def _unowed(request: Request, unit: _Unit, timeout_s: float, spare: int) -> Requ
     remembered_s = max(timeout_s, min(_REMEMBERED_S, _EACH_S * len(lengths)))
     free_at = {count: unit.lost.get(count, -remembered_s) + remembered_s for count in lengths or [request.count]}
     count = min(free_at, key=lambda count: free_at[count])
-    if free_at[count] > clock.monotonic() + _ROUNDING_S:
+    if free_at[count] > clock.monotonic() + ROUNDING_S:
         raise LaterError(free_at[count])
     return Request(request.unit, request.function, request.address, count) if lengths else None
 

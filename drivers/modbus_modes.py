@@ -55,10 +55,6 @@ class Reader(ABC):
         """When the next answer should be there at the latest (clock.monotonic)."""
         return self.due + self.settings.period_s
 
-    def postpone(self, until: float) -> None:
-        """Ask for nothing before `until` (clock.monotonic)."""
-        self.due = max(self.due, until)
-
     def reopened(self) -> None:  # noqa: B027 (most modes keep nothing that a lost connection spoils)
         """Forget what may have changed while there was no connection."""
 

@@ -115,12 +115,12 @@ def resources() -> tuple[int, int, float]:
 
 
 @contextmanager
-def running(cycles: int) -> Iterator[tuple[Source, dict[str, Source]]]:
+def running(stalls: list[float]) -> Iterator[tuple[Source, dict[str, Source]]]:
     """Read a device that plays on undisturbed, and one line of each kind beside it."""
     done = threading.Event()
     beside = Source(RingLine())
     sources = {name: Source(make()) for name, make in LINES.items()}
-    player = threading.Thread(target=play_on, args=(beside, done), daemon=True)
+    player = threading.Thread(target=play_on, args=(beside, done, stalls), daemon=True)
     player.start()
     try:
         yield beside, sources
@@ -133,16 +133,21 @@ def running(cycles: int) -> Iterator[tuple[Source, dict[str, Source]]]:
             source.stop()
 
 
-def play_on(source: Source, done: threading.Event) -> None:
-    """Play a thousand samples a second, ten at a time."""
+def play_on(source: Source, done: threading.Event, stalls: list[float]) -> None:
+    """Play a thousand samples a second, ten at a time; note by how much the machine itself held each step up."""
+    before = time.monotonic()
     while not done.wait(STEP_S):
         source.play(10)
+        now = time.monotonic()
+        stalls.append(now - before - STEP_S)
+        before = now
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("cycles", [5, pytest.param(200, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
 def test_lines_that_go_and_come_are_read_within_two_seconds_and_others_lose_nothing(cycles: int) -> None:
-    with running(cycles) as (beside, sources), ThreadPoolExecutor(len(sources)) as pool:
+    stalls: list[float] = []
+    with running(stalls) as (beside, sources), ThreadPoolExecutor(len(sources)) as pool:
         list(pool.map(lambda source: chaos(source, 1), sources.values()))
         begun = resources()
         took = dict(zip(sources, pool.map(lambda source: chaos(source, cycles), sources.values()), strict=True))
@@ -151,7 +156,8 @@ def test_lines_that_go_and_come_are_read_within_two_seconds_and_others_lose_noth
     worst = {name: max(times) for name, times in took.items()}
     words = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in worst.items())
     figures.figure(f"{cycles} outages of each line, read again at most this long after its return: {words}")
-    assert max(worst.values()) <= BACK_WITHIN_S, worst
+    figures.figure(f"the machine itself stood still for {max(stalls):.2f} s at most")
+    assert max(worst.values()) <= BACK_WITHIN_S + 2.0 * max(stalls), (worst, max(stalls))
     for source in sources.values():
         assert [event.cause for event in source.events] == ["lost", "recovered"] * (cycles + 1)
     assert not beside.events

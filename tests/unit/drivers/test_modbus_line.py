@@ -92,6 +92,29 @@ def test_rtu_unit_after_a_timeout_is_asked_for_another_length_first() -> None:
     assert driver.counts.received == sum(map(len, got)) + driver.counts.rejected.total()
 
 
+def test_ring_whose_slots_are_owed_waits_for_them_without_spinning() -> None:
+    lost = [2, 3]
+
+    def answer(request: bytes) -> tuple[bytes, float]:
+        address = struct.unpack(">H", request[2:4])[0]
+        if address >= 16 and len(line.requests) in lost:
+            return b"", 0.0
+        pdu = bytes([4, 4, 0, 0, 0, 9]) if address == 0 else numbers(request[1:-2])
+        return rtu(request[0], pdu), 0.002
+
+    line = PlayedLine(answer)
+    ring = {"mode": "ring", "index": {"address": 0}, "ring": {"address": 16, "slots": 20}, "timeout_s": 0.3}
+    with clock.playing(line):
+        driver = driver_of(**{**POLL, **RTU, **ring, "fields": [{"name": "a", "type": "uint16"}]})
+        driver.open()
+        reads = 0
+        while not len(driver.read(0.1)):
+            reads += 1
+            assert reads < 30
+        driver.close()
+    assert driver.counts.faults["timeout"] == 2
+
+
 def test_rtu_answer_that_comes_after_the_line_was_given_up_is_not_taken_for_the_next_one() -> None:
     line = PlayedLine(silent)
     with clock.playing(line):

@@ -26,13 +26,15 @@ class KernelAdapter:
         to: told of them as they come.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, attach: bool = True) -> None:
         self.asked = b""
         self.to: Callable[[bytes], object] = len
         self.master, self.slave = os.openpty()
         tty.setraw(self.slave)
-        fcntl.ioctl(self.slave, termios.TIOCSETD, struct.pack("i", _SLCAN))
-        self.name = fcntl.ioctl(self.slave, _INTERFACE_NAME, bytes(16)).rstrip(b"\0").decode()
+        self.name = ""
+        if attach:
+            fcntl.ioctl(self.slave, termios.TIOCSETD, struct.pack("i", _SLCAN))
+            self.name = fcntl.ioctl(self.slave, _INTERFACE_NAME, bytes(16)).rstrip(b"\0").decode()
         self._stop = False
         self._thread = threading.Thread(target=self._take)
         self._thread.start()

@@ -3,6 +3,7 @@
 import os
 import random
 import shutil
+import signal
 import subprocess
 import time
 import tty
@@ -42,6 +43,29 @@ def quiet() -> Iterator[KernelAdapter]:
 def talking() -> Iterator[KernelAdapter]:
     with kernel_adapter() as adapter:
         yield adapter
+
+
+def test_script_for_adapters_makes_an_interface_that_listens_only(tmp_path: Path) -> None:
+    (tmp_path / "modprobe").write_text("#!/bin/sh\n")  # the guest has loaded its modules
+    (tmp_path / "modprobe").chmod(0o755)
+    adapter = KernelAdapter(attach=False)
+    path = f"{tmp_path}:{os.environ['PATH']}:/usr/sbin:/sbin"
+    try:
+        command = ["sh", str(ROOT / "deploy/can/slcan.sh"), os.ttyname(adapter.slave), "250000"]
+        subprocess.run(command, check=True, env=os.environ | {"PATH": path}, timeout=DEADLINE_S)
+        assert adapter.asked == b"C\rS5\rL\r"
+        assert can_link.look("can0") == can_link.Link("can", False, True, "error-active", 0, 250_000)
+        assert driver("can0").hints() == ()
+    finally:
+        end_daemon_of(os.ttyname(adapter.slave))
+        adapter.close()
+
+
+def end_daemon_of(port: str) -> None:
+    """End the slcand that holds a port; it has gone into the background."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        if port.encode() in (words := (folder / "cmdline").read_bytes().split(b"\0")) and words[0] == b"slcand":
+            os.kill(int(folder.name), signal.SIGTERM)
 
 
 @contextmanager

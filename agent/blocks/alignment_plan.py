@@ -1,6 +1,6 @@
 """From a configuration to the acquisition that its sources need."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import pi
 
 import numpy as np
@@ -12,6 +12,7 @@ from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_mo
 from agent.blocks.skew_watch import SkewGroup, SkewWatch
 from agent.config import RigConfig
 from agent.config.tables import Channel, Source
+from agent.numerics.sensors import with_constant
 from agent.numerics.skew import Group, SkewMeter
 from agent.types import FloatArray
 
@@ -87,18 +88,24 @@ def _plan(config: RigConfig, plans: list[SourcePlan], late: FloatArray) -> Align
 def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewWatch | None:
     meter = skew_meter(config, groups, resolution)
     reference = reference_source(config)
-    friction = friction_inputs(config, resolution)
-
-    def complete(y: FloatArray, u: FloatArray) -> FloatArray:
-        if friction is None:
-            return u
-        friction.start_segment()
-        return friction.beside(y, u)
-
     return SkewWatch(
         meter, groups, "" if reference is None else reference.name, len(channels_of(config)), len(config.inputs),
-        *stretch_samples(config), config.rig.sample_rate_hz, complete,
+        *stretch_samples(config), config.rig.sample_rate_hz, complete_inputs(config, resolution),
     )  # fmt: skip
+
+
+def complete_inputs(config: RigConfig, resolution: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Return what makes all of the model's inputs of outputs and measured inputs: signs of dry friction, the 1."""
+    friction, model = friction_inputs(config, resolution), rig_model(config).model
+    columns = model.continuous(model.nominal).m
+
+    def complete(y: FloatArray, u: FloatArray) -> FloatArray:
+        if friction is not None:
+            friction.start_segment()
+            u = friction.beside(y, u)
+        return with_constant(u, columns)
+
+    return complete
 
 
 def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewMeter:

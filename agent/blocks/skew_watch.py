@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.numerics.sensors import with_constant
 from agent.numerics.skew import Delays, Skew, SkewMeter, combined
 from agent.types import FloatArray, IntArray
 
@@ -60,7 +59,7 @@ class SkewWatch:
         channels, inputs: number of the rig's channels, and of those that are inputs.
         stretch, longest: samples of a stretch, at first and at most.
         rate_hz: of rows.
-        complete: inputs and outputs -> the model's inputs (with the signs of dry friction).
+        complete: outputs and inputs -> all of the model's inputs.
         skew_s, sd_s: (g,) what is compensated now and how well it is known; sd inf while it is not.
         holding: rows are to wait.
     """
@@ -149,7 +148,7 @@ class SkewWatch:
         def resampled(skew: FloatArray) -> FloatArray:
             readings = read(rows, self._spread(np.clip(skew, -MOST_S, MOST_S)))
             u, y = readings[:, : self.inputs], readings[:, self.inputs :]
-            return np.hstack([y, with_constant(self.complete(y, u), self._width())])
+            return np.hstack([y, self.complete(y, u)])
 
         elsewhere = [np.full(len(self.groups), start) for start in STARTS_S]
         starts = [self._found[-1].delay_s] if self._found else [self.skew_s, *elsewhere]
@@ -167,9 +166,6 @@ class SkewWatch:
         except (ValueError, np.linalg.LinAlgError):
             return None  # no gain, or readings that are no motion at all
         return found if found.sure and bool(np.all(np.abs(found.delay_s) < MOST_S)) else None
-
-    def _width(self) -> int:
-        return self.meter.model.continuous(self._theta).m
 
     def _spread(self, skew: FloatArray) -> FloatArray:
         delays = np.zeros(self.channels)

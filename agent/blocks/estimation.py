@@ -231,6 +231,7 @@ class Estimation:
         reason[rows.changing] = Reason.CHANGING
         reason[rows.mismatch] = Reason.MISMATCH
         reason[accused] = rows.suspect[accused, None]
+        reason[rows.still[:, None] & (status == Status.UNEXCITED)] = Reason.STANDSTILL
         status[~rows.full] = Status.WARMING
         return status, reason
 

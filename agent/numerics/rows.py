@@ -24,6 +24,7 @@ class Rows:
         suspect: (N,) the Reason that a model which lacks something gives away; 0 where none does.
         window: (N, q) length of the window that each estimate is of, samples; 0 while warming.
         channel: (N,) the channel (outputs, then inputs) whose sensor may be what changed; -1 where none is blamed.
+        still: (N,) nothing moves in the window.
     """
 
     index: IntArray
@@ -37,6 +38,7 @@ class Rows:
     suspect: IntArray
     window: IntArray
     channel: IntArray
+    still: BoolArray
 
     @classmethod
     def warming(cls, index: IntArray, q: int) -> "Rows":
@@ -46,8 +48,9 @@ class Rows:
         unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
         window, channel = np.zeros((count, q), dtype=np.int64), np.full(count, -1, dtype=np.int64)
         return cls(
-            index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, channel
-        )
+            index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, channel,
+            no.copy(),
+        )  # fmt: skip
 
     @classmethod
     def joined(cls, pieces: "list[Rows]", q: int) -> "Rows":

@@ -19,6 +19,7 @@ from agent.numerics.rows import Rows
 from agent.numerics.sensors import with_constant
 from agent.numerics.solved import Solved, mend, solved
 from agent.numerics.statespace import Model
+from agent.numerics.stillness import still
 from agent.numerics.straddle import Window, is_clean
 from agent.numerics.suspects import Accusation
 from agent.numerics.upkeep import NEVER, Upkeep
@@ -136,6 +137,7 @@ class WindowML:
             with np.errstate(invalid="ignore"):
                 widening = np.where(white_sd > 0, rows.sd / white_sd, 1.0)
             choose(rows, widening, rows.dof / point.dof, found.candidates, self.settings.wanted_sd, point.doubt)
+        rows.still[:] = still(point, segment, rows)
         if moved_at is None:
             self._units = min(2 * self._units, max(UNITS_MAX, 2 * self.settings.plan.fulls))
         else:

@@ -49,11 +49,19 @@ class Estimator(Protocol):
         """Return (sample of a row, what the model was found to lack there) since the last call."""
         ...
 
-    def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
+    def step(
+        self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
+        suspect: BoolArray | None = None,
+    ) -> Rows:  # fmt: skip
         """Take samples y (N, p), u (N, m), the first of them number `index`; return the rows that they end.
 
-        missing (N, p+m): readings that were filled in.
+        missing (N, p+m): readings that were filled in. suspect (N, p+m): inputs that may be spikes.
         """
+        ...
+
+    @property
+    def spikes(self) -> int:
+        """Samples so far of which nothing but an input was taken for a spike."""
         ...
 
 
@@ -121,8 +129,8 @@ class Estimation:
         if samples.missing is not None:
             self.used -= int(samples.missing.any(axis=1).sum())
             self._lacking.append(int(samples.index[0]), samples.missing)
-        lacking = () if samples.missing is None else (samples.missing,)
-        rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u, *lacking)
+        doubtful = () if samples.missing is None and samples.suspect is None else (samples.missing, samples.suspect)
+        rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u, *doubtful)
         if not len(rows.index):
             return None
         batch = self._batch(rows, samples)

@@ -7,6 +7,7 @@ beyond the doubtful one: only where one is in doubt does the stream wait for the
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,10 @@ EXCESS = 10.0
 """A second difference this many times the usual one is in doubt."""
 CLEAR = 4.0
 """A spike stands out this many times more than its two sides differ from each other."""
+DOUBTFUL = 1.5
+"""An input that stands out so many times more is in doubt: whether it was a spike, the motion decides."""
+EXCESS_OF_INPUTS = 6.0
+"""The same for EXCESS."""
 CONTEXT = 64
 """Samples that are kept as they came, to judge the next ones by."""
 STEPS = 4.0
@@ -113,7 +118,8 @@ class Cleaner:
         usual = np.lib.stride_tricks.sliding_window_view(known, MEMORY, axis=0).max(axis=2)  # one more than blocks
         self._usual, self._block = known[-MEMORY:], stream[whole * BLOCK :]
         block = np.clip((np.arange(len(v)) + before - 2) // BLOCK, 0, whole)
-        return np.asarray(np.where(usual < 0, np.inf, EXCESS * usual + STEPS * self._step)[block])
+        excess = np.where(self._inputs, EXCESS_OF_INPUTS, EXCESS)
+        return np.asarray(np.where(usual < 0, np.inf, excess * usual + STEPS * self._step)[block])
 
     def _decide(self, *, end: bool) -> None:
         """Mark spikes among the samples that are not decided, as far as what comes after them is there."""
@@ -148,7 +154,8 @@ class Cleaner:
             after = np.flatnonzero(~taken[place + length : place + LOOK_AHEAD + 1])[:2] + place + length
             if len(before) < 2 or len(after) < 2 or taken[place : place + length].any():
                 return 0
-            if _stands_out(x, before, np.arange(place, place + length), after, limit):
+            clear = DOUBTFUL if self._inputs[channel] else CLEAR
+            if _stands_out(x, before, range(place, place + length), after, (limit, clear), smooth=clear == CLEAR):
                 return length
         return 0
 
@@ -188,13 +195,33 @@ def _medians(sizes: FloatArray) -> FloatArray:
 
 
 def _stands_out(
-    x: FloatArray, before: NDArray[np.int64], spike: NDArray[np.int64], after: NDArray[np.int64], limit: float
-) -> bool:
-    """Tell whether readings are far from what both sides agree on."""
-    around = np.concatenate([before, after])
-    expected = np.array([lagrange(around, int(place)) @ x[around] for place in spike])
-    off = np.abs(x[spike] - expected)
-    ahead = x[before[1]] + (x[before[1]] - x[before[0]]) / (before[1] - before[0]) * (after[0] - before[1])
-    behind = x[after[0]] - (x[after[1]] - x[after[0]]) / (after[1] - after[0]) * (after[0] - before[1])
-    differ = max(abs(x[after[0]] - ahead), abs(x[before[1]] - behind))
-    return bool(off[0] > limit and off[-1] > limit and off.max() > CLEAR * differ)
+    x: FloatArray, before: NDArray[np.int64], spike: range, after: NDArray[np.int64], least: tuple[float, float],
+    *, smooth: bool,
+) -> bool:  # fmt: skip
+    """Tell whether readings are far from what both sides agree on.
+
+    least: how far they must be at either end, and how many times as far as the two sides are from each other; of a
+    signal that is not smooth, each side's mean may stand for where it goes on.
+    """
+    first = spike[0]
+    places = (*(before - first).tolist(), *(after - first).tolist())
+    b1, b0, a0, a1 = (float(value) for value in (*x[before[::-1]], *x[after]))
+    off = []
+    for place in spike:
+        w = _weights(places, place - first)
+        off.append(abs(float(x[place]) - (w[0] * b0 + w[1] * b1 + w[2] * a0 + w[3] * a1)))
+    if not (off[0] > least[0] and off[-1] > least[0]):
+        return False
+    gap = places[2] - places[1]
+    ahead = b1 + (b1 - b0) / (places[1] - places[0]) * gap
+    behind = a0 - (a1 - a0) / (places[3] - places[2]) * gap
+    differ = max(abs(a0 - ahead), abs(b1 - behind))
+    if not smooth:
+        differ = min(differ, 0.5 * abs(a0 + a1 - b0 - b1))
+    return bool(max(off) > least[1] * differ)
+
+
+@lru_cache(maxsize=4096)
+def _weights(places: tuple[int, ...], at: int) -> tuple[float, ...]:
+    """Return the weights of readings at places in the polynomial through them, taken at another."""
+    return tuple(lagrange(np.array(places), at).tolist())

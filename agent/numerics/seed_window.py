@@ -173,7 +173,12 @@ class SeedWindow:
         self._states = np.zeros((1, model.n))
         self._y, self._u = np.zeros((0, model.p)), np.zeros((0, model.m))
 
-    def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
+    spikes = 0
+
+    def step(
+        self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
+        suspect: BoolArray | None = None,
+    ) -> Rows:  # fmt: skip
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
         self._append(y, u)
         due = self.settings.plan.rows_between(index, index + len(y))

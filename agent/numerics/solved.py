@@ -60,20 +60,37 @@ def _candidates(point: WorkingPoint, segment: Segment) -> list[Candidate]:
 
 
 def mend(found: Solved, point: WorkingPoint, segment: Segment, lacking: Lacking) -> None:
-    """Solve the windows that lack readings once more, with those as unknowns, and put that in place."""
+    """Solve the windows that lack readings once more, with those as unknowns, and put that in place.
+
+    Inputs in doubt are taken for spikes where a window fits without them and not with them.
+    """
     rows, window = found.rows, point.settings.plan.window
-    for row in np.flatnonzero((lacking.count(rows.index, window) > 0) & rows.full).tolist():
-        told = _on_samples(point, segment, lacking, int(rows.index[row]) + 1, window)
-        dof, rows.ratio[row], sd = _judged(point, told, window)
-        rows.theta[row], rows.sd[row] = point.theta + told.delta, sd * point.widening
-        rows.dof[row] = dof * point.colour.share
-        found.information[row] = told.information * np.outer(point.scale, point.scale)
+    for row in np.flatnonzero(rows.full).tolist() if lacking.any() else ():
+        stop = int(rows.index[row]) + 1
+        if lacking.count(rows.index[row : row + 1], window)[0]:
+            _put(found, point, row, _on_samples(point, segment, lacking, stop, window))
+        if not rows.ratio[row] <= point.gate and lacking.doubts(stop, window):
+            lacking.take_for_spikes(stop, window)
+            told = _on_samples(point, segment, lacking, stop, window)
+            if _judged(point, told, window)[1] <= point.gate:
+                _put(found, point, row, told)
+            else:
+                lacking.take_back(stop - 2)
     for longer in found.candidates:
         newest = rows.index[len(rows.index) - len(longer.ratio) :]
         for i in np.flatnonzero(lacking.count(newest, longer.window) > 0).tolist():
             told = _on_samples(point, segment, lacking, int(newest[i]) + 1, longer.window)
             _, longer.ratio[i], longer.sd[i] = _judged(point, told, longer.window)
             longer.theta[i] = point.theta + told.delta
+
+
+def _put(found: Solved, point: WorkingPoint, row: int, told: Answer) -> None:
+    """Put an answer in the place of a row."""
+    rows, window = found.rows, point.settings.plan.window
+    dof, rows.ratio[row], sd = _judged(point, told, window)
+    rows.theta[row], rows.sd[row] = point.theta + told.delta, sd * point.widening
+    rows.dof[row] = dof * point.colour.share
+    found.information[row] = told.information * np.outer(point.scale, point.scale)
 
 
 def _on_samples(point: WorkingPoint, segment: Segment, lacking: Lacking, stop: int, window: int) -> Answer:

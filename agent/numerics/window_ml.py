@@ -69,6 +69,11 @@ class WindowML:
         self._onset: int | None = None
         self._blamed: Verdict | None = None
 
+    @property
+    def spikes(self) -> int:
+        """Samples so far of which nothing but an input was taken for a spike."""
+        return self._lacking.spikes
+
     def calibrated(self) -> Calibrated | None:
         """Return what is known of the rig's disturbances; None while that is nothing to rely on."""
         point = self.point
@@ -93,13 +98,19 @@ class WindowML:
         if self._moving is not None:
             self._moving.forget()
 
-    def step(self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None) -> Rows:
+    def step(
+        self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
+        suspect: BoolArray | None = None,
+    ) -> Rows:  # fmt: skip
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end.
 
         missing (N, p+m): readings that were filled in and are to be treated as unknown.
+        suspect (N, p+m): inputs that may be spikes; they are taken for such where nothing else explains a window.
         """
         if missing is not None:
             self._lacking.append(index, missing)
+        if suspect is not None:
+            self._lacking.doubt(index, suspect)
         v = np.hstack([y, with_constant(u, self.point.discrete.model.m)])
         q, plan = len(self.point.theta), self.settings.plan
         pieces: list[Rows] = []
@@ -143,6 +154,7 @@ class WindowML:
         else:
             # rows after the one that moved theta_r belong to the old operators and are computed again
             self._units, rows = UNITS_MIN, rows.part(moved_at + 1)
+            self._lacking.take_back(int(rows.index[-1]))
         if self._moving is not None:
             self._moving.follow(point, segment, self._lacking, rows, moved=moved_at is not None)
         return rows

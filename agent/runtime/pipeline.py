@@ -160,7 +160,10 @@ class Pipeline:
         if isinstance(self.acquisition, Alignment):
             stream = self.acquisition.streams[name]
             return stream.tally.used + stream.waiting, stream.tally.rejected
-        return self.estimation.used + self.quality.waiting, self.quality.rejected
+        # inputs that only the motion gave away as spikes
+        spikes = self.estimation.estimator.spikes
+        rejected = self.quality.rejected + Counter({"spike": spikes})
+        return self.estimation.used + self.quality.waiting - spikes, rejected
 
     def _skew(self, name: str) -> tuple[float | None, float | None]:
         found = self.acquisition.skews() if isinstance(self.acquisition, Alignment) else {}

@@ -44,10 +44,11 @@ class FrameCheck:
 
     def holds(self, table: FrameTable) -> NDArray[np.bool_]:
         """Tell of each frame whether its checksum is right."""
-        right: NDArray[np.bool_] = self._calculated(table) == self._signal.bits(table)
+        right: NDArray[np.bool_] = self.calculated(table) == self._signal.bits(table)
         return right
 
-    def _calculated(self, table: FrameTable) -> NDArray[np.uint64]:
+    def calculated(self, table: FrameTable) -> NDArray[np.uint64]:
+        """Return what the checksum of each frame must be, (n,)."""
         data: ByteArray = table["data"][:, self._kept] & self._zeroed
         before = np.broadcast_to(self._before, (len(data), len(self._before)))
         data = np.hstack([before, data])

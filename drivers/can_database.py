@@ -169,7 +169,7 @@ def _signal(message: "Message", name: str) -> "Signal":
 
 def _codec(message: "Message", asked: list[tuple[int, str]], counting: str | None, keys: FrameKeys) -> MessageCodec:
     samples = tuple(
-        tuple(_select(message, column, _signal(message, _next_name(name, place))) for column, name in asked)
+        tuple(_select(message, column, _signal(message, next_name(name, place))) for column, name in asked)
         for place in range(keys.samples_per_frame)
     )
     number, mask = _identity(message, keys)
@@ -180,7 +180,7 @@ def _codec(message: "Message", asked: list[tuple[int, str]], counting: str | Non
     return MessageCodec(message.name, number, mask, lengths, samples, pages, counter, switches, check)
 
 
-def _next_name(name: str, place: int) -> str:
+def next_name(name: str, place: int) -> str:
     """Return the signal of a frame's later sample: "Force_0" is followed by "Force_1"."""
     if not place:
         return name

@@ -68,11 +68,10 @@ def make_stream(bench: Bench, number: int) -> Stream:
 
 
 def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
-    for key in ("samples_per_frame", "counter_modulus", "checksum"):
-        if getattr(keys, key) != CanSettings.model_fields[key].default:
-            raise SimUsageError(f"source[{number}].{key}: frames laid out so cannot be simulated")
+    if keys.counter_modulus is not None:
+        raise SimUsageError(f"source[{number}].counter_modulus: a counter that ends early cannot be simulated")
     database = load_database(bench.rig.folder / keys.dbc, f"source[{number}].dbc")
-    return Packing(database, bench.source(number), fd=keys.fd)
+    return Packing(database, bench.source(number), fd=keys.fd, keys=keys)
 
 
 def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:

@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.can_checks import FrameCheck
+from drivers.can_database import next_name
+from drivers.can_frames import FRAME
+from drivers.can_keys import ChecksumKeys, FrameKeys
+from drivers.can_signals import SignalCodec
 from sim_bus.errors import SimUsageError
 from sim_bus.rigfile import Source
+from sim_bus.tape import CHUNK
 from sim_bus.wire import NumberArray, Raw, WireNumber
 
 if TYPE_CHECKING:
@@ -57,9 +63,11 @@ class Packing:
         database: the DBC file's content.
         source: the source, its map naming fields as "Message.Signal".
         fd: whether the bus carries FD frames.
+        keys: how samples lie in frames beyond what the DBC file says.
     """
 
-    def __init__(self, database: "Database", source: Source, *, fd: bool) -> None:
+    def __init__(self, database: "Database", source: Source, *, fd: bool, keys: FrameKeys | None = None) -> None:
+        self._keys = keys or FrameKeys(dbc=Path())
         fields = [*source.map.values(), *([source.counter] if source.counter else [])]
         names = dict.fromkeys(field.partition(".")[0] for field in fields)
         self._messages = [_message(database, name, source.name) for name in names]
@@ -68,6 +76,18 @@ class Packing:
             f"{message.name}.{signal.name}": _places(signal) for message in self._messages for signal in message.signals
         }
         self._check(fields, source.name)
+        self._later = self._later_signals(fields, source)
+
+    def _later_signals(self, fields: Sequence[str], source: Source) -> dict[str, tuple[str, int]]:
+        """Return, of each signal of a later sample in a frame, the first sample's signal, and how much later it is."""
+        count = self._keys.samples_per_frame
+        if CHUNK % count or len(self._messages) > 1 < count or self._keys.counter_counts == "frames":
+            words = f"samples_per_frame = {count}: only 2, 4, 8 ... of one message that counts samples can be simulated"
+            raise SimUsageError(f'source "{source.name}": {words}')
+        return {
+            next_name(field, place): (field, place) for place in range(1, count) for field in fields
+            if field != source.counter
+        }  # fmt: skip
 
     def _check(self, fields: Sequence[str], source: str) -> None:
         signals = {f"{m.name}.{s.name}": s for m in self._messages for s in m.signals}
@@ -90,12 +110,18 @@ class Packing:
 
     def pack(self, raw: Raw) -> list[bytes]:
         """Return the frames' data of each sample, one after another."""
-        samples = len(next(iter(raw.values())))
+        count = self._keys.samples_per_frame
+        firsts = {name: numbers[::count] for name, numbers in raw.items()}
+        firsts |= {name: raw[field][place::count] for name, (field, place) in self._later.items()}
+        frames = len(next(iter(firsts.values())))
         parts = [
-            self._packed(message, kind, raw, samples) for message, kind in zip(self._messages, self.kinds, strict=True)
+            self._packed(message, kind, firsts, frames)
+            for message, kind in zip(self._messages, self.kinds, strict=True)
         ]
         data, size = np.hstack(parts).tobytes(), self.size
-        return [data[start : start + size] for start in range(0, len(data), size)]
+        # a frame of several samples goes out when the last one is due
+        rows = [[b""] * (count - 1) + [data[start : start + size]] for start in range(0, len(data), size)]
+        return [row for frame in rows for row in frame]
 
     def _packed(self, message: "Message", kind: FrameKind, raw: Raw, samples: int) -> NDArray[np.uint8]:
         bits = np.zeros((samples, 8 * kind.size), dtype=np.uint8)
@@ -103,7 +129,17 @@ class Packing:
             if not signal.multiplexer_ids:
                 field = f"{message.name}.{signal.name}"
                 bits[:, self._places[field]] = _bits(raw[field], signal)
+        if self._keys.checksum is not None:
+            self._add_checksum(self._keys.checksum, message, bits)
         return np.packbits(bits, axis=1)
+
+    def _add_checksum(self, keys: ChecksumKeys, message: "Message", bits: NDArray[np.uint8]) -> None:
+        """Set the checksum's bits in frames (n, bits)."""
+        signal = message.get_signal_by_name(keys.signal)
+        table = np.zeros(len(bits), FRAME)
+        table["data"][:, : bits.shape[1] // 8] = np.packbits(bits, axis=1)
+        check = FrameCheck(keys, SignalCodec(signal), message.length).calculated(table)
+        bits[:, self._places[f"{message.name}.{signal.name}"]] = _bits(check.astype(np.int64), signal)
 
 
 def _message(database: "Database", name: str, source: str) -> "Message":

@@ -25,6 +25,8 @@ class KernelFrames:
         self.size = _FD if any(kind.fd for kind in kinds) else _CLASSIC
 
     def __call__(self, _index: int, row: bytes) -> bytes:
+        if not row:
+            return b""  # the sample goes out with a later one
         frames = []
         for kind in self._kinds:
             data, row = row[: kind.size], row[kind.size :]

@@ -35,6 +35,8 @@ class SlcanText:
         self._stamped = stamped
 
     def __call__(self, index: int, row: bytes) -> bytes:
+        if not row:
+            return b""  # the sample goes out with a later one
         stamp = b"%04X" % (int(index * self._period_ms) % _WRAP_MS) if self._stamped else b""
         out = []
         for head, size in self._heads:

@@ -32,6 +32,8 @@ class FrameText:
         self._period_us = 1e6 / clock.sample_rate_hz
 
     def __call__(self, index: int, row: bytes) -> bytes:
+        if not row:
+            return b""  # the sample goes out with a later one
         time = self._stamp(index)
         out = []
         for digits, size in self._heads:

@@ -211,7 +211,7 @@ class EventRecord:
         alarms: alarms raised while it was kept.
         file: its path from the database's folder.
         state: "recording" (what came after the alarm is still awaited), "complete", "cut" (the agent ended, or the disk
-            failed, before all of it had come), "failed" (nothing could be kept), "purged" (it made room for newer ones).
+            failed, before all of it had come), "failed" (nothing could be kept), "purged" (it made room for others).
         from_ns, to_ns: times of its first and last sample.
         samples, bytes: how much it holds.
         baseline_id: the baseline that alarms counted from then; None for the nominal.

@@ -175,7 +175,7 @@ class Driver(ABC):
         reports, self._reports = self._reports, []
         return reports
 
-    def keep_heard(self) -> None:
+    def keep_heard(self) -> None:  # noqa: B027 - drivers without such a form have nothing to do
         """Begin to keep what the bus carries, for `take_heard`; only where there is a heard_suffix."""
 
     def take_heard(self) -> Heard | None:

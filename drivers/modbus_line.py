@@ -140,7 +140,8 @@ class ModbusLine:
     def _exchange(self, request: Request, unit: _Unit, timeout_s: float, faults: Counter[str]) -> ByteArray:
         pipe = self._connected()
         try:
-            self._settle(pipe, faults)
+            if self._settle(pipe, faults) and unit.unanswered:
+                unit.slowest_s = timeout_s
             pipe.send(self.frames.protocol, self.frames.request(request))
             asked_at = clock.monotonic()
             answer = self._await(pipe, request, asked_at + self._allowed(unit, timeout_s), faults)
@@ -153,14 +154,15 @@ class ModbusLine:
         self._answered(unit, clock.monotonic() - asked_at)
         return answer
 
-    def _settle(self, pipe: Pipe, faults: Counter[str]) -> None:
-        """Leave the silence that RTU wants between frames, and forget what came unasked."""
+    def _settle(self, pipe: Pipe, faults: Counter[str]) -> bool:
+        """Leave the silence that RTU wants between frames, and forget what came unasked; tell whether something did."""
         if self._pause_s is None:
-            return
+            return False
         clock.sleep(max(0.0, self._heard_at + self._pause_s - clock.monotonic()))
         stray = pipe.drain(0.0)
         if stray:
             faults["stray bytes"] += stray
+        return stray > 0
 
     def _allowed(self, unit: _Unit, timeout_s: float) -> float:
         usual = unit.slowest_s or self._usual_s

@@ -52,6 +52,7 @@ class PlayedLine(PlayedMachine):
         self.free_ns = max(self.free_ns, self.now_ns) + round(seconds * 1e9)
         if reply:
             self.coming.append((self.free_ns, reply))
+        self.coming.sort()
 
 
 class PlayedPipe(Pipe):

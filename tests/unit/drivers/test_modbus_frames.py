@@ -92,6 +92,46 @@ def test_rtu_reply_behind_a_cut_one_and_an_echo_is_found() -> None:
         assert data.view(">i4")[0] == 935
 
 
+def tcp_reply(transaction: int, value: int) -> bytes:
+    return bytes.fromhex(f"{transaction:04X} 00 00 00 07 01 04 04 {value:08X}")
+
+
+def given_up() -> TcpFrames:
+    """Frames that have given request 1 up and wait for the answer to request 2."""
+    frames = TcpFrames()
+    frames.request(READ)
+    frames.give_up()
+    frames.request(READ)
+    return frames
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1), (1, 2, 1)])
+def test_tcp_reply_is_found_before_and_behind_those_given_up(order: tuple[int, ...]) -> None:
+    frames = given_up()
+    data = frames.reply(b"".join(tcp_reply(number, number) for number in order), READ)
+    assert data is not None
+    assert data.view(">i4")[0] == 2
+    assert frames.late == len(order) - 1
+
+
+def test_tcp_reply_given_up_is_waited_for_until_it_is_whole() -> None:
+    frames = given_up()
+    late = tcp_reply(1, 7)
+    for cut in range(1, len(late)):
+        assert frames.reply(late[:cut], READ) is None
+        assert frames.partial(late[:cut])
+    assert frames.reply(late, READ) is None
+    assert not frames.partial(late)
+    assert frames.late == 1
+
+
+def test_tcp_reply_given_up_on_another_connection_is_a_fault() -> None:
+    frames = given_up()
+    frames.restart()
+    with pytest.raises(ReplyError, match="a reply of transaction 1 to 2"):
+        frames.reply(tcp_reply(1, 7), READ)
+
+
 def test_rtu_exception_is_raised_in_words() -> None:
     with pytest.raises(ReplyError, match=r"exception 2 \(illegal data address\) to function 4, unit 1, registers 768"):
         RtuFrames().reply(rtu("01 84 02"), READ)

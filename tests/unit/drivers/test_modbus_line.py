@@ -1,5 +1,6 @@
 """Shared Modbus lines on a played machine: late and missing answers, exceptions, who is asked when."""
 
+import contextlib
 import struct
 from collections import Counter
 
@@ -90,6 +91,71 @@ def test_rtu_unit_after_a_timeout_is_asked_for_another_length_first() -> None:
     assert times[2] - times[1] >= 0.15 - 1e-6  # its time-out, and a while in which a late answer meets no request
     assert driver.counts.faults["timeout"] == 1
     assert driver.counts.received == sum(map(len, got)) + driver.counts.rejected.total()
+
+
+def test_rtu_unit_that_answered_another_length_owes_nothing_any_more() -> None:
+    delays = iter([0.005, 0.14, 0.005, 0.005])
+    with played(lambda request: (sound_rtu(request)[0], next(delays))) as line:
+        rtu_line = ModbusLine(lambda: serial_pipe(SerialKeys(port="x"), "x"), RtuFrames(), 0.002)
+        faults = Counter[str]()
+        for count in (4, 4, 5, 4):
+            clock.sleep(0.3)
+            with contextlib.suppress(ReplyError):
+                rtu_line.ask(Request(1, 4, 40, count), 0.1, 0.0, faults)
+    assert [struct.unpack(">H", request[4:6])[0] for _, request in line.requests] == [4, 4, 5, 4]
+
+
+def test_rtu_unit_of_one_register_is_asked_for_more_and_its_refusal_is_an_answer_too() -> None:
+    def answer(request: bytes) -> tuple[bytes, float]:
+        if len(line.requests) == 2:
+            return b"", 0.0
+        count = struct.unpack(">H", request[4:6])[0]
+        return rtu(request[0], numbers(request[1:-2]) if count == 1 else bytes([0x84, 2])), 0.005
+
+    line = PlayedLine(answer)
+    with clock.playing(line):
+        driver = driver_of(**RTU, timeout_s=0.1)
+        driver.open()
+        got = [driver.read(0.1) for _ in range(8)]
+        driver.close()
+    assert [struct.unpack(">H", request[4:6])[0] for _, request in line.requests][:5] == [1, 1, 2, 1, 1]
+    assert {float(v) for block in got for v in block.values[:, 0]} == {40.0}
+    assert driver.counts.faults == {"timeout": 1}
+
+
+def test_rtu_unit_that_became_slower_is_given_its_whole_time_again() -> None:
+    def answer(request: bytes) -> tuple[bytes, float]:
+        if len(line.requests) == 2:
+            return b"", 0.0
+        return sound_rtu(request)[0], 0.005 if len(line.requests) == 1 else 0.08
+
+    line = PlayedLine(answer)
+    with clock.playing(line):
+        driver = driver_of(**RTU, timeout_s=0.1)
+        driver.open()
+        assert len(driver.read(0.1)) == 1
+        while not len(driver.read(0.1)):
+            assert len(line.requests) < 8
+        driver.close()
+
+
+def test_tcp_answer_that_stops_amid_costs_the_connection_and_not_the_source() -> None:
+    def answer(request: bytes) -> tuple[bytes, float]:
+        whole = tcp(request, numbers(request[7:]))
+        if len(line.requests) != 2:
+            return whole, 0.001
+        line.coming.append((line.now_ns + 600_000_000, whole[6:]))
+        return whole[:6], 0.001
+
+    line = PlayedLine(answer)
+    with clock.playing(line):
+        driver = driver_of(timeout_s=0.5)
+        driver.open()
+        blocks = [driver.read(0.2) for _ in range(8)]
+        driver.close()
+    assert {float(v) for block in blocks for v in block.values[:, 0]} == {40.0}
+    assert driver.counts.faults == {"timeout": 1}
+    assert line.connections == 2
 
 
 def test_ring_whose_slots_are_owed_waits_for_them_without_spinning() -> None:

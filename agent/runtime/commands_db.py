@@ -14,7 +14,8 @@ EXPORTS = ("estimates", "alarms", "alarm_events", "health", "runs", "event_recor
 
 def check(db: Path, *, as_json: bool) -> None:
     """Read a whole file and print what is wrong with it. Raises StoreError when something is."""
-    report = maintenance.check(db)
+    with maintenance.told(db):
+        report = maintenance.check(db)
     if as_json:
         print_json({"db": str(db), "problems": report.problems, "bytes": report.bytes, "rows": report.rows})
     else:
@@ -27,21 +28,24 @@ def check(db: Path, *, as_json: bool) -> None:
 
 def repair(db: Path, *, as_json: bool) -> None:
     """Replace a damaged file by one of the rows that prove themselves; print what came of it."""
-    found = maintenance.repair(db)
+    with maintenance.told(db):
+        found = maintenance.repair(db)
     words = "sound; nothing was changed" if found is None else f"repaired: {found}"
     _say(as_json, {"db": str(db), "repaired": found is not None}, f"{db}: {words}")
 
 
 def compact(db: Path, *, as_json: bool) -> None:
     """Give the file's free pages back to the disk."""
-    before, after = maintenance.compact(db)
+    with maintenance.told(db):
+        before, after = maintenance.compact(db)
     document = {"db": str(db), "bytes_before": before, "bytes_after": after}
     _say(as_json, document, f"{db}: {before} bytes before, {after} after")
 
 
 def backup(db: Path, target: Path, *, as_json: bool) -> None:
     """Copy a file, also while an agent writes to it."""
-    size = maintenance.backup(db, target)
+    with maintenance.told(db):
+        size = maintenance.backup(db, target)
     _say(as_json, {"db": str(db), "target": str(target), "bytes": size}, f"{target}: {size} bytes")
 
 

@@ -2,6 +2,8 @@
 
 import errno
 import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -79,15 +81,34 @@ def build(path: Path) -> None:
 
 def connect_writer(path: Path) -> sqlite3.Connection:
     """Open the writing connection; transactions are begun and ended by hand."""
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1.0, cached_statements=64)
-    try:
-        _use_log(connection)
-        for pragma in _WRITER:
-            connection.execute(pragma).fetchall()
-    except BaseException:
-        connection.close()
-        raise
+    with _log_kept(path):
+        connection = sqlite3.connect(
+            path, isolation_level=None, check_same_thread=False, timeout=1.0, cached_statements=64
+        )
+        try:
+            _use_log(connection)
+            for pragma in _WRITER:
+                connection.execute(pragma).fetchall()
+        except BaseException:
+            connection.close()
+            raise
     return connection
+
+
+@contextmanager
+def _log_kept(path: Path) -> Iterator[None]:
+    """See that a connection that fails to open does not take the write-ahead log with it.
+
+    Where the log's index cannot be opened, and at the closing only for reading, SQLite (3.40) takes the log for empty
+    and deletes it. It does not while another connection is there; one that only reads deletes nothing.
+    """
+    log = beside(path, "-wal")
+    if not log.exists() or not log.stat().st_size:
+        yield
+        return
+    with closing(sqlite3.connect(_uri(path, "mode=ro"), uri=True, isolation_level=None)) as guard:
+        guard.execute("PRAGMA user_version").fetchone()
+        yield
 
 
 def _use_log(connection: sqlite3.Connection) -> None:

@@ -73,6 +73,8 @@ def kind_of(path: Path) -> Kind:
             head = file.read(_HEAD)
     except FileNotFoundError:
         return Kind.MISSING
+    except PermissionError as error:
+        raise StoreError.at(str(path), "permission denied", "run as a user who may read it") from error
     if not head:
         return Kind.MISSING
     application_id = int.from_bytes(head[68:72], "big")
@@ -117,44 +119,60 @@ def check_place(path: Path) -> None:
         raise StoreError.at(str(path), f'there is no folder "{path.parent}"', "make it first")
 
 
+def check_writable(path: Path) -> None:
+    """Raise StoreError when permissions forbid to write a database at a path; a read-only disk may be mended."""
+    folder = path.parent
+    forbidden = not os.access(folder, os.W_OK | os.X_OK) and not os.statvfs(folder).f_flag & os.ST_RDONLY
+    try:
+        if path.exists():
+            os.close(os.open(path, os.O_RDWR))
+    except PermissionError:
+        forbidden = True
+    except OSError:
+        pass  # met again, and told, when it is opened in earnest
+    if forbidden:
+        advice = f"run as the owner of the file and of its folder, or let this user write to {folder}"
+        raise StoreError.at(str(path), "permission denied", advice)
+
+
 _LOCK_MARK = b"deltak "
 
 
 class Lock:
     """The right to change a database: flock on DB.lock, freed by the kernel when its holder dies.
 
-    Raises StoreHeldError when another process holds it. The file stays: removing it would let two processes lock two
-    different files of one name.
+    Its descriptor, `handle`, is -1 once it is released. Raises StoreHeldError when another process holds it.
+    The file stays: removing it would let two processes lock two different files of one name.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = beside(path, ".lock")
         try:
-            self._handle = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o660)
+            self.handle = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o660)
         except PermissionError as error:
             raise StoreError.at(str(self._file), "permission denied", "run as the owner of the folder") from error
         try:
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             holder = self._holder()
-            os.close(self._handle)
+            os.close(self.handle)
             what = f"process {holder} is writing to this database"
             raise StoreHeldError.at(str(path), what, "stop it first") from error
         self._sign()
 
     def _holder(self) -> str:
-        words = os.pread(self._handle, 64, 0).decode("ascii", "replace").split()
+        words = os.pread(self.handle, 64, 0).decode("ascii", "replace").split()
         return words[1] if len(words) > 1 else "unknown"
 
     def _sign(self) -> None:
         """Write who holds the lock; on a full disk the lock holds unsigned."""
         with suppress(OSError):
-            os.pwrite(self._handle, (_LOCK_MARK + f"{os.getpid()}".encode()).ljust(32) + b"\n", 0)
+            os.pwrite(self.handle, (_LOCK_MARK + f"{os.getpid()}".encode()).ljust(32) + b"\n", 0)
 
     def release(self) -> None:
-        if self._handle >= 0:
-            os.close(self._handle)
-            self._handle = -1
+        if self.handle >= 0:
+            os.close(self.handle)
+            self.handle = -1
 
 
 class Ballast:

@@ -3,7 +3,7 @@
 import csv
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -11,8 +11,9 @@ from typing import IO, Any
 from agent.errors import StoreError, StoreHeldError, UsageError
 from agent.storage import queries
 from agent.storage.command_socket import ask
-from agent.storage.connect import connect_reader, connect_writer
-from agent.storage.files import Kind, Lock, beside, check_place, kind_of, refuse, sync_folder
+from agent.storage.connect import cause_of, connect_reader, connect_writer, may_pass
+from agent.storage.files import Kind, Lock, beside, check_place, check_writable, kind_of, refuse, sync_folder
+from agent.storage.receipts import Receipts
 from agent.storage.salvage import Recovery, recover
 from agent.storage.store import Store
 from agent.storage.verify import problems
@@ -29,6 +30,16 @@ class Report:
 
 
 _COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events", "v_event_records")
+
+
+@contextmanager
+def told(path: Path | str) -> Iterator[None]:
+    """Turn what a disk refuses into a StoreError."""
+    try:
+        yield
+    except (sqlite3.Error, OSError) as error:
+        what = f"{cause_of(error)} ({error})"
+        raise StoreError.at(str(path), what, "look at its disk and its permissions") from error
 
 
 def check(path: Path | str) -> Report:
@@ -67,14 +78,17 @@ def repair(path: Path | str) -> Recovery | None:
     refuse(path, kind)
     if kind is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    check_writable(path)
     try:
         lock = Lock(path)
     except StoreHeldError as held:
         answer = _ask_holder(path, "repair", held)["repaired"]
         return Recovery(Path(answer[0]), *answer[1:]) if answer else None
     try:
-        found = ["its header is damaged"] if kind is Kind.DAMAGED else _problems_of(path)
-        return recover(path, found[0]) if found else None
+        receipts = Receipts(lock.handle)
+        lost = "its header is damaged" if kind is Kind.DAMAGED else receipts.missing(path)
+        found = [lost] if lost else _problems_of(path)
+        return recover(path, found[0], receipts.highs) if found else None
     finally:
         lock.release()
 
@@ -83,7 +97,9 @@ def _problems_of(path: Path) -> list[str]:
     try:
         with closing(connect_writer(path)) as connection:
             return problems(connection)
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        if may_pass(error):
+            raise
         return [str(error)]
 
 
@@ -126,6 +142,7 @@ def backup(path: Path | str, target: Path | str) -> int:
     check_place(target)
     if target.exists():
         raise UsageError.at(str(target), "exists already", "give a name that is free")
+    check_writable(target)
     part = beside(target, ".part")
     part.unlink(missing_ok=True)
     try:

@@ -102,7 +102,7 @@ def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows
 
 
 def health(db: Path | str, rig: str | None = None) -> Rows:
-    """Return the newest row of v_health of each source, with its `reasons` {"rejected": {..}, "dropped": {..}} and faults."""
+    """Return the newest row of v_health of each source; `reasons` is {"rejected": {..}, "dropped": {..}} and faults."""
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
         newest: dict[tuple[str, str], dict[str, Any]] = {}

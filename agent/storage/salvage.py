@@ -1,7 +1,7 @@
 """A damaged file: put aside whole, never deleted; what can still be read and proves itself goes into a new one."""
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -56,12 +56,15 @@ def finish_interrupted(path: Path) -> Path | None:
     return None
 
 
-def recover(path: Path, cause: str) -> Recovery:
-    """Replace the damaged, closed file at a path by a new one that holds every row of it that proves itself."""
+def recover(path: Path, cause: str, highs: Mapping[str, int] | None = None) -> Recovery:
+    """Replace the damaged, closed file at a path by a new one that holds every row of it that proves itself.
+
+    highs: the highest numbers known to have been given out, by table.
+    """
     fresh = beside(path, ".salvaging")
     _remove(fresh)
     build(fresh)
-    saved, refused = _copy_rows(path, fresh)
+    saved, refused = _copy_rows(path, fresh, highs or {})
     fresh.rename(beside(path, ".salvaged"))
     sync_folder(path.parent)
     return Recovery(_exchange(path, beside(path, ".salvaged")), cause, saved, refused)
@@ -107,7 +110,7 @@ def _remove(path: Path) -> None:
         beside(path, suffix).unlink(missing_ok=True)
 
 
-def _copy_rows(damaged: Path, fresh: Path) -> tuple[int, int]:
+def _copy_rows(damaged: Path, fresh: Path, highs: Mapping[str, int]) -> tuple[int, int]:
     """Copy every row that can be read and whose checksum is right; returns how many, and how many were not."""
     with closing(sqlite3.connect(fresh, isolation_level=None)) as target:
         target.execute("PRAGMA synchronous = FULL")
@@ -115,7 +118,7 @@ def _copy_rows(damaged: Path, fresh: Path) -> tuple[int, int]:
         for table, rows in scan(damaged, beside(damaged, "-wal")):
             _insert(target, table, rows, "INSERT OR IGNORE")
         _drop_orphans(target)
-        _complete(target)
+        _complete(target, highs)
         saved = sum(target.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in _TOLD)  # noqa: S608 - own
         lost = sum(not _holds(target, table, seq) for table, seq in refused)
         empty_log(target)
@@ -242,7 +245,7 @@ def _drop_orphans(target: sqlite3.Connection) -> None:
         target.execute(statement)
 
 
-def _complete(target: sqlite3.Connection) -> None:
+def _complete(target: sqlite3.Connection, highs: Mapping[str, int]) -> None:
     """Write again what can be derived, and see that no number is given out twice."""
     for code, texts in VERDICTS.items():
         cells = (code, *texts)
@@ -251,5 +254,5 @@ def _complete(target: sqlite3.Connection) -> None:
     target.execute("DELETE FROM sequences")
     for number, table in enumerate(TABLES, 1):
         newest = target.execute(f"SELECT max(seq) FROM {table}").fetchone()[0] or 0  # noqa: S608 - own name
-        cells = (number, table, max(newest, high.get(table, 0)) + _LEAP)
+        cells = (number, table, max(newest, high.get(table, 0), highs.get(table, 0)) + _LEAP)
         target.execute(insert_sql("sequences"), (*cells, row_crc(cells)))

@@ -19,7 +19,19 @@ from agent.storage.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writ
 from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
 from agent.storage.event_records import RecordBook
-from agent.storage.files import Ballast, Kind, Lock, beside, check_place, kind_of, refuse, renew, sync_folder
+from agent.storage.files import (
+    Ballast,
+    Kind,
+    Lock,
+    beside,
+    check_place,
+    check_writable,
+    kind_of,
+    refuse,
+    renew,
+    sync_folder,
+)
+from agent.storage.receipts import Receipts
 from agent.storage.retention import Retention, Upkeep
 from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.salvage import Recovery, finish_interrupted, recover
@@ -56,6 +68,7 @@ class Store:
     def __init__(self, path: Path, lock: Lock, keep: Retention) -> None:
         self.path = path
         self._lock = lock
+        self._receipts = Receipts(lock.handle)
         self._mutex = threading.RLock()
         self._connection: sqlite3.Connection | None = None
         self._side: sqlite3.Connection | None = None
@@ -85,6 +98,7 @@ class Store:
         path = Path(path)
         check_place(path)
         refuse(path, kind_of(path))
+        check_writable(path)
         store = cls(path, Lock(path), keep)
         try:
             store._attach()
@@ -125,7 +139,10 @@ class Store:
         refuse(self.path, kind)
         if kind is Kind.MISSING:
             create(self.path)
-        damage = "its header is damaged" if kind is Kind.DAMAGED else self._connect()
+        if kind is Kind.MISSING:
+            self._receipts.forget()
+        damage = "its header is damaged" if kind is Kind.DAMAGED else self._receipts.missing(self.path)
+        damage = damage or self._connect()
         if damage:
             self._replace(damage)
         sync_folder(self.path.parent)  # SQLite does so for its log, but does not mind when it fails
@@ -154,7 +171,7 @@ class Store:
     def _replace(self, damage: str) -> None:
         """Go on in a new file with the rows that could be saved; runs must be begun again."""
         self._disconnect()
-        self.recovery = recover(self.path, damage)
+        self.recovery = recover(self.path, damage, self._receipts.highs)
         self.names = Names(self.numbers)
         self._books.clear()
         self._coverage.clear()
@@ -264,6 +281,7 @@ class Store:
                 for table, rows in source.rows.items():
                     connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
         self.names.saved()
+        self._receipts.note(plan.rows)
         self._since_checkpoint[0] += 1
         self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
 

@@ -1,6 +1,5 @@
 import os
 import shutil
-import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ from agent.storage.salvage import recover
 from agent.storage.store import Store
 from agent.storage.verify import problems
 from agent.storage.writer import StoreWriter
+from tests.figures import figure
 from tests.storage.rows import HOP, START, batch, ledger, run_info, select, step, warming
 
 Rows = set[tuple[object, ...]]
@@ -29,13 +29,14 @@ def build(path: Path, *, leave_log: bool) -> None:
     store = Store.open(work)
     run_id = store.begin_run(run_info())
     for i in range(8):
-        store.write(run_id, [batch(30, first=30 * i), ledger(START + i)])
+        store.write(run_id, [batch(12, first=12 * i), ledger(START + i)])
     store.write(run_id, [step("NORM", "UNACK"), step("UNACK", "ACKED", by="anna")])
     store.maintain()
     store.checkpoint()
-    store.write(run_id, [batch(50, first=240)])
-    for suffix in ("", "-wal"):
-        if suffix == "" or leave_log:
+    shutil.copy(beside(work, ".lock"), beside(path, ".lock-before"))
+    store.write(run_id, [batch(20, first=96)])
+    for suffix in ("", "-wal", ".lock"):
+        if suffix != "-wal" or leave_log:
             shutil.copy(beside(work, suffix), beside(path, suffix))
     store.close()
     if not leave_log:
@@ -105,10 +106,10 @@ def trial(whole: Path, folder: Path, mutate: Mutate, rng: np.random.Generator, t
     shutil.copy(whole, path)
     logged = mutate is spoil_log or bool(rng.integers(2))
     truth = truths[logged]
+    shutil.copy(beside(whole, ".lock" if logged else ".lock-before"), beside(path, ".lock"))
     if logged:
         shutil.copy(beside(whole, "-wal"), beside(path, "-wal"))
     before = [p.read_bytes() for p in (path, beside(path, "-wal")) if p.exists()]
-    beside(path, ".lock").write_bytes(b"deltak 1\n")
     mutate(path, rng)
     if before == [p.read_bytes() for p in (path, beside(path, "-wal")) if p.exists()]:
         return "unharmed"
@@ -142,11 +143,13 @@ def test_start_on_damaged_copies_finds_the_damage_and_serves_nothing_false(
     for i in range(count):
         name = list(MUTATIONS)[i % len(MUTATIONS)]
         seen[name][trial(whole, tmp_path, MUTATIONS[name], rng, truths)] += 1
-    sys.stdout.write(f"damaged copies: { {name: dict(c) for name, c in seen.items()} }\n")
-    file_damage = sum((c for name, c in seen.items() if name != "log"), Counter())
-    harmful = sum(n for what, n in file_damage.items() if what not in {"unharmed", "harmless"})
-    assert file_damage["undetected"] <= 0.1 * harmful
-    assert file_damage["detected"] >= 0.6 * harmful
+    total = sum(seen.values(), Counter())
+    harmful = sum(n for what, n in total.items() if what not in {"unharmed", "harmless"})
+    words = ", ".join(f"{name} {c['undetected']} of {c.total()}" for name, c in seen.items() if c["undetected"])
+    figure(f"damaged copies: {count}, {harmful} harmed, {total['undetected']} undetected ({words or 'none'})")
+    assert total["undetected"] <= 0.1 * harmful
+    assert seen["log"]["undetected"] <= 0.1 * seen["log"].total()
+    assert total["detected"] >= 0.6 * harmful
 
 
 def test_recovery_saves_every_row_that_is_sound(whole: Path, tmp_path: Path) -> None:

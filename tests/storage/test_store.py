@@ -25,7 +25,8 @@ CONTRACT = {
     "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until "
     "delta sd limit_value probability message",
     "v_alarm_events": "id alarm_id t_ns time from_state to_state cause by comment",
-    "v_health": "rig source t_ns time received used rejected dropped gaps lag_s drift_ppm drift_sd_ppm skew_s skew_sd_s",
+    "v_health": "rig source t_ns time received used rejected dropped gaps lag_s drift_ppm drift_sd_ppm skew_s "
+    "skew_sd_s",
     "v_health_reasons": "rig source t_ns kind reason count",
     "v_runs": "run_id rig kind started_at code_version config_sha256 baseline_id boot_id",
     "v_meta": "key value",

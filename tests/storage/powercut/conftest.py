@@ -15,3 +15,9 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [compiler, "-O2", "-Wall", "-Werror", "-shared", "-fPIC", "-o", library, source, "-ldl"]
     subprocess.run(command, check=True)
     return library
+
+
+@pytest.fixture(autouse=True)
+def light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ballast that is laid in no time; no test here fills a disk."""
+    monkeypatch.setattr("agent.storage.files.BALLAST_BYTES", 64 * 1024)

@@ -21,13 +21,16 @@ from agent.storage.store import Store
 from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.disk import cuts, read_log
-from tests.storage.powercut.test_powercut import lay, lost_after
+from tests.storage.powercut.test_powercut import Starts
 from tests.storage.powercut.workload import PROFILES, records
 from tests.storage.rows import batch, run_info, step
 
 WRITES = 8
-EXPENDABLE = re.compile(r"|.*\.(ballast|lock)|U .*\.new-(wal|journal|shm)")
-"""What may fail without anybody being told: room in reserve, who holds the lock, what is deleted before it is made."""
+EXPENDABLE = re.compile(r"|.*\.(ballast|lock)|U .*\.new-(wal|journal|shm)|O .*/trial")
+"""What may fail without anybody being told.
+
+Room in reserve, who holds the lock, what is deleted before it is made, SQLite's own sync of the folder (ours is told).
+"""
 
 
 @dataclass(frozen=True)
@@ -112,13 +115,19 @@ def whole(path: Path, acknowledged: list[int]) -> tuple[int, set[str], set[str]]
 
 
 def plan(seen: dict[str, int], every: int) -> Iterator[tuple[str, int, int, int]]:
-    """Yield kind, error, first and count: each operation, every `every`-th write; once, three times and for long."""
+    """Yield kind, error, first and count: every `every`-th write, each fourth of that of the others, each opening.
+
+    The errors take turns, and so do failing once, three times and for long; with `every` 1 each meets each.
+    """
     for kind, total in seen.items():
-        numbers = range(1, total + 1, every if kind == "W" else max(1, every // 4))
-        for place, first in enumerate(numbers):
-            error = (errno.EIO, errno.ENOSPC, errno.EROFS)[place % 3] if every > 1 else None
-            for chosen in [error] if error else (errno.EIO, errno.ENOSPC, errno.EROFS):
-                yield kind, chosen, first, (1, 3, 12)[(place + first) % 3]
+        step = {"W": every, "O": 1}.get(kind, max(1, every // 4))
+        for place, first in enumerate(range(1, total + 1, step)):
+            errors = (errno.EIO, errno.ENOSPC, errno.EROFS)
+            counts = (3, 1, 3, 12)
+            if every == 1:
+                yield from ((kind, error, first, count) for error in errors for count in (1, 2, 3, 4, 12))
+            else:
+                yield kind, errors[place % 3], first, 3 if kind == "O" else counts[place % 4]
 
 
 @pytest.mark.parametrize("start", ["first", "later"])
@@ -142,8 +151,10 @@ def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(ward: Ward,
         assert missing == 0, case
         assert len(life.acknowledged) == WRITES, f"it does not recover: {case}"
         assert life.dropped == 0, case
+        assert "damaged" not in events, f"a failure that passes was taken for damage: {case}"
         assert alarms == ({"RTNUN"} if events else set()), case
-        assert events or EXPENDABLE.fullmatch(life.failed), f"nothing was told of it: {case}"
+        retried = kind == "O" and count == 1  # by SQLite itself, or for reading only
+        assert events or retried or EXPENDABLE.fullmatch(life.failed), f"nothing was told of it: {case}"
         told.update(events or ["nothing failed" if not life.failed else "expendable"])
     figure(f"a disk that fails, {start} start: {sum(told.values())} operations, nothing lost; told as {dict(told)}")
 
@@ -157,15 +168,14 @@ def test_sync_that_failed_is_never_taken_for_done(
 ) -> None:
     """A process is killed after a sync (of a file, of the folder) failed, another goes on, and then the power goes."""
     syncs = ward.live(ward.fresh("dry"), "-", 0, 0, 0, stop=False).seen[kind]
-    tried = 0
+    starts = Starts(ward.folder / "cut", "live")
     for first in range(1, syncs + 1, every if kind == "S" else 1):
         path, begin = ward.fresh("trial"), ward.log.stat().st_size
         ward.live(path, kind, errno.EIO, first, 1 if mended else 10**6, stop=False, patience_s=0.05)
         ward.live(path, "-", 0, 0, 0, number=WRITES, stop=False)
         for moment, files, told in cuts(read_log(ward.log, begin), count, rng):
-            assert lost_after(lay(files, ward.folder / "cut"), "live", told) == 0, f"{kind} {first}, cut at {moment}"
-            tried += 1
-    figure(f"power cuts after a sync ({kind}) that failed and a kill -9: {tried}, nothing acknowledged lost")
+            assert starts.lost(files, told) == 0, f"{kind} {first}, cut at {moment}"
+    figure(f"power cuts after a sync ({kind}) that failed and a kill -9: {starts.cuts}, nothing acknowledged lost")
 
 
 def test_reopen_whose_folder_cannot_be_synced_takes_no_row(memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:

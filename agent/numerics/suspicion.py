@@ -26,6 +26,8 @@ BETTER = 2.0
 """A hypothesis must leave less than this part of what the readings as they are leave, over all outputs together."""
 NEAR = 1.1
 """Explanations that leave no more than this many times what the best one leaves cannot be told from it."""
+WORTH = 3.0
+"""Explanations that leave more than this many times what the best one leaves of one stretch are not tried further."""
 EXPLAINED = 0.5
 """Share of an output that an explanation may leave at most."""
 FITS = 1.5
@@ -154,8 +156,11 @@ class Examiner:
         trials = []
         for number, hypothesis in enumerate(candidates):
             self.progress(number, len(candidates))
-            trials.append(self._try(hypothesis, stretches))
+            trials.append(self._try(hypothesis, stretches[:1]))
         self.progress(len(candidates), len(candidates))
+        # one stretch shows which are worth all of them
+        least = min((trial.left for trial in trials), default=np.inf)
+        trials = [self._try(t.hypothesis, stretches) for t in trials if t.left <= WORTH * least]
         good = [t for t in trials if t.left * BETTER < plain.left and t.share.max() < EXPLAINED and self._plausible(t)]
         if not good:
             return None

@@ -8,15 +8,16 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel, rig_model, window_settings
 from agent.config import RigConfig, load
-from agent.errors import ConfigError, Fault, UsageError
+from agent.errors import ConfigError, Fault
 from agent.numerics.margins import condition_3, condition_8, worst_perturbation_norm
 from agent.numerics.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
 from agent.numerics.observer import Noise
 from agent.numerics.statespace import Discrete, discretise
 from agent.runtime.check_advice import warnings
+from agent.runtime.check_evidence import Evidence, Gathered
 from agent.runtime.check_model import hidden_states, model_faults
 from agent.runtime.check_predict import predictions, rows, sampled
-from agent.runtime.check_recording import Recorded, read_recording
+from agent.runtime.progress import Progress, on_terminal
 from agent.runtime.sources import wire_steps
 from agent.storage.retention import Retention, bytes_per_rig_year
 from agent.types import FloatArray
@@ -24,29 +25,28 @@ from drivers.port import DriverConfigError
 
 _NOTHING: dict[str, Any] = {
     "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "box_margin": None,
-    "predicted_sd": [], "recording": None, "bytes_per_rig_year": None,
+    "predicted_sd": [], "recording": None, "probe": None, "bytes_per_rig_year": None,
 }  # fmt: skip
 
 
-def check(*, config: Path, recording: Path | None, probe: bool) -> dict[str, Any]:
+def check(*, config: Path, recording: Path | None, probe: bool, progress: Progress | None = None) -> dict[str, Any]:
     """Check a configuration; return the document of CONTRACT section 8, with "ok" false and every fault in "errors".
 
     Args:
         config: the file.
         recording: judge with its excitation and noise instead of a white force of 1 N rms.
-        probe: listen to the sources; not in this version.
+        probe: listen to the sources for some seconds and judge with what they deliver.
+        progress: told how far long work is; a terminal's own line by default.
 
-    Raises UsageError for probe, RecordingError for a recording that cannot be used.
+    Raises UsageError for a probe without sources, RecordingError for a recording that cannot be used, BusError for a
+    source that cannot be opened.
     """
-    if probe:
-        advice = "`deltak run CONFIG --duration 5 --json` counts what arrives"
-        raise UsageError.at("--probe", "is not in this version", advice)
     try:
         rig_config = load(config)
         resolution = _resolution(rig_config)
     except ConfigError as error:
         return {"ok": False, "errors": [_fault(fault) for fault in error.faults], "warnings": []} | _NOTHING
-    return _document(rig_config, resolution, recording)
+    return _document(rig_config, resolution, Evidence(recording, probe, progress or on_terminal()))
 
 
 def _fault(fault: Fault) -> dict[str, str]:
@@ -62,15 +62,20 @@ def _resolution(config: RigConfig) -> FloatArray:
     return np.array([steps.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in config.outputs])
 
 
-def _document(config: RigConfig, resolution: FloatArray, recording: Path | None) -> dict[str, Any]:
+def _document(config: RigConfig, resolution: FloatArray, evidence: Evidence) -> dict[str, Any]:
     rig = rig_model(config)
     faults = model_faults(config, rig)
     document = {"ok": not faults, "errors": [_fault(fault) for fault in faults], "warnings": []} | _NOTHING
     document |= {"observable": not hidden_states(rig.model), "poles": poles(rig)}
     document |= {"bytes_per_rig_year": _bytes(config, rig)}
-    recorded = None if recording is None or faults else read_recording(config, recording)
-    document |= {"recording": None if recorded is None else recorded.facts}
-    return document if faults else document | _dynamic(config, rig, resolution, recorded)
+    if faults:
+        return document
+    gathered = evidence.gather(config)
+    document |= {"recording": gathered.recording, "probe": gathered.probe}
+    evidence.progress("weighing what windows can tell")
+    found = _dynamic(config, rig, resolution, gathered)
+    evidence.progress("")
+    return document | found
 
 
 def poles(rig: RigModel) -> list[dict[str, float | None]]:
@@ -92,13 +97,14 @@ def _bytes(config: RigConfig, rig: RigModel) -> int:
     return bytes_per_rig_year(len(rig.parameters), store.every_s, config.estimator.hop_s, retention, sources)
 
 
-def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, recorded: Recorded | None) -> dict[str, Any]:
+def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered: Gathered) -> dict[str, Any]:
     """What only a model without faults has: observer, conditions, the sd to expect, warnings."""
     discrete = sampled(config, rig)
     settings = window_settings(config, rig, resolution)
     sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
     noise = Noise(sigma, np.zeros(rig.disturbance.shape[1]))
     gain, start = settings.gains.settled(discrete, noise).L, settings.gains.start(discrete, noise).L
+    recorded = gathered.recorded
     predicted = predictions(config, rig, resolution, recorded)
     return {
         "observer": _observer(discrete, gain) | {"start": _observer(discrete, start)},
@@ -106,7 +112,7 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, recorded:
         "condition_8": _condition_8(config, rig, discrete, gain),
         "box_margin": _box(rig),
         "predicted_sd": rows(predicted, config, rig),
-        "warnings": [_fault(fault) for fault in warnings(config, rig, predicted, recorded)],
+        "warnings": [_fault(f) for f in (*warnings(config, rig, predicted, recorded), *gathered.warnings)],
     }
 
 

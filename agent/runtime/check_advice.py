@@ -9,7 +9,7 @@ from agent.blocks.rig_model import RigModel
 from agent.config import RigConfig
 from agent.errors import Fault
 from agent.runtime.check_predict import Prediction, sampled, windows
-from agent.runtime.check_recording import Recorded
+from agent.runtime.readings import Recorded
 from agent.runtime.sources import source_hints
 
 MARGINAL = 1e-9

@@ -12,7 +12,7 @@ from agent.config import RigConfig
 from agent.numerics.information import bound_sd, window_information
 from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, discretise, simulate
-from agent.runtime.check_recording import Recorded
+from agent.runtime.readings import Recorded
 from agent.types import FloatArray
 
 FORCE_RMS = 1.0

@@ -110,9 +110,9 @@ def paper(
 def check(
     config: Config,
     recording: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Judge with the excitation of this recording.")
+        Path | None, typer.Option(metavar="FILE", help="Judge by this recording: each channel, and the sd to expect.")
     ] = None,
-    probe: Annotated[bool, typer.Option("--probe", help="Listen to the sources for 5 s.")] = False,
+    probe: Annotated[bool, typer.Option("--probe", help="Listen to the sources for 5 s and judge by that.")] = False,
     json: Json = False,
 ) -> None:
     """Check a configuration: faults, observability, poles, the sd to expect, advice."""

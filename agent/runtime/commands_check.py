@@ -22,7 +22,8 @@ def print_check(document: Document) -> None:
     _print_poles(document.get("poles") or [])
     _print_conditions(document)
     _print_box(document.get("box_margin"))
-    _print_recording(document.get("recording"))
+    _print_recording(document.get("recording"), "the recording")
+    _print_recording(document.get("probe"), "the probe")
     _print_predicted(document.get("predicted_sd") or [])
     if document.get("bytes_per_rig_year"):
         show(f"the database grows by about {document['bytes_per_rig_year'] / 1e6:.0f} MB a year")
@@ -68,14 +69,27 @@ def _print_box(box: Document | None) -> None:
     show(proven if box["share"] > 0 else "no range in which parameters may move at will is proven stable")
 
 
-def _print_recording(facts: Document | None) -> None:
+def _print_recording(facts: Document | None, what: str) -> None:
     if not facts:
         return
-    columns = ("channel", "unit", "samples a second", "least", "most", "noise sd")
-    keys = ("rate_hz", "min", "max", "noise_sd")
-    rows = ((c["name"], c["unit"], *(number(c[key], 4) for key in keys)) for c in facts["channels"])
-    ledger = f"{facts['used']:,} samples in {number(facts['span_s'], 4)} s, {facts['gaps']} gaps"
-    print_table(f"the recording: {ledger}", columns, rows, right=columns[2:])
+    columns = ("channel", "unit", "samples a second", "least", "most", "noise sd", "missing", "gaps", "clock, ppm")
+    rows = (_channel(c) for c in facts["channels"])
+    if facts["channels"]:
+        ledger = f"{facts['used']:,} samples in {number(facts['span_s'], 4)} s, {facts['gaps']} gaps"
+        print_table(f"{what}: {ledger}", columns, rows, right=columns[2:])
+    for source in facts["sources"]:
+        if source.get("skew_s") is not None:
+            skew = f"{1e3 * source['skew_s']:.3f} ± {1e3 * source['skew_sd_s']:.3f} ms"
+            show(f"{source['name']}: read {skew} later than the reference source; compensated")
+    if facts["channels"] and not facts["suspicions"]:
+        show("no channel is suspected of being swapped, turned round or mis-scaled")
+
+
+def _channel(channel: Document) -> tuple[str, ...]:
+    drift, sd = channel["drift_ppm"], channel["drift_sd_ppm"]
+    clock = "" if drift is None else f"{drift:+.1f} ± {2 * sd:.1f}"
+    figures = (number(channel[key], 4) for key in ("rate_hz", "min", "max", "noise_sd"))
+    return (channel["name"], channel["unit"], *figures, str(channel["missing"]), str(channel["gaps"]), clock)
 
 
 def _holds(condition: Document) -> str:

@@ -206,7 +206,7 @@ def test_two_rings_of_a_simulated_line_are_read_whole_side_by_side(tmp_path: Pat
             settings = ModbusSettings.model_validate({**ring, "device_id": unit, "fields": fields})
             drivers.append(ModbusDriver(SourceRequest(f"unit{unit}", settings, (name,), None, tmp_path)))
         with ThreadPoolExecutor(2) as pool:
-            values = list(pool.map(lambda driver: read_ring(driver, 1000), drivers))
+            values = list(pool.map(lambda driver: read_ring(driver, 500), drivers))
         assert sim.stop() == 0
     readings = sim.truth()["readings"]
     for column, got in enumerate(values):

@@ -16,6 +16,7 @@ import pytest
 from agent.storage.connect import connect_reader
 from agent.storage.store import Store
 from tests import peers
+from tests.figures import figure
 from tests.storage.powercut.workload import PROFILES, START
 
 
@@ -93,13 +94,14 @@ def missing_of(reader: sqlite3.Connection, run_id: int, hops: int, profile: str)
 @pytest.mark.parametrize(
     ("profile", "kills"),
     [("live", 80), ("bulk", 60), ("keep", 60)]
-    + [pytest.param(name, 334, marks=[pytest.mark.soak, pytest.mark.timeout(3600)]) for name in PROFILES],
+    + [pytest.param(name, 250, marks=[pytest.mark.soak, pytest.mark.timeout(3600)]) for name in PROFILES],
 )
 def test_kill_of_the_writer_at_any_moment_loses_nothing_acknowledged(
     nursery: Nursery, memory: Path, rng: np.random.Generator, profile: str, kills: int
 ) -> None:
     path = memory / "rig.db"
     lives: list[tuple[int, int]] = []
+    acknowledged = 0
     for number in range(kills):
         if number % 10 == 0:
             path = memory / f"rig-{number}.db"
@@ -108,13 +110,15 @@ def test_kill_of_the_writer_at_any_moment_loses_nothing_acknowledged(
         nursery.read(lambda _: False, float(rng.uniform(0.0, 0.06)))
         _, run, *told = nursery.kill(pid)
         lives.append((int(run.split()[1]), len(told) * PROFILES[profile].hops))
+        acknowledged += len(told)
         reader = connect_reader(path)
         assert sum(missing_of(reader, run_id, hops, profile) for run_id, hops in lives[-3:]) == 0
         reader.close()
     with Store.open(path, PROFILES[profile].keep) as store:
         assert store.recovery is None
         assert sum(missing_of(store.connection, run_id, hops, profile) for run_id, hops in lives) == 0
-    assert sum(hops for _, hops in lives) > 20
+    figure(f"kill -9 of the writer, {profile}: {kills} kills, none of {acknowledged} acknowledged writes lost")
+    assert acknowledged > kills
 
 
 def test_kill_during_the_first_start_leaves_a_file_that_opens(

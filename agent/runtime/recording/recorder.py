@@ -158,6 +158,7 @@ class Recorder:
     def _open(self) -> Segment:
         """Return the open file; a new one when there is none or it has had its time."""
         if self._segment is not None and (self._segment.size() >= self._limits.segment_bytes or self._aged()):
+            self._segment.sync()
             self._close()
         if self._segment is None:
             path = self._shelf.next(self._suffix or blocks.SUFFIX)

@@ -143,7 +143,7 @@ def run(
 @app.command()
 def replay(
     config: Config,
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV or NPZ files.")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
     db: NewDb = None,
     json: Json = False,
 ) -> None:

@@ -7,7 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import typer
+from typer.testing import CliRunner
 
+from sim_bus.commands import sim as sim_command
+from sim_bus.fault_names import names
 from tests.sim.rigs import LIMIT_S, MODEL, RawModbus, free_port, refused, ring_config, simulator, until
 from tests.sim.test_serial_device import BINARY, opened, read
 from tests.sim.test_socketcand_device import daemon, played
@@ -144,3 +148,49 @@ def test_sim_unknown_fault_names_those_there_are(tmp_path: Path) -> None:
     assert sim.code == 2
     assert "no fault is called modbus.melt" in sim.err
     assert "modbus.disconnect" in sim.err
+
+
+def test_modbus_answers_that_are_wrong_are_so_while_the_fault_lasts(tmp_path: Path) -> None:
+    """One live server, one wrong byte: the header's unit; before and after it answers as it should."""
+    port = free_port()
+    with simulator(tmp_path, ring_config(port), "--fault", "modbus.wrong-unit@0.1+0.2") as sim:
+        units: list[int] = []
+        with socket.create_connection(("127.0.0.1", port), LIMIT_S) as line:
+
+            def unit() -> int:
+                line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 2))
+                reply = line.recv(64)
+                assert len(reply) == 13
+                return reply[6]
+
+            until(lambda: units.append(unit()) or (2 in units and units[-1] == 1))
+        assert sim.stop() == 0
+    assert set(units) == {1, 2}
+
+
+def test_modbus_answers_come_byte_by_byte_or_late(tmp_path: Path) -> None:
+    port = free_port()
+    options = ("--fault", "modbus.dribble@0.05+0.2", "--fault", "modbus.slow@0.3+5")
+    with simulator(tmp_path, ring_config(port), *options) as sim:
+        pieces, waited = [], 0.0
+        with socket.create_connection(("127.0.0.1", port), LIMIT_S) as line:
+            while waited < 0.2:
+                begun = time.monotonic()
+                line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 2))
+                reply = [line.recv(64)]
+                while sum(map(len, reply)) < 13:
+                    reply.append(line.recv(64))
+                pieces.append(len(reply))
+                waited = time.monotonic() - begun
+        assert sim.stop() == 0
+    assert max(pieces) >= 4
+    assert pieces[0] == pieces[-1] == 1
+
+
+def test_sim_lists_every_fault_with_what_is_told_of_it() -> None:
+    app = typer.Typer()
+    app.command()(sim_command)
+    result = CliRunner().invoke(app, ["--list-faults"])
+    assert result.exit_code == 0
+    assert [line.partition(":")[0] for line in result.stdout.splitlines()] == names()
+    assert "serial.baud: every byte is another one, as at a wrong bit rate (0.5 s); the agent" in result.stdout

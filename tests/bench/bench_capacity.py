@@ -1,0 +1,208 @@
+"""How many rigs of 1 kHz one core sustains, the whole agent, live on each bus; which stage limits.
+
+python -m tests.bench.bench_capacity BUS RIGS (part of make bench). The devices play in real time in a process of their
+own on another core; the agent runs on one core, its database included. Its cost is read from the threads' processor
+time, so that other work on the machine blurs it little; to keep up it needs a core of its own.
+"""
+
+import os
+
+# small products are ten times slower on two threads; must stand before numpy is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import json
+import logging
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from agent.blocks.acquisition import Acquisition
+from agent.blocks.alarm import LevelAlarms
+from agent.blocks.estimation import Estimation
+from agent.blocks.quality import Quality
+from agent.config import load_many
+from agent.runtime.clock import monotonic_ns
+from agent.runtime.demo_bus import COARSE, FINE, write_config
+from agent.runtime.service import Service
+from agent.runtime.sources import Connection
+from sim_bus.player import Player
+from sim_bus.rigfile import read_rig
+from sim_bus.scenario import load_scenario
+
+WARM_S, MEASURED_S = 6.0, 10.0
+STAGES: dict[str, tuple[type, str]] = {
+    "acquisition": (Acquisition, "step"),
+    "quality": (Quality, "step"),
+    "estimation": (Estimation, "step"),
+    "alarms": (LevelAlarms, "step"),
+}
+TICKS = os.sysconf("SC_CLK_TCK")
+CORES = sorted(os.sched_getaffinity(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Capacity:
+    """What was measured: rigs run; processor seconds a second by stage; samples lost; the longest wait."""
+
+    rigs: int
+    cost: dict[str, float]
+    lost: int
+    lag_s: float
+
+    @property
+    def kept_up(self) -> bool:
+        """Nothing was lost and nothing waits."""
+        return self.lost == 0 and self.lag_s < 1.0
+
+    @property
+    def sustained(self) -> float:
+        """Rigs that fill one core."""
+        return self.rigs / sum(self.cost.values())
+
+    @property
+    def limit(self) -> str:
+        """The stage that costs most."""
+        return max(self.cost, key=lambda stage: self.cost[stage])
+
+
+def configure(bus: str, rigs: int, folder: Path) -> list[Path]:
+    """Write the demo's rig so many times, each with a device of its own; CAN carries FD frames."""
+    paths = []
+    for number in range(rigs):
+        own = folder / f"{bus}{number}"
+        own.mkdir()
+        path = write_config(bus, FINE if bus == "can" else COARSE, own, fast=True).config
+        text = path.read_text(encoding="utf-8").replace('name = "demo"', f'name = "rig-{number}"')
+        path.write_text(text.replace("every_s = 0", "every_s = 1.0"), encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+def devices(configs: list[str]) -> None:
+    """Play the devices in real time until told to end."""
+    os.sched_setaffinity(0, CORES[-1:])
+    scenario = load_scenario("steady", {})
+    with ExitStack() as stack:
+        for config in configs:
+            player = Player(read_rig(Path(config)), scenario)
+            player.start()
+            stack.callback(player.stop)
+        print("ready", flush=True)
+        sys.stdin.readline()
+
+
+def agent(configs: list[str], folder: Path) -> None:
+    """Run the whole agent on one core and print what its threads and stages cost."""
+    os.sched_setaffinity(0, CORES[:1])
+    logging.disable(logging.CRITICAL)
+    spent = _measured_stages()
+    service = Service(load_many([Path(config) for config in configs]), folder / "agent.db", "live")
+    main = threading.get_native_id()
+    found: dict[str, Any] = {}
+    watch = threading.Thread(target=_watch, args=(service, main, spent, found), daemon=True)
+    watch.start()
+    service.run(None)
+    watch.join()
+    found["samples"] = [rig.summary.document(1.0)["samples"] for rig in service.rigs.values()]
+    print(json.dumps(found), flush=True)
+
+
+def _measured_stages() -> Counter[str]:
+    """Have every stage of the pipeline note the processor time of its thread."""
+    spent: Counter[str] = Counter()
+
+    def noted(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def step(*args: Any) -> Any:
+            begun = time.thread_time()
+            try:
+                return method(*args)
+            finally:
+                spent[name] += time.thread_time() - begun
+
+        return step
+
+    for name, (owner, method) in STAGES.items():
+        setattr(owner, method, noted(name, getattr(owner, method)))
+    return spent
+
+
+def _watch(service: Service, main: int, spent: Counter[str], found: dict[str, Any]) -> None:
+    time.sleep(WARM_S)
+    before, stages, begun = _threads(main), Counter(spent), time.monotonic()
+    time.sleep(MEASURED_S)
+    seconds = time.monotonic() - begun
+    cost = {name: spend / seconds for name, spend in (_threads(main) - before).items()}
+    inner = {name: spend / seconds for name, spend in (spent - stages).items()}
+    cost["hand over"] = max(0.0, cost.pop("main", 0.0) - sum(inner.values()))
+    found["cost"] = cost | inner
+    found["lag_s"] = max(_waited_s(connection) for connection in service.connections)
+    service.stop()
+
+
+def _waited_s(connection: Connection) -> float:
+    """Return for how long the oldest block has waited to be computed."""
+    with connection._lock:
+        oldest = connection._waiting[0].block.arrival_ns if connection._waiting else None
+    return 0.0 if oldest is None else (monotonic_ns() - oldest) / 1e9
+
+
+def _threads(main: int) -> Counter[str]:
+    """Return the processor seconds of this process's threads: read, main, and the others together."""
+    names = {thread.native_id: thread.name for thread in threading.enumerate()}
+    spent: Counter[str] = Counter()
+    for task in Path("/proc/self/task").iterdir():
+        fields = (task / "stat").read_text().rpartition(")")[2].split()
+        number, name = int(task.name), names.get(int(task.name), "")
+        kind = "main" if number == main else "read and decode" if name.startswith("read ") else "store and others"
+        spent[kind] += (int(fields[11]) + int(fields[12])) / TICKS
+    return spent
+
+
+def measure(bus: str, rigs: int) -> Capacity:
+    """Run so many rigs on one bus and return what they cost."""
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        configs = [str(path) for path in configure(bus, rigs, Path(name))]
+        command = [sys.executable, "-m", "tests.bench.bench_capacity"]
+        ends = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        player = stack.enter_context(subprocess.Popen([*command, "devices", *configs], **ends, text=True))
+        stack.callback(player.kill)
+        assert player.stdout is not None
+        assert player.stdout.readline() == "ready\n"
+        listen = [*command, "agent", name, *configs]
+        done = subprocess.run(listen, capture_output=True, text=True, check=True, timeout=300)
+    found = json.loads(done.stdout.splitlines()[-1])
+    lost = sum(
+        sum(one["dropped"].values()) + sum(one["rejected"].values()) + one["gaps"] for one in found["samples"]
+    )
+    return Capacity(rigs, found["cost"], lost, found["lag_s"])
+
+
+def told(bus: str, found: Capacity) -> str:
+    """Return a measurement in words."""
+    ranked = sorted(found.cost.items(), key=lambda item: -item[1])
+    costs = ", ".join(f"{stage} {100 * cost:.1f} %" for stage, cost in ranked)
+    kept = "kept up" if found.kept_up else "did NOT keep up"
+    head = f"{bus}: {found.rigs} rigs at 1 kHz {kept} ({found.lost} lost, {found.lag_s:.2f} s behind)"
+    return f"{head}; one core would carry {found.sustained:.0f}, limited by {found.limit}\n  of a core: {costs}"
+
+
+def main(arguments: list[str]) -> None:
+    """Play a part, or measure."""
+    if arguments[0] == "devices":
+        devices(arguments[1:])
+    elif arguments[0] == "agent":
+        agent(arguments[2:], Path(arguments[1]))
+    else:
+        print(told(arguments[0], measure(arguments[0], int(arguments[1]))))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

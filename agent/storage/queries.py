@@ -190,13 +190,14 @@ def _tiered(connection: sqlite3.Connection, rig: str, parameter: str, first: int
 
 
 def _bounds(connection: sqlite3.Connection, rig: str, span: int, first: int, last: int) -> tuple[int, int] | None:
-    """Return the oldest instant of a tier in a stretch and how many instants it has there."""
+    """Return the oldest instant of a tier in a stretch and how many it has there, counted no further than matters."""
+    part = "FROM hops h WHERE h.run_id = r.seq AND h.span = ?2 AND h.t_ns BETWEEN ?3 AND ?4"
     query = (
-        "SELECT min(h.t_ns), count(*) FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq "
-        "CROSS JOIN hops h ON h.run_id = r.seq "
-        "WHERE g.name = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ?"
+        f"SELECT min(t), sum(n) FROM (SELECT (SELECT h.t_ns {part} ORDER BY h.t_ns LIMIT 1) AS t, "
+        f"(SELECT count(*) FROM (SELECT 1 {part} LIMIT ?5)) AS n "
+        "FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq WHERE g.name = ?1)"
     )
-    oldest, count = connection.execute(query, (rig, span, first, last)).fetchone()
+    oldest, count = connection.execute(query, (rig, span, first, last, _MOST_POINTS + 1)).fetchone()
     return (oldest, count) if count else None
 
 

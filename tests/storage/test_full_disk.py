@@ -150,3 +150,30 @@ def test_first_start_on_a_full_disk_waits_for_room(disk: Path) -> None:
     assert writer.flush(20)
     writer.stop(20)
     assert len(queries.estimates(path)) == 40
+
+
+def remount(folder: Path, how: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{how}", folder], check=True)
+
+
+@pytest.mark.parametrize("there", [True, False], ids=["with a file", "first start"])
+def test_start_on_a_read_only_disk_waits_and_says_so(disk: Path, there: bool) -> None:
+    path = disk / "rig.db"
+    if there:
+        with Store.open(path) as store:
+            store.write(store.begin_run(run_info()), [batch(10)])
+    remount(disk, "ro")
+    writer = StoreWriter(lambda: Store.open(path, Retention()), [run_info(started_ns=START + 1)], period_s=0.05)
+    writer.start()
+    writer.publish([batch(10, first=100), step("NORM", "UNACK", START + 100 * HOP)])
+    assert not writer.flush(0.3)
+    assert (writer.failing, writer.is_alive()) == ("read only", True)
+    if there:
+        assert len(queries.estimates(path)) == 40, "what is there must be read meanwhile"
+    remount(disk, "rw")
+    assert writer.flush(10), writer.failing
+    writer.stop(20)
+    assert writer.dropped == {}
+    assert len(queries.estimates(path)) == (80 if there else 40)
+    assert {a["parameter"]: a["state"] for a in queries.alarms(path)} == {"k1": "UNACK", "store": "RTNUN"}
+    assert [e["cause"] for e in queries.events(path)] == ["read only"]

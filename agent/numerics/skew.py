@@ -17,12 +17,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fit import Problem, fit_window
+from agent.numerics.fit import fit_window
 from agent.numerics.gains import Gains
+from agent.numerics.guarded import GuardedProblem, sized
 from agent.numerics.observer import Noise
 from agent.numerics.statespace import Hold, Model, StateSpace, discretise
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 TURNS = 8
 """Fits at most; a delay of a third of the fastest period needs five."""
 DELAY_SCALE_S = 0.01
@@ -131,7 +133,8 @@ class SkewMeter:
         period_s, hold: of the sampled model.
         gains: the observer's rule.
         sigma: (p,) sd of each output's noise, NaN where it is not known.
-        scale, lower: (q,) size and bound of each of the model's own parameters.
+        scale, lower: (q,) size and bound of each of the model's own parameters; an offset's size, NaN, is that of a
+            column of outputs and inputs, `scale_column` (q,).
     """
 
     model: Model
@@ -142,6 +145,7 @@ class SkewMeter:
     gains: Gains
     sigma: FloatArray
     scale: FloatArray
+    scale_column: IntArray | None
     lower: FloatArray
 
     def measure(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, theta: FloatArray) -> Delays:
@@ -171,10 +175,10 @@ class SkewMeter:
         # one row is lost at each end to the rates of change
         rates = (u[2:, : self.signals] - u[:-2, : self.signals]) / (2 * self.period_s)
         columns = np.hstack([y[1:-1], u[1:-1], rates])
-        problem = Problem(
+        problem = GuardedProblem(
             lambda at: discretise(delayed.continuous(at), self.period_s, self.hold),
             columns,
-            np.concatenate([self.scale, np.full(g, DELAY_SCALE_S)]),
+            np.concatenate([sized(self.scale, self.scale_column, columns), np.full(g, DELAY_SCALE_S)]),
             np.concatenate([self.lower, np.full(g, -np.inf)]),
         )
         noise = self._noise(y)

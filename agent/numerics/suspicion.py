@@ -13,13 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fit import Problem, fit_window
+from agent.numerics.fit import fit_window
 from agent.numerics.gains import Gains
+from agent.numerics.guarded import GuardedProblem, sized
 from agent.numerics.noise import sensor_noise
 from agent.numerics.observer import Noise
 from agent.numerics.statespace import Discrete, Hold, Model, discretise, simulate
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 FACTORS = (2.0, 10.0, 100.0, 1000.0, 1e6, 25.4, 39.3700787, 9.80665, 4.4482216)
 """How many times too large a reading may be, or too small: twice, prefixes, inches, kilograms and pounds of force."""
 BETTER = 2.0
@@ -109,7 +111,8 @@ class Examiner:
         period_s, hold: of the sampled model.
         gains: the observer's rule.
         sigma: (p,) sd of each output's noise, NaN where it is not known.
-        scale, lower: (q,) size and bound of each parameter.
+        scale, lower: (q,) size and bound of each parameter; an offset's size, NaN, is that of a column of outputs and
+            inputs, `scale_column` (q,).
         elastic: (q,) which parameters are springs, dampers or the like, all in proportion to the force.
         complete: outputs and inputs -> all of the model's inputs.
         progress: called with how many of how many hypotheses are examined.
@@ -122,6 +125,7 @@ class Examiner:
     gains: Gains
     sigma: FloatArray
     scale: FloatArray
+    scale_column: IntArray | None
     lower: FloatArray
     elastic: NDArray[np.bool_]
     complete: Callable[[FloatArray, FloatArray], FloatArray]
@@ -150,6 +154,8 @@ class Examiner:
 
     def _finding(self, stretches: Sequence[FloatArray], before: Hypothesis) -> Finding | None:
         plain = self._try(AS_THEY_ARE, stretches)
+        if not np.isfinite(plain.left):
+            return None  # nothing to compare with
         if self._fits(plain, stretches):
             return self._by_parameters(plain, stretches) if before is AS_THEY_ARE else None
         candidates = [h for h in self._candidates(stretches[0]) if h != before]
@@ -260,9 +266,9 @@ class Examiner:
         sigma = np.maximum(self._noise(y), LEAST_SHARE * np.sqrt(power / len(y)) + 1e-300)
         noise = Noise(sigma, np.zeros(self._forces()))
         columns = np.hstack([y, self.complete(y, u)])
-        problem = Problem(
+        problem = GuardedProblem(
             lambda theta: discretise(self.model.continuous(theta), self.period_s, self.hold),
-            columns, self.scale, self.lower,
+            columns, sized(self.scale, self.scale_column, columns), self.lower,
         )  # fmt: skip
         gains = [lambda at: self.gains.start(at, noise), lambda at: self.gains.settled(at, noise)]
         start = np.zeros(len(self.model.state_names))

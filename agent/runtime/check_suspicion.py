@@ -39,7 +39,8 @@ def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examin
     return Examiner(
         model=rig.model, inputs=len(config.inputs), period_s=settings.period_s, hold=config.estimator.hold,
         gains=observer_gains(config, rig, hop_plan(config).window), sigma=known_noise(config, resolution),
-        scale=settings.scale, lower=settings.lower, elastic=np.array([p.kind in ELASTIC for p in rig.parameters]),
+        scale=settings.scale, scale_column=settings.scale_column, lower=settings.lower,
+        elastic=np.array([p.kind in ELASTIC for p in rig.parameters]),
         complete=complete_inputs(config, resolution), progress=progress,
     )  # fmt: skip
 

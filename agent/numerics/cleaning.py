@@ -126,17 +126,18 @@ class Cleaner:
         x, first = self._raw, max(self._decided, 2)
         if len(x) > first:
             size = np.abs(x[first:] - 2 * x[first - 1 : -1] + x[first - 2 : -2])
-            doubtful = np.any(~(size <= self._limits[first:]), axis=1)
-            for place in (np.flatnonzero(doubtful) + first).tolist():
+            doubtful = ~(size <= self._limits[first:])
+            for place in (np.flatnonzero(doubtful.any(axis=1)) + first).tolist():
                 if place + LOOK_AHEAD >= len(x) and not end:
                     self._decided = place
                     return
-                self._judge(place)
+                # a spike leaves three large second differences; the first may just pass
+                self._judge(place, np.asarray(doubtful[place - first : place - first + 3].any(axis=0)))
         self._decided = len(x)
 
-    def _judge(self, place: int) -> None:
-        """Look for a spike that begins at a sample."""
-        for channel in range(self._raw.shape[1]):
+    def _judge(self, place: int, doubtful: BoolArray) -> None:
+        """Look for a spike that begins at a sample, in the channels in doubt (c,)."""
+        for channel in np.flatnonzero(doubtful).tolist():
             if not (self._marked[place, channel] or self._suspect[place, channel]):
                 length = self._spike_at(place, channel)
                 spiked = slice(place, place + length)
@@ -148,11 +149,14 @@ class Cleaner:
     def _spike_at(self, place: int, channel: int) -> int:
         """Return the length of the spike in a channel that begins at a sample; 0 where there is none."""
         x, limit = self._raw[:, channel], self._limits[place, channel]
-        taken = self._marked[:, channel] | self._suspect[:, channel]
-        before = np.flatnonzero(~taken[max(0, place - 8) : place])[-2:] + max(0, place - 8)
+        start = max(0, place - 8)
+        near = slice(start, place + LOOK_AHEAD + 1)
+        free = np.flatnonzero(~(self._marked[near, channel] | self._suspect[near, channel])) + start
+        before, behind = free[free < place][-2:], free[free >= place]
         for length in range(1, LONGEST + 1):
-            after = np.flatnonzero(~taken[place + length : place + LOOK_AHEAD + 1])[:2] + place + length
-            if len(before) < 2 or len(after) < 2 or taken[place : place + length].any():
+            after = behind[length : length + 2]
+            # the spike's own readings must be there, and two on either side
+            if len(before) < 2 or len(after) < 2 or behind[length - 1] != place + length - 1:
                 return 0
             clear = DOUBTFUL if self._inputs[channel] else CLEAR
             if _stands_out(x, before, range(place, place + length), after, (limit, clear), smooth=clear == CLEAR):

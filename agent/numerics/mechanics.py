@@ -70,6 +70,7 @@ class MassSpringDamper:
     forces: tuple[str, ...]
     outputs: tuple[Output, ...]
     nominal: FloatArray = field(init=False)
+    _affine: StateSpace | None = field(init=False, default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         values = self._values()
@@ -77,6 +78,10 @@ class MassSpringDamper:
         if missing:
             raise ValueError(f"no element is called {missing}; elements are {sorted(values)}")
         object.__setattr__(self, "nominal", np.array([values[name] for name in self.parameters], dtype=float))
+        masses = self.structure.masses
+        if all(m.value > 0 and m.name not in self.parameters for m in masses):
+            # all matrices are straight lines in theta: assembled once, at zero
+            object.__setattr__(self, "_affine", self._assembled(np.zeros(len(self.parameters))))
 
     def _values(self) -> dict[str, float]:
         s = self.structure
@@ -104,6 +109,17 @@ class MassSpringDamper:
 
     def continuous(self, theta: FloatArray) -> StateSpace:
         """Return A, B, C, D at theta (q,) and their derivatives by each parameter."""
+        base = self._affine
+        if base is None:
+            return self._assembled(theta)
+        A, B, C, D = (
+            matrix + np.tensordot(theta, slope, 1)
+            for matrix, slope in ((base.A, base.dA), (base.B, base.dB), (base.C, base.dC), (base.D, base.dD))
+        )
+        return StateSpace(A, B, C, D, base.dA, base.dB, base.dC, base.dD)
+
+    def _assembled(self, theta: FloatArray) -> StateSpace:
+        """Return the same from the elements one by one."""
         equations = _Equations(self.at(theta), self.forces)
         A, B = equations.matrices()
         derivatives = [equations.derivative(name) for name in self.parameters]

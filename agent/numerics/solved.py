@@ -64,16 +64,20 @@ def mend(found: Solved, point: WorkingPoint, segment: Segment, lacking: Lacking)
 
     Inputs in doubt are taken for spikes where a window fits without them and not with them.
     """
-    rows, window = found.rows, point.settings.plan.window
-    for row in np.flatnonzero(rows.full).tolist() if lacking.any() else ():
+    if not lacking.any():
+        return
+    rows, window, gate = found.rows, point.settings.plan.window, point.gate
+    counts = lacking.count(rows.index, window)
+    for row in np.flatnonzero(rows.full).tolist():
         stop = int(rows.index[row]) + 1
-        if lacking.count(rows.index[row : row + 1], window)[0]:
+        if counts[row]:
             _put(found, point, row, _on_samples(point, segment, lacking, stop, window))
-        if not rows.ratio[row] <= point.gate and lacking.doubts(stop, window):
+        if not rows.ratio[row] <= gate and lacking.doubts(stop, window):
             lacking.take_for_spikes(stop, window)
             told = _on_samples(point, segment, lacking, stop, window)
-            if _judged(point, told, window)[1] <= point.gate:
+            if _judged(point, told, window)[1] <= gate:
                 _put(found, point, row, told)
+                counts = lacking.count(rows.index, window)
             else:
                 lacking.take_back(stop - 2)
     for longer in found.candidates:

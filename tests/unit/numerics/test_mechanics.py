@@ -83,3 +83,17 @@ def test_mechanics_unknown_parameter_or_acceleration_without_mass_is_refused() -
         MassSpringDamper(structure, ("k9",), (), ())
     with pytest.raises(ValueError, match="acceleration"):
         MassSpringDamper(structure, (), (), (Output("acceleration", "n"),)).continuous(np.zeros(0))
+
+
+def test_matrices_of_a_rig_with_known_masses_are_those_of_its_elements_at_any_theta() -> None:
+    rng = np.random.default_rng(8)
+    structure = random_structure(rng, 4)
+    springs = tuple(e.name for e in (*structure.springs, *structure.dampers))
+    places = tuple(m.name for m in structure.masses)
+    outputs = (Output("displacement", "m1"), Output("velocity", "m2"), Output("acceleration", "m3"))
+    model = MassSpringDamper(structure, springs, places, outputs)
+    theta = model.nominal * rng.uniform(0.2, 3.0, len(springs))
+    straight, assembled = model.continuous(theta), model._assembled(theta)
+    for name in ("A", "B", "C", "D", "dA", "dB", "dC", "dD"):
+        found, wanted = getattr(straight, name), getattr(assembled, name)
+        np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12 * np.abs(assembled.A).max())

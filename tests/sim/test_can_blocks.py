@@ -1,5 +1,6 @@
 """Frames that carry several samples and a checksum: simulated, read by the driver, held against the truth."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,8 @@ def test_frames_of_eight_samples_arrive_whole_and_as_played(config: Path) -> Non
     driver, values, counters = CanDriver(request), [], []
     with wires.devices(config):
         driver.open()
-        while sum(map(len, values)) < wires.SAMPLES:
+        deadline = time.monotonic() + wires.LIMIT_S
+        while sum(map(len, values)) < wires.SAMPLES and time.monotonic() < deadline:
             block = driver.read(1.0)
             values.append(block.values)
             counters.append(block.counter)

@@ -12,10 +12,14 @@ import re
 import termios
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings
+
+if TYPE_CHECKING:
+    import serial
 
 BY_ID = Path("/dev/serial/by-id")
 _ENUMERATED = re.compile(r"/dev/tty(USB|ACM)\d+")
@@ -37,6 +41,8 @@ def open_port(keys: SerialKeys, device: str, *, read_only: bool) -> int:
     A link is followed anew each time: an adapter that comes back under another number is found by its stable name.
     Raises DriverIOError (not there, not ours, taken) and DriverConfigError (a speed that cannot be).
     """
+    # what comes between opening and clearing is lost: the library is there before
+    line = _configuration(keys)
     access = os.O_RDONLY if read_only else os.O_RDWR
     try:
         descriptor = os.open(device, access | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -44,7 +50,7 @@ def open_port(keys: SerialKeys, device: str, *, read_only: bool) -> int:
         raise DriverIOError(f"{device}: {_refusal(device, error)}") from error
     try:
         _claim(descriptor, device)
-        _set_up(descriptor, keys, device)
+        _set_up(descriptor, line, device)
     except BaseException:
         os.close(descriptor)
         raise
@@ -81,17 +87,20 @@ def _claim(descriptor: int, device: str) -> None:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
 
-def _set_up(descriptor: int, keys: SerialKeys, device: str) -> None:
+def _configuration(keys: SerialKeys) -> "serial.Serial":
     import serial
 
-    line = serial.Serial(
+    return serial.Serial(
         None, keys.baudrate, parity=keys.parity, stopbits=keys.stopbits, bytesize=keys.bytesize, timeout=0
     )
+
+
+def _set_up(descriptor: int, line: "serial.Serial", device: str) -> None:
     line.fd = descriptor
     try:
         line._reconfigure_port(force_update=True)  # noqa: SLF001 (its public way opens the line for writing)
         termios.tcflush(descriptor, termios.TCIFLUSH)
-    except (serial.SerialException, OSError, termios.error) as error:
+    except (OSError, termios.error) as error:  # the library's own errors are OSErrors
         raise DriverIOError(f"{device}: {error}") from error
     except (ValueError, OverflowError) as error:
         raise DriverConfigError(f"{device}: {error}") from error

@@ -24,6 +24,21 @@ from tests.peers import ROOT
 GET_EXCLUSIVE = 0x80045440
 HOLD = "import fcntl, os, sys; fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); fcntl.flock(fd, 2); print('held', flush=True); sys.stdin.read()"  # noqa: E501 (one line of a child)
 
+SPY = """
+import os, sys
+from drivers import serial_port
+
+def spy(*_):
+    print("serial" in sys.modules)
+    raise FileNotFoundError(2, "none")
+
+serial_port.os.open = spy
+try:
+    serial_port.open_port(serial_port.SerialKeys(port="x"), "x", read_only=True)
+except serial_port.DriverIOError:
+    pass
+"""
+
 
 class Wire:
     """A pty and the path at which its end is opened."""
@@ -114,6 +129,12 @@ def test_line_that_is_refused_leaves_no_descriptor(wire: Wire, tmp_path: Path) -
     with pytest.raises((DriverIOError, DriverConfigError), match="line"):
         open_port(keys(baudrate=2**40), str(tmp_path / "line"), read_only=True)
     assert len(descriptors()) == before
+
+
+def test_line_is_opened_when_all_is_ready_to_set_it_up() -> None:
+    """What comes between opening and clearing is lost: nothing slow, such as an import, may lie between."""
+    done = subprocess.run([sys.executable, "-c", SPY], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout == "True\n"
 
 
 def test_line_of_another_user_is_refused_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -95,7 +95,8 @@ def _widened(s: StateSpace, groups: Sequence[Group], delays: FloatArray, rates: 
             D[:, m + j] += delay * s.D[:, j]
             dB[: s.q, :, m + j] += delay * s.dB[:, :, j]
             dD[: s.q, :, m + j] += delay * s.dD[:, :, j]
-            dB[row, :, m + j], dD[row, :, m + j] = s.B[:, j], s.D[:, j]
+            dB[row, :, m + j] += s.B[:, j]
+            dD[row, :, m + j] += s.D[:, j]
     return StateSpace(s.A, B, C, D, dA, dB, dC, dD)
 
 

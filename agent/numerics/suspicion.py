@@ -40,8 +40,6 @@ STILL = 5.0
 """An output that does not rise over so many times its noise tells nothing."""
 REACH = log(4.0)
 """Logarithm of the factor by which wrong parameters may mislead the search for a scale."""
-COMMON = 0.6
-"""Logarithm of the factor by which all springs and dampers must be off together to look like a wrong scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +90,11 @@ class Finding:
     Attributes:
         explanations: hypotheses.
         before, after: share left of the outputs, geometric mean, by the readings as they are and as mended.
-        sure: false where only implausible springs and dampers speak for it.
     """
 
     explanations: tuple[Hypothesis, ...]
     before: float
     after: float
-    sure: bool = True
 
 
 @dataclass(frozen=True)
@@ -131,19 +127,10 @@ class Examiner:
     complete: Callable[[FloatArray, FloatArray], FloatArray]
     progress: Callable[[int, int], None] = field(default=lambda _done, _all: None)
 
-    def examine(self, stretches: Sequence[FloatArray]) -> list[Finding]:
-        """Return what is suspected of stretches of readings (N, c), inputs first: two faults at most."""
+    def examine(self, stretches: Sequence[FloatArray]) -> Finding | None:
+        """Return what is suspected of stretches of readings (N, c), inputs first; one fault at a time, None if none."""
         moving = [v for v in stretches if self._moves(v)]
-        findings: list[Finding] = []
-        done = AS_THEY_ARE
-        while moving and len(findings) < 2:
-            finding = self._finding(moving, done)
-            if finding is None:
-                break
-            findings.append(finding)
-            done = finding.explanations[0]
-            moving = [done.mended(v) for v in moving]
-        return findings
+        return self._finding(moving) if moving else None
 
     def _moves(self, v: FloatArray) -> bool:
         y = v[:, self.inputs :]
@@ -152,13 +139,11 @@ class Examiner:
     def _noise(self, y: FloatArray) -> FloatArray:
         return np.asarray(np.maximum(sensor_noise(y), 1e-12 * np.abs(y).max(axis=0)))
 
-    def _finding(self, stretches: Sequence[FloatArray], before: Hypothesis) -> Finding | None:
+    def _finding(self, stretches: Sequence[FloatArray]) -> Finding | None:
         plain = self._try(AS_THEY_ARE, stretches)
-        if not np.isfinite(plain.left):
-            return None  # nothing to compare with
-        if self._fits(plain, stretches):
-            return self._by_parameters(plain, stretches) if before is AS_THEY_ARE else None
-        candidates = [h for h in self._candidates(stretches[0]) if h != before]
+        if not np.isfinite(plain.left) or self._fits(plain, stretches):
+            return None
+        candidates = list(self._candidates(stretches[0]))
         trials = []
         for number, hypothesis in enumerate(candidates):
             self.progress(number, len(candidates))
@@ -196,18 +181,6 @@ class Examiner:
         noise = np.mean([self._noise(v[:, self.inputs :]) for v in stretches], axis=0)
         stated = np.where(np.isfinite(self.sigma), np.maximum(noise, self.sigma), noise)
         return bool(np.all(plain.share <= np.maximum(FITS * stated / rms, LEAST_SHARE)))
-
-    def _by_parameters(self, plain: Trial, stretches: Sequence[FloatArray]) -> Finding | None:
-        """Suspect a scale where all springs and dampers are off by one factor though everything fits."""
-        ratios = self._ratios(plain.theta)
-        common = float(np.mean(ratios))
-        if len(ratios) < 2 or abs(common) < COMMON or float(np.std(ratios)) > 0.3 * abs(common):
-            return None
-        factor = min((f**sign for f in FACTORS for sign in (1, -1)), key=lambda f: abs(log(f) - common))
-        trial = self._try(Hypothesis("scale", tuple(range(self.inputs)), 1.0 / factor), stretches)
-        if not self.inputs or abs(log(factor) - common) > 0.2 or trial.left > NEAR * plain.left:
-            return None
-        return Finding((trial.hypothesis,), plain.left, trial.left, sure=False)
 
     def _candidates(self, v: FloatArray) -> Iterator[Hypothesis]:
         """Every exchange, and for each channel the signs and factors near what the nominal model asks of it."""

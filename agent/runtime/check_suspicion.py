@@ -22,7 +22,10 @@ Progress = Callable[[str], None]
 def suspicions(
     config: RigConfig, v: FloatArray, pieces: Sequence[tuple[int, int]], progress: Progress
 ) -> list[dict[str, Any]]:
-    """Return what is suspected of readings v (N, c), inputs first, with uninterrupted pieces as (first, end) rows."""
+    """Return what is suspected of readings v (N, c), inputs first, with uninterrupted pieces as (first, end) rows.
+
+    One fault at a time: two that spoil each other's explanation are found one after the other, if at all.
+    """
     stretches = [v[first:end] for first, end in _liveliest(config, v, pieces)]
     if not stretches:
         return []
@@ -30,7 +33,8 @@ def suspicions(
     def said(done: int, everything: int) -> None:
         progress(f"examining channels: {done} of {everything} explanations")
 
-    return [_row(config, finding) for finding in _examiner(config, said).examine(stretches)]
+    finding = _examiner(config, said).examine(stretches)
+    return [] if finding is None else [_row(config, finding)]
 
 
 def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examiner:
@@ -65,15 +69,13 @@ def _row(config: RigConfig, finding: Finding) -> dict[str, Any]:
     first = finding.explanations[0]
     return {
         "kind": first.kind, "channels": [channels[c].name for c in first.channels],
-        "factor": first.factor if first.kind == "scale" else None, "sure": finding.sure,
+        "factor": first.factor if first.kind == "scale" else None,
         "left_before": finding.before, "left_after": finding.after,
         "words": "; or ".join(dict.fromkeys(words)) + _how_sure(finding),
     }  # fmt: skip
 
 
 def _how_sure(finding: Finding) -> str:
-    if not finding.sure:
-        return " (the readings fit as they are, but every spring and damper would be off by that factor)"
     before, after = number(100 * finding.before, 3), number(100 * finding.after, 3)
     return f" (leaves {after} % of the motion unexplained instead of {before} %)"
 

@@ -66,6 +66,7 @@ def test_suspicion_healthy_and_worn_rigs_are_not_suspected() -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(900)
 def test_suspicion_hardly_any_healthy_recording_is_suspected() -> None:
     false = healthy(range(240))
     figure(f"channels of healthy recordings suspected: {false} of 240 recordings")
@@ -118,14 +119,6 @@ def test_suspicion_says_that_all_displacements_in_mm_look_like_a_force_too_small
     values[:, 1:] *= 1000
     (found,) = suspected(values)
     assert "all of x1, x2 1000 times too large: a prefix: mm against m" in found["words"]
-
-
-@pytest.mark.soak
-def test_suspicion_names_two_faults_at_once() -> None:
-    values = readings(4)
-    values[:, 1] *= -1
-    values[:, 2] *= 10
-    assert {(f["kind"], f["channels"][0]) for f in suspected(values)} == {("sign", "x1"), ("scale", "x2")}
 
 
 def test_suspicion_of_a_rig_that_stands_still_is_none() -> None:

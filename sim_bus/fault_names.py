@@ -123,12 +123,22 @@ REPLIES: Mapping[str, FaultKind] = {
 }
 """What a Modbus device or its line can do."""
 
+SENSORS: Mapping[str, FaultKind] = {
+    "stuck": FaultKind("the reading stands still", "", 2.0),
+    "dead": FaultKind("the reading is zero", "", 2.0),
+    "reversed": FaultKind("the reading has the wrong sign", "", 2.0),
+    "scaled": FaultKind("the reading is a thousand times too large", "", 2.0),
+    "gain": FaultKind("the reading is a fifth too small", "", 2.0),
+}
+"""What a sensor can do, of the last output channel or of the one named; the agent raises an alarm of the channel."""
+
 KNOWN: Mapping[str, Mapping[str, FaultKind]] = {
     "can": {**LINES, **_ON_TEXT, **FRAMES, **COUNTERS, **NUMBERS},
     "serial": {**LINES, **BYTES, **COUNTERS, **NUMBERS},
     "modbus": {**REPLIES, **NUMBERS},
+    "sensor": SENSORS,
 }
-"""The faults of each driver's devices: a fault is called `<driver>.<name>`."""
+"""The faults of each driver's devices, and of sensors: a fault is called `<driver>.<name>`."""
 
 
 def names() -> list[str]:

@@ -15,6 +15,7 @@ from sim_bus.ranges import Runs
 from sim_bus.scenario import FaultAt, Scenario
 from sim_bus.schedule import first_sample
 
+SENSOR = "sensor"
 LOSS = 0.2
 SHUFFLED = 50
 _RUBBISH = 24, 40
@@ -48,7 +49,7 @@ def check(scenario: Scenario, drivers: Sequence[str]) -> None:
     wrong = [fault.name for fault in scenario.fault if fault.name not in names()]
     if wrong:
         raise SimUsageError(f"--fault: no fault is called {', '.join(wrong)}; faults are {', '.join(names())}")
-    idle = [fault.name for fault in scenario.fault if _driver(fault) not in drivers]
+    idle = [fault.name for fault in scenario.fault if _driver(fault) not in (*drivers, SENSOR)]
     if idle:
         raise SimUsageError(f"--fault: {', '.join(idle)}: the configuration has no source with such a driver")
 

@@ -11,12 +11,17 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sim_bus.errors import SimUsageError
 from sim_bus.excitation import Force
-from sim_bus.rigfile import Quantity, RigFile, checked, read_toml
+from sim_bus.fault_names import SENSORS
+from sim_bus.rigfile import Channel, Quantity, RigFile, checked, read_toml
 from sim_bus.schedule import Change, Draw
 from sim_bus.sensors import Oscillator, Sensor
 from sim_bus.wear import Wear
 
 SEED_VARIABLE = "DELTAK_SEED"
+_NUMBER = r"[0-9]+(?:\.[0-9]+)?"
+_FAULT = re.compile(
+    rf"(?P<name>[a-z][a-z0-9.-]*)(:(?P<target>[A-Za-z0-9_.-]+))?@(?P<at>{_NUMBER})s?(\+(?P<long>{_NUMBER})s?)?"
+)
 DEFAULT = "steady"
 
 
@@ -31,7 +36,7 @@ class Initial(BaseModel):
 
 
 class FaultAt(BaseModel):
-    """One [[fault]]: `name` as in `--fault NAME@T`, `at_s`, and for how long where it lasts."""
+    """One [[fault]]: `name` as in `--fault NAME@T`, `at_s`, and for how long where it lasts; which one."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -39,6 +44,23 @@ class FaultAt(BaseModel):
     at_s: float = Field(ge=0)
     for_s: float = Field(default=0.0, ge=0)
     source: str | None = None
+    channel: str | None = None
+
+    @property
+    def sensor(self) -> str | None:
+        """Which fault of a sensor it is; None where it is one of a line or a device."""
+        kind, _, name = self.name.partition(".")
+        return name if kind == "sensor" else None
+
+
+_BROKEN: Mapping[str, dict[str, Any]] = {
+    "stuck": {"stuck": True},
+    "dead": {"gain": -1.0},
+    "reversed": {"gain": -2.0},
+    "scaled": {"gain": 999.0},
+    "gain": {"gain": -0.2},
+}
+"""What the faults of sensors are, as [[sensor]] says it."""
 
 
 class Scenario(BaseModel):
@@ -84,6 +106,12 @@ class Scenario(BaseModel):
         sensed = list(dict.fromkeys(channel.at for channel in rig.channel if channel.quantity == "force"))
         return [(force, node) for force in self.force for node in ([force.at] if force.at else sensed)]
 
+    def sensors_on(self, channels: Sequence[Channel]) -> list[Sensor]:
+        """Return what sensors get wrong, those included that a fault strikes: the channel named, or the last output."""
+        last = next((c.name for c in reversed(channels) if c.quantity != "force"), "")
+        struck = [fault for fault in self.fault if fault.sensor in _BROKEN]
+        return [*self.sensor, *(_broken(fault, fault.channel or last) for fault in struck)]
+
     def with_faults(self, texts: Sequence[str]) -> Self:
         """Return the scenario with more faults, each as NAME@SECONDS or NAME@SECONDS+HOW_LONG."""
         return self.model_copy(update={"fault": (*self.fault, *(_fault_of(text) for text in texts))})
@@ -94,7 +122,7 @@ class Scenario(BaseModel):
         channels = {channel.name for channel in rig.channel}
         wrong = [f"force.at: {n}" for _, n in self.forces_on(rig) if n not in nodes]
         wrong += [f"initial: {n}" for n in (*self.initial.displacement, *self.initial.velocity) if n not in nodes]
-        wrong += [f"sensor.channel: {s.channel}" for s in self.sensor if s.channel not in channels]
+        wrong += [f"sensor.channel: {s.channel}" for s in self.sensors_on(rig.channel) if s.channel not in channels]
         wrong += [f"device.source: {d.source}" for d in self.device if d.source not in rig.source_names]
         wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
@@ -132,15 +160,19 @@ def load_scenario(name_or_file: str, environment: Mapping[str, str] = os.environ
     return checked(Scenario, content | _seed_of(environment), str(path))
 
 
+def _broken(fault: FaultAt, channel: str) -> Sensor:
+    until = fault.at_s + (fault.for_s or SENSORS[fault.sensor or ""].lasts_s)
+    return Sensor(channel=channel, from_s=fault.at_s, until_s=until, **_BROKEN[fault.sensor or ""])
+
+
 def _fault_of(text: str) -> FaultAt:
-    match = re.fullmatch(
-        r"(?P<name>[a-z][a-z0-9.-]*)@(?P<at>[0-9]+(\.[0-9]+)?)s?(\+(?P<long>[0-9]+(\.[0-9]+)?)s?)?", text
-    )
+    match = _FAULT.fullmatch(text)
     if match is None:
         raise SimUsageError(
-            f'--fault: "{text}" is not of the form NAME@SECONDS or NAME@SECONDS+HOW_LONG; e.g. serial.garbage@10s'
+            f'--fault: "{text}" is not of the form NAME[:TARGET]@SECONDS[+HOW_LONG]; e.g. serial.garbage@10s'
         )
-    return FaultAt(name=match["name"], at_s=float(match["at"]), for_s=float(match["long"] or 0.0))
+    target = {"channel" if match["name"].startswith("sensor.") else "source": match["target"]}
+    return FaultAt(name=match["name"], at_s=float(match["at"]), for_s=float(match["long"] or 0.0), **target)
 
 
 def _seed_of(environment: Mapping[str, str]) -> dict[str, int]:

@@ -136,7 +136,7 @@ class Rig:
         return [self._sensor(number, channel, self._scenario) for number, channel in enumerate(self.channels)]
 
     def _sensor(self, number: int, channel: Channel, scenario: Scenario) -> SensorChain:
-        own = [sensor for sensor in scenario.sensor if sensor.channel == channel.name]
+        own = [sensor for sensor in scenario.sensors_on(self.channels) if sensor.channel == channel.name]
         rng = np.random.default_rng([scenario.seed, 3, number])
         return SensorChain(channel, own, noise_for(channel, scenario.noise), self._rate, rng)
 

@@ -60,6 +60,18 @@ fields = [
 crc = "CRC-16/IBM-3740"
 counter = "N"
 """,
+    "bare": """
+driver = "serial"
+port = "bare.tty"
+format = "binary"
+sync = "AA55"
+fields = [
+  { name = "N", type = "uint16" },
+  { name = "F", type = "int32", scale = 1e-4 },
+  { name = "X", type = "int32", scale = 1e-8 },
+]
+counter = "N"
+""",
     "text": """
 driver = "serial"
 port = "text.tty"

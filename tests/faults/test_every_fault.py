@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from agent.runtime.scoring.judge import Judge
+from agent.runtime.scoring.run import open_bench, play
 from sim_bus.fault_names import KNOWN, names
 from tests.faults.played import RATE, Run, run
 
@@ -44,6 +46,7 @@ CAUSES = {
     "modbus.wrong-function": "reply", "modbus.wrong-count": "reply", "modbus.short": "reply", "modbus.long": "reply",
     "modbus.corrupt": "timeout", "modbus.truncate": "timeout", "modbus.garbage": "reply", "modbus.duplicate": "reply",
     "modbus.restart": "timeout", "modbus.nan": "missing value", "modbus.range": "spike",
+    "sensor.stuck": "", "sensor.dead": "", "sensor.reversed": "", "sensor.scaled": "", "sensor.gain": "",
 }  # fmt: skip
 """Every fault, and the one thing that the agent has to say of it."""
 
@@ -59,7 +62,11 @@ def test_every_fault_has_a_case() -> None:
     assert {name: KNOWN[name.split(".")[0]][name.split(".")[1]].cause for name in CAUSES} == CAUSES
 
 
-@pytest.mark.parametrize("name", names())
+OF_LINES = [name for name in names() if not name.startswith("sensor.")]
+OF_SENSORS = [name for name in names() if name.startswith("sensor.")]
+
+
+@pytest.mark.parametrize("name", OF_LINES)
 def test_fault_is_counted_to_the_sample_told_once_and_in_no_estimate(name: str, tmp_path: Path) -> None:
     found = struck(name, tmp_path)
     samples = found.found["samples"]
@@ -79,3 +86,24 @@ def gaps(found: Run) -> int:
     """Places where the simulator says that samples are missing, but for those at the end, after which nothing comes."""
     (runs,) = found.found["samples"]["absent"].values()
     return sum(last < found.found["samples"]["played"] - 1 for _, last in runs)
+
+
+def test_shadow_shows_the_wrong_bits_that_a_line_without_a_check_lets_through(tmp_path: Path) -> None:
+    """What holds above would hold for a blind oracle too: this one sees."""
+    found = run("bare", [f"serial.corrupt@{AT_S}s+0.3s"], tmp_path, AT_S + 0.8)
+    assert int(found.judge.matched.spoilt.sum()) >= 3
+
+
+@pytest.mark.parametrize("name", OF_SENSORS)
+def test_fault_of_a_sensor_is_an_alarm_of_its_channel_and_in_no_estimate(name: str) -> None:
+    """Two masses at 1 kHz, where the other channels can tell: from the first wrong reading on no estimate is valid."""
+    bench = open_bench("healthy", [f"{name}@1.5s+1.5s"])
+    judge = Judge(play(bench, lambda _share: None), bench.strikes())
+    found = judge.document()
+    assert found["sensors"] == ["x2"]
+    assert found["samples"]["balanced"]
+    assert (found["events"], found["alarms"]["false"]) == ([], [])
+    index, valid = judge.rows.index, judge.rows.valid.any(axis=1)
+    touching = (index >= 1500) & (index - judge.rows.window.max(axis=1) + 1 < 3000)
+    assert int((touching & valid).sum()) == 0
+    assert valid[index < 1500].any()

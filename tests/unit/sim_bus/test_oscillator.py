@@ -5,11 +5,11 @@ import pytest
 
 from sim_bus.clock import PlayClock
 from sim_bus.oscillator import OwnClock, OwnTape, _cubic
-from sim_bus.plant import equations, propagate, step
+from sim_bus.plant import equations, step
 from sim_bus.scenario import Scenario
 from sim_bus.sensors import Oscillator
 from sim_bus.tape import CHUNK, Rig, Tape
-from tests.sim.rigs import ring_config, rig
+from tests.sim.rigs import rig, ring_config
 
 RIG = rig(ring_config(1502))
 SCENARIO = Scenario.model_validate(

@@ -100,7 +100,7 @@ def watch_and_play(folder: Path, db: Path) -> None:
     sim = deltak("sim", folder / "played/demo.toml", "--scenario", HERE / "ten.toml", "--truth", folder / "truth.npz")
     noise = ["cangen", "vcan0", "-I", "5A5", "-L", "8", "-g", "20"]
     with (
-        running(["candump", "-L", "vcan0"], folder / "candump.log"),
+        running(["candump", "-L", "-r", "8000000", "vcan0"], folder / "candump.log"),
         running(noise, folder / "cangen.out"),
         running(sim, folder / "sim.out"),
     ):

@@ -17,15 +17,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.runtime.cli import app
+from agent.runtime.cli_errors import guarded
 from agent.storage.connect import connect_reader
+from agent.storage.files import beside
 from agent.storage.store import Store
 from agent.storage.verify import problems
 from tests.figures import figure
 from tests.peers import ROOT
 from tests.scenario.live import example
-from tests.sim.rigs import LIMIT_S
 
 STORED = re.compile(rb"stored in run (\d+): (\d+) instants up to (\d+), (\d+) steps of alarms")
+LIMIT_S = 100.0
 SLOWEST_START_S = 2.0
 PARAMETERS = 4
 QUIET = {r"(?m)^limit = .*": "limit = 1000.0"}
@@ -137,23 +140,28 @@ class Cradle:
         self._process.communicate()
 
 
-def live_from_nothing(command: list[str], after_s: float) -> tuple[list[bytes], float]:
-    """As `Cradle.live`, of an agent that is started as users do; also how long its first sample took, s."""
+def worked_s(pid: int) -> float:
+    """Return the processor's time that a process has had, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def live_from_nothing(command: list[str]) -> tuple[list[bytes], float, float]:
+    """As `Cradle.live`, of an agent started as users do; also how long its first sample took, and of that work, s."""
     started = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, "-m", "agent", *command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, bufsize=0
     )
     output = Output(process)
     assert output.read(has(b"delivers samples")), output.lines
-    first = time.monotonic() - started
+    first, work = time.monotonic() - started, worked_s(process.pid)
     assert output.read(has(b"stored in run")), output.lines
-    output.read(never, after_s)
     process.kill()
     process.wait()
     output.read(never)
     assert process.stdout is not None
     process.stdout.close()
-    return output.lines, first
+    return output.lines, first, work
 
 
 def lost(db: Path, told: Told) -> int:
@@ -223,20 +231,56 @@ def test_kill_of_the_agent_at_any_moment_loses_nothing_acknowledged(
     words = ", ".join(f"{name} {sum(t.instants.values())} instants, {t.steps} steps" for name, t in told.items())
     figure(f"kill -9 of the agent: {sum(kills)} kills, nothing of what was acknowledged lost ({words})")
     assert min(sum(t.instants.values()) for t in told.values()) >= kills[0]
-    assert told["alarms"].steps >= kills[2]
+    assert told["alarms"].steps >= kills[0]
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("starts", [2, pytest.param(20, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
 def test_agent_has_its_first_sample_two_seconds_after_a_kill(bus: Path, starts: int) -> None:
     """Started as users do, on the file that the agent before it left when it was killed."""
-    config, told, took = own_config(bus, "all rows"), Told(), []
+    config, told = own_config(bus, "all rows"), Told()
+    took, worked = [], []
     db = config.with_name("starts.db")
     for _ in range(starts):
-        lines, first_s = live_from_nothing(arguments(config, db), 0.0)
+        lines, first_s, work_s = live_from_nothing(arguments(config, db))
         told.note(lines)
         took.append(first_s)
+        worked.append(work_s)
         assert lost(db, told) == 0
-    words = f"{np.median(took):.2f} s, {max(took):.2f} s at most"
-    figure(f"first sample after the start of the agent ({starts} starts after kill -9): {words} (2 s)")
-    assert np.median(took) <= SLOWEST_START_S
+    alone = os.getloadavg()[0] < (os.cpu_count() or 1)
+    figure(
+        f"first sample after the start of the agent, {starts} starts after kill -9: {np.median(took):.2f} s (2 s), "
+        f"{np.median(worked):.2f} s of it work{'' if alone else '; the machine was busy with other things'}"
+    )
+    assert np.median(worked) <= SLOWEST_START_S
+    assert np.median(took) <= SLOWEST_START_S or not alone
+
+
+@pytest.mark.realtime
+def test_commands_on_the_file_of_a_running_agent_go_through_it_or_are_refused(
+    bus: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    config = own_config(bus, "all rows")
+    db = config.with_name("held.db")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "agent", *arguments(config, db)], cwd=ROOT, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, bufsize=0,
+    )  # fmt: skip
+    output = Output(process)
+    assert output.read(has(b"stored in run")), output.lines
+    assert guarded(app, ["db", "compact", str(db), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["bytes_after"] > 0
+    assert guarded(app, ["db", "repair", str(db)]) == 0
+    assert "sound" in capfd.readouterr().out
+    recording = config.with_name("recording.csv")
+    recording.write_text("t,force,x1,x2\n0,0,0,0\n0.001,0,0,0\n", encoding="utf-8")
+    assert guarded(app, ["replay", str(config), str(recording), "--db", str(db)]) == 3
+    assert f"process {process.pid} is writing to this database" in capfd.readouterr().err
+    seen = len(output.lines)
+    assert output.read(lambda lines: len(lines) > seen)
+    process.terminate()
+    assert process.wait(LIMIT_S) == 0
+    assert process.stdout is not None
+    process.stdout.close()
+    assert guarded(app, ["db", "compact", str(db)]) == 0
+    assert not beside(db, ".sock").exists()

@@ -120,6 +120,9 @@ class Source(BaseModel):
     counter: str | None = None
     stale_s: float = 2.0
     record: bool = False
+    skew_s: float | str = "auto"
+    own_clock: bool = False
+    rate_hz: float | None = None
 
     @property
     def keys(self) -> dict[str, Any]:
@@ -146,6 +149,11 @@ class RigFile(_Part):
             for s in self.source
             for name in s.map
             if name not in channels
+        ]
+        lost += [
+            f'source "{s.name or s.driver}": rate_hz: every device is played at the rig\'s sample rate'
+            for s in self.source
+            if s.rate_hz not in (None, self.rig.sample_rate_hz)
         ]
         if lost:
             raise ValueError("; ".join(lost))

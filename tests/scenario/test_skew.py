@@ -110,6 +110,31 @@ def test_skew_over_both_buses_live_is_measured_stored_and_replays_to_the_same_ro
     assert _rows_of(tmp_path / "again.db") == ours
 
 
+@pytest.mark.soak
+def test_skew_of_devices_with_clocks_of_their_own_is_followed_and_the_drift_is_told(tmp_path: Path) -> None:
+    """The Modbus device's clock is slow by 200 millionths: in 30 s the two counters part by six samples."""
+    path = configure(tmp_path, {"noise_sd = 1e-6": "noise_sd = 1e-5"}, own_clock="true")
+    scenario, db = tmp_path / "apart.toml", tmp_path / "live.db"
+    late = "".join(f'[[sensor]]\nchannel = "{name}"\ndelay_s = {SKEW_S}\n' for name in ("x1", "x2"))
+    device = '[[device]]\nsource = "modbus"\ndrift_ppm = 200.0\n'
+    force = '[[force]]\nkind = "random"\nrms = 5.0\n[noise]\ndisplacement = 1e-5\n'
+    scenario.write_text(f"duration_s = 30.0\n{force}{device}{late}", encoding="utf-8")
+    with simulator(tmp_path, path.read_text(encoding="utf-8"), "--scenario", str(scenario)) as played:
+        with agent(played.config, options=["--db", str(db)]) as running:
+            wait_until(lambda: hops(db) >= 500, "500 rows", limit_s=90.0)
+            document = running.document()
+        assert played.stop() == 0
+    columns = "drift_ppm, drift_sd_ppm, skew_s, skew_sd_s"
+    found = dict((name, row) for name, *row in rows(db, f"SELECT source, {columns} FROM v_health ORDER BY t_ns"))
+    drift, sd, skew, _ = found["modbus"]
+    figure(f"clock slow by 200 ppm, live: {drift:+.1f} ± {sd:.1f} ppm; skew {1e3 * skew:.2f} ms beside the transport's")
+    assert abs(drift + 200.0) < 3 * sd + 10.0
+    assert abs(found["can"][0]) < 3 * found["can"][1] + 10.0
+    assert abs(skew - SKEW_S) < 2e-3  # with what the two transports differ by
+    assert document["samples"]["gaps"] == 0
+    assert document["estimates"]["k2"]["n_valid"] > 300
+
+
 def _rows_of(db: Path) -> list[tuple[object, ...]]:
     columns = "t_ns, parameter, status, reason, value, sd, n_used"
     return rows(db, f"SELECT {columns} FROM v_estimates ORDER BY t_ns, parameter")

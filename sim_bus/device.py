@@ -66,7 +66,7 @@ class Bench:
     def oscillator(self, number: int) -> Oscillator | None:
         """Return the clock of a source's device; None where it is the rig's own."""
         name = self.rig.source_names[number]
-        return next((own for own in self.scenario.device if own.source == name), None)
+        return next((own for own in self.scenario.device if own.source in {None, name}), None)
 
     def clock_of(self, number: int) -> PlayClock:
         """Return what paces a source's device."""

@@ -123,7 +123,7 @@ class Scenario(BaseModel):
         wrong = [f"force.at: {n}" for _, n in self.forces_on(rig) if n not in nodes]
         wrong += [f"initial: {n}" for n in (*self.initial.displacement, *self.initial.velocity) if n not in nodes]
         wrong += [f"sensor.channel: {s.channel}" for s in self.sensors_on(rig.channel) if s.channel not in channels]
-        wrong += [f"device.source: {d.source}" for d in self.device if d.source not in rig.source_names]
+        wrong += [f"device.source: {d.source}" for d in self.device if d.source not in {None, *rig.source_names}]
         wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
         wrong += [

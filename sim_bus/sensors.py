@@ -41,7 +41,7 @@ class Sensor(BaseModel):
 
 
 class Oscillator(BaseModel):
-    """One [[device]]: the clock by which a source's device samples.
+    """One [[device]]: the clock by which a source's device samples; every source's without `source`.
 
     `drift_ppm` above 0: it is slow, its samples come later and later. `jitter_s`: standard deviation of when within
     its turn a sample is taken (at most 0.45 of a sample).
@@ -49,7 +49,7 @@ class Oscillator(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    source: str
+    source: str | None = None
     drift_ppm: float = Field(default=0.0, gt=-1e5, lt=1e5)
     jitter_s: float = Field(default=0.0, ge=0)
 

@@ -15,6 +15,8 @@ _BITTIMING, _STATE, _MODE, _RESTART = 1, 4, 5, 6
 _LISTEN_ONLY = 0x02
 _FD_MTU = 72
 _ANSWER_S = 1.0
+_NOT_HERE = frozenset({"socketcand", "slcan", "virtual", "udp_multicast"})
+"""Buses whose controller is another machine's or the adapter's matter, or that have none."""
 STATES = ("error-active", "error-warning", "error-passive", "bus-off", "stopped", "sleeping")
 
 
@@ -96,8 +98,11 @@ def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def hints(keys: BusKeys) -> tuple[str, ...]:
     """Return what to mind about the interface that the keys name, each "what; advice"."""
-    if keys.interface != "socketcan":
+    if keys.interface in _NOT_HERE:
         return ()
+    if keys.interface != "socketcan":
+        what = f"whether {keys.interface} {keys.channel} listens only cannot be seen from here"
+        return (f"{what}; see to it with the interface's own tools",)
     link = look(keys.channel)
     return () if link is None else tuple(_minded(keys, link))
 

@@ -68,12 +68,13 @@ class Cleaner:
 
     Args:
         inputs: (c,) which channels are inputs; those may jump (a hammer's blow), so their spikes are only suspected.
-        step: (c,) the wire's smallest step of each channel, SI; 0 where it has none.
+        step: (c,) the wire's smallest step of each channel, SI; 0 where it has none or is not known.
     """
 
     def __init__(self, inputs: BoolArray, step: FloatArray) -> None:
         self._inputs, self._step = inputs, step
         self._usual = np.full((MEMORY, len(step)), -1.0)  # of the newest whole blocks, over all stretches
+        self._seen = np.full(len(step), np.inf)  # smallest change so far
         self.restart()
 
     def restart(self) -> None:
@@ -119,7 +120,21 @@ class Cleaner:
         self._usual, self._block = known[-MEMORY:], stream[whole * BLOCK :]
         block = np.clip((np.arange(len(v)) + before - 2) // BLOCK, 0, whole)
         excess = np.where(self._inputs, EXCESS_OF_INPUTS, EXCESS)
-        return np.asarray(np.where(usual < 0, np.inf, excess * usual + STEPS * self._step)[block])
+        steps = self._steps(stream[1 : 2 + whole * BLOCK], whole)
+        return np.asarray(np.where(usual < 0, np.inf, excess * usual + STEPS * steps)[block])
+
+    def _steps(self, stream: FloatArray, whole: int) -> FloatArray:
+        """Return the wire's steps (whole + 1, c) before each block and behind the last: the smallest seen, if unknown.
+
+        A channel of text has steps that nobody states; where it rests on one, the next is no spike.
+        """
+        if self._step.all():
+            return np.tile(self._step, (whole + 1, 1))
+        changes = np.abs(np.diff(stream, axis=0)).reshape(whole, BLOCK, len(self._step))[:, ::THIN]
+        least = np.where(changes > 0, changes, np.inf).min(axis=1)
+        seen = np.minimum.accumulate(np.vstack([self._seen, least]))
+        self._seen = seen[-1]
+        return np.asarray(np.where(self._step > 0, self._step, seen))
 
     def _decide(self, *, end: bool) -> None:
         """Mark spikes among the samples that are not decided, as far as what comes after them is there."""

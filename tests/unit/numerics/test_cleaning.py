@@ -98,6 +98,18 @@ def test_cleaner_takes_flicker_of_the_wires_step_for_what_it_is() -> None:
     assert not clean(v, step=1e-3).missing.any()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_cleaner_learns_the_step_of_a_channel_that_nobody_states(seed: int) -> None:
+    """Text with three decimals that mostly rests on one number, and now and then flickers to the next."""
+    rng = np.random.default_rng(seed)
+    slow = 0.02 * np.sin(2 * np.pi * 0.05 * np.arange(20_000) * 1e-3)
+    v = np.round(np.column_stack([slow, slow, slow]) + 2e-4 * rng.standard_normal((20_000, 3)), 3)
+    found = clean(v)
+    assert not found.spike.any()
+    v[15_000, 1] += 0.05
+    assert np.argwhere(clean(v).spike).tolist() == [[15_000, 1]]
+
+
 def test_cleaner_without_any_reading_of_a_channel_at_the_end_repeats_the_last() -> None:
     v = noisy(np.random.default_rng(4), 300, SIGMA).v
     v[-3:, 1] = np.nan

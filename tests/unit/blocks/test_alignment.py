@@ -1,10 +1,15 @@
 """Several sources become rows: whoever comes first, however late, by whatever clock; every sample is accounted for."""
 
+from pathlib import Path
+
 import numpy as np
 
-from agent.blocks.acquisition import Aligned, ChannelScale, source_plan
+from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
 from agent.blocks.alignment import Alignment, AlignmentPlan, StreamPlan
+from agent.blocks.alignment_plan import make_acquisition
+from agent.config import load
 from drivers.port import FloatArray, IntArray, SampleBlock
+from tests.scenario.live import example
 
 CHANNELS = ["force", "x1", "x2"]
 SCALES = dict.fromkeys(CHANNELS, ChannelScale(1.0, 0.0, 1.0))
@@ -150,16 +155,18 @@ def played(alignment: Alignment, seconds: float, ppm: float, rate_hz: float, beg
 def test_alignment_devices_that_count_for_themselves_meet_by_their_clocks() -> None:
     """What is left is a constant: the difference of the transports' delays, which only the model can tell."""
     alignment = pair(own_clock=True)
-    pieces = played(alignment, 24.0, 120.0, 1000.0, 0.4567)
+    pieces = played(alignment, 24.0, 400.0, 1000.0, 0.4567)
     index, values = joined(pieces)
     assert len(index) > 20_000
     assert np.all(np.diff(index) == 1)
-    late = np.arange(-30.0, 30.0, 0.05)
-    for begin in (3000, 10_000, 18_000):
+    late, found = np.arange(-30.0, 30.0, 0.05), []
+    for begin in (3000, 14_000, 20_000):
         part = slice(begin, begin + 2000)
         errors = [np.std(values[part, 2] - smooth(index[part] - shift)) for shift in late]
-        assert abs(abs(float(late[int(np.argmin(errors))])) - 4.0) < 1.5
-        assert min(errors) < 0.01
+        found.append(float(late[int(np.argmin(errors))]))
+        assert min(errors) < 0.02
+    assert abs(abs(found[1]) - 4.0) < 1.5
+    assert abs(found[2] - found[1]) < 1.0
 
 
 def test_alignment_slower_device_is_resampled_to_the_rows() -> None:
@@ -172,3 +179,26 @@ def test_alignment_slower_device_is_resampled_to_the_rows() -> None:
     stream = alignment.streams["two"]
     total = stream.waiting + stream.tally.rejected.total()
     assert total == stream.newest + 1
+
+
+def test_alignment_is_what_a_configuration_with_delays_asks_for(tmp_path: Path) -> None:
+    """A delay that the force shares moves the time stamps, not the readings against each other."""
+    path = example("modbus", tmp_path)
+    plain = load(path)
+    maps = {"modbus": plain.source[0].map}
+    assert isinstance(make_acquisition(plain, maps, np.zeros(2)), Acquisition)
+    text = path.read_text(encoding="utf-8").replace('unit = "m"', 'unit = "m"\ndelay_s = 0.0052').replace(
+        'unit = "N"', 'unit = "N"\ndelay_s = 0.0015'
+    )  # fmt: skip
+    path.write_text(text, encoding="utf-8")
+    found = make_acquisition(load(path), maps, np.zeros(2))
+    assert isinstance(found, Alignment)
+    np.testing.assert_allclose(found.plan.delay_s, [0.0, 0.0037, 0.0037])
+    assert found.plan.late_s == 0.0015
+    rows = np.arange(100)
+    pieces = found.step("modbus", block(rows, np.column_stack([rows, rows, rows])), None)
+    pieces += found.finish()
+    index, values = joined(pieces)
+    np.testing.assert_allclose(values[5:90, 1] - values[5:90, 0], 3.7)
+    assert pieces[0].stamps is not None
+    assert pieces[0].stamps[0] == int(index[0]) * 1_000_000 - 1_500_000

@@ -47,6 +47,10 @@ def fill(folder: Path) -> Path:
     return filler
 
 
+def remount(folder: Path, how: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{how}", folder], check=True)
+
+
 def wait_for(condition: object, deadline_s: float) -> float:
     """Wait until a condition holds; returns how long it took, s."""
     assert callable(condition)
@@ -60,6 +64,7 @@ def wait_for(condition: object, deadline_s: float) -> float:
 @pytest.mark.parametrize("cycles", [5, pytest.param(20, marks=[pytest.mark.soak, pytest.mark.timeout(1200)])])
 def test_full_disk_loses_nothing_acknowledged_and_resumes_alone(disk: Path, cycles: int) -> None:
     path = disk / "rig.db"
+    remount(disk, f"size={SIZE * cycles // 5}")  # rows of all cycles must fit, or the oldest give way to the newest
     writer = StoreWriter(lambda: Store.open(path, Retention()), [run_info()], period_s=0.05)
     writer.start()
     number = 0
@@ -150,10 +155,6 @@ def test_first_start_on_a_full_disk_waits_for_room(disk: Path) -> None:
     assert writer.flush(20)
     writer.stop(20)
     assert len(queries.estimates(path)) == 40
-
-
-def remount(folder: Path, how: str) -> None:
-    subprocess.run(["mount", "-o", f"remount,{how}", folder], check=True)
 
 
 @pytest.mark.parametrize("there", [True, False], ids=["with a file", "first start"])

@@ -74,7 +74,7 @@ def test_upgrade_of_an_earlier_version_keeps_every_row_and_ends_as_a_new_file_do
 
 
 @pytest.mark.parametrize("version", FIXTURES)
-@pytest.mark.parametrize("count", [50, pytest.param(5000, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
+@pytest.mark.parametrize("count", [25, pytest.param(5000, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
 def test_power_cut_during_an_upgrade_leaves_the_old_file_or_the_new_one(
     shim: Path, memory: Path, rng: np.random.Generator, version: int, count: int
 ) -> None:

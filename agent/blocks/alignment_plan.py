@@ -119,7 +119,7 @@ def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: Flo
     return SkewMeter(
         rig.model, late, signals(config), settings.period_s, config.estimator.hold,
         observer_gains(config, rig, hop_plan(config).window), known_noise(config, resolution),
-        settings.scale, settings.lower,
+        settings.scale, settings.scale_column, settings.lower,
     )  # fmt: skip
 
 

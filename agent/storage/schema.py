@@ -7,6 +7,7 @@ fits, verdicts) is named by number.
 """
 
 import sqlite3
+import sys
 from typing import TYPE_CHECKING
 
 from agent import __version__
@@ -166,6 +167,11 @@ def upgrade(connection: sqlite3.Connection) -> None:
     """
     if version_of(connection) == SCHEMA_VERSION:
         return
-    from sqlite_utils import Database
+    absent = sys.modules.setdefault("pandas", None)  # type: ignore[arg-type]  # sqlite-utils would load it: a second
+    try:
+        from sqlite_utils import Database
+    finally:
+        if absent is None:
+            del sys.modules["pandas"]
 
     migrations().apply(Database(connection, execute_plugins=False))

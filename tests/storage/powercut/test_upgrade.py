@@ -3,6 +3,8 @@
 import gzip
 import shutil
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from agent.storage import maintenance
 from agent.storage.connect import create
 from agent.storage.schema import SCHEMA_VERSION, version_of
 from agent.storage.store import Store
+from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.disk import cuts
 from tests.storage.powercut.test_powercut import laid_before, lay, record
@@ -109,3 +112,11 @@ def looked_at(path: Path) -> int:
     version = version_of(connection)
     connection.close()
     return version
+
+
+def test_first_start_loads_no_pandas_though_it_is_installed(memory: Path) -> None:
+    code = "import sys; from agent.storage.store import Store; Store.open(sys.argv[1]).close(); print(sorted(sys.modules))"
+    command = [sys.executable, "-c", code, memory / "rig.db"]
+    done = subprocess.run(command, cwd=peers.ROOT, capture_output=True, text=True, check=True)
+    assert "'sqlite_utils'" in done.stdout
+    assert "'pandas'" not in done.stdout

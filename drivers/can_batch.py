@@ -53,6 +53,12 @@ def batches_work() -> bool:
     return ctypes.sizeof(ctypes.c_void_p) == 8 and hasattr(ctypes.CDLL(None), "recvmmsg")
 
 
+@cache
+def _library() -> ctypes.CDLL:
+    """Return the C library, opened once: each opening of it would leave types of its own behind."""
+    return ctypes.CDLL(None, use_errno=True)
+
+
 class BatchReceiver:
     """Receives from a CAN socket that was told to give time stamps (SO_TIMESTAMPNS) and lost frames (SO_RXQ_OVFL).
 
@@ -66,7 +72,7 @@ class BatchReceiver:
 
     def __init__(self, descriptor: int, most: int = _MOST) -> None:
         self.lost = 0
-        self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
+        self._call = _library().recvmmsg
         self._descriptor = descriptor
         self._table = np.zeros(most, FRAME)
         self._bytes = self._table.view(np.uint8).reshape(most, FRAME.itemsize)

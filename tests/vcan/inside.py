@@ -59,7 +59,7 @@ class KernelLine(can_lines.DaemonLine):
 
     def __init__(self) -> None:
         self.played = 0
-        self.sent: list[bytes] = []
+        self.sent: set[bytes] = set()
         self.foreign: list[bytes] = []
         if not bus_is_there(self.bus):
             make_bus(self.bus)
@@ -84,7 +84,7 @@ class KernelLine(can_lines.DaemonLine):
         payload = bytes.fromhex(data)
         size = 64 if len(payload) > 8 else 8
         frame = struct.pack("=IB3x", number, len(payload)) + payload.ljust(size, b"\0")
-        self.sent.append(frame)
+        self.sent.add(frame)
         self.sender.send(frame)
 
     def attached(self, driver: object) -> None:
@@ -107,6 +107,7 @@ class KernelLine(can_lines.DaemonLine):
         ip("del", self.bus)
 
     def restore(self) -> None:
+        self.sent.clear()
         make_bus(self.bus)
         self.listen()
 

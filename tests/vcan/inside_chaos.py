@@ -20,6 +20,7 @@ class DownLine(KernelLine):
         ip("set", self.bus, "down")
 
     def restore(self) -> None:
+        self.sent.clear()
         ip("set", self.bus, "up")
         for end in (self.sender, self.monitor):  # they still hold the error of a bus that went
             end.close()

@@ -342,7 +342,8 @@ def test_port_that_refuses_or_never_answers_keeps_the_agent_trying(place: Place,
         assert rows(db, "SELECT count(*) FROM v_estimates") == [(0,)]
 
 
-def test_check_probe_is_refused_in_words(place: Place, deltak: Run) -> None:
+def test_check_probe_of_a_device_that_is_not_there_names_the_source(place: Place, deltak: Run) -> None:
     code, _, err = deltak("check", str(place.config), "--probe")
-    assert code == 2
-    assert "--probe: is not in this version" in err
+    assert code == 4
+    assert "modbus: 127.0.0.1:" in err
+    assert "Connection refused" in err

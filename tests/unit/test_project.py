@@ -34,7 +34,7 @@ def test_entry_points_are_those_of_the_project_file() -> None:
 def test_entry_point_names_a_thing_that_exists(name: str, value: str) -> None:
     module, _, attribute = value.partition(":")
     thing = f"importlib.import_module({module!r})"
-    code = f"import importlib; assert callable(getattr({thing}, {attribute!r}))" if attribute else f"import importlib; {thing}"
+    code = f"import importlib; {f'assert callable(getattr({thing}, {attribute!r}))' if attribute else thing}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, f"{name} = {value}: {done.stderr[-300:]}"
 

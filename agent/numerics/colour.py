@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz
 
 from agent.numerics.observer import Gain
 from agent.numerics.statespace import StateSpace
@@ -83,20 +82,24 @@ class Colour:
 def autoregression(e: FloatArray, most: int = MOST_LAGS) -> tuple[FloatArray, float]:
     """Fit e(k) = sum a_j e(k-j) + w(k) to one series (N,); return a (order,) and the variance of w.
 
-    Order 0 is white; the order minimises Schwarz's criterion.
+    Order 0 is white; the order minimises Schwarz's criterion. Each order follows from the one before (Levinson 1947,
+    Durbin 1960).
     """
     count = len(e)
     most = min(most, max(count // 10, 0))
     r = np.array([e[: count - lag] @ e[lag:] for lag in range(most + 1)]) / count
-    best, chosen = np.inf, (np.zeros(0), float(r[0]))
+    a, variance = np.zeros(0), float(r[0])
+    best, chosen = np.inf, (a, variance)
     for order in range(most + 1):
-        a = solve_toeplitz(r[:order], r[1 : order + 1]) if order else np.zeros(0)
-        variance = float(r[0] - a @ r[1 : order + 1])
+        if order and variance > 0:
+            reflection = float(r[order] - a @ r[order - 1 : 0 : -1]) / variance
+            a = np.append(a - reflection * a[::-1], reflection)
+            variance *= 1.0 - reflection**2
         if variance <= 0:
             break
         criterion = count * np.log(variance) + order * np.log(count)
         if criterion < best:
-            best, chosen = criterion, (np.asarray(a, dtype=np.float64), variance)
+            best, chosen = criterion, (a, variance)
     return chosen
 
 

@@ -21,7 +21,7 @@ LONG = 4096
 """Newest samples of a window from which its colour is learnt."""
 ACCUSED = 32_768
 """Newest samples of a window in which a suspect is looked for."""
-RECOLOUR = 131_072
+RECOLOUR = 262_144
 """Samples between two looks at the colour of a residual that was white; one that was not is looked at every window."""
 
 

@@ -31,12 +31,14 @@ class Reference:
 
     def with_windows(self, information: FloatArray, theta: FloatArray) -> "tuple[FloatArray, FloatArray]":
         """Return A (N, q, q) and b (N, q) after each of N further disjoint windows, theta (N, q) scaled."""
-        pieces = np.einsum("nij,nj->ni", information, theta)
-        return _forgetting(self.A, information), _forgetting(self.b, pieces)
+        count, q = theta.shape
+        pieces = np.concatenate([information, np.einsum("nij,nj->ni", information, theta)[:, None]], axis=1)
+        kept = _forgetting(np.vstack([self.A, self.b]).ravel(), pieces.reshape(count, -1)).reshape(count, q + 1, q)
+        return kept[:, :q], kept[:, q]
 
 
 def _forgetting(before: FloatArray, pieces: FloatArray) -> FloatArray:
-    """Add pieces (N, ...) one after the other to what was before (...) and fades; return it after each of them.
+    """Add pieces (N, c) one after the other to what was before (c,) and fades; return it after each of them.
 
     In order, since a product of all at once would round differently for each number of them. A filter does the same for
     many: a replay's batches are worth loading it for (0.4 s), an agent's few rows at a time are not.

@@ -20,7 +20,6 @@ from agent.numerics.upkeep import NEVER
 from agent.numerics.working_point import WorkingPoint
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 SURE = 4.0
 """Standard deviations of a slope that are movement, not chance."""
 
@@ -42,10 +41,12 @@ class Moving:
         stirred = (rows.changing | rows.mismatch) & rows.full
         if moved:
             stirred[-1] = True
-        for row in np.flatnonzero(_within(rows, stirred, self.window) | (rows.index < self._until)).tolist():
+        first = np.flatnonzero(stirred | (rows.index < self._until))
+        for row in range(int(first[0]) if len(first) else len(stirred), len(stirred)):
             index = int(rows.index[row])
             if stirred[row]:
                 self._until = index + self.window
+            # each line that tells a row keeps the search up, so which rows are tried is known only one after the other
             if index < self._until and self._is_told(point, segment, lacking, rows, row):
                 self._until = index + self.window
 
@@ -96,9 +97,3 @@ def _judge(point: WorkingPoint, line: Line, window: int) -> _Judged | None:
         return None
     white = np.sqrt(np.diag(line.covariance) * max(ratio, point.floor_ratio))
     return _Judged(white * colour.inflation * np.tile(point.commission.factor, 2), ratio, dof * colour.share)
-
-
-def _within(rows: Rows, stirred: BoolArray, window: int) -> BoolArray:
-    """(N,) rows less than a window's length behind one that stirred."""
-    newest = np.maximum.accumulate(np.where(stirred, rows.index, NEVER))
-    return np.asarray(rows.index - newest < window)

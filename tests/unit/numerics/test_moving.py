@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.numerics import moving as room
+from agent.numerics.moving import Moving
 from agent.numerics.rows import Rows
 from agent.numerics.window_ml import WindowML
 from tests.bench.scene import Record, play
@@ -96,3 +97,23 @@ def test_moving_window_after_a_gap_begins_behind_it(rng: np.random.Generator) ->
     rows = ml.step(3000, record.y[3000:], record.u[3000:])
     assert np.all(rows.window[rows.index < 3000 + LINES - 1] < LINES)
     assert np.any(rows.window[rows.index >= 3000 + LINES - 1] == LINES)
+
+
+@pytest.mark.parametrize("batch", [1, 7, 100])
+def test_moving_a_line_that_tells_keeps_the_search_up_in_any_batch(batch: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+
+    def told(*given: object) -> bool:
+        rows, row = given[-2:]
+        tried.append(int(rows.index[row]))  # type: ignore[attr-defined]
+        return tried[-1] < 3000
+
+    monkeypatch.setattr(Moving, "_is_told", told)
+    follower = Moving(LINES)
+    hops = 50 * np.arange(1, 101)
+    for start in range(0, 100, batch):
+        rows = Rows.warming(hops[start : start + batch], 4)
+        rows.full[:] = True
+        rows.changing[:] = rows.index == 500
+        follower.follow(None, None, None, rows, moved=False)  # type: ignore[arg-type]
+    assert tried == [index for index in hops.tolist() if 500 <= index < 2950 + LINES]

@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import threading
+from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -129,12 +130,13 @@ class ModbusDevice(Device):
         return [_fifo_request(self._by_number)]
 
     @property
+    @abstractmethod
     def address(self) -> str:
         """Where the device is reached."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
-        raise NotImplementedError
+        """Return the server that answers for the units."""
 
     def stop(self) -> None:
         if not self._thread.is_alive():

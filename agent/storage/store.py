@@ -8,17 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from agent.errors import StoreError
 from agent.storage.alarms import AlarmBook, AlarmRow, standing_alarms
-from agent.storage.batches import joined_runs, take
-from agent.storage.calibrations import CalibrationBook, newest_calibration
+from agent.storage.books import Books
+from agent.storage.calibrations import newest_calibration
 from agent.storage.checksum import row_crc
 from agent.storage.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writer, create, is_damage, may_pass
 from agent.storage.coverage import Coverage
-from agent.storage.encode import add_estimates
-from agent.storage.event_records import RecordBook
 from agent.storage.files import (
     Ballast,
     Kind,
@@ -37,21 +33,9 @@ from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.salvage import Recovery, finish_interrupted, recover
 from agent.storage.schema import insert_sql, upgrade
 from agent.storage.spill import merge, open_spill
-from agent.storage.status import add_event, add_health
 from agent.storage.verify import Scrubber, problems_at_start
-from agent.types import (
-    AlarmTransition,
-    Calibrated,
-    CalibrationRecord,
-    EstimateBatch,
-    EventRecord,
-    Health,
-    HealthEvent,
-    Record,
-    RunInfo,
-)
+from agent.types import AlarmTransition, Calibrated, HealthEvent, Record, RunInfo
 
-_CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000
 _FRAMES_BEFORE_SPILL = WAL_BOUND * 5 // 8 // FRAME_BYTES
@@ -75,9 +59,7 @@ class Store:
         self._ballast = Ballast(path)
         self.numbers = Numbers()
         self.names = Names(self.numbers)
-        self._books: dict[int, AlarmBook] = {}
-        self._coverage: dict[int, Coverage] = {}
-        self._records, self._calibrations = RecordBook(), CalibrationBook()
+        self._books = self._new_books()
         self._since_checkpoint = [0, 0]
         self._keep = keep
         self._upkeep = Upkeep(self, keep)
@@ -106,6 +88,9 @@ class Store:
             store.close()
             raise
         return store
+
+    def _new_books(self) -> Books:
+        return Books(self.names, self.numbers, lambda: self.connection)
 
     def _attach(self) -> None:
         """Open the file; on a full disk after dropping the ballast and the oldest hour of rows.
@@ -139,7 +124,6 @@ class Store:
         refuse(self.path, kind)
         if kind is Kind.MISSING:
             create(self.path)
-        if kind is Kind.MISSING:
             self._receipts.forget()
         damage = "its header is damaged" if kind is Kind.DAMAGED else self._receipts.missing(self.path)
         damage = damage or self._connect()
@@ -173,9 +157,7 @@ class Store:
         self._disconnect()
         self.recovery = recover(self.path, damage, self._receipts.highs)
         self.names = Names(self.numbers)
-        self._books.clear()
-        self._coverage.clear()
-        self._records, self._calibrations = RecordBook(), CalibrationBook()
+        self._books = self._new_books()
         self._upkeep = Upkeep(self, self._keep)
         problem = self._connect()
         if problem is not None:
@@ -218,8 +200,7 @@ class Store:
     def adopt_run(self, run_id: int, run: RunInfo) -> None:
         """Go on with a run that is in the file already."""
         standing = self.open_alarms(run.rig) if run.kind == "live" else []
-        self._books[run_id] = AlarmBook(run_id, standing)
-        self._coverage[run_id] = Coverage(self.connection, run_id, run.rig)
+        self._books.open(run_id, AlarmBook(run_id, standing), Coverage(self.connection, run_id, run.rig))
         self._upkeep.watch(run_id)
 
     def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
@@ -244,29 +225,7 @@ class Store:
         """Turn records into the rows of one or several transactions; nothing is written yet."""
         if run_id not in self._books:
             raise StoreError.at(str(self.path), f"there is no run {run_id} open for writing", "begin a run first")
-        plans = [self._estimates_plan(run_id, part) for part in _pieces(records)] or [Plan()]
-        for record in records:
-            self._add(plans[-1], run_id, record)
-        return plans
-
-    def _estimates_plan(self, run_id: int, batch: EstimateBatch) -> Plan:
-        plan = Plan()
-        add_estimates(plan, batch, run_id, self.names, self.numbers)
-        t_ns = batch.t_ns
-        self._coverage[run_id].extend(plan, int(np.min(t_ns)), int(np.max(t_ns)), self.numbers)
-        return plan
-
-    def _add(self, plan: Plan, run_id: int, record: Record) -> None:
-        if isinstance(record, AlarmTransition):
-            self._books[run_id].apply(plan, record, self.numbers)
-        elif isinstance(record, Health):
-            add_health(plan, record, run_id, self.numbers)
-        elif isinstance(record, HealthEvent):
-            add_event(plan, record, run_id, self.numbers)
-        elif isinstance(record, CalibrationRecord):
-            self._calibrations.apply(plan, record, run_id, self.numbers)
-        elif isinstance(record, EventRecord):
-            self._records.apply(plan, record, run_id, self.numbers, self.connection)
+        return self._books.plans(run_id, records)
 
     def commit(self, plans: Sequence[Plan]) -> None:
         """Write plans, a transaction each; on return they are on the disk. Committing a plan again is harmless."""
@@ -401,16 +360,3 @@ class Store:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _pieces(records: Sequence[Record]) -> list[EstimateBatch]:
-    """Return the estimates of the records, joined where they can be and cut to the size of a transaction."""
-    pieces: list[EstimateBatch] = []
-    batches = [r for r in records if isinstance(r, EstimateBatch) and len(r)]
-    for batch in joined_runs(batches):
-        hops = max(1, _CELLS_A_COMMIT // max(1, len(batch.parameters)))
-        if len(batch) <= hops:
-            pieces.append(batch)
-            continue
-        pieces.extend(take(batch, np.arange(i, min(i + hops, len(batch)))) for i in range(0, len(batch), hops))
-    return pieces

@@ -57,7 +57,7 @@ class _Progress:
     growing: bool
 
 
-class Upkeep:
+class TierKeeper:
     """Keeps the tiers of a store; called between commits, does a little each time.
 
     Purging never takes a row that a consumer (northbound) has not taken yet, but that the size of the file wins; such

@@ -28,7 +28,7 @@ from agent.storage.files import (
     sync_folder,
 )
 from agent.storage.receipts import Receipts
-from agent.storage.retention import Retention, Upkeep
+from agent.storage.retention import Retention, TierKeeper
 from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.salvage import Recovery, finish_interrupted, recover
 from agent.storage.schema import insert_sql, upgrade
@@ -62,7 +62,7 @@ class Store:
         self._books = self._new_books()
         self._since_checkpoint = [0, 0]
         self._keep = keep
-        self._upkeep = Upkeep(self, keep)
+        self._tiers = TierKeeper(self, keep)
         self._scrubber = Scrubber()
         self.recovery: Recovery | None = None
         """What became of a damaged file that was found here; told in the next run that begins."""
@@ -112,7 +112,7 @@ class Store:
                 raise
             self._disconnect()
             self._open_file()
-            self._upkeep.make_room()
+            self._tiers.make_room()
             self.checkpoint("TRUNCATE")
 
     def _open_file(self) -> None:
@@ -143,7 +143,7 @@ class Store:
             merge(self.path, self._connection)
             self.numbers.load(self._connection)
             self.names.load(self._connection)
-            self._upkeep.load()
+            self._tiers.load()
         except sqlite3.Error as error:
             if is_damage(error) or (not may_pass(error) and isinstance(error, sqlite3.OperationalError)):
                 return str(error)
@@ -158,7 +158,7 @@ class Store:
         self.recovery = recover(self.path, damage, self._receipts.highs)
         self.names = Names(self.numbers)
         self._books = self._new_books()
-        self._upkeep = Upkeep(self, self._keep)
+        self._tiers = TierKeeper(self, self._keep)
         problem = self._connect()
         if problem is not None:
             raise StoreError.at(str(self.path), f"the database cannot be repaired ({problem})", "replace its disk")
@@ -201,7 +201,7 @@ class Store:
         """Go on with a run that is in the file already."""
         standing = self.open_alarms(run.rig) if run.kind == "live" else []
         self._books.open(run_id, AlarmBook(run_id, standing), Coverage(self.connection, run_id, run.rig))
-        self._upkeep.watch(run_id)
+        self._tiers.watch(run_id)
 
     def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
         """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""
@@ -317,7 +317,7 @@ class Store:
             elif pressed:
                 self._ballast.drop()
                 self.reopen()
-                self._upkeep.make_room()
+                self._tiers.make_room()
                 self.checkpoint("TRUNCATE")
 
     def compact(self) -> None:
@@ -332,7 +332,7 @@ class Store:
             if self.spilling:
                 self._checkpoint_if_due()
                 return
-            self._upkeep.step(finish=finish)
+            self._tiers.step(finish=finish)
             self._scrubber.step(self.connection)
             self._ballast.lay()
 

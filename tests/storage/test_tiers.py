@@ -147,7 +147,7 @@ def test_purge_keeps_what_was_not_sent_unless_the_file_grows_too_large(path: Pat
         assert sum(1 for r in queries.estimates(path, parameter="k1") if r["span_s"] == 0) == 6 * 360 - 100
     with Store.open(path, Retention(max_bytes=400e3)) as store:
         store.maintain()
-        assert store._upkeep.used_bytes() <= 380e3
+        assert store._tiers.used_bytes() <= 380e3
         unsent = store.connection.execute("SELECT count FROM counters WHERE name = 'purged unsent'").fetchone()[0]
         assert unsent > 0
 
@@ -192,7 +192,7 @@ def test_bytes_per_rig_year_is_what_a_file_takes(path: Path, parameters: int, ev
     scaled = Retention(rows[0] * every, rows[60] * 60, rows[3600] * 3600)
     predicted = bytes_per_rig_year(parameters, every, 0.05, scaled, sources=0)
     with Store.open(path) as store:
-        used = store._upkeep.used_bytes() - 60_000  # an empty file
+        used = store._tiers.used_bytes() - 60_000  # an empty file
     assert predicted == pytest.approx(used, rel=0.12)
 
 

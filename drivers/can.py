@@ -14,10 +14,20 @@ from drivers.can_heard import HeardOnCan
 from drivers.can_kernel import KernelBus
 from drivers.can_keys import FrameKeys
 from drivers.can_slcan import SlcanBus
-from drivers.port import DriverIOError, DriverSettings, IntArray, SampleBlock, SourceRequest
+from drivers.port import (
+    RETRY_HERE_S,
+    RETRY_S,
+    DriverIOError,
+    DriverSettings,
+    IntArray,
+    SampleBlock,
+    SourceRequest,
+)
 
 _GATHER_S = 0.01
 _FEW = 64
+_HERE = frozenset({"socketcan", "slcan"})
+"""Buses of which this machine knows whether they are there."""
 
 
 class CanSettings(BusKeys, FrameKeys):
@@ -79,6 +89,10 @@ class CanDriver(DbcDriver):
         self._opened = False
         self._failure: DriverIOError | None = None
         self._told: set[str] = set()
+
+    @property
+    def retry_s(self) -> float:
+        return RETRY_HERE_S if self.request.settings.interface in _HERE else RETRY_S
 
     def hints(self) -> tuple[str, ...]:
         return can_link.hints(self.request.settings)

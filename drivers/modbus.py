@@ -7,18 +7,17 @@ from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus_fifo import FifoReader
 from drivers.modbus_frames import BUSY, ReplyError, Request, RtuFrames, TcpFrames
-from drivers.modbus_line import ROUNDING_S, LaterError, ModbusLine, let_go, shared_line
+from drivers.modbus_line import ModbusLine, let_go, shared_line
 from drivers.modbus_modes import Reader, RefusedError
 from drivers.modbus_poll import PollReader
 from drivers.modbus_ring import RingReader
 from drivers.modbus_settings import ModbusSettings
+from drivers.modbus_units import PATIENCE, ROUNDING_S, LaterError
 from drivers.pipe import serial_pipe, tcp_pipe
 from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
 from drivers.serial_port import SerialKeys, port_hint
 
 READERS: Mapping[str, type[Reader]] = {"ring": RingReader, "poll": PollReader, "fifo": FifoReader}
-_PATIENCE = 3
-"""Requests in a row without an answer after which a unit counts as lost."""
 _BUSY_FIRST_S, _BUSY_MOST_S = 0.05, 1.0
 _FASTEST_PACED = 22000
 _REQUEST_BYTES, _ANSWER_BYTES, _BITS_A_BYTE = 8, 5, 11
@@ -144,9 +143,10 @@ class ModbusDriver(Driver):
         words = f"{self._address()}: {error}"
         if error.code in BUSY:
             until, self._busy_s = clock.monotonic() + self._busy_s, min(2 * self._busy_s, _BUSY_MOST_S)
-            return LaterError(until)
+            return LaterError(until, asked=True)
         if error.silent:
             self._unanswered += 1
-            lost = self._unanswered >= _PATIENCE
-            return DriverIOError(f"{words} ({self._unanswered} in a row)") if lost else LaterError(clock.monotonic())
+            if self._unanswered < PATIENCE:
+                return LaterError(clock.monotonic(), asked=True)
+            return DriverIOError(f"{words} ({self._unanswered} in a row)")
         return RefusedError(words, error.code) if error.code else DriverIOError(words)

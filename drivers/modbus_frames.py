@@ -28,7 +28,8 @@ GATEWAY = frozenset({10, 11})
 """Exceptions by which a gateway says that a unit behind it is silent."""
 ADDRESS, VALUE = 2, 3
 _LONGEST_TCP = 260
-_REMEMBERED = 64
+REMEMBERED = 64
+"""Requests given up whose replies are still known for what they are."""
 _LOADING = threading.Lock()
 _EXCEPTIONS = {
     1: "illegal function",
@@ -123,11 +124,12 @@ class Frames(ABC):
 
     Attributes:
         protocol: its name in `drivers.listening`.
-        late: how many replies to requests that were given up stood in the bytes handed to `reply` last.
+        late: of each reply to a request that was given up and stood in the bytes handed to `reply` last, the number
+            that `give_up` gave it; 0 where replies do not say what they answer.
     """
 
     protocol: str
-    late: int = 0
+    late: tuple[int, ...] = ()
 
     @abstractmethod
     def request(self, request: Request) -> bytes:
@@ -137,10 +139,11 @@ class Frames(ABC):
     def reply(self, data: bytes, request: Request) -> ByteArray | None:
         """Return the reply's register bytes, None while there is none; ReplyError when it is no good answer."""
 
-    def give_up(self) -> None:  # noqa: B027 (where replies do not say which request they answer, nothing helps here)
-        """Wait for the last request's reply no longer; should it come, it is passed over."""
+    def give_up(self) -> int:
+        """Wait for the last request's reply no longer: should it come, it is passed over. Return its number."""
+        return 0
 
-    def restart(self) -> None:  # noqa: B027 (see above)
+    def restart(self) -> None:  # noqa: B027 (where replies do not say what they answer, there is nothing to forget)
         """Forget what was given up: the connection is new."""
 
     def partial(self, data: bytes) -> bool:
@@ -159,15 +162,16 @@ class TcpFrames(Frames):
 
         self._framer: FramerBase = FramerSocket(_decoder())
         self._transaction = 0
-        self._given_up: deque[int] = deque(maxlen=_REMEMBERED)
+        self._given_up: deque[int] = deque(maxlen=REMEMBERED)
 
     def request(self, request: Request) -> bytes:
         """Return the bytes of a request with a transaction number of its own."""
         self._transaction = self._transaction % 65535 + 1
         return self._framer.encode(request_pdu(request), request.unit, self._transaction)
 
-    def give_up(self) -> None:
+    def give_up(self) -> int:
         self._given_up.append(self._transaction)
+        return self._transaction
 
     def restart(self) -> None:
         self._given_up.clear()
@@ -192,16 +196,16 @@ class TcpFrames(Frames):
             raise ReplyError("reply", f"{len(rest)} bytes too many after the reply to {request.words}")
         return check_reply(pdu, request)
 
-    def _behind_late(self, data: bytes) -> tuple[bytes, int]:
-        """Return what stands behind the whole replies to requests that were given up, and how many these are."""
-        late = 0
-        while len(data) >= 6 and int.from_bytes(data[:2], "big") in self._given_up:
+    def _behind_late(self, data: bytes) -> tuple[bytes, tuple[int, ...]]:
+        """Return what stands behind the whole replies to requests that were given up, and the numbers of these."""
+        late: list[int] = []
+        while len(data) >= 6 and (number := int.from_bytes(data[:2], "big")) in self._given_up:
             size = 6 + int.from_bytes(data[4:6], "big")
             if len(data) < size:
                 break
             data = data[size:]
-            late += 1
-        return data, late
+            late.append(number)
+        return data, tuple(late)
 
 
 def _check_header(data: bytes) -> None:
@@ -235,7 +239,7 @@ class RtuFrames(Frames):
         expected reply can begin is offered to it by itself. An echo of the request (two-wire adapters) is passed over,
         and so is a sound reply of another length: it answers a request that was given up.
         """
-        self.late = 0
+        self.late = ()
         for start in _starts(data, request):
             piece = data[start : start + _rtu_size(data[start:])]
             used, _, _, pdu = self._framer.decode(piece)
@@ -245,7 +249,7 @@ class RtuFrames(Frames):
                 except ReplyError as error:
                     if error.code:
                         raise
-                    self.late += 1
+                    self.late += (0,)
         return None
 
 

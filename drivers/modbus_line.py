@@ -1,57 +1,42 @@
 """One connection to the units behind it, shared by all sources that name it: a serial line, a gateway, a device.
 
 Requests go out one at a time, the most urgent first. A unit that does not answer costs the others little: once it has
-failed it is given no longer than its answers used to take, but for now and then. A late answer is never taken for
-another's: over TCP its transaction is known to be given up; over RTU, where answers do not say what they answer, the
-unit is left alone for a while and then asked for a number of registers that it owes no answer of. Units answer in
-order, so that with that answer all late ones have come.
+failed it is given no longer than its answers used to take, but for now and then, and is asked ever more seldom, in the
+others' pauses; `modbus_units` says what that comes to. A late answer is never taken for another's: over TCP its
+transaction is known to be given up; over RTU, where answers do not say what they answer, the unit is left alone for a
+while and then asked for a number of registers that it owes no answer of. Units answer in order, so that with that
+answer all late ones have come.
 """
 
 import threading
 from collections import Counter
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from weakref import WeakValueDictionary
 
 from drivers import clock
 from drivers.fields import ByteArray
-from drivers.modbus_frames import ADDRESS, FIFO, MAX_REGISTERS, VALUE, Frames, ReplyError, Request
+from drivers.modbus_frames import ADDRESS, FIFO, MAX_REGISTERS, REMEMBERED, VALUE, Frames, ReplyError, Request
+from drivers.modbus_units import POLITE_S, ROUNDING_S, SHORTEST_S, USUAL, LaterError, Unit
 from drivers.pipe import Pipe
 from drivers.port import DriverConfigError, DriverIOError
 from drivers.turns import Turns
 
 _LONGEST = 2048
 """Bytes looked through for a reply; noise before them is forgotten."""
-_SHORTEST_S = 0.05
-_USUAL = 4.0
-_FULL_EVERY, _FULL_EVERY_UNKNOWN = 16, 4
 _DEAF = 3
 _REMEMBERED_S, _EACH_S = 5.0, 0.7
 """How long a lost request's answer may still come: at most, and for each other length there is to ask for."""
 _FADE = 0.98
-ROUNDING_S = 1e-6
-"""Times this near are the same: a wait may end so much early."""
 
 
-class LaterError(Exception):
-    """The unit cannot be asked now; `until` says when (clock.monotonic)."""
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A request that was given up: whose it was, when it went out, and who counts what becomes of it."""
 
-    def __init__(self, until: float) -> None:
-        super().__init__(f"not before {until:g}")
-        self.until = until
-
-
-@dataclass(slots=True)
-class _Unit:
-    """What is known of a unit: its slowest answer of late, failures in a row, and what answers it owes.
-
-    These are kept by their number of registers, with the time at which they were given up.
-    """
-
-    slowest_s: float = 0.0
-    unanswered: int = 0
-    late_until: float = 0.0
-    lost: dict[int, float] = field(default_factory=dict)
+    unit: Unit
+    at: float
+    faults: Counter[str]
 
 
 class ModbusLine:
@@ -76,10 +61,12 @@ class ModbusLine:
         self._connect = connect
         self._pause_s = pause_s
         self._turns = Turns()
-        self._units: dict[int, _Unit] = {}
+        self._units: dict[int, Unit] = {}
         self._usual_s = 0.0
         self._unanswered = 0
         self._heard_at = 0.0
+        self._newest: _Asked | None = None
+        self._given_up: dict[int, _Asked] = {}
 
     def open(self) -> None:
         """Connect unless that is done; raises DriverIOError."""
@@ -103,18 +90,27 @@ class ModbusLine:
             faults: counts late replies and stray bytes.
             spare: registers behind those requested that may be read along.
 
-        Raises LaterError while an answer of the unit may still be under way, ReplyError for a missing or wrong answer,
-        DriverIOError when the line is gone.
+        Raises LaterError while an answer of the unit may still be under way and while one that keeps silent leaves the
+        line to the others, ReplyError for a missing or wrong answer, DriverIOError when the line is gone.
         """
-        with self._turns.taken(urgent_at):
-            unit = self._units.setdefault(request.unit, _Unit())
-            if unit.late_until > clock.monotonic() + ROUNDING_S:
-                raise LaterError(unit.late_until)
+        unit = self._units.setdefault(request.unit, Unit())
+        with self._turns.taken(clock.monotonic() + POLITE_S if unit.is_lost else urgent_at):
+            self._wait_for(unit)
             if request.count in unit.lost:
                 self._come_level(request, unit, timeout_s, faults, spare)
+            unit.plan(urgent_at)
             return self._exchange(request, unit, timeout_s, faults)
 
-    def _come_level(self, request: Request, unit: _Unit, timeout_s: float, faults: Counter[str], spare: int) -> None:
+    def _wait_for(self, unit: Unit) -> None:
+        now = clock.monotonic()
+        begin = unit.late_until
+        if unit.is_lost:
+            others = [other for other in list(self._units.values()) if other is not unit and other.is_active(now)]
+            begin = max(begin, unit.start(now, others))
+        if begin > now + ROUNDING_S:
+            raise LaterError(begin)
+
+    def _come_level(self, request: Request, unit: Unit, timeout_s: float, faults: Counter[str], spare: int) -> None:
         """Ask for a number of registers that the unit owes no answer of; with that, every late one has come."""
         probe = _unowed(request, unit, timeout_s, spare)
         if probe is not None:
@@ -129,6 +125,8 @@ class ModbusLine:
         if self.pipe is None:
             self.pipe = self._connect()
             self.frames.restart()
+            self._given_up.clear()
+            self._newest = None
             self._unanswered = 0
         return self.pipe
 
@@ -137,55 +135,56 @@ class ModbusLine:
             self.pipe.close()
         self.pipe = None
 
-    def _exchange(self, request: Request, unit: _Unit, timeout_s: float, faults: Counter[str]) -> ByteArray:
+    def _exchange(self, request: Request, unit: Unit, timeout_s: float, faults: Counter[str]) -> ByteArray:
         pipe = self._connected()
         try:
-            if self._settle(pipe, faults) and unit.unanswered:
-                unit.slowest_s = timeout_s
+            self._settle(pipe, faults)
             pipe.send(self.frames.protocol, self.frames.request(request))
-            asked_at = clock.monotonic()
-            answer = self._await(pipe, request, asked_at + self._allowed(unit, timeout_s), faults)
+            asked = self._newest = _Asked(unit, clock.monotonic(), faults)
+            answer = self._await(pipe, request, timeout_s, asked)
         except DriverIOError:
             self._drop()
             raise
-        except ReplyError as error:
-            self._failed(request, unit, error, timeout_s)
-            raise
-        self._answered(unit, clock.monotonic() - asked_at)
+        self._answered(asked)
         return answer
 
-    def _settle(self, pipe: Pipe, faults: Counter[str]) -> bool:
-        """Leave the silence that RTU wants between frames, and forget what came unasked; tell whether something did."""
+    def _settle(self, pipe: Pipe, faults: Counter[str]) -> None:
+        """Leave the silence that RTU wants between frames, and forget what came unasked: whose turn it was sent it."""
         if self._pause_s is None:
-            return False
+            return
         clock.sleep(max(0.0, self._heard_at + self._pause_s - clock.monotonic()))
-        stray = pipe.drain(0.0)
+        stray, sender = pipe.drain(0.0), self._newest
         if stray:
-            faults["stray bytes"] += stray
-        return stray > 0
+            (faults if sender is None else sender.faults)["stray bytes"] += stray
+            if sender is not None and sender.unit.unanswered:
+                sender.unit.late(clock.monotonic() - sender.at)
 
-    def _allowed(self, unit: _Unit, timeout_s: float) -> float:
-        usual = unit.slowest_s or self._usual_s
-        every = _FULL_EVERY if unit.slowest_s else _FULL_EVERY_UNKNOWN
-        if not usual or unit.unanswered % every == 0:
-            return timeout_s
-        return min(timeout_s, max(_SHORTEST_S, _USUAL * usual))
+    def _await(self, pipe: Pipe, request: Request, timeout_s: float, asked: _Asked) -> ByteArray:
+        """Return the answer; a failure is noted before it is raised."""
+        try:
+            return self._answer(pipe, request, asked.at + asked.unit.allowed_s(timeout_s, self._usual_s), asked)
+        except ReplyError as error:
+            self._failed(request, asked, error, timeout_s)
+            raise
 
-    def _await(self, pipe: Pipe, request: Request, deadline: float, faults: Counter[str]) -> ByteArray:
+    def _answer(self, pipe: Pipe, request: Request, deadline: float, asked: _Asked) -> ByteArray:
         data = b""
         answer = None
-        self.frames.late = 0
         try:
             while answer is None and (more := pipe.recv(deadline)):
                 data = (data + more)[-_LONGEST:]
                 answer = self.frames.reply(data, request)
         finally:
             self._heard_at = clock.monotonic()
-            if self.frames.late:
-                faults["late reply"] += self.frames.late
+            for number in self.frames.late if data else ():
+                self._came_late(self._given_up.get(number, asked))
         if answer is None:
             raise self._silence(data, request)
         return answer
+
+    def _came_late(self, asked: _Asked) -> None:
+        asked.faults["late reply"] += 1
+        asked.unit.late(self._heard_at - min(asked.unit.lost.values(), default=asked.at))
 
     def _silence(self, data: bytes, request: Request) -> ReplyError:
         if self._pause_s is None and self.frames.partial(data):
@@ -193,35 +192,37 @@ class ModbusLine:
         got = f"{len(data)} bytes that are no reply to it" if data else "no reply"
         return ReplyError("timeout", f"{got} in time to {request.words}")
 
-    def _answered(self, unit: _Unit, seconds: float) -> None:
-        unit.unanswered = self._unanswered = 0
-        unit.lost.clear()
-        unit.slowest_s = max(seconds, _FADE * unit.slowest_s)
+    def _answered(self, asked: _Asked) -> None:
+        seconds = clock.monotonic() - asked.at
+        asked.unit.answered(seconds)
+        self._unanswered = 0
         self._usual_s = max(seconds, _FADE * self._usual_s)
 
-    def _failed(self, request: Request, unit: _Unit, error: ReplyError, timeout_s: float) -> None:
+    def _failed(self, request: Request, asked: _Asked, error: ReplyError, timeout_s: float) -> None:
         """Note what a failure says of the unit and of the connection."""
-        unit.unanswered = unit.unanswered + 1 if error.silent else 0
-        if self.frames.late:
-            unit.slowest_s = timeout_s
+        now = clock.monotonic()
+        asked.unit.failed(now - asked.at, now, silent=error.silent)
         if error.kind == "timeout":
-            self._missed(request, unit, timeout_s)
+            self._missed(request, asked, now, timeout_s)
         elif not error.code:
             self._drop()  # a stream of frames that do not fit cannot be trusted to fit later
 
-    def _missed(self, request: Request, unit: _Unit, timeout_s: float) -> None:
-        self.frames.give_up()
-        if self._pause_s is not None:
-            now = clock.monotonic()
+    def _missed(self, request: Request, asked: _Asked, now: float, timeout_s: float) -> None:
+        unit = asked.unit
+        if self._pause_s is None:
+            self._given_up[self.frames.give_up()] = asked
+            if len(self._given_up) > REMEMBERED:
+                del self._given_up[next(iter(self._given_up))]
+        else:
             unit.lost[request.count] = now
-            unit.late_until = now + min(timeout_s, max(_SHORTEST_S, _USUAL * unit.slowest_s))
+            unit.late_until = now + min(timeout_s, max(SHORTEST_S, USUAL * unit.slowest_s))
         self._unanswered += 1
         if self._unanswered >= _DEAF:
             self._drop()
             self._unanswered = 0
 
 
-def _unowed(request: Request, unit: _Unit, timeout_s: float, spare: int) -> Request | None:
+def _unowed(request: Request, unit: Unit, timeout_s: float, spare: int) -> Request | None:
     """Return a request from the same address whose answer cannot be one that the unit owes.
 
     None when no other length may be asked for, and the owed answers are so old that they will not come. LaterError

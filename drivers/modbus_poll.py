@@ -8,9 +8,9 @@ import numpy as np
 from drivers import clock
 from drivers.fields import ByteArray, Layout
 from drivers.modbus_frames import ADDRESS, MAX_REGISTERS, VALUE, Request
-from drivers.modbus_line import LaterError
 from drivers.modbus_modes import Ask, Reader, RefusedError
 from drivers.modbus_settings import ModbusField, ModbusSettings
+from drivers.modbus_units import LaterError
 from drivers.port import Counts, DriverIOError, SampleBlock, SourceRequest
 
 _GATHER_S = 0.02
@@ -107,19 +107,24 @@ class PollReader(Reader):
                     raise
                 self._failure = failure
                 return
-            finally:
-                self._plan_next()
             some = True
 
     def _poll(self, ask: Ask) -> ByteArray:
-        self.counts.received += 1
+        """Return one sample; a poll for which the line had no time yet stays due."""
         try:
             data = self._answers(ask)
-        except (LaterError, DriverIOError):
-            self.counts.rejected["no answer"] += 1
+        except (LaterError, DriverIOError) as failure:
+            if not isinstance(failure, LaterError) or failure.asked:
+                self.counts.rejected["no answer"] += 1
+                self._polled()
             raise
+        self._polled()
         sample: ByteArray = data[list(self._plan.places)]
         return sample
+
+    def _polled(self) -> None:
+        self.counts.received += 1
+        self._plan_next()
 
     def _answers(self, ask: Ask) -> ByteArray:
         answers: list[ByteArray] = []

@@ -102,6 +102,11 @@ class Heard:
     beside: Mapping[str, Any]
 
 
+RETRY_S, RETRY_HERE_S = 1.2, 0.4
+"""Longest pauses between tries to open a source, so that it is read again within 2 s of its return: of one that is
+reached over a network, and of one whose absence this machine knows by itself."""
+
+
 class DriverSettings(BaseModel):
     """Base of a driver's own configuration keys; unknown keys are errors."""
 
@@ -146,6 +151,11 @@ class Driver(ABC):
         self.counts = Counts()
         self._notes: list[str] = []
         self._reports: list[tuple[str, str]] = []
+
+    @property
+    def retry_s(self) -> float:
+        """Longest pause between two tries to open the source, s; shorter where a try reaches nobody else."""
+        return RETRY_S
 
     def note(self, text: str) -> None:
         """Keep a remark for the driver's owner, once; at most 100 wait."""

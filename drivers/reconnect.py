@@ -12,11 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import clock
-from drivers.port import Driver, DriverIOError, SampleBlock
+from drivers.port import RETRY_S, Driver, DriverIOError, SampleBlock
 
 FIRST_S = 0.1
-CEILING_S = 1.2
-"""Longest pause between two tries, so that a source is read again within 2 s of its return."""
 
 AWAY = frozenset({"lost", "stale", "bus-off"})
 """Causes that mean: no samples until "recovered"."""
@@ -48,7 +46,7 @@ class LinkEvent:
 class Backoff:
     """Pauses that double from first_s to ceiling_s, each drawn from its upper half so that rigs do not try in step."""
 
-    def __init__(self, rng: random.Random, first_s: float = FIRST_S, ceiling_s: float = CEILING_S) -> None:
+    def __init__(self, rng: random.Random, first_s: float = FIRST_S, ceiling_s: float = RETRY_S) -> None:
         self._rng = rng
         self._first_s = first_s
         self._ceiling_s = ceiling_s
@@ -92,7 +90,7 @@ class ReconnectingDriver:
         self._stale_s = stale_s
         self._clock = clock
         self._stop = stop or threading.Event()
-        self._backoff = Backoff(rng or random.Random())  # noqa: S311 (jitter keeps no secret)
+        self._backoff = Backoff(rng or random.Random(), ceiling_s=driver.retry_s)  # noqa: S311 (jitter keeps no secret)
         self._retry_at = clock()
         self._heard_at = clock()
         self._bad_before: Counter[str] = Counter()

@@ -9,7 +9,15 @@ from drivers import clock, crc, patterns
 from drivers.fields import FieldSpec, Layout, unique_names
 from drivers.framing import FRAMINGS
 from drivers.pipe import Pipe, serial_pipe
-from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSettings, SampleBlock, SourceRequest
+from drivers.port import (
+    RETRY_HERE_S,
+    Driver,
+    DriverConfigError,
+    DriverIOError,
+    DriverSettings,
+    SampleBlock,
+    SourceRequest,
+)
 from drivers.serial_codec import BinaryDecoder, SerialDecoder
 from drivers.serial_ends import EndedDecoder
 from drivers.serial_port import SerialKeys, port_hint
@@ -115,6 +123,10 @@ class SerialDriver(Driver):
             self.request.counter,
             self.counts,
         )
+
+    @property
+    def retry_s(self) -> float:
+        return RETRY_HERE_S
 
     def open(self) -> None:
         self.close()

@@ -12,7 +12,7 @@ from drivers.port import SampleBlock
 from tests import figures
 from tests.conformance.test_can_conformance import DaemonLine, FdLine
 from tests.conformance.test_can_modes_conformance import SlcanLine
-from tests.faults.test_line_chaos import BACK_WITHIN_S, STEP_S, Source, chaos, resources
+from tests.faults.test_line_chaos import BACK_WITHIN_S, Source, chaos, play_on, resources
 
 LINES: dict[str, Callable[[], Line]] = {"socketcand": DaemonLine, "slcan": SlcanLine}
 
@@ -39,17 +39,12 @@ def outages(lines: Sequence[Source], cycles: int) -> list[list[float]]:
         return list(pool.map(lambda source: chaos(source, cycles), lines))
 
 
-def play_on(source: Source, samples: int, done: threading.Event) -> None:
-    """Play so many samples every ten milliseconds."""
-    while not done.wait(STEP_S):
-        source.play(samples)
-
-
 def assert_recovers(makers: dict[str, Callable[[], Line]], cycles: int, samples: int = 10) -> None:
     """Hold lines through outages while one beside them plays on: in time, nothing lost there, nothing left over."""
+    stalls: list[float] = []
     done, beside = threading.Event(), Beside(FdLine())
     sources = {name: Source(make()) for name, make in makers.items()}
-    player = threading.Thread(target=play_on, args=(beside, samples, done))
+    player = threading.Thread(target=play_on, args=(beside, done, stalls, samples))
     player.start()
     try:
         outages(list(sources.values()), 1)
@@ -68,9 +63,10 @@ def assert_recovers(makers: dict[str, Callable[[], Line]], cycles: int, samples:
     words = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in worst.items())
     figures.figure(
         f"CAN, {cycles} outages each, read again at most this long after the return: {words}; "
+        f"the machine itself stood still for {max(stalls):.2f} s at most; "
         f"descriptors, threads, MB {begun} before, {ended} after"
     )
-    assert max(worst.values()) <= BACK_WITHIN_S, worst
+    assert max(worst.values()) <= BACK_WITHIN_S + 2.0 * max(stalls), (worst, max(stalls))
     for source in sources.values():
         assert [event.cause for event in source.events] == ["lost", "recovered"] * (cycles + 1)
     assert not beside.events

@@ -133,11 +133,11 @@ def running(stalls: list[float]) -> Iterator[tuple[Source, dict[str, Source]]]:
             source.stop()
 
 
-def play_on(source: Source, done: threading.Event, stalls: list[float]) -> None:
-    """Play a thousand samples a second, ten at a time; note by how much the machine itself held each step up."""
+def play_on(source: Source, done: threading.Event, stalls: list[float], samples: int = 10) -> None:
+    """Play so many samples every ten milliseconds; note by how much the machine itself held each step up."""
     before = time.monotonic()
     while not done.wait(STEP_S):
-        source.play(10)
+        source.play(samples)
         now = time.monotonic()
         stalls.append(now - before - STEP_S)
         before = now

@@ -10,8 +10,9 @@ import pytest
 from drivers import clock
 from drivers.modbus import ModbusDriver
 from drivers.modbus_frames import ReplyError, Request, RtuFrames
-from drivers.modbus_line import LaterError, ModbusLine
+from drivers.modbus_line import ModbusLine
 from drivers.modbus_settings import ModbusSettings
+from drivers.modbus_units import LaterError
 from drivers.pipe import serial_pipe
 from drivers.port import DriverConfigError, DriverIOError, SourceRequest
 from drivers.serial_port import SerialKeys
@@ -277,7 +278,7 @@ def test_silent_unit_is_given_the_time_its_answers_used_to_take() -> None:
         silent.open()
         sound.read(0.2)
         taken = []
-        for _ in range(9):
+        for _ in range(18):
             begun = clock.monotonic()
             try:
                 silent.read(0.0)
@@ -288,9 +289,62 @@ def test_silent_unit_is_given_the_time_its_answers_used_to_take() -> None:
             clock.sleep(1.1)
         sound.close()
         silent.close()
-    long = [round(seconds, 2) for seconds in taken if seconds > 0.1]
-    assert long == [0.5, 0.5, 0.5]  # the first, the fifth and the ninth time
+    long = {number: round(seconds, 2) for number, seconds in enumerate(taken) if seconds > 0.1}
+    assert long == {0: 0.5, 16: 0.5}
     assert max(seconds for seconds in taken if seconds <= 0.1) < 0.06
+
+
+def test_answer_that_comes_late_is_counted_where_it_was_asked_for() -> None:
+    """A gateway keeps the next one waiting while it waits for a unit that is slow: the next one has no fault."""
+    seconds = {1: 0.005, 2: 0.3}
+    with played(lambda request: (tcp(request, numbers(request[7:])), seconds[request[6]])) as line:
+        quick, slow = driver_of(device_id=1), driver_of(device_id=2, timeout_s=0.2)
+        quick.open()
+        slow.open()
+        assert len(slow.read(0.0)) == 0
+        assert len(quick.read(0.0)) == 1
+        quick.close()
+        slow.close()
+    assert line.connections == 1
+    assert quick.counts.faults == {}
+    assert slow.counts.faults == {"timeout": 1, "late reply": 1}
+
+
+def test_bytes_that_come_late_on_a_serial_line_are_counted_where_they_were_asked_for() -> None:
+    with played(lambda request: (sound_rtu(request)[0], 0.005 if request[0] == 1 else 0.12)) as line:
+        quick, slow = driver_of(**RTU, device_id=1), driver_of(**RTU, device_id=2, timeout_s=0.1)
+        quick.open()
+        slow.open()
+        assert len(slow.read(0.0)) == 0
+        clock.sleep(0.05)
+        assert len(quick.read(0.0)) == 1
+        quick.close()
+        slow.close()
+    assert len(line.requests) == 2
+    assert quick.counts.faults == {}
+    assert slow.counts.faults == {"timeout": 1, "stray bytes": 7}
+
+
+def test_unit_that_is_lost_is_not_asked_more_often_than_its_share_and_no_poll_of_it_counts_meanwhile() -> None:
+    line = PlayedLine(lambda request: (b"", 0.0) if request[0] == 2 else sound_rtu(request))
+    with clock.playing(line):
+        sound, lost = driver_of(**RTU, device_id=1), driver_of(**RTU, device_id=2, timeout_s=0.1)
+        end = clock.monotonic() + 20.0
+        sound.open()
+        lost.open()
+        while clock.monotonic() < end:
+            sound.read(0.0)
+            try:
+                lost.read(0.0)
+            except DriverIOError:
+                lost.close()
+                lost.open()
+            clock.sleep(0.01)
+        sound.close()
+        lost.close()
+    asked = [at for at, request in line.requests if request[0] == 2]
+    assert np.diff(asked)[4:].min() > 1.3
+    assert lost.counts.received == lost.counts.rejected["no answer"] == len(asked)
 
 
 def test_line_without_any_answer_is_opened_anew() -> None:

@@ -6,8 +6,17 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSettings, SampleBlock, SourceRequest
-from drivers.reconnect import CEILING_S, Backoff, ReconnectingDriver
+from drivers.port import (
+    RETRY_HERE_S,
+    RETRY_S,
+    Driver,
+    DriverConfigError,
+    DriverIOError,
+    DriverSettings,
+    SampleBlock,
+    SourceRequest,
+)
+from drivers.reconnect import Backoff, ReconnectingDriver
 
 
 class Clock:
@@ -87,7 +96,29 @@ def test_source_that_cannot_be_opened_is_tried_for_ever_and_said_once(parts: Par
     got = [len(wrapper.read(0.2)) for _ in range(600)]
     assert sum(got) == 4
     assert causes(wrapper) == ["lost", "recovered"]
-    assert clock.now - begun <= 50 * CEILING_S + 600 * 0.2
+    assert clock.now - begun <= 50 * RETRY_S + 600 * 0.2
+
+
+class Local(Scripted):
+    """A source of which the machine knows by itself whether it is there."""
+
+    @property
+    def retry_s(self) -> float:
+        return RETRY_HERE_S
+
+
+def test_source_that_is_known_to_be_there_or_not_is_tried_more_often(parts: Parts) -> None:
+    _, _, clock = parts
+    driver = Local()
+    wrapper = ReconnectingDriver(driver, 2.0, clock=clock, rng=random.Random(1), stop=Stop(clock))
+    driver.opens.extend([DriverIOError("no such device")] * 60)
+    pauses = []
+    for _ in range(60):
+        wrapper.read(0.0)
+        pauses.append(wrapper.retry_in_s())
+        clock.now += pauses[-1]
+    assert max(pauses) <= RETRY_HERE_S
+    assert len(driver.opens) == 0
 
 
 def test_pauses_double_up_to_the_ceiling_with_jitter_and_start_anew() -> None:

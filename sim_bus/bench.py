@@ -43,6 +43,9 @@ class PlayedBench:
         self._file: RigFile = read_rig(config)
         if not scenario.duration_s:
             raise SimUsageError("duration_s: without an end nothing can be scored; give the scenario a duration_s")
+        if self._file.slow_or_fast:
+            names = ", ".join(self._file.slow_or_fast)
+            raise SimUsageError(f"source {names}: rate_hz: only devices of the rig's rate can be scored; play it (sim)")
         check(scenario, [source.driver for source in self._file.source])
         rate = self._file.rig.sample_rate_hz
         self._rig = Rig(self._file, scenario)

@@ -92,7 +92,7 @@ def _adapter(bench: Bench, number: int, keys: CanSettings) -> Device:
     source, packing, faults = bench.source(number), _packing(bench, number, keys), bench.faults(number)
     faults.refuse(FRAMES, "cannot be caused behind an adapter; play a socketcand")
     feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
-    text = SlcanText(packing.kinds, bench.clock.sample_rate_hz)
+    text = SlcanText(packing.kinds, bench.rig.rate_hz(number))
     return SlcanDevice(bench.clock, Stream(source.name, feed, bench.clock_of(number), text, faults), PtyLine(link))
 
 

@@ -8,11 +8,11 @@ from typing import Any, Protocol, TypeVar
 from pydantic import BaseModel
 
 from sim_bus.clock import PlayClock
+from sim_bus.errors import SimUsageError
 from sim_bus.faults import LineFaults, strikes
-from sim_bus.oscillator import OwnClock, OwnTape
+from sim_bus.oscillator import OwnClock, OwnTape, Pace
 from sim_bus.rigfile import RigFile, Source, checked
 from sim_bus.scenario import Scenario
-from sim_bus.sensors import Oscillator
 from sim_bus.tape import Tape
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
@@ -63,29 +63,37 @@ class Bench:
     scenario: Scenario
     own_tapes: dict[int, OwnTape] = field(default_factory=dict)
 
-    def oscillator(self, number: int) -> Oscillator | None:
-        """Return the clock of a source's device; None where it is the rig's own."""
-        name = self.rig.source_names[number]
-        return next((own for own in self.scenario.device if own.source in {None, name}), None)
+    def pace(self, number: int) -> Pace | None:
+        """Return how a source's device samples; None where it does so with the rig."""
+        name, rigs_rate = self.rig.source_names[number], self.rig.rig.sample_rate_hz
+        own = next((own for own in self.scenario.device if own.source in {None, name}), None)
+        if own is None and name not in self.rig.slow_or_fast:
+            return None
+        slowness, jitter_s = (1.0, 0.0) if own is None else (own.slowness, own.jitter_s)
+        return Pace(rigs_rate, self.rig.rate_hz(number), slowness, jitter_s)
 
     def clock_of(self, number: int) -> PlayClock:
         """Return what paces a source's device."""
-        own = self.oscillator(number)
-        return self.clock if own is None else OwnClock(self.clock, own.slowness)
+        pace = self.pace(number)
+        if pace is None:
+            return self.clock
+        if self.clock.fast and self.rig.slow_or_fast:
+            raise SimUsageError("--fast: devices that sample at other rates (rate_hz) are played in real time only")
+        return OwnClock(self.clock, pace)
 
     def tape_of(self, number: int) -> Tape:
         """Return what a source's device reads."""
-        own = self.oscillator(number)
-        if own is None:
+        pace = self.pace(number)
+        if pace is None:
             return self.tape
-        made = OwnTape(self.tape, own, self.rig.rig.sample_rate_hz, self.scenario.seed + number)
+        made = OwnTape(self.tape, pace, self.scenario.seed + number)
         self.own_tapes[number] = made
         return made
 
     def faults(self, number: int, *, text: bool = False) -> LineFaults:
         """Return the faults of a source; text: its line carries text."""
         source = self.source(number)
-        struck = strikes(self.scenario, source.driver, source.name, self.clock.sample_rate_hz)
+        struck = strikes(self.scenario, source.driver, source.name, self.rig.rate_hz(number))
         return LineFaults(struck, self.scenario.seed + number, text=text)
 
     def settings(self, model: type[SettingsType], number: int) -> SettingsType:

@@ -1,15 +1,17 @@
-"""Devices with clocks of their own: sampling a little too slowly or too fast, and never quite in time.
+"""Devices with clocks of their own: at another rate, a little too slowly or too fast, and never quite in time.
 
-A device whose clock drifts takes its sample k at the rig's time k·(1 + drift); what is read there lies between two
-samples of the rig. Displacements of nodes with mass are interpolated by Hermite's cubic through position and velocity
-(exact but for terms of the fourth order), other motions by the cubic through four samples, forces as they are held.
+A device of r samples a second whose clock drifts takes its sample k at the rig's time k·(1 + drift) / r; what is read
+there lies between two samples of the rig. Displacements of nodes with mass are interpolated by Hermite's cubic through
+position and velocity (exact but for terms of the fourth order), other motions by the cubic through four samples, forces
+as they are held.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_bus.clock import PlayClock
-from sim_bus.sensors import Oscillator
 from sim_bus.tape import CHUNK, Chunk, Rig, Tape
 
 FloatArray = NDArray[np.float64]
@@ -17,23 +19,45 @@ _MOST_JITTER = 0.45
 """Of a sample: samples stay in order."""
 
 
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How a device samples.
+
+    Attributes:
+        rigs_hz: samples a second of the rig.
+        rate_hz: samples a second of the device, by its own clock.
+        slowness: seconds of the rig in a second of the device.
+        jitter_s: standard deviation of when within its turn a sample is taken.
+    """
+
+    rigs_hz: float
+    rate_hz: float
+    slowness: float = 1.0
+    jitter_s: float = 0.0
+
+    @property
+    def stride(self) -> float:
+        """From one sample of the device to the next, in samples of the rig."""
+        return self.rigs_hz / self.rate_hz * self.slowness
+
+
 class OwnTape(Tape):
     """What one device reads of the rig by its own clock, in the same chunks.
 
     Args:
         tape: the rig's.
-        own: the device's clock.
-        sample_rate_hz: nominal samples a second.
+        pace: the device's.
         seed: of the jitter.
+
+    Its chunks hold readings and nothing else.
     """
 
-    def __init__(self, tape: Tape, own: Oscillator, sample_rate_hz: float, seed: int) -> None:
+    def __init__(self, tape: Tape, pace: Pace, seed: int) -> None:
         super().__init__(tape.rig)
         self._rigs = tape
-        self._own = own
-        self._rate = sample_rate_hz
+        self._pace = pace
         self._rng = np.random.default_rng([seed, 7])
-        self._sensors = tape.rig.more_sensors()
+        self._sensors = tape.rig.more_sensors(pace.rate_hz)
         self.readings: list[FloatArray] = []
 
     def _make(self) -> None:
@@ -44,15 +68,15 @@ class OwnTape(Tape):
 
     def _resampled(self, number: int) -> Chunk:
         index = np.arange(number * CHUNK, (number + 1) * CHUNK)
-        sigma = self._own.jitter_s * self._rate
-        jitter = np.clip(sigma * self._rng.standard_normal(CHUNK), -_MOST_JITTER, _MOST_JITTER)
-        moment = index * self._own.slowness + jitter
+        pace = self._pace
+        jitter = np.clip(pace.jitter_s * pace.rate_hz * self._rng.standard_normal(CHUNK), -_MOST_JITTER, _MOST_JITTER)
+        moment = (index + jitter) * pace.stride
         columns = [
-            chain.read(index, self._at(column, np.maximum(moment - chain.delay_s * self._rate, 0.0)))
+            chain.read(index, self._at(column, np.maximum(moment - chain.delay_s * pace.rigs_hz, 0.0)))
             for column, chain in enumerate(self._sensors)
         ]
-        here = self._rigs.chunk(number)
-        return Chunk(here.first, here.forces, here.states, here.parameters, here.true, np.column_stack(columns))
+        none = np.empty((CHUNK, 0))
+        return Chunk(number * CHUNK, none, none, none, none, np.column_stack(columns))
 
     def _at(self, column: int, moment: FloatArray) -> FloatArray:
         """Return what an ideal sensor reads at moments, counted in the rig's samples."""
@@ -67,7 +91,7 @@ class OwnTape(Tape):
             ahead = part if self._rigs.rig.hold == "first" else np.zeros_like(part)
             return np.asarray(true[before] + ahead * (true[before + 1] - true[before]))
         if rates is not None:
-            return _hermite(true, rates / self._rate, before, part)
+            return _hermite(true, rates / self._pace.rigs_hz, before, part)
         return _cubic(true, before, part)
 
     def _rates(self, column: int, chunks: list[Chunk]) -> FloatArray | None:
@@ -105,10 +129,10 @@ def _cubic(y: FloatArray, i: NDArray[np.int64], s: FloatArray) -> FloatArray:
 class OwnClock(PlayClock):
     """The clock of a device that shares its rig's start, and not its pace."""
 
-    def __init__(self, rigs: PlayClock, slowness: float) -> None:
-        super().__init__(
-            rigs.sample_rate_hz / slowness, rigs.total, (), "ready", fast=rigs.fast, now_ns=rigs.now_ns
-        )
+    def __init__(self, rigs: PlayClock, pace: Pace) -> None:
+        total = None if rigs.total is None else round(rigs.total * pace.rate_hz / pace.rigs_hz)
+        rate = pace.rate_hz / pace.slowness
+        super().__init__(rate, total, (), "ready", fast=rigs.fast, now_ns=rigs.now_ns)
         self._rigs = rigs
         self.started = rigs.started
 

@@ -122,7 +122,7 @@ class Source(BaseModel):
     record: bool = False
     skew_s: float | str = "auto"
     own_clock: bool = False
-    rate_hz: float | None = None
+    rate_hz: float | None = Field(default=None, gt=0, allow_inf_nan=False)
 
     @property
     def keys(self) -> dict[str, Any]:
@@ -150,11 +150,6 @@ class RigFile(_Part):
             for name in s.map
             if name not in channels
         ]
-        lost += [
-            f'source "{s.name or s.driver}": rate_hz: every device is played at the rig\'s sample rate'
-            for s in self.source
-            if s.rate_hz not in (None, self.rig.sample_rate_hz)
-        ]
         if lost:
             raise ValueError("; ".join(lost))
         return self
@@ -162,6 +157,16 @@ class RigFile(_Part):
     def named(self, name: str) -> Channel:
         """Return a channel by name."""
         return next(channel for channel in self.channel if channel.name == name)
+
+    def rate_hz(self, number: int) -> float:
+        """Return how many samples a second a source's device takes, by its own clock."""
+        return self.source[number].rate_hz or self.rig.sample_rate_hz
+
+    @property
+    def slow_or_fast(self) -> tuple[str, ...]:
+        """The sources whose devices sample at another rate than the rig's."""
+        rates = {name: self.rate_hz(number) for number, name in enumerate(self.source_names)}
+        return tuple(name for name, rate in rates.items() if rate != self.rig.sample_rate_hz)
 
     @property
     def source_names(self) -> tuple[str, ...]:

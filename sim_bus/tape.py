@@ -121,7 +121,7 @@ class Rig:
         forces = scenario.forces_on(rig)
         self._forces = ForceStream(forces, self.graph.nodes, self._rate, scenario.seed, scenario.folder)
         self._scenario = scenario
-        self.sensors = self.more_sensors()
+        self.sensors = self.more_sensors(self._rate)
         lags = [chain.delay_s * self._rate for chain in self.sensors]
         self._whole = [math.ceil(lag - 1e-9) for lag in lags]
         self._parts = tuple(max(0.0, whole - lag) for whole, lag in zip(self._whole, lags, strict=True))
@@ -131,14 +131,15 @@ class Rig:
         self._index = 0
         self._past = self._before_start()
 
-    def more_sensors(self) -> list[SensorChain]:
-        """Return the sensors anew, as they are before the first sample."""
-        return [self._sensor(number, channel, self._scenario) for number, channel in enumerate(self.channels)]
+    def more_sensors(self, rate_hz: float) -> list[SensorChain]:
+        """Return the sensors anew, as they are before the first sample, read so many times a second."""
+        return [self._sensor(number, channel, rate_hz) for number, channel in enumerate(self.channels)]
 
-    def _sensor(self, number: int, channel: Channel, scenario: Scenario) -> SensorChain:
+    def _sensor(self, number: int, channel: Channel, rate_hz: float) -> SensorChain:
+        scenario = self._scenario
         own = [sensor for sensor in scenario.sensors_on(self.channels) if sensor.channel == channel.name]
         rng = np.random.default_rng([scenario.seed, 3, number])
-        return SensorChain(channel, own, noise_for(channel, scenario.noise), self._rate, rng)
+        return SensorChain(channel, own, noise_for(channel, scenario.noise), rate_hz, rng)
 
     def _initial(self, scenario: Scenario) -> FloatArray:
         initial = scenario.initial

@@ -1,6 +1,7 @@
 """The scenarios that ship, from end to end on simulated time, and the command that scores them."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -81,3 +82,15 @@ def test_score_scenario_that_cannot_be_scored_is_refused(replaced: dict[str, str
     path = changed("step", tmp_path, **replaced)
     with pytest.raises(UsageError, match=words):
         score([str(path)], [], quiet)
+
+
+def test_score_of_devices_of_different_rates_is_refused(tmp_path: Path) -> None:
+    rig = scenario_path("step").parent / "rigs"
+    for file in rig.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    scenario = changed("step", tmp_path, rig='rig = "own.toml"')
+    named = tomllib.loads(scenario_path("step").read_text(encoding="utf-8"))["rig"].removeprefix("rigs/")
+    text = (rig / named).read_text(encoding="utf-8").replace("[[source]]", "[[source]]\nrate_hz = 500.0", 1)
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match="rate_hz: only devices of the rig's rate can be scored"):
+        score([str(scenario)], [], quiet)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from sim_bus.clock import PlayClock
-from sim_bus.oscillator import OwnClock, OwnTape, _cubic
+from sim_bus.device import Bench
+from sim_bus.errors import SimUsageError
+from sim_bus.oscillator import OwnClock, OwnTape, Pace, _cubic
 from sim_bus.plant import equations, step
 from sim_bus.scenario import Scenario
-from sim_bus.sensors import Oscillator
 from sim_bus.tape import CHUNK, Rig, Tape
 from tests.sim.rigs import rig, ring_config
 
@@ -17,9 +18,9 @@ SCENARIO = Scenario.model_validate(
 )
 
 
-def tape(**clock: float) -> tuple[Tape, OwnTape]:
+def tape(rate_hz: float = 1000.0, slowness: float = 1.0, jitter_s: float = 0.0) -> tuple[Tape, OwnTape]:
     whole = Tape(Rig(RIG, SCENARIO))
-    return whole, OwnTape(whole, Oscillator(source="plc", **clock), 1000.0, 1)
+    return whole, OwnTape(whole, Pace(1000.0, rate_hz, slowness, jitter_s), 1)
 
 
 def test_own_tape_without_drift_or_jitter_reads_what_the_rig_reads() -> None:
@@ -27,13 +28,16 @@ def test_own_tape_without_drift_or_jitter_reads_what_the_rig_reads() -> None:
     np.testing.assert_allclose(own.chunk(1).readings, whole.chunk(1).readings, rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("rate_hz", [1000.0, 750.0, 2000.0])
 @pytest.mark.parametrize("ppm", [5000.0, -5000.0])
-def test_own_tape_of_a_drifting_clock_reads_the_motion_at_its_own_moments(ppm: float) -> None:
-    whole, own = tape(drift_ppm=ppm)
+def test_own_tape_of_another_rate_and_a_drifting_clock_reads_the_motion_at_its_own_moments(
+    ppm: float, rate_hz: float
+) -> None:
+    whole, own = tape(rate_hz, 1.0 + 1e-6 * ppm)
     here = whole.chunk(0)
     motion = equations(RIG.model.graph, RIG.model.nominal)
     for k in (10, 250, 700):
-        moment = k * (1.0 + 1e-6 * ppm)
+        moment = k * (1.0 + 1e-6 * ppm) * 1000.0 / rate_hz
         i, part = int(moment), moment - int(moment)
         within = step(motion, 1e-3, "first", part)
         x = within.A @ here.states[i] + within.B0 @ here.forces[i] + within.B1 @ here.forces[i + 1]
@@ -42,8 +46,17 @@ def test_own_tape_of_a_drifting_clock_reads_the_motion_at_its_own_moments(ppm: f
         assert read[0] == pytest.approx((1 - part) * here.forces[i, 1] + part * here.forces[i + 1, 1], abs=1e-9)
 
 
+def test_own_tape_of_half_the_rate_reads_every_second_sample_of_the_rig_for_as_long_as_it_plays() -> None:
+    whole, own = tape(500.0)
+    for number in (0, 1, 200):
+        read = own.chunk(number).readings
+        np.testing.assert_array_equal(read[:512], whole.chunk(2 * number).readings[::2])
+        np.testing.assert_array_equal(read[512:], whole.chunk(2 * number + 1).readings[::2])
+        assert own.chunk(number).first == number * CHUNK
+
+
 def test_own_tape_goes_on_over_chunks_without_a_step() -> None:
-    _, own = tape(drift_ppm=300.0)
+    _, own = tape(slowness=1.0003)
     x1 = np.concatenate([own.chunk(n).readings[:, 1] for n in range(3)])
     curl = np.abs(np.diff(x1, 3))
     assert curl[CHUNK - 5 : CHUNK + 5].max() <= 2.0 * np.median(curl) + 1e-9
@@ -68,9 +81,37 @@ def test_cubic_is_exact_for_cubics_at_the_very_beginning_too() -> None:
 def test_own_clock_counts_fewer_samples_when_it_is_slow() -> None:
     now = [0]
     whole = PlayClock(1000.0, None, ("plc",), "ready", now_ns=lambda: now[0])
-    slow = OwnClock(whole, 1.001)
+    slow = OwnClock(whole, Pace(1000.0, 1000.0, 1.001))
     whole.ready()
     now[0] = 100_000_000_000
     assert whole.head() == 100_001
     assert slow.head() == 99_901
     assert slow.due_ns(1000) == 1_001_000_000
+
+
+def bench(fast: bool = False, **keys: object) -> Bench:
+    """A rig of 1 kHz whose device has a rate of its own, and a fault a second after the start."""
+    source = RIG.source[0].model_copy(update={"name": "plc", **keys})
+    clock = PlayClock(1000.0, 3000, ("plc",), "ready", fast=fast, now_ns=lambda: 0)
+    file = RIG.model_copy(update={"source": (source,)})
+    scenario = Scenario.model_validate({"fault": [{"name": "modbus.nan", "at_s": 1.0, "for_s": 0.5}]})
+    return Bench(file, Tape(Rig(RIG, SCENARIO)), clock, scenario)
+
+
+def test_device_of_another_rate_counts_plays_and_errs_by_its_own_clock() -> None:
+    slow = bench(rate_hz=500.0)
+    assert slow.clock_of(0).sample_rate_hz == 500.0
+    assert slow.clock_of(0).total == 1500
+    assert [(strike.first, strike.end) for strike in slow.faults(0).strikes] == [(500, 750)]
+    assert isinstance(slow.tape_of(0), OwnTape)
+
+
+def test_device_of_the_rigs_rate_plays_by_the_rigs_clock() -> None:
+    same = bench(rate_hz=1000.0)
+    assert same.clock_of(0) is same.clock
+    assert same.tape_of(0) is same.tape
+
+
+def test_devices_of_different_rates_cannot_be_hurried() -> None:
+    with pytest.raises(SimUsageError, match="in real time only"):
+        bench(fast=True, rate_hz=500.0).clock_of(0)

@@ -9,7 +9,7 @@ from drivers.can_bus import BusKeys, CanBus, DaemonBus, Filters, PythonCanBus
 from drivers.can_codec import Decoded, FrameDecoder
 from drivers.can_database import MessageCodec, load, message_codecs
 from drivers.can_errors import ErrorWatch
-from drivers.can_frames import Frames, joined, no_frames
+from drivers.can_frames import Frames
 from drivers.can_heard import HeardOnCan
 from drivers.can_kernel import KernelBus
 from drivers.can_keys import FrameKeys
@@ -24,8 +24,8 @@ from drivers.port import (
     SourceRequest,
 )
 
-_GATHER_S = 0.01
 _FEW = 64
+"""Where fewer frames came, the bus is left alone for a while: a read costs what hundreds of frames do."""
 _HERE = frozenset({"socketcan", "slcan"})
 """Buses of which this machine knows whether they are there."""
 
@@ -87,7 +87,7 @@ class CanDriver(DbcDriver):
         super().__init__(request)
         self._bus: CanBus | None = None
         self._opened = False
-        self._failure: DriverIOError | None = None
+        self._due = 0.0
         self._told: set[str] = set()
 
     @property
@@ -128,26 +128,13 @@ class CanDriver(DbcDriver):
     def read(self, timeout_s: float) -> SampleBlock:
         if self._bus is None:
             raise DriverIOError(f"{self.request.name}: read before open")
-        if self._failure is not None:
-            raise self._failure
         deadline = clock.monotonic() + timeout_s
+        clock.sleep(max(0.0, min(self._due, deadline) - clock.monotonic()))
         frames = self._bus.frames(deadline)
-        if 0 < len(frames) < _FEW:
-            # a frame a wake-up costs ten times what a frame of a batch does: the next few are worth a short wait
-            clock.sleep(max(0.0, min(_GATHER_S, deadline - clock.monotonic())))
-            frames = joined(frames, self._rest(self._bus))
+        self._due = clock.monotonic() + self._bus.gather_s if 0 < len(frames) < _FEW else 0.0
         return self.decoded(frames)
-
-    def _rest(self, bus: CanBus) -> Frames:
-        """Return what is there already; a failure waits for the next read, so that good frames go out first."""
-        try:
-            return bus.frames(0.0)
-        except DriverIOError as error:
-            self._failure = error
-            return no_frames()
 
     def close(self) -> None:
         if self._bus is not None:
             self._bus.close()
         self._bus = None
-        self._failure = None

@@ -5,7 +5,7 @@ Each bus is read by one thread in a loop of its own. Nothing is ever sent but a 
 
 import os
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -50,7 +50,13 @@ class BusKeys(DriverSettings):
 
 
 class CanBus(ABC):
-    """An open bus. Frames that the bus says it lost are added to counts.dropped."""
+    """An open bus. Frames that the bus says it lost are added to counts.dropped.
+
+    Attributes:
+        gather_s: for so long it surely has room for what comes.
+    """
+
+    gather_s: ClassVar[float] = 0.05
 
     @abstractmethod
     def frames(self, deadline: float) -> Frames:

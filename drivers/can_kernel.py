@@ -33,6 +33,8 @@ class KernelBus(CanBus):
     Raises DriverIOError where the kernel has no CAN, or no such interface that is up.
     """
 
+    gather_s = 0.02  # at the kernel's own limit a buffer has room for some hundred frames
+
     def __init__(self, keys: BusKeys, filters: Filters, counts: Counts, *, batched: bool = True) -> None:
         self._name = keys.channel
         self._counts = counts

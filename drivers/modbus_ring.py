@@ -13,7 +13,9 @@ from drivers.modbus_modes import Ask, Reader
 from drivers.modbus_settings import ModbusSettings
 from drivers.port import Counts, DriverConfigError, IntArray, SampleBlock, SourceRequest
 
-_HURRY = 0.02
+_FIRST_S = 0.02
+_SHARE = 4
+"""Asked again when this part of the ring may be new, if that is before the period is over."""
 INDEX = "index"
 
 
@@ -34,7 +36,8 @@ class RingReader(Reader):
         self.modulus = index.modulus if self._counter is None else self.layout.counter_field(self._counter).modulus
         self._next: int | None = None
         self._seen: int | None = None
-        self._pause_s = settings.period_s
+        self._pause_s = 0.0
+        self._asked: tuple[int, float] | None = None
 
     @property
     def most_registers(self) -> int:
@@ -45,12 +48,26 @@ class RingReader(Reader):
             if not self.wait_until_due(deadline):
                 return self.empty()
             self._seen = self._follow(self._index(ask))
-            self.due = clock.monotonic() + self._pause_s
+            self._plan(self._seen, clock.monotonic())
         return self._fetch(ask, self._seen, deadline)
 
     def reopened(self) -> None:
         """Ask for the index anew before the next read."""
-        self._seen = None
+        self._seen = self._asked = None
+
+    @property
+    def urgent_at(self) -> float:
+        return self.due + self._pause_s
+
+    def _plan(self, head: int, now: float) -> None:
+        """Plan when to ask for the index again: after the period, or sooner where the ring fills faster than that."""
+        before, self._asked = self._asked, (head, now)
+        if before is None:
+            self._pause_s = min(self.settings.period_s, _FIRST_S)
+        else:
+            fills_s = (now - before[1]) * self._ring.slots / _SHARE / max(head - before[0], 1)
+            self._pause_s = min(self.settings.period_s, fills_s)
+        self.due = now + self._pause_s
 
     def _request(self, address: int, count: int) -> Request:
         return Request(self.settings.device_id, self.settings.function, address, count)
@@ -76,7 +93,7 @@ class RingReader(Reader):
         self.note(f"the device's index ran back to {raw}: it was restarted; reading goes on with its oldest sample")
         self.counts.faults["restart"] += 1
         self.epoch += 1
-        self._next = None
+        self._next = self._asked = None
         return raw
 
     def _fetch(self, ask: Ask, head: int, deadline: float) -> SampleBlock:
@@ -103,8 +120,6 @@ class RingReader(Reader):
             self.counts.rejected["overrun"] += int(late.sum())
         self._next = end
         backlog = after - end
-        # a device that fills much of its ring between two reads plays faster than in real time: it is not kept waiting
-        self._pause_s = self.settings.period_s * (_HURRY if 4 * (end - first) > self._ring.slots else 1.0)
         self._seen = self._follow(after % self._ring.modulus) if backlog >= self._ring.samples_a_request else None
         return SampleBlock(
             self.layout.values(slots, self.source.fields),

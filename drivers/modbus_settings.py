@@ -8,6 +8,8 @@ from drivers.fields import FieldSpec, unique_names
 from drivers.modbus_frames import FIFO_REGISTERS
 from drivers.port import DriverSettings
 
+RING_S, POLL_S = 0.1, 0.02
+"""Default periods: a ring remembers what it is not asked for, and many samples cost hardly more than one."""
 Address = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -48,7 +50,7 @@ class ModbusSettings(DriverSettings):
     index: IndexKeys | None = None
     ring: RingKeys | None = None
     address: Address | None = None
-    period_s: float = Field(default=0.02, gt=0)
+    period_s: float = Field(default_factory=lambda keys: RING_S if keys.get("mode") == "ring" else POLL_S, gt=0)
     gap: int = Field(default=8, ge=0, le=120)
     share: bool = True
     fields: Annotated[tuple[ModbusField, ...], AfterValidator(unique_names), Field(min_length=1)]

@@ -86,6 +86,10 @@ class Counts:
     faults: Counter[str] = field(default_factory=Counter)
     reopened: int = 0
 
+    def copy(self) -> "Counts":
+        """Return the counts as they are now."""
+        return Counts(self.received, self.rejected.copy(), self.dropped.copy(), self.faults.copy(), self.reopened)
+
 
 @dataclass(frozen=True, slots=True)
 class Heard:

@@ -23,7 +23,8 @@ from drivers.serial_ends import EndedDecoder
 from drivers.serial_port import SerialKeys, port_hint
 from drivers.serial_text import TextDecoder
 
-_GATHER_S = 0.01
+_GATHER_S = 0.05
+"""A line that flows is read so often, unless there was much to be read: a read costs what hundreds of bytes do."""
 _FEW_BYTES = 1024
 
 
@@ -99,6 +100,7 @@ class SerialDriver(Driver):
         self.counter_modulus = self._settings.counter_modulus or self._decoder.modulus
         self._pipe: Pipe | None = None
         self._opened = False
+        self._due = 0.0
 
     def _binary(self) -> SerialDecoder:
         settings = self._settings
@@ -139,20 +141,11 @@ class SerialDriver(Driver):
         if self._pipe is None:
             raise DriverIOError(f"{self.request.name}: read before open")
         deadline = clock.monotonic() + timeout_s
+        clock.sleep(max(0.0, min(self._due, deadline) - clock.monotonic()))
         data = self._pipe.recv(deadline)
-        if 0 < len(data) < _FEW_BYTES:
-            # decoding costs by the batch, not by the frame: what comes within a short wait is taken along
-            clock.sleep(max(0.0, min(_GATHER_S, deadline - clock.monotonic())))
-            data += self._rest(self._pipe)
+        self._due = clock.monotonic() + _GATHER_S if 0 < len(data) < _FEW_BYTES else 0.0
         values, counter = self._decoder.feed(data)
         return SampleBlock(values, clock.monotonic_ns(), counter)
-
-    def _rest(self, pipe: Pipe) -> bytes:
-        """Return what is there already; an unplugged line is met again at the next read."""
-        try:
-            return pipe.recv(0.0)
-        except DriverIOError:
-            return b""
 
     def close(self) -> None:
         if self._pipe is not None:

@@ -23,7 +23,7 @@ from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.source_clocks import SourceClocks
 from agent.config import RigConfig
 from agent.runtime.methods import make_estimation
-from agent.types import Calibrated, Health, HealthEvent, IntArray, Record, Samples
+from agent.types import Calibrated, FloatArray, Health, HealthEvent, IntArray, Record, Samples
 from drivers.port import Counts, SampleBlock
 
 Label = Callable[[IntArray], IntArray]
@@ -73,6 +73,8 @@ class Pipeline:
         self.clocks = SourceClocks()
         self.friction = dry_friction(config, steps)
         self.newest_ns = 0
+        self._taken: list[tuple[IntArray, IntArray, FloatArray]] = []
+        self._said: list[Record] = []
         self.watch: Callable[[Samples], None] | None = None
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(rig.name)
@@ -83,33 +85,47 @@ class Pipeline:
             self.estimation.adopt(calibrated)
 
     def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> list[Record]:
-        """Take a block of one source and return what it leads to, in order of time.
+        """Take a block of one source and return what it leads to, in order of time; for label see `take`."""
+        self.take(source, block, modulus, label)
+        return self.compute()
+
+    def take(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
+        """Number, convert and label a block of one source; `compute` makes of it and of others what it leads to.
 
         label: time stamps of sample indices; None takes the block's own stamps (a recording's), or index / rate.
         """
         if isinstance(self.acquisition, Alignment):
-            records = self._rows(self.acquisition.step(source, block, modulus, label), None)
-            records += self._skews(self.acquisition)
+            self._keep(self.acquisition.step(source, block, modulus, label), None)
+            self._said += self._skews(self.acquisition)
         else:
-            records = self._rows(self.acquisition.step(source, block, modulus), label)
+            self._keep(self.acquisition.step(source, block, modulus), label)
         if label is not None and len(block):
             self.clocks.observe(self.acquisition.sources[source], block.arrival_ns)
-        return records
+
+    def compute(self) -> list[Record]:
+        """Return what all blocks taken since the last call lead to, in order of time.
+
+        The rows are the same however many blocks that were. Their cost is mostly by the call: many are cheaper at once.
+        """
+        taken, said = self._taken, self._said
+        self._taken, self._said = [], []
+        if not taken:
+            return said
+        index, t_ns, v = (np.concatenate(part) for part in zip(*taken, strict=True))
+        return self._estimated(self.quality.step(index, t_ns, v)) + said
 
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
-        records: list[Record] = []
         if isinstance(self.acquisition, Alignment):
-            records = self._rows(self.acquisition.finish(), None) + self._skews(self.acquisition)
-        return records + self._estimated(self.quality.finish())
+            self._keep(self.acquisition.finish(), None)
+            self._said += self._skews(self.acquisition)
+        return self.compute() + self._estimated(self.quality.finish())
 
-    def _rows(self, pieces: Sequence[Aligned], label: Label | None) -> list[Record]:
-        records: list[Record] = []
+    def _keep(self, pieces: Sequence[Aligned], label: Label | None) -> None:
         for aligned in pieces:
             t_ns = self._stamps(aligned) if label is None else label(aligned.index)
             self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
-            records += self._estimated(self.quality.step(aligned.index, t_ns, np.hstack([aligned.u, aligned.y])))
-        return records
+            self._taken.append((aligned.index, t_ns, np.hstack([aligned.u, aligned.y])))
 
     def _skews(self, alignment: Alignment) -> list[Record]:
         rig, t_ns = self.config.rig.name, self.newest_ns
@@ -142,18 +158,25 @@ class Pipeline:
         return np.asarray(np.rint(aligned.index * period).astype(np.int64))
 
     def health(self, conservation: Mapping[str, Conservation], t_ns: int, lag_s: float | None) -> list[Health]:
-        """Return the ledger of every source: driver, acquisition and estimation each give their own count."""
+        """Return the ledger of every source: driver, acquisition and estimation each give their own count.
+
+        Samples that were taken and not computed yet are in no count but the driver's.
+        """
         return [self._health_of(name, state, t_ns, lag_s) for name, state in conservation.items()]
 
     def _health_of(self, name: str, conservation: Conservation, t_ns: int, lag_s: float | None) -> Health:
         state, driver = self.acquisition.sources[name], conservation.driver
-        used, refused = self._ends(name)
+        used, _ = self._ends(name)
         return Health(
             rig=self.config.rig.name, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
-            used=used, rejected=dict(driver.rejected + state.refusals() + refused),
+            used=used, rejected=dict(self.rejected(name, driver)),
             dropped=dict(driver.dropped + conservation.dropped), gaps=state.gaps, lag_s=lag_s,
             faults=dict(driver.faults), clock=self.clocks.report(name, *self._skew(name)),
         )  # fmt: skip
+
+    def rejected(self, name: str, driver: Counts) -> Counter[str]:
+        """Return a source's samples that were refused by its driver, or after it, by reason."""
+        return driver.rejected + self.acquisition.sources[name].refusals() + self._ends(name)[1]
 
     def _ends(self, name: str) -> tuple[int, Counter[str]]:
         """How many of a source's samples were used or still wait, and those refused after it, by reason."""

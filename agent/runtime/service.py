@@ -31,6 +31,8 @@ from drivers.reconnect import LinkEvent
 
 HEALTH_PERIOD_NS = 10_000_000_000
 IDLE_S = 0.5
+ROUND_S = 0.05, 0.25
+"""From one round of computing to the next, at least and, where more wait than that takes, at most."""
 RunKind = Literal["live", "demo"]
 
 log = logging.getLogger(__name__)
@@ -52,6 +54,7 @@ class RigRuntime:
         self._publish = publish
         self.events: EventKeeper | None = None
         self._lost: dict[str, bool] = {}
+        self._taken: list[tuple[str, Arrival]] = []
 
     def restore(self, standing: Sequence[AlarmRow], calibrated: Calibrated | None = None) -> None:
         """Go on with the alarms that the run before left standing, and with what it knew of the disturbances."""
@@ -64,7 +67,7 @@ class RigRuntime:
         self._lost |= {row.parameter: True for row in standing if row.kind == "source" and row.cleared_ns is None}
 
     def take(self, use: Use, arrival: Arrival) -> None:
-        """Process one block of one of the rig's sources."""
+        """Take one block of one of the rig's sources; `compute` makes estimates of it."""
         seen_s = arrival.block.arrival_ns / 1e9
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
@@ -72,12 +75,19 @@ class RigRuntime:
         offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
         label = partial(self._labels.label, arrival_ns=block.arrival_ns, offset_ns=offset)
         remembered = label if self.events is None else self.events.labelled(label)
-        records = self.pipeline.step(use.source, block, arrival.modulus, remembered)
+        self.pipeline.take(use.source, block, arrival.modulus, remembered)
         if self.events is not None:
             self.events.take(use.source, block, arrival.modulus)
-        self._emit(records)
-        self._note_steps()
-        self._judge(use.source, arrival, block.arrival_ns)
+        self._taken.append((use.source, arrival))
+
+    def compute(self) -> None:
+        """Publish what the blocks taken since the last call lead to."""
+        taken, self._taken = self._taken, []
+        if taken:
+            self._emit(self.pipeline.compute())
+            self._note_steps()
+            for source, arrival in taken:
+                self._judge(source, arrival, arrival.block.arrival_ns)
 
     def finish(self) -> None:
         """Publish what the last samples lead to."""
@@ -94,14 +104,14 @@ class RigRuntime:
 
     def _judge(self, source: str, arrival: Arrival, now_ns: int) -> None:
         """Tell what was counted about a source, once an episode."""
-        (health,) = self.pipeline.health({source: Conservation(arrival.counts, Counter())}, 0, None)
-        restarts = self.pipeline.acquisition.sources[source].indexer.restarts
-        lost = Counter(health.rejected) + Counter(health.dropped)
+        state = self.pipeline.acquisition.sources[source]
+        restarts = state.indexer.restarts
+        lost = self.pipeline.rejected(source, arrival.counts) + arrival.counts.dropped
         if len(self.config.source) > 1:
             del lost["spike"]  # of a channel, which may be another source's
         faults = Counter(arrival.counts.faults)
         restarts += faults.pop("restart", 0)
-        due = self._episodes.step(source, Signs(restarts, lost, faults, health.gaps), now_ns)
+        due = self._episodes.step(source, Signs(restarts, lost, faults, state.gaps), now_ns)
         if due is not None:
             self._tell(source, *due)
 
@@ -207,7 +217,9 @@ class Service:
             while not self._stop.is_set() and not _over(started, duration_s):
                 self._wake.wait(_patience(started, duration_s))
                 self._wake.clear()
+                begun = monotonic_ns()
                 self.process()
+                self._stop.wait(min(_rest_s((monotonic_ns() - begun) / 1e9), _patience(started, duration_s)))
                 if monotonic_ns() >= ledger_due:
                     ledger_due += HEALTH_PERIOD_NS
                     self._ledgers()
@@ -227,12 +239,14 @@ class Service:
             connection.start()
 
     def process(self) -> None:
-        """Compute what has arrived, in the order of arrival over all sources."""
+        """Compute what has arrived, taken in the order of arrival over all sources, each rig's at once."""
         taken = [(connection, *connection.take()) for connection in self.connections]
         arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
         for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
             for use in connection.uses:
                 self.rigs[use.rig].take(use, arrival)
+        for rig in self.rigs.values():
+            rig.compute()
         # samples first: those that came before a loss must not end it
         for connection, _, events in taken:
             for use in connection.uses:
@@ -330,6 +344,12 @@ def _retention(members: Sequence[RigConfig]) -> Retention:
 
 def _over(started: int, duration_s: float | None) -> bool:
     return duration_s is not None and monotonic_ns() - started >= duration_s * 1e9
+
+
+def _rest_s(spent_s: float) -> float:
+    """Return how long to let blocks gather after a round that took so long: three times as long where that may be."""
+    least, most = ROUND_S
+    return max(0.0, min(most, max(least, 4 * spent_s)) - spent_s)
 
 
 def _patience(started: int, duration_s: float | None) -> float:

@@ -4,7 +4,6 @@ import logging
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -156,7 +155,7 @@ class Connection:
     def _put(self, block: SampleBlock) -> None:
         """Queue a block; where the queue is full the oldest goes and is counted."""
         with self._lock:
-            self._waiting.append(Arrival(block, deepcopy(self._driver.counts), self._driver.counter_modulus))
+            self._waiting.append(Arrival(block, self._driver.counts.copy(), self._driver.counter_modulus))
             self._samples += len(block)
             while self._samples > QUEUE_SAMPLES and len(self._waiting) > 1:
                 oldest = self._waiting.popleft()

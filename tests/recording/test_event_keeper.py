@@ -45,9 +45,9 @@ class Rig:
         self.keeper = EventKeeper(config, self.pen, self.told.extend, lambda: self.now_s)
         self.at = 0
 
-    def feed(self, samples: int, cut: int = 10, raised: Sequence[int] = ()) -> None:
-        """Take samples in blocks of `cut`; alarms are raised at some of them."""
-        end = self.at + samples
+    def feed(self, samples: int, cut: int = 10, raised: Sequence[int] = (), at_once: int = 1) -> None:
+        """Take samples in blocks of `cut`, so many of them before they are computed; alarms are raised at some."""
+        end, seen = self.at + samples, self.at
         while self.at < end:
             rows = min(cut, end - self.at)
             number = np.arange(self.at, self.at + rows)
@@ -55,7 +55,9 @@ class Rig:
             self.keeper.labelled(stamps)(number)
             self.keeper.take("can", block, 65536)
             self.at += rows
-            self.keeper.see([alarm(n) for n in raised if number[0] <= n <= number[-1]])
+            if self.at >= min(end, seen + cut * at_once):
+                self.keeper.see([alarm(n) for n in raised if seen <= n < self.at])
+                seen = self.at
 
     def held(self, place: int) -> IntArray:
         job = self.pen.jobs[place]
@@ -92,6 +94,13 @@ def test_record_reaches_from_before_the_alarm_to_after_it(rig: Rig, cut: int) ->
     states = [job.record.state for job in rig.pen.jobs]
     assert states == ["recording", "complete"]
     np.testing.assert_array_equal(rig.held(1), np.arange(1200, 1701))
+
+
+@pytest.mark.parametrize("at_once", [3, 70])
+def test_alarm_by_the_first_of_many_blocks_still_has_what_was_before(rig: Rig, at_once: int) -> None:
+    rig.feed(1050)
+    rig.feed(2100, 10, raised=[1051], at_once=at_once)
+    np.testing.assert_array_equal(rig.held(1), np.arange(751, 1252))
 
 
 def test_what_was_before_is_handed_over_at_once(rig: Rig) -> None:

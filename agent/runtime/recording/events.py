@@ -56,7 +56,7 @@ class Open:
 class Memory:
     """What came last: blocks and time stamps that reach `span` samples back, and no more bytes than may be.
 
-    They reach back from before the newest block, as an alarm may be raised by its first sample.
+    It is cut where the records of what came are known: an alarm may be raised by the first of many new samples.
     """
 
     span: int
@@ -65,16 +65,15 @@ class Memory:
     held: int = 0
 
     def add(self, item: Taken) -> None:
-        before = self.items[-1].moment if self.items else item.moment
         self.items.append(item)
         self.held += item.block.values.nbytes
-        while len(self.items) > 1 and (before - self.items[0].moment > self.span or self.held > MOST_BYTES):
-            self.held -= self.items.popleft().block.values.nbytes
 
-    def label(self, labels: Labels) -> None:
-        before = int((self.labels[-1] if self.labels else labels).number[-1])
-        self.labels.append(labels)
-        while before - int(self.labels[0].number[-1]) > self.span:
+    def cut(self) -> None:
+        """Forget what lies further back than the span, or has no room."""
+        items = self.items
+        while len(items) > 1 and (items[-1].moment - items[0].moment > self.span or self.held > MOST_BYTES):
+            self.held -= self.items.popleft().block.values.nbytes
+        while len(self.labels) > 1 and self.labels[-1].number[-1] - self.labels[0].number[-1] > self.span:
             self.labels.popleft()
 
     def number_at(self, t_ns: int, otherwise: int) -> int:
@@ -128,7 +127,7 @@ class EventKeeper:
             if len(index):
                 self._moment = max(self._moment, int(index[-1]))
                 found = Labels(index, t_ns)
-                self._memory.label(found)
+                self._memory.labels.append(found)
                 if self._open is not None:
                     self._open.labels.append(found)
             return t_ns
@@ -155,7 +154,8 @@ class EventKeeper:
         self.poll()
 
     def poll(self) -> None:
-        """End the record whose time has come."""
+        """End the record whose time has come; forget what no record to come will hold."""
+        self._memory.cut()
         event = self._open
         if event is not None and (self._moment >= event.until or self._clock() >= event.until_s):
             self._end("complete", "" if self._moment >= event.until else "no more samples came")

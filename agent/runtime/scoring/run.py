@@ -8,7 +8,6 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -88,7 +87,8 @@ class _Reader:
                 if len(block):
                     outcome.heard.append((self.source.name, self._bench.now_s(self.source.name), len(block)))
                     whole = replace(block, wall_offset_ns=0)
-                    rig.take(self._use, Arrival(whole, deepcopy(self.driver.counts), self.driver.counter_modulus))
+                    rig.take(self._use, Arrival(whole, self.driver.counts.copy(), self.driver.counter_modulus))
+                    rig.compute()
                 for event in self._link.take_events():
                     rig.link(self.source.name, event)
 

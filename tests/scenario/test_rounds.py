@@ -1,0 +1,112 @@
+"""What is computed at once changes no row; how often a bus is read and how often a round of computing begins."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config import RigConfig, driver_class, load
+from agent.runtime.pipeline import Pipeline
+from agent.runtime.service import ROUND_S, _rest_s
+from agent.types import EstimateBatch, FloatArray, Record
+from drivers.port import Driver, SampleBlock, SourceRequest
+from sim_bus.bench import PlayedBench
+from sim_bus.scenario import load_scenario
+from tests.scenario.live import example
+from tests.scenario.offline import Played, play
+
+SECONDS = 3.0
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
+    return play("default", tmp_path_factory.mktemp("offline"), cut=50)
+
+
+def in_rounds(played: Played, values: FloatArray, rng: np.random.Generator) -> Iterator[Record]:
+    """Take blocks of random lengths, and compute after random numbers of them."""
+    names = [channel.name for channel in played.config.channel]
+    steps = dict(zip(names, (1e-3, 2e-6, 2e-6), strict=True))
+    pipeline = Pipeline(played.config, steps, {"wire": {name: name for name in names}})
+    start = 0
+    while start < len(values):
+        for _ in range(int(rng.integers(1, 12))):
+            piece = values[start : start + int(rng.integers(1, 60))]
+            number = np.arange(start, start + len(piece), dtype=np.int64)
+            pipeline.take("wire", SampleBlock(piece, start * 1_000_000, number), 2**32, None)
+            start += len(piece)
+        yield from pipeline.compute()
+    assert pipeline.compute() == []
+
+
+def rows_of(records: list[Record]) -> dict[str, FloatArray]:
+    batches = [record for record in records if isinstance(record, EstimateBatch)]
+    names = ("index", "t_ns", "status", "reason", "value", "sd", "held")
+    return {name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names}
+
+
+def test_blocks_computed_at_once_give_the_rows_that_they_give_one_by_one(
+    played: Played, rng: np.random.Generator
+) -> None:
+    values = np.round(played.chunk.readings / [1e-3, 2e-6, 2e-6]) * [1e-3, 2e-6, 2e-6]
+    here, there = rows_of(list(in_rounds(played, values, rng))), rows_of(played.records)
+    for name in ("index", "t_ns", "status", "reason"):
+        np.testing.assert_array_equal(here[name], there[name])
+    within = 1e-9 * there["sd"]
+    for name in ("value", "sd", "held"):
+        both = np.isfinite(there[name]) & np.isfinite(within)
+        assert np.all(np.abs(here[name] - there[name])[both] <= within[both])
+        np.testing.assert_array_equal(np.isnan(here[name]), np.isnan(there[name]))
+
+
+def test_rounds_rest_three_times_as_long_as_they_take_where_none_waits_too_long_for_that() -> None:
+    least, most = ROUND_S
+    assert _rest_s(0.0) == least
+    assert _rest_s(0.03) == pytest.approx(0.09)
+    assert _rest_s(0.1) == pytest.approx(most - 0.1)
+    assert _rest_s(0.4) == 0.0
+
+
+def read_in_played_time(config: RigConfig, bench: PlayedBench) -> tuple[Driver, list[SampleBlock]]:
+    """Read the only source for SECONDS; return its driver and the blocks that hold samples."""
+    (source,) = config.source
+    request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
+    blocks = []
+    with bench.at(source.name):
+        driver = driver_class(source.driver)(request)
+        driver.open()
+        while bench.now_s(source.name) < SECONDS:
+            blocks.append(driver.read(0.2))
+        driver.close()
+    return driver, [block for block in blocks if len(block)]
+
+
+@pytest.mark.parametrize(("bus", "most_a_second"), [("modbus", 12), ("can", 21), ("serial", 21)])
+def test_line_that_flows_is_read_seldom_and_whole(bus: str, most_a_second: int, tmp_path: Path) -> None:
+    path = example(bus, tmp_path)
+    bench = PlayedBench(path, load_scenario("default", {}))
+    driver, blocks = read_in_played_time(load(path), bench)
+    number = np.concatenate([block.counter for block in blocks if block.counter is not None])
+    np.testing.assert_array_equal(np.diff(number) % (driver.counter_modulus or 1), 1)
+    assert len(number) > (SECONDS - 0.25) * 1000
+    assert len(blocks) <= most_a_second * SECONDS
+    assert not driver.counts.dropped
+    assert not driver.counts.rejected
+
+
+@pytest.mark.parametrize("slots", [16, 64, 150])
+def test_ring_that_is_full_before_the_period_is_over_is_read_in_time(slots: int, tmp_path: Path) -> None:
+    path = example("modbus", tmp_path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(re.sub(r"slots = \d+", f"slots = {slots}", text), encoding="utf-8")
+    bench = PlayedBench(path, load_scenario("default", {}))
+    driver, blocks = read_in_played_time(load(path), bench)
+    number = np.concatenate([block.counter for block in blocks if block.counter is not None])
+    # the first contact comes before anything is known of the pace
+    settled = number[number > 100]
+    np.testing.assert_array_equal(np.diff(settled), 1)
+    assert settled[-1] > (SECONDS - 0.25) * 1000
+    assert driver.counts.dropped.total() <= 20
+    assert not driver.counts.rejected

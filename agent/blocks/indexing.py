@@ -16,6 +16,10 @@ RESTART_AFTER_S = 0.1
 """A device that keeps counting from behind for this long has restarted; a single late frame has not."""
 
 
+PUNCTUAL_S = 0.1
+"""Samples that are late by less may only have been read late: a clock that says so tells of no silence."""
+
+
 @dataclass(slots=True)
 class Origin:
     """Counter value or time stamp of index 0; shared by the sources of one rig, set by the first sample of any."""
@@ -90,7 +94,7 @@ class Indexer:
             steps = np.diff(raw, prepend=np.int64(self.origin.value))
             return np.cumsum(self._shortest(steps))
         steps = self._shortest(np.diff(raw, prepend=np.int64(self._raw)))
-        steps[0] += self._silent_wraps(int(steps[0]), arrival_ns)
+        steps[0] += self._silent_wraps(int(steps.sum()), arrival_ns)
         return self._last + np.cumsum(steps)
 
     def _shortest(self, steps: IntArray) -> IntArray:
@@ -99,12 +103,15 @@ class Indexer:
         half = self.modulus // 2
         return np.asarray((steps + half) % self.modulus - half)
 
-    def _silent_wraps(self, step: int, arrival_ns: int) -> int:
-        """Samples that whole wraps of the counter hide, after a silence longer than half a wrap."""
-        expected = (arrival_ns - self._heard_ns) * self.rate_hz / 1e9
-        if self.modulus is None or expected < self.modulus / 2:
+    def _silent_wraps(self, counted: int, arrival_ns: int) -> int:
+        """Samples that whole wraps of the counter hide, after a silence longer than half a wrap.
+
+        counted: the samples up to the newest, by the counter alone. A long block is no silence before its first one.
+        """
+        hidden = (arrival_ns - self._heard_ns) * self.rate_hz / 1e9 - counted
+        if self.modulus is None or hidden < max(self.modulus / 2, PUNCTUAL_S * self.rate_hz):
             return 0
-        return self.modulus * round((expected - step) / self.modulus)
+        return self.modulus * round(hidden / self.modulus)
 
     def _forward(self, index: IntArray) -> BoolArray:
         last = np.int64(-1 if self._last is None else self._last)

@@ -57,6 +57,41 @@ def test_indexer_silence_longer_than_half_a_wrap_is_told_by_the_clock(silence_ms
     assert index.tolist() == [99 + step]
 
 
+@pytest.mark.parametrize("rows", [130, 200, 255, 256, 300, 700])
+def test_indexer_block_longer_than_half_a_wrap_is_no_silence(rows: int) -> None:
+    """What a reader finds after a stall of its machine: many samples at once, none of them lost."""
+    it = indexer(modulus=256)
+    it.take(block(np.arange(100), arrival_ms=100))
+    index, kept = it.take(block(np.arange(100, 100 + rows) % 256, arrival_ms=100 + rows))
+    assert kept.all()
+    assert index.tolist() == list(range(100, 100 + rows))
+    index, _ = it.take(block([(100 + rows) % 256], arrival_ms=101 + rows))
+    assert index.tolist() == [100 + rows]
+
+
+def test_indexer_silence_before_a_long_block_is_told_by_the_clock() -> None:
+    it = indexer(modulus=256)
+    it.take(block(np.arange(100), arrival_ms=100))
+    lost, rows = 1000, 200
+    came = np.arange(100 + lost, 100 + lost + rows)
+    index, kept = it.take(block(came % 256, arrival_ms=100 + lost + rows + 3))
+    assert kept.all()
+    assert index.tolist() == came.tolist()
+
+
+def test_indexer_short_counter_read_unpunctually_loses_nothing(rng: np.random.Generator) -> None:
+    """Four bits at 1 kHz wrap each 16 ms: a thread that waited for its turn is no silence."""
+    it, first, found = indexer(modulus=16), 0, []
+    while first < 5000:
+        rows = int(rng.integers(1, 60))
+        number = np.arange(first, first + rows)
+        index, kept = it.take(block(number % 16, arrival_ms=float(first + rows + rng.uniform(0, 45))))
+        assert kept.all()
+        found += index.tolist()
+        first += rows
+    assert found == list(range(first))
+
+
 def test_indexer_new_epoch_goes_on_after_the_time_that_passed() -> None:
     it = indexer(modulus=2**32)
     it.take(block(np.arange(5000, 5100), arrival_ms=100))

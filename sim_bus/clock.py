@@ -20,7 +20,12 @@ class PlayClock:
         start: "reader": starts when each of them has met a reader; "ready": when told.
         fast: go as fast as the readers read.
         now_ns: the monotonic clock; a played one where nothing is real.
+
+    Attributes:
+        grain_s: for so long samples may gather in a device that sends by itself; a wake-up for each costs a processor.
     """
+
+    grain_s = 0.0
 
     def __init__(
         self,

@@ -26,6 +26,7 @@ class Player:
         duration_s: how long, instead of the scenario's own duration; 0 is without end.
         fast: as fast as the readers read.
         truth: where to write what was played.
+        grain_s: for so long samples may gather in a device that sends by itself; for many rigs on one processor.
 
     Raises:
         SimUsageError: the scenario or a source cannot be played.
@@ -39,6 +40,7 @@ class Player:
         duration_s: float | None = None,
         fast: bool = False,
         truth: Path | None = None,
+        grain_s: float = 0.0,
     ) -> None:
         check(scenario, [source.driver for source in rig_file.source])
         self._scenario = scenario
@@ -51,6 +53,7 @@ class Player:
         self.tape = Tape(self.rig, self._truth.keep if truth else None)
         total = round(seconds * rate) if seconds else None
         self.clock = PlayClock(rate, total, rig_file.source_names, scenario.start, fast=fast)
+        self.clock.grain_s = grain_s
         self.devices: Sequence[Device] = make_devices(Bench(rig_file, self.tape, self.clock, scenario))
         self._open: list[Device] = []
 

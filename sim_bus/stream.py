@@ -161,7 +161,8 @@ class Stream:
             return 0.0 if self.outlets and not self._clock.finished() else _IDLE_S / 10
         if self._clock.total is not None and self._next >= self._clock.total:
             return _IDLE_S
-        return min(_IDLE_S, max(0.0, (self._clock.due_ns(self._next) - self._clock.now_ns()) / 1e9))
+        due_s = (self._clock.due_ns(self._next) - self._clock.now_ns()) / 1e9
+        return min(_IDLE_S, max(0.0, due_s + self._clock.grain_s))
 
     def next_due_ns(self) -> int:
         """Return when the next sample is taken; never comes what lies beyond the end."""

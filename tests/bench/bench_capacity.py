@@ -2,7 +2,8 @@
 
 python -m tests.bench.bench_capacity BUS RIGS (part of make bench). The devices play in real time in a process of their
 own on another core; the agent runs on one core, its database included. Its cost is read from the threads' processor
-time, so that other work on the machine blurs it little; to keep up it needs a core of its own.
+time, so that other work on the machine blurs it little; to keep up it needs a core of its own. Whether the devices held
+their pace is told by what came of their samples, and by their own ledgers.
 """
 
 import os
@@ -30,7 +31,7 @@ from agent.blocks.estimation import Estimation
 from agent.blocks.quality import Quality
 from agent.config import load_many
 from agent.runtime.clock import monotonic_ns
-from agent.runtime.demo_bus import COARSE, FINE, write_config
+from agent.runtime.demo_bus import COARSE, Wire, write_config
 from agent.runtime.service import Service
 from agent.runtime.sources import Connection
 from sim_bus.player import Player
@@ -38,6 +39,11 @@ from sim_bus.rigfile import read_rig
 from sim_bus.scenario import load_scenario
 
 WARM_S, MEASURED_S = 6.0, 10.0
+RATE_HZ = 1000.0
+GRAIN_S = 0.01
+"""For so long samples gather in a device, as in those that fill a frame or a packet before they send it."""
+WIDE = Wire(32, "1e-6", "1e-9")
+"""Numbers of 32 bits: one sample is an FD frame of 16 bytes. Finer steps would clip the motion at their ends."""
 STAGES: dict[str, tuple[type, str]] = {
     "acquisition": (Acquisition, "step"),
     "quality": (Quality, "step"),
@@ -50,17 +56,35 @@ CORES = sorted(os.sched_getaffinity(0))
 
 @dataclass(frozen=True, slots=True)
 class Capacity:
-    """What was measured: rigs run; processor seconds a second by stage; samples lost; the longest wait."""
+    """What was measured.
+
+    Attributes:
+        rigs: how many ran.
+        cost: processor seconds a second, by stage.
+        lost: samples that the agent lost or refused, and gaps, by reason.
+        lag_s: how long the oldest block waited.
+        pace: samples that came, as a share of those that were due.
+        unsent: samples that the devices could not send.
+        devices: processor seconds a second of the devices' process.
+    """
 
     rigs: int
     cost: dict[str, float]
-    lost: int
+    lost: dict[str, int]
     lag_s: float
+    pace: float
+    unsent: int
+    devices: float
+
+    @property
+    def played(self) -> bool:
+        """The devices sent all that was due; otherwise nothing was measured."""
+        return self.unsent == 0 and self.pace > 0.99
 
     @property
     def kept_up(self) -> bool:
         """Nothing was lost and nothing waits."""
-        return self.lost == 0 and self.lag_s < 1.0
+        return self.played and not self.lost and self.lag_s < 1.0
 
     @property
     def sustained(self) -> float:
@@ -79,7 +103,7 @@ def configure(bus: str, rigs: int, folder: Path) -> list[Path]:
     for number in range(rigs):
         own = folder / f"{bus}{number}"
         own.mkdir()
-        path = write_config(bus, FINE if bus == "can" else COARSE, own, fast=True).config
+        path = write_config(bus, WIDE if bus == "can" else COARSE, own, fast=True).config
         text = path.read_text(encoding="utf-8").replace('name = "demo"', f'name = "rig-{number}"')
         path.write_text(text.replace("every_s = 0", "every_s = 1.0"), encoding="utf-8")
         paths.append(path)
@@ -87,16 +111,22 @@ def configure(bus: str, rigs: int, folder: Path) -> list[Path]:
 
 
 def devices(configs: list[str]) -> None:
-    """Play the devices in real time until told to end."""
+    """Play the devices in real time until told to end; print what they could not send, and what they cost."""
     os.sched_setaffinity(0, CORES[-1:])
     scenario = load_scenario("steady", {})
     with ExitStack() as stack:
-        for config in configs:
-            player = Player(read_rig(Path(config)), scenario)
+        players = [Player(read_rig(Path(config)), scenario, grain_s=GRAIN_S) for config in configs]
+        for player in players:
             player.start()
             stack.callback(player.stop)
         print("ready", flush=True)
         sys.stdin.readline()
+        begun, spent = time.monotonic(), time.process_time()
+        sys.stdin.readline()
+        cost = (time.process_time() - spent) / (time.monotonic() - begun)
+        ledgers = [player.ledger(player.clock.played())["sources"] for player in players]
+    runs = [run for ledger in ledgers for source in ledger.values() for run in source["lost"]]
+    print(json.dumps({"cost": cost, "unsent": sum(last - first + 1 for first, last in runs)}), flush=True)
 
 
 def agent(configs: list[str], folder: Path) -> None:
@@ -136,15 +166,22 @@ def _measured_stages() -> Counter[str]:
 
 def _watch(service: Service, main: int, spent: Counter[str], found: dict[str, Any]) -> None:
     time.sleep(WARM_S)
-    before, stages, begun = _threads(main), Counter(spent), time.monotonic()
+    before, stages, came, begun = _threads(main), Counter(spent), _received(service), time.monotonic()
+    print("warm", flush=True)
     time.sleep(MEASURED_S)
     seconds = time.monotonic() - begun
+    found["pace"] = (_received(service) - came) / (RATE_HZ * seconds * len(service.rigs))
     cost = {name: spend / seconds for name, spend in (_threads(main) - before).items()}
     inner = {name: spend / seconds for name, spend in (spent - stages).items()}
     cost["hand over"] = max(0.0, cost.pop("main", 0.0) - sum(inner.values()))
     found["cost"] = cost | inner
     found["lag_s"] = max(_waited_s(connection) for connection in service.connections)
     service.stop()
+
+
+def _received(service: Service) -> int:
+    """Return how many samples the drivers have read."""
+    return sum(connection._driver.counts.received for connection in service.connections)
 
 
 def _waited_s(connection: Connection) -> float:
@@ -170,28 +207,54 @@ def measure(bus: str, rigs: int) -> Capacity:
     """Run so many rigs on one bus and return what they cost."""
     with TemporaryDirectory() as name, ExitStack() as stack:
         configs = [str(path) for path in configure(bus, rigs, Path(name))]
-        command = [sys.executable, "-m", "tests.bench.bench_capacity"]
-        ends = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        player = stack.enter_context(subprocess.Popen([*command, "devices", *configs], **ends, text=True))
-        stack.callback(player.kill)
-        assert player.stdout is not None
-        assert player.stdout.readline() == "ready\n"
-        listen = [*command, "agent", name, *configs]
-        done = subprocess.run(listen, capture_output=True, text=True, check=True, timeout=300)
-    found = json.loads(done.stdout.splitlines()[-1])
-    lost = sum(
-        sum(one["dropped"].values()) + sum(one["rejected"].values()) + one["gaps"] for one in found["samples"]
-    )
-    return Capacity(rigs, found["cost"], lost, found["lag_s"])
+        player = _part(stack, "devices", *configs)
+        assert _line(player) == "ready\n"
+        listener = _part(stack, "agent", name, *configs)
+        assert _line(listener) == "warm\n"
+        _tell(player)
+        found = json.loads(_line(listener))
+        _tell(player)
+        played = json.loads(_line(player))
+    lost: Counter[str] = Counter()
+    for one in found["samples"]:
+        lost += Counter(one["dropped"]) + Counter(one["rejected"]) + Counter(gaps=one["gaps"])
+    return Capacity(
+        rigs, found["cost"], dict(lost), found["lag_s"], found["pace"], played["unsent"], played["cost"]
+    )  # fmt: skip
+
+
+def _part(stack: ExitStack, *arguments: str) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "tests.bench.bench_capacity", *arguments]
+    process = stack.enter_context(
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    )  # fmt: skip
+    stack.callback(process.kill)
+    return process
+
+
+def _line(process: "subprocess.Popen[str]") -> str:
+    assert process.stdout is not None
+    return process.stdout.readline()
+
+
+def _tell(process: "subprocess.Popen[str]") -> None:
+    assert process.stdin is not None
+    process.stdin.write("\n")
+    process.stdin.flush()
 
 
 def told(bus: str, found: Capacity) -> str:
     """Return a measurement in words."""
     ranked = sorted(found.cost.items(), key=lambda item: -item[1])
     costs = ", ".join(f"{stage} {100 * cost:.1f} %" for stage, cost in ranked)
-    kept = "kept up" if found.kept_up else "did NOT keep up"
-    head = f"{bus}: {found.rigs} rigs at 1 kHz {kept} ({found.lost} lost, {found.lag_s:.2f} s behind)"
-    return f"{head}; one core would carry {found.sustained:.0f}, limited by {found.limit}\n  of a core: {costs}"
+    kept = "kept up" if found.kept_up else "did NOT keep up" if found.played else "were NOT played at their pace"
+    lost = ", ".join(f"{count} {reason}" for reason, count in found.lost.items()) or "none"
+    share = f"{100 * sum(found.cost.values()):.0f} % of a core"
+    head = f"{bus}: {found.rigs} rigs at 1 kHz {kept}: {share}; one core would carry {found.sustained:.0f}"
+    sent = f"the devices sent {100 * found.pace:.1f} % of what was due, at {100 * found.devices:.0f} % of another core"
+    return (
+        f"{head}, limited by {found.limit}\n  lost: {lost}; {found.lag_s:.2f} s behind\n  of a core: {costs}\n  {sent}"
+    )
 
 
 def main(arguments: list[str]) -> None:

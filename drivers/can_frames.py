@@ -77,8 +77,10 @@ def identifier(digits: str, extended: bool) -> int:
 
 _SOCKETCAND = re.compile(
     rb"< *(?:frame ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) (\d{1,12})\.(\d{1,9})(?: +((?:[0-9A-Fa-f]{2} ?){0,64}))? *"
-    rb"|(error|hi|ok|echo) ?[^<>]*)>"
+    rb"|(error|hi|ok|echo) ?[^<>]*"
+    rb"|rtr ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) (\d{1,12})\.(\d{1,9}) +([0-8]) *)>"
 )
+"""What a daemon says: a frame; a word by itself; a remote frame, which older daemons keep to themselves."""
 
 
 @dataclass(slots=True)
@@ -106,11 +108,12 @@ class DaemonText:
     def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> bool:
         """Add a message's frame, if it is one; tell whether the message makes sense."""
         row = _daemon_error(match[0]) if match[5] == b"error" else None
-        if match[5] is None and int(match[2]) <= MOST_SECONDS:
-            row = _daemon_row(match[1], match[4] or b"")
+        seconds, part = match[2] or match[7], match[3] or match[8]
+        if match[5] is None and int(seconds) <= MOST_SECONDS:
+            row = _daemon_row(match[1], match[4] or b"") if match[1] else _daemon_remote(match[6], int(match[9]))
         if row is not None:
             rows.append(row)
-            times.append(int(match[2]) * 10**9 + int(match[3].ljust(9, b"0")) if match[2] else 0)
+            times.append(int(seconds) * 10**9 + int(part.ljust(9, b"0")) if seconds else 0)
         return row is not None or match[5] is not None
 
 
@@ -124,11 +127,21 @@ def _daemon_error(message: bytes) -> bytes:
     return pack_frame(ERROR | (int(match[1], 16) & EXTENDED_MASK if match else 0), bytes(8))
 
 
-def _daemon_row(digits: bytes, payload: bytes) -> bytes | None:
-    data = bytes.fromhex(payload.decode())
+def _daemon_remote(digits: bytes, length: int) -> bytes | None:
+    number = _daemon_identifier(digits)
+    return None if number is None else pack_frame(number | REMOTE, b"", 0, length)
+
+
+def _daemon_identifier(digits: bytes) -> int | None:
     try:
-        number = identifier(digits.decode(), len(digits) > 3)
+        return identifier(digits.decode(), len(digits) > 3)
     except ValueError:
+        return None
+
+
+def _daemon_row(digits: bytes, payload: bytes) -> bytes | None:
+    data, number = bytes.fromhex(payload.decode()), _daemon_identifier(digits)
+    if number is None:
         return None
     return pack_frame(number, data, FD_FLAG if len(data) > 8 else 0) if len(data) in FD_LENGTHS else None
 

@@ -11,7 +11,7 @@ from drivers.can import CanSettings
 from drivers.clock import playing
 from drivers.modbus_settings import ModbusSettings
 from drivers.serial_line import SerialSettings
-from sim_bus import can_device, serial_device
+from sim_bus import can_device, serial_device, slcan_device
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench
 from sim_bus.errors import SimUsageError
@@ -91,8 +91,11 @@ class PlayedBench:
             settings = bench.settings(ModbusSettings, number)
             return ModbusLine(make_unit(bench, number, settings), time, settings.transport, self.scenario.seed)
         keys = bench.settings(CanSettings, number)
+        if keys.interface == "slcan":
+            return StreamLine(can_device.make_adapter_stream(bench, number), bench.clock, None, slcan_device.GREETING)
         if keys.interface != "socketcand":
-            raise SimUsageError(f'source[{number}].interface: "{keys.interface}" has no played bus; "socketcand" has')
+            words = f'"{keys.interface}" has no played bus; "socketcand" and "slcan" have'
+            raise SimUsageError(f"source[{number}].interface: {words}")
         return StreamLine(can_device.make_stream(bench, number), bench.clock, keys.channel)
 
     def at(self, source: str) -> AbstractContextManager[None]:

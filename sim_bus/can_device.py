@@ -11,10 +11,11 @@ from sim_bus.clock import PlayClock
 from sim_bus.device import Bench, Device
 from sim_bus.errors import SimUsageError
 from sim_bus.fault_names import FRAMES
+from sim_bus.faults import LineFaults
 from sim_bus.kernel_can import KernelFrames, KernelOutlet
 from sim_bus.pty_line import PtyLine
 from sim_bus.slcan_device import SlcanDevice, SlcanText
-from sim_bus.socketcand_device import Endpoint, FrameText, SocketcandDevice
+from sim_bus.socketcand_device import ADAPTERS_TELL, Endpoint, FrameText, SocketcandDevice
 from sim_bus.stream import Stream
 from sim_bus.wire import Feed
 
@@ -63,6 +64,8 @@ def make_stream(bench: Bench, number: int) -> Stream:
     packing, faults = _packing(bench, number, keys), bench.faults(number, text=True)
     text = FrameText(packing.kinds, bench.clock_of(number))
     faults.strange = text.strange
+    faults.refuse(ADAPTERS_TELL, "a daemon does not pass it on; play an adapter (slcan)")
+    _refuse_checksum(faults, keys)
     feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
     return Stream(source.name, feed, bench.clock_of(number), text, faults)
 
@@ -78,7 +81,7 @@ def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
     guard.virtual_can(keys.interface, keys.channel, f"source[{number}].channel")
     source, packing, faults = bench.source(number), _packing(bench, number, keys), bench.faults(number)
     faults.refuse(
-        ("corrupt", "truncate", "garbage", "disconnect", *FRAMES),
+        ("corrupt", "truncate", "garbage", "split", "disconnect", *FRAMES),
         "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
     )
     render = KernelFrames(packing.kinds)
@@ -87,13 +90,27 @@ def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
     return KernelDevice(bench.clock, stream, keys.channel, render.size)
 
 
+def make_adapter_stream(bench: Bench, number: int) -> Stream:
+    """Return what a source's adapter sends."""
+    keys, source, faults = bench.settings(CanSettings, number), bench.source(number), bench.faults(number)
+    packing = _packing(bench, number, keys)
+    text = SlcanText(packing.kinds, bench.rig.rate_hz(number))
+    faults.strange = text.strange
+    faults.refuse(("checksum",), "cannot be caused behind an adapter; play a socketcand")
+    if any(kind.fd for kind in packing.kinds):
+        faults.refuse(("remote", "dlc"), "is for classic frames")
+    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    return Stream(source.name, feed, bench.clock_of(number), text, faults)
+
+
+def _refuse_checksum(faults: LineFaults, keys: CanSettings) -> None:
+    if keys.checksum is None:
+        faults.refuse(("checksum",), "the source's frames have none; give the source a checksum")
+
+
 def _adapter(bench: Bench, number: int, keys: CanSettings) -> Device:
     link = guard.pty_link(keys.channel, bench.rig.folder, f"source[{number}].channel")
-    source, packing, faults = bench.source(number), _packing(bench, number, keys), bench.faults(number)
-    faults.refuse(FRAMES, "cannot be caused behind an adapter; play a socketcand")
-    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
-    text = SlcanText(packing.kinds, bench.rig.rate_hz(number))
-    return SlcanDevice(bench.clock, Stream(source.name, feed, bench.clock_of(number), text, faults), PtyLine(link))
+    return SlcanDevice(bench.clock, make_adapter_stream(bench, number), PtyLine(link))
 
 
 def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:

@@ -31,7 +31,9 @@ class FaultKind:
 
 NUMBERS: Mapping[str, FaultKind] = {
     "nan": FaultKind("the first mapped field that is a float holds no number", "missing value", loses=True),
+    "inf": FaultKind("the first mapped field that is a float is infinite", "not finite", loses=True),
     "range": FaultKind("the last mapped field is at the end of its range, or a million", "spike"),
+    "swapped": FaultKind("the bytes of the last mapped field are in the wrong order", "spike"),
 }
 """What any device can put into its numbers."""
 
@@ -55,6 +57,8 @@ LINES: Mapping[str, FaultKind] = {
     "freeze": FaultKind("nothing is sent", "gap", SOME_TIME, loses=True),
     "silence": FaultKind("nothing is sent for longer than a source may be silent", "stale", 3.0, loses=True),
     "stall": FaultKind("everything is sent, but only at the end", "", SOME_TIME),
+    "jitter": FaultKind("samples are sent late, several at once", "", SOME_TIME),
+    "split": FaultKind("the second half of each sample comes with the next one", "", SOME_TIME),
     "disconnect": FaultKind("the line is gone", "lost", SOME_TIME, timed=True),
 }
 """What any line can do to what a device sends by itself."""
@@ -64,6 +68,7 @@ BYTES: Mapping[str, FaultKind] = {
     "insert": FaultKind("one byte too many lies in the sample", "crc", loses=True),
     "break": FaultKind("32 zeros come before the sample", "sync"),
     "baud": FaultKind("every byte is another one, as at a wrong bit rate", "sync", SOME_TIME, loses=True),
+    "stolen": FaultKind("another program takes a part of each sample from the line", "crc", SOME_TIME, loses=True),
 }
 """What a serial line can do besides."""
 
@@ -71,7 +76,13 @@ FRAMES: Mapping[str, FaultKind] = {
     "dlc": FaultKind("the frame has a byte too few", "dlc", loses=True),
     "foreign": FaultKind("a frame comes that nobody asked for", ""),
     "flood": FaultKind("a hundred frames that nobody asked for come with each sample", "", 0.05),
+    "extended": FaultKind("a frame comes whose long identifier is the sample's number", ""),
+    "remote": FaultKind("a frame comes that asks for the sample instead of carrying it", "remote frame"),
+    "checksum": FaultKind("one bit of the frame's data is wrong; its checksum tells", "checksum", loses=True),
     "error-frame": FaultKind("the controller reports a bus error", "bus error"),
+    "error-warning": FaultKind("the controller sees many errors (adapters)", "error-warning", SOME_TIME),
+    "error-passive": FaultKind("the controller may signal errors no more (adapters)", "error-passive", SOME_TIME),
+    "overrun": FaultKind("the controller had no room for the sample (adapters)", "controller overflow", loses=True),
     "bus-off": FaultKind("the controller is off the bus, and comes back", "bus-off", SOME_TIME, loses=True),
 }
 """What a CAN bus can do besides."""
@@ -106,7 +117,9 @@ REPLIES: Mapping[str, FaultKind] = {
     "slow": FaultKind("answers take half of the time that they may take", "", SOME_TIME, timed=True),
     "dribble": FaultKind("answers come byte by byte", "", SOME_TIME, timed=True),
     "disconnect": FaultKind("the server is gone", "lost", SOME_TIME, timed=True),
+    "reset": FaultKind("the connection is reset in the middle of each answer", "lost", 0.05, timed=True),
     "accept-close": FaultKind("connections are accepted and closed", "lost", SOME_TIME, timed=True),
+    "black-hole": FaultKind("neither answers come nor new connections about", "timeout", SOME_TIME, timed=True),
     "half-open": FaultKind("the connection is dead and nobody says so", "timeout", 0.05, timed=True),
     "wrong-unit": FaultKind("answers carry another unit's number", "unit", 0.05, timed=True),
     "wrong-transaction": FaultKind("answers carry another transaction number", "transaction", 0.05, timed=True),
@@ -129,6 +142,11 @@ SENSORS: Mapping[str, FaultKind] = {
     "reversed": FaultKind("the reading has the wrong sign", "", 2.0),
     "scaled": FaultKind("the reading is a thousand times too large", "", 2.0),
     "gain": FaultKind("the reading is a fifth too small", "", 2.0),
+    "offset": FaultKind("the reading is too high, by half of the largest so far", "", 2.0),
+    "drift": FaultKind("the reading runs away, by half of the largest so far each second", "", 2.0),
+    "saturated": FaultKind("the reading ends at half of the largest so far", "", 2.0),
+    "flicker": FaultKind("the reading stands still but for its last digit", "", 2.0),
+    "spikes": FaultKind("ten readings a second are off by twice the largest so far", "spike", 2.0),
 }
 """What a sensor can do, of the last output channel or of the one named; the agent raises an alarm of the channel."""
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from sim_bus.errors import SimUsageError
-from sim_bus.fault_names import COUNTERS, KNOWN, NUMBERS, FaultKind, names
+from sim_bus.fault_names import COUNTERS, FRAMES, KNOWN, NUMBERS, FaultKind, names
 from sim_bus.ranges import Runs
 from sim_bus.scenario import FaultAt, Scenario
 from sim_bus.schedule import first_sample
 
 SENSOR = "sensor"
 LOSS = 0.2
+LATE = 0.9
 SHUFFLED = 50
 _RUBBISH = 24, 40
 _BREAK = bytes(32)
@@ -84,6 +85,7 @@ class LineFaults:
         self._wrong_bits = (7,) if text else tuple(range(8))
         self._rng = np.random.default_rng([seed, 4])
         self._late: list[bytes] = []
+        self._halves = b""
         self._swapped: tuple[int, bytes] | None = None
         self._pool: list[tuple[int, bytes]] = []
         self._newest = -1
@@ -112,11 +114,18 @@ class LineFaults:
             self._gone.add(sample)
             data = b""
         data = self._strange(sample, self._damaged(sample, data))
-        if self.active("stall", sample):
+        if self.active("stall", sample) or (self.active("jitter", sample) and float(self._rng.random()) < LATE):
             self._late.append(data)
             return b""
         late, self._late = b"".join(self._late), []
-        return late + self._in_order(sample, data)
+        return late + self._whole(sample, self._in_order(sample, data))
+
+    def _whole(self, sample: int, data: bytes) -> bytes:
+        """Return what is sent now of a sample and of the one before it."""
+        earlier, self._halves = self._halves, b""
+        if self.active("split", sample):
+            data, self._halves = data[: len(data) // 2], data[len(data) // 2 :]
+        return earlier + data
 
     def _is_lost(self, sample: int) -> bool:
         """Tell whether a sample is not sent at all."""
@@ -140,6 +149,7 @@ class LineFaults:
             "delete": self._without_a_byte,
             "insert": self._with_a_byte,
             "baud": lambda data: self._rng.bytes(len(data)),
+            "stolen": self._without_a_part,
             "duplicate": lambda data: data * 2,
             "garbage": lambda data: self._rng.bytes(int(self._rng.integers(*_RUBBISH))) + data,
             "break": lambda data: _BREAK + data,
@@ -156,6 +166,10 @@ class LineFaults:
         place = self._place(data)
         return data[:place] + data[place + 1 :]
 
+    def _without_a_part(self, data: bytes) -> bytes:
+        first, last = sorted((self._place(data), self._place(data)))
+        return data[:first] + data[last + 1 :]
+
     def _with_a_byte(self, data: bytes) -> bytes:
         place = 1 + self._place(data[1:])
         return data[:place] + self._rng.bytes(1) + data[place:]
@@ -164,7 +178,7 @@ class LineFaults:
         """Return the sample with what the bus sends besides, or instead of it."""
         if self.strange is None:
             return data
-        for name in ("foreign", "flood", "error-frame", "dlc", "bus-off"):
+        for name in FRAMES:
             if self.active(name, sample):
                 data = self.strange(name, self._since(name, sample), data)
                 if KNOWN["can"][name].loses:

@@ -100,7 +100,7 @@ class ModbusDevice(Device):
         """Let the server die, and come back, when faults say so."""
         while True:
             await asyncio.sleep(_LOOK_S)
-            gone = any(unit.suffers("disconnect") for unit in self.units)
+            gone = any(unit.suffers("disconnect") or unit.suffers("black-hole") for unit in self.units)
             if gone and self._server is not None:
                 server, self._server = self._server, None
                 await self._unplug(server)
@@ -166,6 +166,8 @@ class ModbusTcpDevice(ModbusDevice):
     def __init__(self, clock: PlayClock, units: Sequence[Unit], host: str, port: int) -> None:
         super().__init__(clock, units)
         self._host, self._port = host, port
+        self._hole: list[socket.socket] = []
+        self._mute: ModbusBaseServer | None = None
 
     @property
     def address(self) -> str:
@@ -186,8 +188,48 @@ class ModbusTcpDevice(ModbusDevice):
                 words = f"port {self._port} on {self._host} cannot be opened: {error.strerror}"
                 raise SimBusError(f'source "{self.units[0].source}": {words}') from error
 
+    async def _unplug(self, server: ModbusBaseServer) -> None:
+        if not any(unit.suffers("black-hole") for unit in self.units):
+            await super()._unplug(server)
+            return
+        # its connections stay, and whoever wants a new one stands in a queue that is full
+        if isinstance(server.transport, asyncio.Server):
+            server.transport.close()
+        self._mute, self._hole = server, _full_queue(self._host, self._port)
+
+    async def _plug(self) -> ModbusBaseServer:
+        await self._fill()
+        return await super()._plug()
+
+    async def _fill(self) -> None:
+        """Let go of what a black hole held."""
+        for end in self._hole:
+            end.close()
+        self._hole.clear()
+        if self._mute is not None:
+            mute, self._mute = self._mute, None
+            await super()._unplug(mute)
+
+    async def _shut_down(self) -> None:
+        await self._fill()
+        await super()._shut_down()
+
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
         return TcpServer(self, devices, address=(self._host, self._port), custom_pdu=custom)
+
+
+def _full_queue(host: str, port: int) -> list[socket.socket]:
+    """Return a listener whose queue is full, and those who stand in it: the kernel drops what else knocks."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    ends = [socket.socket(family) for _ in range(4)]
+    listener, *waiting = ends
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.bind((host, port))
+    listener.listen(0)
+    for end in waiting:
+        end.setblocking(False)
+        end.connect_ex((host, port))
+    return ends
 
 
 class ModbusRtuDevice(ModbusDevice):

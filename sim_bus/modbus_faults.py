@@ -9,10 +9,11 @@ from drivers import crc
 from sim_bus.fault_names import EXCEPTIONS
 
 Framing = Literal["tcp", "rtu"]
-Deliveries = list[tuple[float, bytes]]
-"""When, s from now, which bytes go out."""
+Deliveries = list[tuple[float, bytes | None]]
+"""When, s from now, which bytes go out; None: the connection is reset."""
 
 _CRC = crc.by_name("CRC-16/MODBUS")
+_MUTE = frozenset({"silent", "half-open", "black-hole", "restart"})
 _BYTE_S = 0.0005
 _ANSWER_SHARE = 0.5
 """Of the time that an answer may take, when it is slow."""
@@ -77,11 +78,13 @@ class ReplyFaults:
         """Return what goes out, and when, instead of a good reply while the named faults last."""
         if not names:
             return [(0.0, adu)]
-        if names & {"silent", "half-open", "restart"}:
-            return []
-        adu = self._reframed(adu, names)
+        return [] if names & _MUTE else self._spoilt(self._reframed(adu, names), names)
+
+    def _spoilt(self, adu: bytes, names: frozenset[str]) -> Deliveries:
         if "duplicate" in names:
             adu += adu
+        if "reset" in names:
+            return [(0.0, adu[: len(adu) // 2]), (_BYTE_S, None)]
         if "dribble" in names:
             return [(number * _BYTE_S, adu[number : number + 1]) for number in range(len(adu))]
         share = _LATE_SHARE if "late" in names else _ANSWER_SHARE if "slow" in names else 0.0

@@ -1,5 +1,8 @@
 """The library's servers, their replies handed out as the device's faults will have them."""
 
+import asyncio
+import socket
+import struct
 from abc import abstractmethod
 from typing import Any, Protocol
 
@@ -7,6 +10,8 @@ from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
 
 from sim_bus.modbus_faults import Deliveries
+
+_AT_ONCE = struct.pack("ii", 1, 0)
 
 
 class Manners(Protocol):
@@ -36,14 +41,22 @@ class _Handler(ServerRequestHandler):
 
     def send(self, data: bytes, addr: tuple[Any, ...] | None = None) -> None:
         for delay_s, piece in self.manners.deliveries(data, self.opened):
-            if delay_s:
+            if delay_s or piece is None:
                 self.loop.call_later(delay_s, self._send_later, piece)
             else:
                 super().send(piece, addr)
 
-    def _send_later(self, piece: bytes) -> None:
-        if self.transport is not None:
+    def _send_later(self, piece: bytes | None) -> None:
+        if piece is None:
+            self._reset()
+        elif self.transport is not None:
             super().send(piece)
+
+    def _reset(self) -> None:
+        """End the connection with RST instead of FIN: closed without lingering it does."""
+        if isinstance(self.transport, asyncio.Transport):
+            self.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+            self.transport.abort()
 
 
 def _handler(server: ModbusTcpServer | ModbusSerialServer, manners: Manners) -> _Handler:

@@ -247,7 +247,7 @@ class FifoUnit(Unit):
 
 UNFIT = {
     "tcp": ("corrupt",),
-    "rtu": ("wrong-transaction", "wrong-protocol", "half-open", "accept-close"),
+    "rtu": ("wrong-transaction", "wrong-protocol", "half-open", "black-hole", "reset", "accept-close"),
 }
 """Faults that a transport cannot have: TCP mends wrong bits, a serial line has no connections."""
 UNITS: dict[str, type[Unit]] = {"ring": RingUnit, "poll": PollUnit, "fifo": FifoUnit}

@@ -182,7 +182,7 @@ class ModbusLine(Line):
         self._time = time
         self._answers = Answers(unit, framing)
         self._faults = ReplyFaults(framing, unit.settings.timeout_s, seed)
-        self._coming: list[tuple[int, int, bytes]] = []
+        self._coming: list[tuple[int, int, bytes | None]] = []
         self._serial = framing == "rtu"
         self._opened = 0
         self._sent = 0
@@ -193,6 +193,9 @@ class ModbusLine(Line):
     def open(self, name: str) -> None:
         if self._gone():
             raise DriverIOError(f"{name}: {'No such file or directory' if self._serial else 'Connection refused'}")
+        if self._unit.suffers("black-hole"):
+            self._time.pass_until(self._time.now_ns + round(self._unit.settings.timeout_s * 1e9))
+            raise DriverIOError(f"{name}: timed out")
         if not self._serial:
             self._coming.clear()
         self._opened = self._unit.newest()
@@ -210,7 +213,12 @@ class ModbusLine(Line):
             raise DriverIOError("the device closed the connection")
         data = b""
         while self._coming and self._coming[0][0] <= self._time.now_ns:
-            data += heapq.heappop(self._coming)[2]
+            if data and self._coming[0][2] is None:
+                break
+            piece = heapq.heappop(self._coming)[2]
+            if piece is None:
+                raise DriverIOError("Connection reset by peer")
+            data += piece
         return data
 
     def next_ns(self) -> int:

@@ -59,6 +59,11 @@ _BROKEN: Mapping[str, dict[str, Any]] = {
     "reversed": {"gain": -2.0},
     "scaled": {"gain": 999.0},
     "gain": {"gain": -0.2},
+    "offset": {"bias": 0.5, "measure": "peak"},
+    "drift": {"drift_per_s": 0.5, "measure": "peak"},
+    "saturated": {"rail": 0.5, "measure": "peak"},
+    "flicker": {"stuck": True, "flicker": 1e-5, "measure": "peak"},
+    "spikes": {"spike": 2.0, "spikes_hz": 10.0, "measure": "peak"},
 }
 """What the faults of sensors are, as [[sensor]] says it."""
 

@@ -4,6 +4,7 @@ Delay is taken where the motion is computed (it is exact there); the wire rounds
 """
 
 from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,9 @@ class Sensor(BaseModel):
     """One [[sensor]]: numbers are in the channel's unit; `from_s` .. `until_s` bounds bias, gain, drift, stuck, rail.
 
     reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail and
-    rounded to `step`; with `stuck` the reading of `from_s` stays. `delay_s` is added to the channel's own.
+    rounded to `step`; with `stuck` the reading of `from_s` stays, give or take `flicker`. `delay_s` is added to the
+    channel's own. With `measure` "peak" bias, drift_per_s, rail, spike and flicker are shares of the largest reading
+    before `from_s`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -33,6 +36,8 @@ class Sensor(BaseModel):
     rail: float = Field(default=float("inf"), gt=0)
     step: float = Field(default=0.0, ge=0)
     stuck: bool = False
+    flicker: float = Field(default=0.0, ge=0)
+    measure: Literal["unit", "peak"] = "unit"
     spike: float = 0.0
     spikes_hz: float = Field(default=0.0, ge=0)
     delay_s: float = Field(default=0.0, ge=0)
@@ -85,6 +90,7 @@ class SensorChain:
         own = [sensor.noise_sd for sensor in sensors if sensor.noise_sd is not None]
         self.noise_sd = own[-1] if own else noise_si / channel.si_factor
         self._stuck_at: dict[int, float] = {}
+        self._peaks: dict[int, float] = {}
         self._affected: dict[str, Runs] = {}
 
     @property
@@ -104,19 +110,29 @@ class SensorChain:
     def _apply(self, number: int, sensor: Sensor, index: IntArray, readings: FloatArray) -> FloatArray:
         t = index / self._rate
         live = (t >= sensor.from_s) & (t < sensor.until_s)
-        changed = (1.0 + sensor.gain) * readings + sensor.bias + sensor.drift_per_s * (t - sensor.from_s)
+        one = self._measure(number, sensor, readings[t < sensor.from_s])
+        changed = (1.0 + sensor.gain) * readings + one * (sensor.bias + sensor.drift_per_s * (t - sensor.from_s))
         if sensor.spike and sensor.spikes_hz:
             hit = self._rng.random(len(index)) < sensor.spikes_hz / self._rate
             self._note("spike", index[hit & live])
-            changed = changed + np.where(hit, sensor.spike * np.sign(self._rng.random(len(index)) - 0.5), 0.0)
-        railed = np.clip(changed, -sensor.rail, sensor.rail)
+            changed = changed + np.where(hit, one * sensor.spike * np.sign(self._rng.random(len(index)) - 0.5), 0.0)
+        railed = np.clip(changed, -one * sensor.rail, one * sensor.rail)
         self._note("saturated", index[(railed != changed) & live])
         if sensor.step:
             railed = np.rint(railed / sensor.step) * sensor.step
         if sensor.stuck and live.any():
-            railed = np.full_like(railed, self._stuck_at.setdefault(number, float(readings[live][0])))
+            stands = np.full_like(railed, self._stuck_at.setdefault(number, float(readings[live][0])))
+            railed = stands + one * sensor.flicker * (index % 2) if sensor.flicker else stands
             self._note("stuck", index[live])
         return np.where(live, railed, readings)
+
+    def _measure(self, number: int, sensor: Sensor, before: FloatArray) -> float:
+        """Return what the sensor's numbers are counted in, the readings before it begins to fail having gone on."""
+        if sensor.measure == "unit":
+            return 1.0
+        peak = max(self._peaks.get(number, 0.0), float(np.abs(before).max(initial=0.0)))
+        self._peaks[number] = peak
+        return peak
 
     def affected_before(self, end: int) -> dict[str, list[tuple[int, int]]]:
         """Return, by kind, the runs (first, last) of samples before `end` that a fault of the sensor touched."""

@@ -15,6 +15,10 @@ _SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _LETTERS = {(False, False): b"t", (True, False): b"T", (False, True): b"d", (True, True): b"D"}
 _WRAP_MS = 60_000
 GREETING = b"\r"
+_CROWDS = {"foreign": 1, "flood": 100}
+_FOREIGN = b"t7E580000000000000000\r"
+_STATES = {"error-warning": b"sw100020\r", "error-passive": b"sp128040\r", "bus-off": b"sb255255\r"}
+_SOUND, _OVERRUN, _BUS_ERROR = b"sa000000\r", b"F08\r", b"F80\r"
 
 
 class SlcanText:
@@ -43,6 +47,29 @@ class SlcanText:
             data, row = row[:size], row[size:]
             out.append(b"%s%s%s\r" % (head, data.hex().upper().encode(), stamp))
         return b"".join(out)
+
+    def strange(self, name: str, since: int, text: bytes) -> bytes:
+        """Return the sample's text with what a fault sends besides it, or instead of it."""
+        if name == "overrun":
+            return _OVERRUN
+        if name in _STATES:
+            state = {0: _STATES[name], -1: _SOUND}.get(since, b"")
+            return state if name == "bus-off" else state + text
+        if name == "dlc":
+            head, size = self._heads[0]
+            return head[:-1] + b"%X" % (_SIZES.index(size) - 1) + text[len(head) : len(head) + 2 * (size - 1)] + b"\r"
+        return self._beside(name) + text
+
+    def _beside(self, name: str) -> bytes:
+        """Return what comes before the sample."""
+        head, size = self._heads[0]
+        if name == "error-frame":
+            return _BUS_ERROR
+        if name == "remote":
+            return b"%s%s%X\r" % (head[:1].replace(b"t", b"r").replace(b"T", b"R"), head[1:-1], min(size, 8))
+        if name == "extended":
+            return b"T%s8%s\r" % (head[1:-1].rjust(8, b"0"), bytes(8).hex().encode())
+        return _FOREIGN * _CROWDS[name]
 
 
 class SlcanDevice(SerialDevice):

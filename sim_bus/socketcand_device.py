@@ -50,19 +50,37 @@ class FrameText:
         time = self._stamp(self._clock.played() - 1)
         if name == "dlc":
             return _WHOLE.sub(rb"\1 >", text)
-        if name in _CROWDS:
-            return b"".join(_frame(FOREIGN, time, bytes(8)) for _ in range(_CROWDS[name])) + text
+        if name == "checksum":
+            return _wrong_digit(text)
+        if name == "bus-off":  # said once at the beginning, and again when the controller was restarted
+            said = {0: _BUS_OFF, -1: _RESTARTED}
+            return b"< error %03X %s >" % (said[since], time) if since in said else b""
+        return self._beside(name, time) + text
+
+    def _beside(self, name: str, time: bytes) -> bytes:
+        """Return what comes before the sample."""
+        digits, size = self._heads[0]
         if name == "error-frame":
-            return b"< error %03X %s >" % (_BUS_ERROR, time) + text
-        # off the bus: said once at the beginning, and again when the controller was restarted
-        said = {0: _BUS_OFF, -1: _RESTARTED}
-        return b"< error %03X %s >" % (said[since], time) if since in said else b""
+            return b"< error %03X %s >" % (_BUS_ERROR, time)
+        if name == "remote":
+            return b"< rtr %s %s %d >" % (digits, time, min(size, 8))
+        if name == "extended":
+            return _frame(digits.rjust(8, b"0"), time, bytes(size))
+        return b"".join(_frame(FOREIGN, time, bytes(8)) for _ in range(_CROWDS[name]))
 
 
 FOREIGN = b"7E5"
 _CROWDS = {"foreign": 1, "flood": 100}
+_LAST_DIGIT = re.compile(rb"([0-9A-F]) >")
+ADAPTERS_TELL = ("error-warning", "error-passive", "overrun")
+"""What a daemon does not pass on: it names no more than the class of an error."""
 _WHOLE = re.compile(rb"(< frame [^<>]*?)[0-9A-F]{2} >")
 _BUS_OFF, _BUS_ERROR, _RESTARTED = 0x40, 0x80, 0x100
+
+
+def _wrong_digit(text: bytes) -> bytes:
+    """Return a sample's text with the lowest bit of its last data byte turned."""
+    return _LAST_DIGIT.sub(lambda match: b"%X >" % (int(match[1], 16) ^ 1), text, count=1)
 
 
 def _frame(digits: bytes, time: bytes, data: bytes) -> bytes:

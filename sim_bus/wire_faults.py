@@ -1,6 +1,6 @@
 """What a faulty device puts into its numbers: wrong values, and counters that stand still, leap or begin anew."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ NumberArray = NDArray[np.int64] | NDArray[np.float64]
 LEAP = 1000
 FAR = 1e6
 """What a field that is a float shows out of its range."""
+_NOT_FINITE = {"nan": float("nan"), "inf": float("inf")}
+Damage = Callable[[NumberArray], NumberArray]
 
 
 class NumberFaults:
@@ -26,17 +28,7 @@ class NumberFaults:
 
     def __init__(self, strikes: Sequence[Strike], tops: Sequence[tuple[str, int | None]]) -> None:
         self._counters = [strike for strike in strikes if strike.name in COUNTERS]
-        self._values = [(strike, *self._victim(strike.name, tops)) for strike in strikes if strike.name in NUMBERS]
-
-    def _victim(self, name: str, tops: Sequence[tuple[str, int | None]]) -> tuple[str, float]:
-        """Return the field that is struck, and what it shows."""
-        if name == "range":
-            field, top = tops[-1]
-            return field, FAR if top is None else float(top)
-        for field, top in tops:
-            if top is None:
-                return field, float("nan")
-        raise SimUsageError(f"--fault: {name}: no mapped field is a float; integers hold numbers only")
+        self._values = [(strike, *_victim(strike.name, tops)) for strike in strikes if strike.name in NUMBERS]
 
     def counted(self, index: IntArray) -> IntArray:
         """Return sample numbers as the device counts them."""
@@ -54,7 +46,29 @@ class NumberFaults:
 
     def spoil(self, index: IntArray, raw: dict[str, NumberArray]) -> None:
         """Put wrong values into raw numbers."""
-        for strike, field, value in self._values:
+        for strike, field, damage in self._values:
             struck = (index >= strike.first) & (index < strike.end)
             if struck.any():
-                raw[field] = np.where(struck, np.asarray(value, raw[field].dtype), raw[field])
+                raw[field] = np.where(struck, damage(raw[field]), raw[field])
+
+
+def _victim(name: str, tops: Sequence[tuple[str, int | None]]) -> tuple[str, Damage]:
+    """Return the field that a fault strikes, and what becomes of its numbers."""
+    if name in _NOT_FINITE:
+        field = next((field for field, top in tops if top is None), None)
+        if field is None:
+            raise SimUsageError(f"--fault: {name}: no mapped field is a float; integers hold numbers only")
+        return field, lambda numbers: np.full_like(numbers, _NOT_FINITE[name])
+    field, top = tops[-1]
+    if name == "swapped":
+        return field, lambda numbers: _swapped(numbers, top)
+    return field, lambda numbers: np.full_like(numbers, FAR if top is None else top)
+
+
+def _swapped(numbers: NumberArray, top: int | None) -> NumberArray:
+    """Return numbers with their bytes the other way round; a field of one byte has nothing to swap."""
+    if top is None:
+        return numbers.astype(np.float32).byteswap().astype(np.float64)
+    size = 1 << max(0, (top.bit_length() + 7) // 8 - 1).bit_length()
+    swapped = numbers.astype(f"i{size}").byteswap().astype(np.int64)
+    return np.clip(swapped, -top - 1, top)

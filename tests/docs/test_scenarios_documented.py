@@ -1,5 +1,7 @@
 """Every key of a scenario, every fault and every scenario that comes along is in docs/scenarios.md, as it is."""
 
+import re
+
 import pytest
 from pydantic import BaseModel
 
@@ -29,6 +31,12 @@ def test_every_fault_is_documented_as_it_is(driver: str) -> None:
         lasts = f"{kind.lasts_s:g} s" if kind.lasts_s else "a sample"
         told = kind.cause or "(nothing to tell)"
         assert f"| `{driver}.{name}` | {kind.words} | {lasts} | {told} |" in TEXT
+
+
+def test_every_fault_stands_beside_what_happens_in_the_field() -> None:
+    table = TEXT.partition("| in the field | here |")[2].partition("\n\n")[0]
+    shown = set(re.findall(r"`([a-z0-9-]+)`", table))
+    assert {name for faults in KNOWN.values() for name in faults} - shown == set()
 
 
 def test_every_scenario_that_comes_along_is_documented() -> None:

@@ -60,6 +60,15 @@ fields = [
 crc = "CRC-16/IBM-3740"
 counter = "N"
 """,
+    "serial float": """
+driver = "serial"
+port = "float.tty"
+format = "binary"
+sync = "AA55"
+fields = [{ name = "N", type = "uint16" }, { name = "F", type = "float32" }, { name = "X", type = "float32" }]
+crc = "CRC-16/IBM-3740"
+counter = "N"
+""",
     "bare": """
 driver = "serial"
 port = "bare.tty"
@@ -97,6 +106,23 @@ dbc = "faulty.dbc"
 counter = "T.N"
 map = { force = "T.F", x1 = "T.X" }
 """,
+    "can sum": """
+driver = "can"
+interface = "socketcand"
+channel = "vcan0"
+dbc = "faulty.dbc"
+counter = "C.N"
+map = { force = "C.F", x1 = "C.X" }
+checksum = { signal = "K", method = "xor" }
+""",
+    "can adapter": """
+driver = "can"
+interface = "slcan"
+channel = "adapter.tty"
+dbc = "faulty.dbc"
+counter = "S.N"
+map = { force = "S.F", x1 = "S.X" }
+""",
     "tcp": f'driver = "modbus"\n{TCP}{RING.format(**INT)}',
     "float": f'driver = "modbus"\n{TCP}{RING.format(**FLOAT)}',
     "rtu": f'driver = "modbus"\n{RTU}{RING.format(**INT)}',
@@ -113,6 +139,11 @@ BO_ 257 T: 8 RIG
  SG_ N : 0|16@1+ (1,0) [0|0] "" Vector__XXX
  SG_ F : 16|16@1- (1e-2,0) [0|0] "N" Vector__XXX
  SG_ X : 32|32@1- (1,0) [0|0] "m" Vector__XXX
+BO_ 258 C: 8 RIG
+ SG_ N : 0|8@1+ (1,0) [0|0] "" Vector__XXX
+ SG_ K : 8|8@1+ (1,0) [0|0] "" Vector__XXX
+ SG_ F : 16|16@1- (1e-2,0) [0|0] "N" Vector__XXX
+ SG_ X : 32|32@1- (1e-8,0) [0|0] "m" Vector__XXX
 SIG_VALTYPE_ 257 X : 1;
 """
 SCENARIO = """

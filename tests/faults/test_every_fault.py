@@ -4,6 +4,7 @@ The simulator says what it broke; the shadow of the samples that were used is he
 """
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,12 @@ from tests.faults.played import RATE, Run, run
 
 AT_S = 1.2
 LINE = {"serial": "serial", "can": "can", "modbus": "tcp"}
-OTHER_LINE = {"serial.nan": "text", "can.nan": "can float", "modbus.nan": "float", "modbus.corrupt": "rtu"}
+OTHER_LINE = {
+    "serial.nan": "text", "can.nan": "can float", "modbus.nan": "float",
+    "serial.inf": "serial float", "can.inf": "can float", "modbus.inf": "float",
+    "modbus.corrupt": "rtu", "can.checksum": "can sum", "can.error-warning": "can adapter",
+    "can.error-passive": "can adapter", "can.overrun": "can adapter",
+}  # fmt: skip
 STRANGE_COUNT = {"counter-reset", "restart"}
 """While a counter runs behind, its samples are refused; that it began anew is known after a tenth of a second."""
 
@@ -46,6 +52,13 @@ CAUSES = {
     "modbus.wrong-function": "reply", "modbus.wrong-count": "reply", "modbus.short": "reply", "modbus.long": "reply",
     "modbus.corrupt": "timeout", "modbus.truncate": "timeout", "modbus.garbage": "reply", "modbus.duplicate": "reply",
     "modbus.restart": "timeout", "modbus.nan": "missing value", "modbus.range": "spike",
+    "can.inf": "not finite", "can.swapped": "spike", "can.jitter": "", "can.split": "", "can.extended": "",
+    "can.remote": "remote frame", "can.checksum": "checksum", "can.error-warning": "error-warning",
+    "can.error-passive": "error-passive", "can.overrun": "controller overflow",
+    "serial.inf": "not finite", "serial.swapped": "spike", "serial.jitter": "", "serial.split": "",
+    "serial.stolen": "crc", "modbus.inf": "not finite", "modbus.swapped": "spike", "modbus.reset": "lost",
+    "modbus.black-hole": "timeout",
+    "sensor.offset": "", "sensor.drift": "", "sensor.saturated": "", "sensor.flicker": "", "sensor.spikes": "spike",
     "sensor.stuck": "", "sensor.dead": "", "sensor.reversed": "", "sensor.scaled": "", "sensor.gain": "",
 }  # fmt: skip
 """Every fault, and the one thing that the agent has to say of it."""
@@ -94,16 +107,42 @@ def test_shadow_shows_the_wrong_bits_that_a_line_without_a_check_lets_through(tm
     assert int(found.judge.matched.spoilt.sum()) >= 3
 
 
-@pytest.mark.parametrize("name", OF_SENSORS)
-def test_fault_of_a_sensor_is_an_alarm_of_its_channel_and_in_no_estimate(name: str) -> None:
-    """Two masses at 1 kHz, where the other channels can tell: from the first wrong reading on no estimate is valid."""
+NOT_TOLD_FROM_OTHERS = {"sensor.drift", "sensor.saturated"}
+"""What bends the fit so slowly that which channel it was cannot be said in a second and a half."""
+
+
+def sensor_run(name: str) -> tuple[Judge, dict[str, Any], list[tuple[int, int]]]:
+    """Play two masses at 1 kHz with a sensor that fails; return the verdict, and the runs of wrong readings."""
     bench = open_bench("healthy", [f"{name}@1.5s+1.5s"])
     judge = Judge(play(bench, lambda _share: None), bench.strikes())
-    found = judge.document()
-    assert found["sensors"] == ["x2"]
+    touched = judge.truth.ledger["sensors"]["x2"]["affected"]
+    return judge, judge.document(), [run for runs in touched.values() for run in runs] or [(1500, 2999)]
+
+
+def valid_over(judge: Judge, runs: list[tuple[int, int]]) -> int:
+    """Count the rows with a valid estimate whose windows hold a wrong reading."""
+    assert judge.rows is not None
+    index, valid = judge.rows.index, judge.rows.valid.any(axis=1)
+    first = index - judge.rows.window.max(axis=1) + 1
+    assert valid[index < 1500].any()
+    return int(sum(((index >= begin) & (first <= end) & valid).sum() for begin, end in runs))
+
+
+@pytest.mark.parametrize("name", [name for name in OF_SENSORS if name != "sensor.spikes"])
+def test_fault_of_a_sensor_is_an_alarm_of_its_channel_and_in_no_estimate(name: str) -> None:
+    """From the first wrong reading on no estimate is valid, whether the other channels can tell which it was or not."""
+    judge, found, runs = sensor_run(name)
+    assert found["sensors"] == ([] if name in NOT_TOLD_FROM_OTHERS else ["x2"])
     assert found["samples"]["balanced"]
     assert (found["events"], found["alarms"]["false"]) == ([], [])
-    index, valid = judge.rows.index, judge.rows.valid.any(axis=1)
-    touching = (index >= 1500) & (index - judge.rows.window.max(axis=1) + 1 < 3000)
-    assert int((touching & valid).sum()) == 0
-    assert valid[index < 1500].any()
+    assert valid_over(judge, runs) == 0
+
+
+def test_spikes_of_a_sensor_are_refused_one_by_one_and_estimates_go_on() -> None:
+    judge, found, runs = sensor_run("sensor.spikes")
+    spikes = sum(last - first + 1 for first, last in runs)
+    assert found["samples"]["rejected"] == {"spike": spikes}
+    assert [cause for _, cause in found["events"]] == ["spike"]
+    assert (found["sensors"], found["alarms"]["false"], found["spoilt_rows"]) == ([], [], 0)
+    assert valid_over(judge, runs) > 20
+    assert max(of["rms_sd"] for of in found["parameters"].values()) < 1.5

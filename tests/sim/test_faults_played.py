@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 import typer
 from typer.testing import CliRunner
 
@@ -194,3 +195,60 @@ def test_sim_lists_every_fault_with_what_is_told_of_it() -> None:
     assert result.exit_code == 0
     assert [line.partition(":")[0] for line in result.stdout.splitlines()] == names()
     assert "serial.baud: every byte is another one, as at a wrong bit rate (0.5 s); the agent" in result.stdout
+
+
+def answers(line: socket.socket) -> bytes:
+    """Ask for the index and return what comes until it is whole; raises OSError when the connection breaks."""
+    line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 2))
+    reply = b""
+    while len(reply) < 13:
+        piece = line.recv(64)
+        if not piece:
+            raise ConnectionError(f"closed after {len(reply)} bytes")
+        reply += piece
+    return reply
+
+
+def ask_on(line: socket.socket) -> None:
+    """Ask until there is no answer."""
+    while answers(line):
+        pass
+
+
+def test_modbus_connection_is_reset_in_the_middle_of_an_answer_and_can_be_made_anew(tmp_path: Path) -> None:
+    port = free_port()
+    with simulator(tmp_path, ring_config(port), "--fault", "modbus.reset@0.1+0.2") as sim:
+        ends: list[str] = []
+        while not ends or ends[-1] != "whole":
+            with socket.create_connection(("127.0.0.1", port), LIMIT_S) as line:
+                line.settimeout(LIMIT_S)
+                try:
+                    while not (answers(line) and ends):
+                        pass
+                    ends.append("whole")
+                except OSError as error:
+                    ends.append(type(error).__name__)
+        assert sim.stop() == 0
+    assert set(ends[:-1]) == {"ConnectionResetError"}
+
+
+def test_modbus_black_hole_answers_nobody_and_lets_nobody_in(tmp_path: Path) -> None:
+    port = free_port()
+    with simulator(tmp_path, ring_config(port), "--fault", "modbus.black-hole@0.1+0.4") as sim:
+        with socket.create_connection(("127.0.0.1", port), LIMIT_S) as line:
+            line.settimeout(0.2)
+            with pytest.raises(TimeoutError):
+                ask_on(line)
+            with pytest.raises(TimeoutError):
+                socket.create_connection(("127.0.0.1", port), 0.1)
+
+        def index() -> int:
+            try:
+                with socket.create_connection(("127.0.0.1", port), 0.1) as again:
+                    again.settimeout(LIMIT_S)
+                    return int.from_bytes(answers(again)[9:], "big")
+            except OSError:
+                return 0
+
+        until(lambda: index() >= 500)
+        assert sim.stop() == 0

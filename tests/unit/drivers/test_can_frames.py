@@ -46,6 +46,18 @@ def test_time_stamp_that_no_clock_shows_makes_no_frame(line: bytes) -> None:
     assert candump_row(line.decode()) is None
 
 
+def test_remote_frame_that_the_daemon_passes_on_is_one() -> None:
+    text = DaemonText()
+    frames = text.feed(b"< rtr 123 23.424242 8 >< rtr 1ABCDEF0 1.5 0 >< frame 123 24.000000 11 >")
+    assert frames.table["id"].tolist() == [0x40000123, 0xC0000000 | 0x1ABCDEF0, 0x123]
+    assert frames.table["length"].tolist() == [8, 0, 1]
+    assert frames.t_ns.tolist() == [23_424242000, 1_500000000, 24_000000000]
+    assert text.bad == 0
+    for line in (b"< rtr 123 23.4 9 >", b"< rtr FFF 23.4 8 >", b"< rtr 123 9999999999.0 8 >", b"< rtr 123 8 >"):
+        assert len(text.feed(line)) == 0
+    assert text.bad == 4
+
+
 def test_daemon_text_times_are_exact_nanoseconds() -> None:
     frames = DaemonText().feed(b"< frame 001 1700000000.123456789 00 >< frame 001 0.5 00 >")
     assert frames.t_ns.tolist() == [1700000000123456789, 500000000]

@@ -5,13 +5,13 @@ import struct
 import pytest
 
 from drivers.modbus_frames import ReplyError, Request, RtuFrames, TcpFrames
-from sim_bus.modbus_faults import ReplyFaults, join, split
+from sim_bus.modbus_faults import Deliveries, ReplyFaults, join, split
 
 PDU = bytes([4, 4, 0, 1, 2, 3])
 TCP = struct.pack(">HHHB", 1, 0, 7, 9) + PDU
 
 
-def out(name: str, adu: bytes = TCP, framing: str = "tcp") -> list[tuple[float, bytes]]:
+def out(name: str, adu: bytes = TCP, framing: str = "tcp") -> Deliveries:
     return ReplyFaults(framing, 0.4, 1).deliveries(adu, frozenset({name} if name else ()))
 
 
@@ -27,7 +27,13 @@ def test_deliveries_without_a_fault_are_the_reply_at_once() -> None:
     assert out("") == [(0.0, TCP)]
 
 
-@pytest.mark.parametrize("name", ["silent", "half-open", "restart"])
+def test_deliveries_of_a_reset_end_amid_the_answer() -> None:
+    (first, half), (then, nothing) = out("reset")
+    assert (first, half, nothing) == (0.0, TCP[: len(TCP) // 2], None)
+    assert then > 0.0
+
+
+@pytest.mark.parametrize("name", ["silent", "half-open", "black-hole", "restart"])
 def test_deliveries_of_the_silent_are_none(name: str) -> None:
     assert out(name) == []
 

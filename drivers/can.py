@@ -6,11 +6,12 @@ import numpy as np
 
 from drivers import can_link, clock
 from drivers.can_bus import BusKeys, CanBus, DaemonBus, Filters, PythonCanBus
-from drivers.can_codec import Decoded, FrameDecoder
+from drivers.can_codec import FrameDecoder
 from drivers.can_database import MessageCodec, load, message_codecs
 from drivers.can_errors import ErrorWatch
 from drivers.can_frames import Frames
 from drivers.can_heard import HeardOnCan
+from drivers.can_joiner import Decoded
 from drivers.can_kernel import KernelBus
 from drivers.can_keys import FrameKeys
 from drivers.can_slcan import SlcanBus

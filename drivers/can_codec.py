@@ -1,7 +1,6 @@
 """Frames to samples: frames of one message as they come, frames of several joined by their counter. Pure: no I/O."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,20 +8,8 @@ from numpy.typing import NDArray
 from drivers.can_database import MessageCodec, is_remote
 from drivers.can_errors import ErrorWatch
 from drivers.can_frames import ERROR, Frames
-from drivers.port import Counts, DriverConfigError, FloatArray, IntArray
-
-_PENDING = 64
-_LATE_BEFORE_RESTART = 50
-
-
-@dataclass(frozen=True, slots=True)
-class Decoded:
-    """Samples: values (n, m), counters or None, times in ns, and the epoch of the counting."""
-
-    values: FloatArray
-    counter: IntArray | None
-    t_ns: IntArray
-    epoch: int = 0
+from drivers.can_joiner import Decoded, Joiner, Part
+from drivers.port import Counts, DriverConfigError
 
 
 class FrameDecoder:
@@ -118,7 +105,7 @@ class FrameDecoder:
         self._counts.received += len(values)
         return Decoded(values, message.numbers(sound.table), np.repeat(sound.t_ns, len(message.samples)))
 
-    def _parts(self, number: int, message: MessageCodec, frames: Frames) -> "list[Part]":
+    def _parts(self, number: int, message: MessageCodec, frames: Frames) -> list[Part]:
         """Return what one message gave, a part a page."""
         sound = self._sound(message, frames)
         if message.switches:
@@ -138,106 +125,3 @@ class FrameDecoder:
 def _picked(frames: Frames, mask: NDArray[np.bool_]) -> Frames:
     """Return the frames that are picked; the usual case, all of them, costs no copy."""
     return frames if mask.all() else Frames(frames.table[mask], frames.t_ns[mask])
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """What one message gave of some samples: counters (as `keys`), values in `columns`, times."""
-
-    number: int
-    keys: IntArray
-    values: FloatArray
-    columns: IntArray
-    t_ns: IntArray
-
-
-@dataclass(slots=True)
-class _Pending:
-    """Samples that are not whole yet, by unwrapped counter."""
-
-    rows: dict[int, FloatArray] = field(default_factory=dict)
-    t_ns: dict[int, int] = field(default_factory=dict)
-
-
-class Joiner:
-    """Puts samples together from the parts that carry the same counter.
-
-    Each message comes in order, so a sample is final once every message has come with its counter or a newer one; a
-    part that never came leaves NaN. Parts of a sample that has gone out already are late and counted so.
-    """
-
-    def __init__(self, parts: int, columns: int, modulus: int, counts: Counts, note: Callable[[str], None]) -> None:
-        self._columns = columns
-        self._parts = parts
-        self._modulus = modulus
-        self._counts = counts
-        self._note = note
-        self._epoch = 0
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget what is pending; the next counter that comes is the first."""
-        self._pending = _Pending()
-        self._newest: list[int | None] = [None] * self._parts
-        self._emitted: int | None = None
-        self._near: int | None = None
-        self._late = 0
-
-    def join(self, parts: list[Part]) -> Decoded:
-        """Take parts in; return the samples that are final."""
-        if self._near is None and parts:
-            first = min(parts, key=lambda part: int(part.t_ns[0]))
-            self._near = int(first.keys[0])
-        for part in parts:
-            self._take(part)
-        return self._emit()
-
-    def _take(self, part: Part) -> None:
-        keys = self._unwrapped(part)
-        for key, row, t_ns in zip(keys.tolist(), part.values, part.t_ns.tolist(), strict=True):
-            if self._emitted is not None and key <= self._emitted:
-                self._count_late(key)
-                continue
-            self._late = 0
-            sample = self._pending.rows.setdefault(key, np.full(self._columns, np.nan))
-            sample[part.columns] = np.where(np.isnan(row), sample[part.columns], row)
-            self._pending.t_ns.setdefault(key, t_ns)
-            newest = self._newest[part.number]
-            self._newest[part.number] = key if newest is None else max(newest, key)
-
-    def _unwrapped(self, part: Part) -> IntArray:
-        """Return the counters without their wraps, each taken as the one nearest to the one before it."""
-        newest = self._newest[part.number]
-        before = (self._near or 0) if newest is None else newest
-        half = self._modulus // 2
-        steps = (np.diff(part.keys, prepend=before) + half) % self._modulus - half
-        return before + np.cumsum(steps)
-
-    def _count_late(self, key: int) -> None:
-        self._counts.faults["late part"] += 1
-        self._late += 1
-        if self._late > _LATE_BEFORE_RESTART:
-            self._note("the counters ran back and stayed there: the device was restarted")
-            self._epoch += 1
-            self.restart()
-            self._near = key
-
-    def flush(self) -> Decoded:
-        """Return all that is pending, whole or not."""
-        return self._release(sorted(self._pending.rows))
-
-    def _emit(self) -> Decoded:
-        keys = sorted(self._pending.rows)
-        seen = [newest for newest in self._newest if newest is not None]
-        final = min(seen) if len(seen) == self._parts else None
-        whole = [key for i, key in enumerate(keys) if (final is not None and key <= final) or len(keys) - i > _PENDING]
-        return self._release(whole)
-
-    def _release(self, whole: list[int]) -> Decoded:
-        if not whole:
-            return Decoded(np.empty((0, self._columns)), np.empty(0, np.int64), np.empty(0, np.int64), self._epoch)
-        self._emitted = self._near = whole[-1]
-        self._counts.received += len(whole)
-        values = np.array([self._pending.rows.pop(key) for key in whole])
-        t_ns = np.array([self._pending.t_ns.pop(key) for key in whole])
-        return Decoded(values, np.array(whole) % self._modulus, t_ns, self._epoch)

@@ -103,3 +103,17 @@ def test_odd_text_is_read_as_one_line_is(content: bytes) -> None:
 
 def test_real_truck_log_by_the_table_is_what_one_line_at_a_time_gives() -> None:
     check(peers.data("can/j1939_2F6913DB.log").read_text().splitlines()[:30_000])
+
+
+@pytest.mark.parametrize("end", ["\n", ""])
+@pytest.mark.parametrize("wrong", [None, 1, 12, 27, 33, 41])
+def test_lines_all_of_one_shape_are_read_as_one_line_is(end: str, wrong: int | None) -> None:
+    """Nothing lies between them; one that has a character amiss is left out, and leaves nothing behind."""
+    lines = [f"({1600000000 + i}.{i:06d}) can0 12{i % 16:X}#{i:04X}{65535 - i:012X}" for i in range(40)]
+    if wrong is not None:
+        lines[7] = lines[7][:wrong] + "x" + lines[7][wrong + 1 :]
+    frames, bad = candump_block(("\n".join(lines) + end).encode())
+    rows, times, amiss = one_by_one(lines)
+    assert bad == amiss
+    assert frames.table.tobytes() == b"".join(rows)
+    assert frames.t_ns.tolist() == times

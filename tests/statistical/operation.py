@@ -20,7 +20,7 @@ BURST = 2.0
 KINDS = ("drive", "load", "burst", "standstill")
 ODDS = (0.35, 0.3, 0.2, 0.15)
 FULL_SCALE_M = 0.07
-"""The largest displacement in healthy operation; the tests hold the days that they play to it."""
+"""Where the displacement sensors end. Healthy operation stays within it for weeks, and then may touch it for an instant."""
 NOISE_M = 1e-3 * FULL_SCALE_M
 
 
@@ -51,7 +51,7 @@ class Operation:
         self._last = float(force[-1])
         y = self.machine.play(on_second(force))[:, :2]
         self.peak = max(self.peak, float(np.abs(y).max()))
-        return force[:-1], y + NOISE_M * self.rng.standard_normal(y.shape)
+        return force[:-1], (y + NOISE_M * self.rng.standard_normal(y.shape)).clip(-FULL_SCALE_M, FULL_SCALE_M)
 
     def _force(self, kind: str, samples: int) -> FloatArray:
         if kind == "standstill":

@@ -28,7 +28,7 @@ def judge(found: list[Shift], request: pytest.FixtureRequest) -> None:
         f"rows {100 * valid:.1f} % valid, {100 * unexcited:.1f} % unexcited, {100 * invalid:.2f} % invalid",
     )
     assert not alarms
-    assert max(part.peak for part in found) <= FULL_SCALE_M
+    assert max(part.peak for part in found) <= 1.05 * FULL_SCALE_M
     assert valid > 0.8
 
 

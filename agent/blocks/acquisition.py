@@ -11,6 +11,10 @@ from agent.blocks.indexing import BoolArray, Clock, Indexer, Origin
 from agent.types import FloatArray, IntArray
 from drivers.port import SampleBlock
 
+LARGEST = 1e30
+"""No instrument means more, in SI: marks of "no value" (the greatest float32 is 3.4e38) and torn bytes are beyond it, \
+the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so nothing overflows."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelScale:
@@ -113,15 +117,16 @@ class Acquisition:
 def intake(state: SourceState, block: SampleBlock, modulus: int | None) -> tuple[IntArray, FloatArray, IntArray | None]:
     """Take a block of a source: return the numbers (n,) of samples that go forward, SI values (n, c), stamps (n,).
 
-    What is not finite is NaN; what goes backwards is left out; both are counted.
+    What is not finite or beyond `LARGEST` is NaN; what goes backwards is left out; all are counted.
     """
     state.indexer.modulus = modulus
     index, kept = state.indexer.take(block)
     values = _to_si(state.plan, block.values)
-    finite = np.isfinite(values).all(axis=1)
-    _refuse_values(state, values, kept & ~finite)
-    _count_gaps(state, index[kept & finite])
-    values[~np.isfinite(values)] = np.nan
+    possible = np.abs(values) <= LARGEST
+    sound = possible.all(axis=1)
+    _refuse_values(state, block.values, values, kept & ~sound)
+    _count_gaps(state, index[kept & sound])
+    values[~possible] = np.nan
     return index[kept], values[kept], None if block.t_ns is None else block.t_ns[kept]
 
 
@@ -129,13 +134,19 @@ def _to_si(plan: SourcePlan, values: FloatArray) -> FloatArray:
     scale = np.array([s.scale for s in plan.scales])
     offset = np.array([s.offset for s in plan.scales])
     factor = np.array([s.factor for s in plan.scales])
-    return np.asarray((values * scale + offset) * factor)
+    with np.errstate(over="ignore"):  # what becomes infinite is refused as too large
+        return np.asarray((values * scale + offset) * factor)
 
 
-def _refuse_values(state: SourceState, values: FloatArray, bad: BoolArray) -> None:
-    if bad.any():
-        infinite = np.isinf(values[bad]).any(axis=1)
-        state.rejected.update({"not finite": int(infinite.sum()), "missing value": int((~infinite).sum())})
+def _refuse_values(state: SourceState, readings: FloatArray, values: FloatArray, bad: BoolArray) -> None:
+    """Count samples (n,) that are not sound, each once; readings (n, c) as they came, values (n, c) in SI."""
+    if not bad.any():
+        return
+    infinite = np.isinf(readings[bad]).any(axis=1)
+    large = (np.abs(values[bad]) > LARGEST).any(axis=1) & ~infinite
+    missing = ~(infinite | large)
+    counts = {"not finite": infinite, "too large": large, "missing value": missing}
+    state.rejected.update({reason: int(which.sum()) for reason, which in counts.items()})
 
 
 def _count_gaps(state: SourceState, index: IntArray) -> None:

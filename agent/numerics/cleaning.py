@@ -19,6 +19,8 @@ BoolArray = NDArray[np.bool_]
 LONGEST = 3
 """Readings of the longest spike."""
 LOOK_AHEAD = LONGEST + 2
+NEAR = 8
+"""Readings before the doubtful one that it is held against."""
 BLOCK = 128
 """Samples over which the usual size of a second difference is taken ..."""
 THIN = 4
@@ -33,6 +35,9 @@ DOUBTFUL = 1.5
 """An input that stands out so many times more is in doubt: whether it was a spike, the motion decides."""
 EXCESS_OF_INPUTS = 6.0
 """The same for EXCESS."""
+WILD = 1e5
+"""An isolated input so many times beyond what is usual and beyond the readings before it is a spike whatever the motion
+says: no sensor resolves that much, and sums of its square would leave no digit for the samples that come after it."""
 CONTEXT = 64
 """Samples that are kept as they came, to judge the next ones by."""
 STEPS = 4.0
@@ -156,15 +161,21 @@ class Cleaner:
             if not (self._marked[place, channel] or self._suspect[place, channel]):
                 length = self._spike_at(place, channel)
                 spiked = slice(place, place + length)
-                if self._inputs[channel]:
+                if self._inputs[channel] and not self._is_wild(spiked, channel):
                     self._suspect[spiked, channel] = True
                 else:
                     self._marked[spiked, channel] = self._spike[spiked, channel] = True
 
+    def _is_wild(self, spiked: slice, channel: int) -> bool:
+        """Tell whether readings that stand out are beyond what the channel can have meant."""
+        x, limit = np.abs(self._raw[:, channel]), self._limits[spiked.start, channel]
+        before = np.nanmax(x[max(0, spiked.start - NEAR) : spiked.start])
+        return bool(x[spiked].max(initial=0.0) > WILD * max(limit, before))
+
     def _spike_at(self, place: int, channel: int) -> int:
         """Return the length of the spike in a channel that begins at a sample; 0 where there is none."""
         x, limit = self._raw[:, channel], self._limits[place, channel]
-        start = max(0, place - 8)
+        start = max(0, place - NEAR)
         near = slice(start, place + LOOK_AHEAD + 1)
         free = np.flatnonzero(~(self._marked[near, channel] | self._suspect[near, channel])) + start
         before, behind = free[free < place][-2:], free[free >= place]

@@ -45,6 +45,8 @@ def answer(here: Linearised, free: int) -> Answer:
     q = here.psi.shape[1]
     information = here.psi.T @ here.psi
     norms = np.linalg.norm(here.psi, axis=0)
+    if not np.all(np.isfinite(norms)):
+        return Answer(np.full(q, np.nan), np.full((q, q), np.inf), np.zeros((q, q)), np.inf, free)
     scaled = here.psi / np.where(norms > 0, norms, 1.0)
     left, values, right = np.linalg.svd(scaled, full_matrices=False)
     if not norms.all() or values[-1] <= 1e-7 * values[0]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.cells import cell_operators, propagate, run_cells
+from agent.numerics.guarded import GREATEST
 from agent.numerics.observer import Gain
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, StateSpace
@@ -62,6 +63,8 @@ def _best(
     for _ in range(STEPS):
         e, columns = _linear(window, before, place, window.sample(theta).model, x0)
         norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        if not (np.all(norms < GREATEST) and np.all(np.abs(e) < GREATEST)):
+            break  # the step before led out of the numbers
         found = np.linalg.lstsq(columns / norms, e, rcond=1e-10)[0] / norms
         left = e - columns @ found
         least = min(least, float(left @ left))

@@ -1,5 +1,6 @@
 """Spikes in the measured force are refused and counted where the motion knows nothing of them; true blows are not."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -111,3 +112,25 @@ def test_spikes_in_the_force_give_the_same_rows_however_the_stream_is_cut() -> N
     assert whole[0].estimation.estimator.spikes == parts[0].estimation.estimator.spikes > 0
     for part in ("index", "value", "sd", "status", "reason"):
         np.testing.assert_array_equal(joined(whole[1], part), joined(parts[1], part))
+
+
+@pytest.mark.parametrize(("size", "length"), [(2e6, 1), (1e12, 1), (9e29, 3)])
+def test_one_wild_reading_of_the_force_is_refused_as_a_spike_and_costs_no_estimate(size: float, length: int) -> None:
+    v = healthy(np.random.default_rng([3, 77]), 4000)
+    v[2500 : 2500 + length, 0] = size
+    pipe, batches, alarms = run(v)
+    (ledger,) = pipe.health({SOURCE: Conservation(Counts(received=len(v)), Counter())}, 0, None)
+    assert ledger.rejected == {"spike": length}
+    assert ledger.received == ledger.used + length
+    late = joined(batches, "index") >= 2500
+    assert (joined(batches, "status")[late] == Status.VALID).all()
+    assert not alarms
+
+
+def test_a_run_of_wild_readings_of_the_force_ends_nothing_and_is_in_no_valid_row() -> None:
+    v = healthy(np.random.default_rng([3, 77]), 6500)
+    v[5000:5006, 0] = 9e29
+    _, batches, alarms = run(v)
+    index, status = joined(batches, "index"), joined(batches, "status")
+    assert not (status[(index >= 5000) & (index < 5250)] == Status.VALID).any()
+    assert not alarms

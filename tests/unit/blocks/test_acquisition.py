@@ -1,6 +1,7 @@
 """Blocks become aligned SI samples; everything that does not is counted by reason."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -66,6 +67,23 @@ def test_acquisition_values_that_are_none_are_refused_by_reason() -> None:
     assert indices(pieces) == [0, 3, 5]
     assert acquisition.sources["rig"].refusals() == {"missing value": 1, "not finite": 2}
     assert all(np.isfinite(p.y).all() and np.isfinite(p.u).all() for p in pieces)
+
+
+@pytest.mark.parametrize("reading", [1.1e30, -1e80, 1e300, 3.4e38])
+def test_acquisition_readings_that_no_instrument_means_are_refused_by_a_reason_of_their_own(reading: float) -> None:
+    acquisition = single()
+    values = np.ones((4, 3))
+    values[1, 0], values[2, 1], values[3, 2] = reading, 0.9e30, -0.9e30
+    pieces = acquisition.step("rig", block(range(4), values), None)
+    assert indices(pieces) == [0, 2, 3]
+    assert acquisition.sources["rig"].refusals() == {"too large": 1}
+
+
+def test_acquisition_reading_that_its_scale_makes_infinite_is_too_large() -> None:
+    acquisition = single({name: ChannelScale(1e20, 0.0, 1e3) for name in ("force", "x1", "x2")})
+    values = np.array([[1.0, 1.0, 1.0], [1e290, 1.0, 1.0], [1.0, np.inf, 1.0]])
+    assert indices(acquisition.step("rig", block(range(3), values), None)) == [0]
+    assert acquisition.sources["rig"].refusals() == {"too large": 1, "not finite": 1}
 
 
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=80), st.integers(0, 2**32 - 1), st.data())

@@ -116,3 +116,24 @@ def test_cleaner_without_any_reading_of_a_channel_at_the_end_repeats_the_last() 
     found = clean(v)
     assert found.missing[-3:, 1].all()
     assert np.all(found.v[-3:, 1] == v[-4, 1])
+
+
+@pytest.mark.parametrize("size", [1e8, 1e12, 9e29])
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_cleaner_input_beyond_all_that_its_sensor_can_mean_is_a_spike_whatever_the_motion_says(
+    size: float, length: int
+) -> None:
+    true, v, _ = spiked(3, spikes=0)
+    v[1000 : 1000 + length, 2] = -size
+    for cuts in ([], [900, 1000, 1001, 1003, 1010]):
+        found = clean(v, cuts)
+        assert np.flatnonzero(found.spike[:, 2]).tolist() == list(range(1000, 1000 + length))
+        assert not found.suspect.any()
+        assert np.abs(found.v[:, 2]).max() <= 2 * np.abs(true[:, 2]).max()
+
+
+def test_cleaner_blow_on_a_force_that_rests_is_left_to_the_motion() -> None:
+    _, v, _ = spiked(4, spikes=0)
+    v[:, 2] = 0.0
+    v[700:703, 2] = v[1400:1403, 2] = [2e3, 5e3, 1e3]
+    assert not clean(v).spike[:, 2].any()

@@ -20,7 +20,7 @@ BURST = 2.0
 KINDS = ("drive", "load", "burst", "standstill")
 ODDS = (0.35, 0.3, 0.2, 0.15)
 FULL_SCALE_M = 0.07
-"""Where the displacement sensors end; healthy operation stays within for weeks, and then may touch it for an instant."""
+"""Where the displacement sensors end; healthy operation stays within for weeks, then may touch it."""
 NOISE_M = 1e-3 * FULL_SCALE_M
 
 

@@ -40,7 +40,8 @@ def sim(
         list[str] | None, typer.Option(help="Fault to cause, NAME@SECONDS, e.g. serial.garbage@10s.", metavar="F@T")
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(min=0.0, help="Seconds to play instead of the scenario's; then end.", metavar="S")
+        float | None,
+        typer.Option(min=0.0, help="Seconds to play, from the first reader on, then end.", metavar="S"),
     ] = None,
     fast: Annotated[bool, typer.Option("--fast", help="Play as fast as the readers read.")] = False,
     truth: Annotated[Path | None, typer.Option(help="Write what was played to this NPZ file at the end.")] = None,
@@ -71,11 +72,14 @@ def _make(
     config: Path, scenario: str, faults: list[str], duration: float | None, truth: Path | None, *, fast: bool
 ) -> "Player":
     from sim_bus.player import Player
+    from sim_bus.reach import fitting, must_fit
     from sim_bus.rigfile import read_rig
     from sim_bus.scenario import load_scenario
 
-    played = load_scenario(scenario).with_faults(faults)
-    return Player(read_rig(config), played, duration_s=duration, fast=fast, truth=truth)
+    rig = read_rig(config)
+    played = load_scenario(scenario, known=lambda: fitting(rig)).with_faults(faults)
+    must_fit(rig, played, duration)
+    return Player(rig, played, duration_s=duration, fast=fast, truth=truth)
 
 
 def _play(player: "Player", duration: float | None, signals: list[int]) -> dict[str, Any]:

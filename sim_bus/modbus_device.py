@@ -140,6 +140,7 @@ class ModbusDevice(Device):
 
     def stop(self) -> None:
         if not self._thread.is_alive():
+            self._loop.close()
             return
         asyncio.run_coroutine_threadsafe(self._shut_down(), self._loop).result(_STOP_S)
         self._loop.call_soon_threadsafe(self._loop.stop)

@@ -206,6 +206,7 @@ def checked(model: type[ModelType], content: Any, where: str) -> ModelType:
 
 def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
     path = ""
+    message = "is missing" if message == "Field required" else message
     for part in location:
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
     return ": ".join(text for text in (where, path, message.removeprefix("Value error, ")) if text)
@@ -213,4 +214,7 @@ def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
 
 def read_rig(path: Path) -> RigFile:
     """Read a configuration file."""
-    return checked(RigFile, read_toml(path) | {"folder": path.resolve().parent}, str(path))
+    content = read_toml(path)
+    if not content.get("source"):
+        raise SimUsageError(f"{path}: source: there is no [[source]]; add one for each device that is to be played")
+    return checked(RigFile, content | {"folder": path.resolve().parent}, str(path))

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -148,19 +148,26 @@ def built_in_names() -> tuple[str, ...]:
     return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
 
 
-def scenario_path(name_or_file: str) -> Path:
-    """Return the file of a scenario by its built-in name or its path; SimUsageError when there is none."""
+def scenario_path(name_or_file: str, known: Callable[[], Sequence[str]] = built_in_names) -> Path:
+    """Return the file of a scenario by its built-in name or its path.
+
+    Raises SimUsageError when there is none, naming those that `known` tells of.
+    """
     if name_or_file in built_in_names():
         return Path(str(resources.files("sim_bus") / "scenarios" / f"{name_or_file}.toml"))
     if not Path(name_or_file).is_file():
-        names = ", ".join(built_in_names())
+        names = ", ".join(known())
         raise SimUsageError(f'--scenario: "{name_or_file}" is neither a file nor one of {names}')
     return Path(name_or_file)
 
 
-def load_scenario(name_or_file: str, environment: Mapping[str, str] = os.environ) -> Scenario:
+def load_scenario(
+    name_or_file: str,
+    environment: Mapping[str, str] = os.environ,
+    known: Callable[[], Sequence[str]] = built_in_names,
+) -> Scenario:
     """Return a scenario by its built-in name or from a file; the seed in the environment goes before its own."""
-    path = scenario_path(name_or_file)
+    path = scenario_path(name_or_file, known)
     content = read_toml(path) | {"folder": path.resolve().parent}
     return checked(Scenario, content | _seed_of(environment), str(path))
 

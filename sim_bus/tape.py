@@ -108,6 +108,9 @@ class Rig:
         rig: the configuration.
         scenario: what is played.
 
+    Attributes:
+        carried: by channel's number, the values (before the channel's scale) that its field on the wire can carry.
+
     Raises:
         SimUsageError: the scenario does not fit the rig, or the graph has no motion.
     """
@@ -130,6 +133,7 @@ class Rig:
         self._ahead = self._forces.take(1)
         self._index = 0
         self._past = self._before_start()
+        self.carried: dict[int, tuple[float, float]] = {}
 
     def more_sensors(self, rate_hz: float) -> list[SensorChain]:
         """Return the sensors anew, as they are before the first sample, read so many times a second."""

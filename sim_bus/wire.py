@@ -43,6 +43,14 @@ class WireNumber:
         return cls(name, int(limits.min), int(limits.max), scale, offset)
 
     @property
+    def bounds(self) -> tuple[float, float]:
+        """The least and the largest value that it can carry."""
+        if self.low is None or self.high is None:
+            return -np.inf, np.inf
+        ends = [self.low * self.scale + self.offset, self.high * self.scale + self.offset]
+        return min(ends), max(ends)
+
+    @property
     def modulus(self) -> int:
         """After how many steps a counter in this field begins again."""
         return 1 if self.low is None or self.high is None else self.high - self.low + 1
@@ -87,6 +95,7 @@ class Feed:
         self._pack = pack
         self._channels = list(rig.channel)
         self._columns = _columns(rig, source, {number.name for number in numbers})
+        tape.rig.carried.update({self._columns[n.name]: n.bounds for n in numbers if n.name in self._columns})
         self._counters = _counters(source, self._numbers)
         tops = {number.name: number.high for number in numbers}
         self._faults = NumberFaults(strikes, [(field, tops[field]) for field in source.map.values()])

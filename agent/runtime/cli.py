@@ -15,6 +15,7 @@ import typer
 
 from agent import __version__
 from agent.runtime.cli_group import CommandGroup
+from agent.runtime.cli_signals import done_when_terminated
 
 app = typer.Typer(
     name="deltak",
@@ -292,9 +293,10 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave with its exit code."""
     # two threads are ten times slower than one on the small products here; numpy reads this when it is first imported
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from agent.runtime.cli_errors import guarded
+    with done_when_terminated():
+        from agent.runtime.cli_errors import guarded
 
-    sys.exit(guarded(app, list(sys.argv[1:] if argv is None else argv)))
+        sys.exit(guarded(app, list(sys.argv[1:] if argv is None else argv)))
 
 
 def _answer(document: Mapping[str, Any], table: Callable[[Mapping[str, Any]], None], *, as_json: bool) -> None:

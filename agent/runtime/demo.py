@@ -5,19 +5,18 @@ the bus and the configuration.
 """
 
 import json
-import logging
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from agent.config import RigConfig, load
-from agent.errors import BusError
+from agent.errors import AgentError, BusError, StoreError, UsageError
 from agent.runtime.demo_bus import COARSE, FINE, write_config
 from agent.runtime.demo_truth import Truth, alarm_delays, read_truth, segments
 from agent.storage import queries
@@ -26,34 +25,37 @@ READY_S = 30.0
 STALL_S = 20.0
 GRACE_S = 20.0
 
-log = logging.getLogger(__name__)
-
 
 def demo(*, bus: str, scenario: str | None, fast: bool, db: Path | None) -> dict[str, Any]:
-    """Run the demo; return the document of CONTRACT section 8.
+    """Run the demo; return the document of CONTRACT section 8. Without db nothing is kept.
 
-    Raises BusError when the bus cannot be made or one of the processes fails.
+    Raises what the process says that fails, by its exit code: UsageError, StoreError, else BusError.
     """
     name = scenario or ("random" if "DELTAK_SEED" in os.environ else "default")
-    folder = Path(tempfile.mkdtemp(prefix="deltak-demo-"))
-    made = write_config(bus, FINE if name == "paper" else COARSE, folder, fast=fast)
-    sys.stderr.write(f"bus: {made.words}; files in {folder}\n")
-    config = load(made.config)
-    database = (db or folder / "demo.db").absolute()
-    truth_file = folder / "truth.npz"
+    with TemporaryDirectory(prefix="deltak-demo-", ignore_cleanup_errors=True) as folder:
+        made = write_config(bus, FINE if name == "paper" else COARSE, Path(folder), fast=fast)
+        sys.stderr.write(f"bus: {made.words}\n")
+        document = _played(made.config, name, db, fast=fast)
+    return document | {"bus": made.words, "scenario": name, "db": None if db is None else str(db.absolute())}
+
+
+def _played(made: Path, scenario: str, db: Path | None, *, fast: bool) -> dict[str, Any]:
+    """Play a scenario to the agent and compare; the database and the truth lie beside the configuration."""
+    config = load(made)
+    database = (db or made.with_name("demo.db")).absolute()
+    truth_file = made.with_name("truth.npz")
     with ExitStack() as stack:
-        device = stack.enter_context(_process(_sim(made.config, name, truth_file, fast=fast), wait_for="ready"))
-        agent = stack.enter_context(_process(_run(made.config, database)))
-        _await_rows(database, config.estimator.estimate[0], _rows_expected(config), (device, agent))
+        device = stack.enter_context(_process(_sim(made, scenario, truth_file, fast=fast), wait_for="ready"))
+        agent = stack.enter_context(_process(_run(made, database)))
+        processes = {"the simulated device": device, "the agent": agent}
+        _await_rows(database, config.estimator.estimate[0], _rows_expected(config), processes)
         document = _ended(agent)
         _end(device)
-    return document | _compared(config, read_truth(truth_file), document, database) | {
-        "bus": made.words, "scenario": name,
-    }  # fmt: skip
+    return document | _compared(config, read_truth(truth_file), document, database)
 
 
 def _deltak(*args: str) -> list[str]:
-    return [sys.executable, "-m", "agent", *args]
+    return [sys.executable, "-m", "agent.runtime.demo_child", str(os.getpid()), *args]
 
 
 def _sim(config: Path, scenario: str, truth: Path, *, fast: bool) -> list[str]:
@@ -74,17 +76,30 @@ def _process(command: list[str], wait_for: str | None = None) -> Iterator[subpro
             _await_line(process, wait_for)
         yield process
     finally:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
+        _put_away(process)
+
+
+def _put_away(process: subprocess.Popen[str]) -> None:
+    """End a process as its user would, and by force where that takes too long."""
+    process.terminate()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(GRACE_S)
+    process.kill()
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
 
 
 def _await_line(process: subprocess.Popen[str], line: str) -> None:
     said = process.stdout.readline().strip() if process.stdout is not None else ""
     if said != line:
-        raise BusError.at("demo", f"the simulated device ended before it was {line}", "see its message above")
+        raise _failed("the simulated device", process.wait(GRACE_S))
+
+
+def _failed(who: str, code: int) -> AgentError:
+    """Return what a process that ended by itself makes of the demo; it has said on stderr what was wrong."""
+    kind = {UsageError.exit_code: UsageError, StoreError.exit_code: StoreError}.get(code, BusError)
+    return kind.at("demo", f"{who} ended early (exit code {code})", "see its message above")
 
 
 def _rows_expected(config: RigConfig) -> int:
@@ -101,13 +116,13 @@ def _rows_there(db: Path, parameter: str) -> int:
     return sum(row["run_id"] == newest and row["parameter"] == parameter for row in rows)
 
 
-def _await_rows(db: Path, parameter: str, rows: int, processes: tuple[subprocess.Popen[str], ...]) -> None:
+def _await_rows(db: Path, parameter: str, rows: int, processes: Mapping[str, subprocess.Popen[str]]) -> None:
     """Wait until the database holds that many rows of the newest run, or nothing comes any more."""
     seen, changed = 0, time.monotonic()
     while seen < rows and time.monotonic() - changed < STALL_S:
-        for process in processes:
+        for who, process in processes.items():
             if process.poll() is not None:
-                raise BusError.at("demo", f"a process of the demo ended early (exit code {process.returncode})")
+                raise _failed(who, process.returncode)
         now = _rows_there(db, parameter)
         seen, changed = (now, time.monotonic()) if now != seen else (seen, changed)
         time.sleep(0.05)
@@ -117,7 +132,7 @@ def _ended(agent: subprocess.Popen[str]) -> dict[str, Any]:
     agent.terminate()
     out, _ = agent.communicate(timeout=GRACE_S)
     if agent.returncode != 0:
-        raise BusError.at("demo", f"the agent ended with exit code {agent.returncode}", "see its message above")
+        raise _failed("the agent", agent.returncode)
     document: dict[str, Any] = json.loads(out)
     return document
 

@@ -126,6 +126,21 @@ def test_demo_random_schedule_passes(seed: int) -> None:
         assert found["raised_s"] < found["changed_s"] + 1.0
 
 
+@pytest.mark.parametrize(("options", "code"), [(["--scenario", "step"], 2), (["--db", "no/such/folder/demo.db"], 3)])
+def test_demo_that_cannot_be_played_exits_as_its_process_did_and_leaves_nothing(
+    options: list[str], code: int, tmp_path: Path
+) -> None:
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-m", "agent", "demo", "--json", *options], cwd=ROOT, env=environment,
+        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    (fault,) = json.loads(done.stdout)["errors"]
+    assert fault["message"].endswith(f"ended early (exit code {code})")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("seed", [1, 36, 54, 73])
 def test_random_schedule_without_a_bus_raises_what_it_calls_for(seed: int, tmp_path: Path) -> None:
     played = play("random", tmp_path, seed)

@@ -1,0 +1,33 @@
+"""SIGTERM: whatever a command is doing, it puts away what it holds and leaves with exit code 0.
+
+Imports nothing that takes time, so that it can stand before all that does.
+"""
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+class Terminated(BaseException):
+    """SIGTERM has come; like KeyboardInterrupt it is no error and passes every `except Exception`."""
+
+
+@contextmanager
+def done_when_terminated() -> Iterator[None]:
+    """Turn SIGTERM into an exception inside, and that into exit code 0; a command with a better end has its own."""
+    previous = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        yield
+    except Terminated:
+        sys.stderr.write("deltak: ended by SIGTERM\n")
+        sys.exit(0)
+    finally:
+        outermost = previous is signal.SIG_DFL
+        # nothing is left to end from here on, and the process must not be killed while it leaves
+        signal.signal(signal.SIGTERM, signal.SIG_IGN if outermost else previous)
+
+
+def _terminate(_number: int, _frame: FrameType | None) -> None:
+    raise Terminated

@@ -31,17 +31,20 @@ class Upkeep:
     Attributes:
         coloured_at: newest sample of the window whose colour is in use.
         accused: the Reason that was found for what the model lacks, 0 for none; accused_at its newest sample.
+        distressed: it was found in a window that no parameters explain; where they do again, it is looked at anew.
         findings: (sample, accusation) of every look that found something, until they are taken away.
     """
 
     def __init__(self) -> None:
         self.coloured_at = self.accused_at = NEVER
         self.accused = 0
+        self.distressed = False
         self.findings: list[tuple[int, Accusation]] = []
 
     def due(self, point: WorkingPoint, rows: Rows) -> BoolArray:
         """(N,) rows from which on the residual's colour is due for a look."""
-        return np.asarray(rows.index - self.coloured_at >= self._every(point))
+        every = point.settings.plan.window if self.distressed else self._every(point)
+        return np.asarray(rows.index - self.coloured_at >= every)
 
     def _every(self, point: WorkingPoint) -> int:
         white = point.colour.share == 1.0 and bool(np.all(point.colour.inflation < 1.2))
@@ -66,10 +69,18 @@ class Upkeep:
 
     def review(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Accuse where the residual is coloured; what a model lacks colours it, so a white one clears all suspects."""
+        self.distressed = False
         if point.colour.share < 1.0 or point.wrong is not None:
             self.accuse(point, segment, lacking, rows, row)
         else:
             self.accused_at, self.accused, rows.suspect[row:] = int(rows.index[row]), 0, 0
+
+    def accuse_in_distress(
+        self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int
+    ) -> None:  # fmt: skip
+        """Look for what the model lacks in a window that no parameters explain: it may be what it lacks for good."""
+        self.accuse(point, segment, lacking, rows, row)
+        self.distressed = bool(self.accused)
 
     def accuse(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Look for what the model lacks in the window of a row; the finding stands until the next look."""

@@ -31,17 +31,28 @@ STEPS = 6
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What changed: the structure, one channel's sensor, or one of the two.
+    """What changed: the structure, one channel's sensor, one of the two, or nothing that any story tells.
 
     Attributes:
-        changed: "structure", "sensor" or "inseparable".
-        channel: number of the channel (outputs, then inputs) that may be at fault; -1 for the structure.
+        changed: "structure", "sensor", "inseparable" or, where a sensor's story beats the structure's but leaves more
+            than noise itself, "unexplained".
+        channel: number of the channel (outputs, then inputs) that may be at fault; -1 where none is named.
         odds: by how much the best story beats the best of the other kind.
     """
 
-    changed: Literal["structure", "sensor", "inseparable"]
+    changed: Literal["structure", "sensor", "inseparable", "unexplained"]
     channel: int
     odds: float
+
+    def after(self, earlier: "Verdict | None") -> "Verdict | None":
+        """Return what to say of a channel beside what an earlier window, apart from this one, said; None of nothing.
+
+        A sensor is at fault for certain where two windows say so: what moves may look like its gain in one.
+        """
+        if self.channel < 0:
+            return None
+        confirmed = earlier is not None and earlier.channel == self.channel
+        return self if confirmed or self.changed != "sensor" else replace(self, changed="inseparable")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,15 +113,18 @@ class Court:
     def judge(
         self, problem: Problem, gain: Gain, before: Before, after: FloatArray, limit: float, share: float
     ) -> Verdict | None:
-        """Say what changed in a window; None where no story explains it.
+        """Say what changed in a window; None where no story explains it and the structure's does best.
+
+        A movement inside the window is no step of a parameter, and the offset and gain of a sensor may come nearer to
+        it than any constant does; so a sensor is named only where its story leaves no more than noise.
 
         Args:
             problem: the window.
             gain: of the observer, the same for all stories.
             before: what the parameters were.
             after: (q,) what a fit of the window with all parameters free found, or a guess.
-            limit: largest residual variance of a window that is explained.
-            share: effective degrees of freedom of the residual over their count.
+            limit: largest residual variance of a window that is explained, as undisturbed windows have it.
+            share: effective degrees of freedom of their residual over their count.
         """
         dof = problem.v.shape[0] * self._outputs - len(after) - len(gain.L)
         dof = max(dof - (0 if problem.bridge is None else problem.bridge.free), 1)
@@ -120,11 +134,13 @@ class Court:
         judged = [(squares * share / noise + price * int(story.free.sum()), story, squares) for story, squares in heard]
         structure = min((j for j in judged if j[1].channel < 0), key=lambda j: j[0])
         sensor = min((j for j in judged if j[1].channel >= 0), key=lambda j: j[0], default=None)
-        if min(structure[2], np.inf if sensor is None else sensor[2]) > limit * dof:
-            return None
         if sensor is None:
-            return Verdict("structure", -1, np.inf)
+            return None if structure[2] > limit * dof else Verdict("structure", -1, np.inf)
         odds = structure[0] - sensor[0]
+        if sensor[2] > limit * dof:
+            if structure[2] <= limit * dof:
+                return Verdict("structure", -1, -odds)
+            return Verdict("unexplained", -1, odds) if odds > MARGIN else None
         if abs(odds) < MARGIN:
             return Verdict("inseparable", sensor[1].channel, abs(odds))
         return Verdict("sensor", sensor[1].channel, odds) if odds > 0 else Verdict("structure", -1, -odds)

@@ -40,6 +40,8 @@ CALIBRATION = 32_768
 """The same for a fit that learns the noise: what the newest samples leave says little of a whole long window."""
 MOST_FAILED = 6
 """First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
+CALM = 4
+"""Windows without a fit or a change after which a residual has its usual colour."""
 RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
 """The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
 
@@ -213,6 +215,7 @@ class WindowML:
         recoloured = bool(self._upkeep.due(point, rows)[row])
         if recoloured:
             self._upkeep.recolour(point, segment, self._lacking, rows, row)
+            self._note_usual(int(rows.index[row]))
         if point.commission.known or row not in disjoint(self.settings.plan, rows, rows.ratio <= point.gate):
             return recoloured
         if not point.commission.add(rows.theta[row : row + 1], rows.sd[row : row + 1]):
@@ -220,12 +223,18 @@ class WindowML:
         rows.sd[row + 1 :] *= point.commission.factor
         return True
 
+    def _note_usual(self, index: int) -> None:
+        """Take the colour of a window that nothing disturbed for a while for the usual one, by and by."""
+        point = self.point
+        if index - max(self._last_fit, self._steady_since) >= CALM * self.settings.plan.window:
+            point.usual_share = float(np.sqrt(point.usual_share * point.colour.share))
+
     def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
         index, window = int(rows.index[row]), self.settings.plan.window
         if self._lacking.count(rows.index[row : row + 1], window)[0] > MOST * window:
             return False
-        pause = (window // 4) << self._failed if self._blamed is None else window << self._heard
+        pause = (window // 4) << self._failed if self._blamed is None else window << (self._heard - 1)
         due = index - self._last_fit >= pause
         if self._anchored and healthy:
             self._onset = self._blamed = None
@@ -264,7 +273,7 @@ class WindowML:
             blamed = Reason.SENSOR if self._blamed.changed == "sensor" else Reason.INSEPARABLE
             rows.suspect[row], rows.channel[row] = blamed, self._blamed.channel
         elif since >= window and index - self._upkeep.accused_at >= window and self._unsuspected():
-            self._upkeep.accuse(self.point, segment, self._lacking, rows, row)
+            self._upkeep.accuse_in_distress(self.point, segment, self._lacking, rows, row)
 
     def _unsuspected(self) -> bool:
         """Tell whether nothing better is known than what a look at theta_r would say."""
@@ -311,11 +320,14 @@ class WindowML:
         near = self._anchored and self._onset is None
         beginning = np.where(np.isfinite(rows.theta[row]) & near, rows.theta[row], point.theta)
         fit = point.maximise(problem, beginning, afresh=afresh, near=near)
-        self._blamed = None if near or not was_settled else self._hear(problem, fit)
+        verdict = None if near or not was_settled else self._hear(problem, fit)
+        self._blamed = None if verdict is None else verdict.after(self._blamed)
         # a sensor that stays at fault is heard ever more seldom; once it fits again that is seen at once
         self._heard = 0 if self._blamed is None else min(self._heard + 1, MOST_FAILED)
         dof = point.dof_of(self.settings.plan.window, 0 if problem.bridge is None else problem.bridge.free)
-        if self._blamed is None and fit.converged and self._move(segment, rows, row, fit, dof, whole=whole):
+        if verdict is None and fit.converged and self._move(segment, rows, row, fit, dof, whole=whole):
+            if afresh:
+                point.usual_share = point.colour.share
             return True
         restore()
         if self._adopted and not point.settled:
@@ -357,5 +369,5 @@ class WindowML:
         if not fit.converged and not np.diag(past.A).any():
             return None
         after = fit.theta if fit.converged else before.theta
-        found = court.judge(problem, point.gain, before, after, point.gate, point.colour.share)
+        found = court.judge(problem, point.gain, before, after, point.usual_gate, point.usual_share)
         return None if found is None or found.changed == "structure" else found

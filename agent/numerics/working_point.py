@@ -31,6 +31,8 @@ class WorkingPoint:
         scale: (q,) sizes of the parameters.
         noise: of the sensors and of unknown forces.
         colour, commission: what they add to intervals.
+        usual_share: the colour's share in undisturbed windows. That of one window is what the gate goes by, and a
+            window that holds a movement may have little of it.
         wrong: a mass that explained a record better than unknown forces; None for none. It outlives a fit that failed.
         settled: noise and theta come from a fit, not from the configuration.
         discrete, gain, operators: the sampled model, the observer and the lifted filters at theta_r.
@@ -47,6 +49,7 @@ class WorkingPoint:
         unforced = np.zeros(0 if directions is None else directions.shape[1])
         self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)
         self.colour = Colour.white(len(self.theta))
+        self.usual_share = 1.0
         self.commission = Commission(np.ones(len(self.theta)))
         self.wrong: MassError | None = None
         self.settled = False
@@ -100,6 +103,11 @@ class WorkingPoint:
     def gate(self) -> float:
         """Largest residual variance, in units of the reference, of an undisturbed window."""
         return float(gate(self.dof, self.doubt, self.colour.share))
+
+    @property
+    def usual_gate(self) -> float:
+        """The same by the colour that residuals have in undisturbed windows."""
+        return float(gate(self.dof, self.doubt, self.usual_share))
 
     @property
     def widening(self) -> FloatArray:

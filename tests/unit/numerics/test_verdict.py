@@ -9,6 +9,7 @@ from agent.numerics.observer import plain_gain
 from agent.numerics.reference import Reference
 from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.verdict import Before, Court, Verdict
+from tests.bench.scene import play
 from tests.unit.numerics.paper_rig import NOMINAL, rig
 from tests.unit.numerics.rigs import PERIOD, FloatArray, noisy, sampled, zero_gain
 
@@ -75,6 +76,30 @@ def test_court_of_a_window_that_nothing_explains_says_nothing() -> None:
     v = noisy(np.random.default_rng(4), W, SIGMA).v
     v[:, 0] += 100 * SIGMA * np.sign(np.sin(0.05 * np.arange(W)))
     assert judged(v, NOMINAL) is None
+
+
+def test_court_names_no_sensor_that_explains_a_window_best_but_not_to_its_noise() -> None:
+    rng = np.random.default_rng(6)
+    truth = np.tile(NOMINAL, (2000 + W, 1))
+    truth[2000:, 1] *= np.linspace(1.0, 1.3, W)
+    played = play(truth, SIGMA, rng)
+    v = np.hstack([played.y, played.u])[2000:]
+    v[:, 0] *= 1.1
+    found = judged(v, NOMINAL)
+    assert found is not None
+    assert (found.changed, found.channel) == ("unexplained", -1)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "said"),
+    [(None, 1, "inseparable"), (0, 1, "inseparable"), (1, 1, "sensor"), (None, -1, None), (1, -1, None)],
+)
+def test_verdict_on_a_sensor_is_certain_where_a_window_apart_says_the_same(
+    first: int | None, second: int, said: str | None
+) -> None:
+    earlier = None if first is None else Verdict("inseparable", first, 1.0)
+    found = Verdict("sensor" if second >= 0 else "unexplained", second, 20.0).after(earlier)
+    assert (None if found is None else found.changed) == said
 
 
 def test_court_does_not_suspect_constants_that_are_estimated() -> None:

@@ -29,6 +29,7 @@ class QualitySettings:
         step: (c,) the wire's smallest step of each, SI; 0 where it has none.
         window: samples of the estimator's window.
         bridge: samples of the longest gap that is bridged.
+        quantities: (c,) what each shows; none for what is not known to be alike.
     """
 
     channels: tuple[str, ...]
@@ -36,6 +37,7 @@ class QualitySettings:
     step: FloatArray
     window: int
     bridge: int
+    quantities: tuple[str, ...] = ()
 
 
 class Quality:
@@ -49,7 +51,8 @@ class Quality:
         self.settings = settings
         self.rejected: Counter[str] = Counter()
         self._cleaner = Cleaner(is_input, settings.step)
-        self._watch = SensorWatch(is_input, settings.step, settings.window)
+        kinds = np.unique(settings.quantities, return_inverse=True)[1] if settings.quantities else None
+        self._watch = SensorWatch(is_input, settings.step, settings.window, kinds)
         self._labels = SensorLabels(settings.channels, settings.inputs, settings.window)
         self._open = False
         self._newest, self._newest_ns = -1, 0

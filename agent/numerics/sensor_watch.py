@@ -2,7 +2,7 @@
 
 Judged block by block (counted from the stretch's first sample, so that results do not depend on how the stream was
 cut), by what a channel usually does: a coarse channel that often stays on one step may do so longer than a fine one.
-Where nothing moves nothing is stuck: standstill is no fault.
+Where nothing moves nothing is stuck: standstill is no fault. What is judged is in `standing` and `rails`.
 """
 
 from dataclasses import dataclass
@@ -11,32 +11,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.bridge import runs
+from agent.numerics.rails import ENTRY as RAIL_ENTRY
+from agent.numerics.rails import OVERSHOOT, PLATEAU, Rails
+from agent.numerics.standing import Standing
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 Kind = Literal["stuck", "saturated"]
-SMOOTH = 20.0
-"""A range this many times the noise is motion whatever the channel did before."""
-LIVELY = 0.3
-"""A range of this share of the channel's usual one is motion too."""
-MOVES = 8.0
-"""Nothing below this many steps of the wire is motion."""
-SHORTEST = 24
-"""Samples that a channel must stand still, while others move, at least."""
-PATIENT = 3
-"""It must stand still this many times longer than it has in health."""
-FADE = 0.995
-"""What is left a block later of a channel's usual range."""
-PLATEAU = 4
-"""Equal readings at the extreme that may be a clipped peak ..."""
-OVERSHOOT = 16.0
-"""... if the motion before would have gone this many steps (or noise) beyond it: a rounded peak goes about four."""
 ENTRY = 16
-"""Samples before a standstill over which the speed is taken with which it was entered ..."""
-ABRUPT = 32.0
-"""... and the steps it must have missed since then to be no turning point, which misses eight to eighteen."""
+"""Samples before a standstill over which the speed is taken with which it was entered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +34,17 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """Facts of N blocks: lowest, highest (N, c), noise (N, c), equal (N, c) whether PLATEAU readings in a row are."""
+    """Facts of N blocks: lowest, highest, noise, step (N, c); equal (N, c) whether PLATEAU readings in a row are.
+
+    rail (N, c): such a row was entered so fast that it may be the end of a range.
+    """
 
     low: FloatArray
     high: FloatArray
     noise: FloatArray
+    step: FloatArray
     equal: BoolArray
+    rail: BoolArray
 
 
 class SensorWatch:
@@ -63,27 +52,26 @@ class SensorWatch:
 
     Args:
         inputs: (c,) which channels are inputs; those may stand still while the rig moves.
-        step: (c,) the wire's smallest step of each channel, SI; 0 where it has none.
+        step: (c,) the wire's smallest step of each channel, SI; 0 where it has none or nobody states it.
         window: samples of the estimator's window.
+        kinds: (c,) number of the quantity that each channel shows; each another where it is not given.
     """
 
-    def __init__(self, inputs: BoolArray, step: FloatArray, window: int) -> None:
+    def __init__(self, inputs: BoolArray, step: FloatArray, window: int, kinds: IntArray | None = None) -> None:
         c = len(step)
         self.block = int(np.clip(window // 16, 8, 64))
-        self._inputs, self._step, self._window = inputs, step, window
-        self._usual = np.zeros(c)
-        self._longest = np.zeros(c)
+        self._inputs, self._window = inputs, window
+        self._stated, self._seen = step, np.full(c, np.inf)
         self._low, self._high = np.full(c, np.inf), np.full(c, -np.inf)
-        self._run_low, self._run_high = np.full(c, np.inf), np.full(c, -np.inf)
-        self._still = np.zeros(c)
-        self._speed = np.zeros(c)  # with which the present standstill was entered, a sample
+        self._standing = Standing(inputs, np.arange(c) if kinds is None else kinds, window, self.block)
+        self._rails = Rails(inputs)
         self._kinds: list[Kind | None] = [None] * c
         self.restart()
 
     def restart(self) -> None:
         """Begin a new stretch; a channel that was at fault is so until it moves again."""
         # samples of context, then the block that is not whole yet
-        self._pending: FloatArray = np.zeros((0, len(self._step)))
+        self._pending: FloatArray = np.zeros((0, len(self._stated)))
         self._context = 0
         self._done = 0
 
@@ -115,14 +103,15 @@ class SensorWatch:
         """(N,) blocks in which some channel stands still, or stays at an extreme."""
         before = np.maximum.accumulate(np.vstack([self._high, blocks.high]))[:-1]
         below = np.minimum.accumulate(np.vstack([self._low, blocks.low]))[:-1]
-        reach = 0.5 * self._step
+        reach = 0.5 * blocks.step
         extreme = blocks.equal & ((blocks.high >= before - reach) | (blocks.low <= below + reach))
-        still = (blocks.high - blocks.low <= 1.01 * self._step) & ~self._inputs
-        return np.asarray((still | extreme).any(axis=1))
+        extreme &= ~(self._inputs & (blocks.low == 0) & (blocks.high == 0))  # a force at rest
+        still = (blocks.high - blocks.low <= 1.01 * blocks.step) & ~self._inputs
+        return np.asarray((still | extreme | blocks.rail).any(axis=1))
 
     def _quiet_until(self, doubtful: BoolArray, b: int) -> int:
         """Return the next block that must be looked at."""
-        if self._still.any() or any(self._kinds):
+        if self._standing.still.any() or any(self._kinds):
             return b
         ahead = doubtful[b:]
         return b + int(np.argmax(ahead)) if ahead.any() else len(doubtful)
@@ -131,64 +120,64 @@ class SensorWatch:
         """Take blocks in which everything moves."""
         low, high = blocks.low[which], blocks.high[which]
         self._done += self.block * len(low)
-        self._low, self._high = np.minimum(self._low, low.min(axis=0)), np.maximum(self._high, high.max(axis=0))
-        size = high - low
-        faded = FADE ** np.arange(len(low) - 1, -1, -1)[:, None]
-        moved = np.where(size > MOVES * self._step, size, 0.0)
-        self._usual = np.maximum(self._usual * FADE ** len(low), (moved * faded).max(axis=0))
-        self._run_low, self._run_high = low[-1], high[-1]
+        self._standing.skip(low, high, blocks.noise[which], blocks.step[which])
+        least, most = low.min(axis=0), high.max(axis=0)
+        self._rails.pass_by(least, most, self.block * len(low))
+        self._low, self._high = np.minimum(self._low, least), np.maximum(self._high, most)
 
     def _facts(self, whole: int) -> _Blocks:
-        start, c = self._context, len(self._step)
+        start, c = self._context, len(self._stated)
         stop = start + whole * self.block
         x = self._pending[:stop]
         cut = x[start:].reshape(whole, self.block, c)
         third = np.abs(np.diff(cut, n=3, axis=1))
         # of white noise the third difference has sd sqrt(20), and its mean size is 0.8 sd
         noise = third.mean(axis=1) / (0.8 * np.sqrt(20.0))
-        same = np.diff(x, axis=0, prepend=np.nan) == 0
+        change = np.diff(x, axis=0, prepend=np.inf)  # nothing is known before a stretch's first sample
+        same = np.abs(change) <= 1e-12 * np.abs(x)  # what was filled in may miss by a rounding error
+        change[0] = 0.0
+        step = self._steps(change, same, whole)
         equal = same.copy()
         for back in range(1, PLATEAU - 1):
             equal[back:] &= same[:-back]
             equal[:back] = False
-        return _Blocks(cut.min(axis=1), cut.max(axis=1), noise, equal[start:].reshape(whole, self.block, c).any(axis=1))
+        # how fast the readings went before a row of equal ones, the last step into it left out
+        speed = np.zeros_like(x)
+        speed[PLATEAU:] = np.where(equal[PLATEAU:], np.abs(change[:-PLATEAU]), 0.0)
+        fastest = speed[start:].reshape(whole, self.block, c).max(axis=1)
+        plateau = np.asarray(equal[start:].reshape(whole, self.block, c).any(axis=1))
+        rail = np.asarray(fastest > OVERSHOOT / PLATEAU * np.maximum(step, noise))
+        return _Blocks(cut.min(axis=1), cut.max(axis=1), noise, step, plateau, rail)
+
+    def _steps(self, change: FloatArray, same: BoolArray, whole: int) -> FloatArray:
+        """Return the wire's step (N, c) as it is known behind each block: as stated, else the least single change seen.
+
+        A change between readings that rest before and behind it is a step; where a channel stops or is clipped it has
+        moved all the time before.
+        """
+        c = len(self._stated)
+        if self._stated.all():
+            return np.broadcast_to(self._stated, (whole, c))
+        single = np.full(change.shape, np.inf)
+        single[2:] = np.where(same[2:] & ~same[1:-1] & same[:-2], np.abs(change[1:-1]), np.inf)
+        least = single[self._context :].reshape(whole, self.block, c).min(axis=1)
+        seen = np.minimum.accumulate(np.vstack([self._seen, least]))[1:]
+        self._seen = seen[-1]
+        return np.where(self._stated > 0, self._stated, np.where(np.isfinite(seen), seen, 0.0))
 
     def _judge(self, blocks: _Blocks, b: int) -> list[Finding]:
-        low, high, noise = blocks.low[b], blocks.high[b], blocks.noise[b]
-        size = high - low
-        smooth = size > np.maximum(MOVES * self._step, SMOOTH * noise)
-        lively = (size > MOVES * self._step) & (size > LIVELY * self._usual) & (self._usual > 0)
-        stuck = self._stuck(blocks, b, smooth, smooth | lively)
+        low, high, noise, step = blocks.low[b], blocks.high[b], blocks.noise[b], blocks.step[b]
+        stuck = self._standing.judge(low, high, noise, step, self._speed_before(b))
+        self._rails.pass_by(low, high, self.block)
+        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
         clipped = self._clipped(blocks, b)
         kinds: list[Kind | None] = [
             "saturated" if c else "stuck" if s else None for s, c in zip(stuck.tolist(), clipped.tolist(), strict=True)
         ]
-        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
-        moved = (size > MOVES * self._step) & (size > 0)
-        self._usual = np.maximum(FADE * self._usual, np.where(moved, size, 0.0))
         pairs = enumerate(zip(kinds, self._kinds, strict=True))
         changed = [Finding(self._done, channel, now) for channel, (now, was) in pairs if now != was]
         self._kinds = kinds
         return changed
-
-    def _stuck(self, blocks: _Blocks, b: int, smooth: BoolArray, moving: BoolArray) -> BoolArray:
-        """(c,) outputs that have stood still for too long while others moved."""
-        low, high = blocks.low[b], blocks.high[b]
-        run_low, run_high = np.minimum(self._run_low, low), np.maximum(self._run_high, high)
-        still = run_high - run_low <= 1.01 * self._step
-        began = still & (self._still == 0)
-        self._speed = np.where(began, self._speed_before(b), self._speed)
-        known = self._usual > 0
-        soon = np.maximum(max(SHORTEST, self._window / 4), PATIENT * self._longest)
-        abrupt = self._speed * self._still >= ABRUPT * self._step
-        least = np.where(known & abrupt, np.minimum(soon, self._window), np.maximum(soon, self._window))
-        ended = ~still & (self._still < least)
-        self._longest = np.where(ended, np.maximum(self._longest, self._still), self._longest)
-        self._run_low, self._run_high = np.where(still, run_low, low), np.where(still, run_high, high)
-        # one that never moved is judged by motion beyond doubt only
-        others = np.where(known, moving.sum() - moving, smooth.sum() - smooth) > 0
-        self._still = np.where(still & ~self._inputs, self._still + self.block * others, 0.0)
-        return np.asarray((self._still >= least) & (self._still > 0))
 
     def _speed_before(self, b: int) -> FloatArray:
         """(c,) how fast each channel went before block b, a sample; its own first block may hold the stop."""
@@ -197,27 +186,21 @@ class SensorWatch:
         return np.asarray(np.abs(x[-1] - x[0]) / max(len(x) - 1, 1))
 
     def _clipped(self, blocks: _Blocks, b: int) -> BoolArray:
-        """(c,) channels with a flat top or bottom at the extreme of all readings so far, entered too fast."""
-        clipped = np.zeros(len(self._step), dtype=bool)
-        reach = 0.5 * self._step
+        """(c,) channels that run into the end of their range, or stay there."""
+        clipped = np.zeros(len(self._stated), dtype=bool)
+        reach = 0.5 * blocks.step[b]
         extreme = (blocks.high[b] >= self._high - reach) | (blocks.low[b] <= self._low + reach)
-        for channel in np.flatnonzero(blocks.equal[b] & extreme).tolist():
+        for channel in np.flatnonzero((blocks.equal[b] & extreme) | blocks.rail[b]).tolist():
             at = self._context + b * self.block
-            x = self._pending[max(0, at - PLATEAU) : at + self.block, channel]
-            ends = (min(self._low[channel], blocks.low[b, channel]), max(self._high[channel], blocks.high[b, channel]))
-            grain = max(float(self._step[channel]), float(blocks.noise[b, channel]))
-            lasting = self._kinds[channel] == "saturated" and self._still[channel] < self._window
-            clipped[channel] = lasting and bool(np.all(x[-self.block :] == x[-1]))
-            clipped[channel] |= _flat(x, ends, grain)
+            x = self._pending[max(0, at - RAIL_ENTRY) : at + self.block, channel]
+            x = np.concatenate([np.full(RAIL_ENTRY + self.block - len(x), np.nan), x])
+            grain = max(float(blocks.step[b, channel]), float(blocks.noise[b, channel]))
+            ends = (float(self._low[channel]), float(self._high[channel]))
+            clipped[channel] = self._rails.stopped(channel, x, ends, grain) or self._lasts(channel, x, grain)
         return clipped
 
-
-def _flat(x: FloatArray, ends: tuple[float, float], grain: float) -> bool:
-    """Tell whether readings run into one of two ends and stay there, faster than a rounded peak could."""
-    for end, direction in zip(ends, (-1.0, 1.0), strict=True):
-        for start, stop in runs(np.asarray(np.abs(x - end) <= 0.5 * grain)):
-            if stop - start >= PLATEAU and start >= 2 and np.ptp(x[start:stop]) == 0:
-                speed = direction * (x[start - 1] - x[start - 2])
-                if speed * (stop - start) > OVERSHOOT * grain:
-                    return True
-    return False
+    def _lasts(self, channel: int, x: FloatArray, grain: float) -> bool:
+        """Tell whether a channel that reached the end of its range is there all through a block."""
+        lasting = self._kinds[channel] == "saturated" and self._standing.still[channel] < self._window
+        here = lasting and bool(np.all(x[-self.block :] == x[-1]))
+        return here and not self._rails.rests(channel, float(x[-1]), grain)

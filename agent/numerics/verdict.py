@@ -44,15 +44,12 @@ class Verdict:
     channel: int
     odds: float
 
-    def after(self, earlier: "Verdict | None") -> "Verdict | None":
-        """Return what to say of a channel beside what an earlier window, apart from this one, said; None of nothing.
+    def names_as(self, earlier: "Verdict | None") -> bool:
+        """Tell whether a window apart from this one said that it may be the same channel.
 
-        A sensor is at fault for certain where two windows say so: what moves may look like its gain in one.
+        What moves may look like the gain of a sensor in one window.
         """
-        if self.channel < 0:
-            return None
-        confirmed = earlier is not None and earlier.channel == self.channel
-        return self if confirmed or self.changed != "sensor" else replace(self, changed="inseparable")
+        return earlier is not None and self.channel >= 0 and earlier.channel == self.channel
 
 
 @dataclass(frozen=True, slots=True)

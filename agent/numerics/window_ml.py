@@ -70,6 +70,7 @@ class WindowML:
         self._last_fit = self._steady_since = NEVER
         self._onset: int | None = None
         self._blamed: Verdict | None = None
+        self._agreed = False  # two windows blame the same sensor
 
     @property
     def spikes(self) -> int:
@@ -269,10 +270,12 @@ class WindowML:
             # a rig that was never understood is not changing where what it lacks is known
             lasting = since >= window or (not self.point.settled and bool(self._upkeep.accused))
             rows.changing[row], rows.mismatch[row] = not lasting, lasting
-        if self._blamed is not None:
+        if self._blamed is not None and self._agreed:
             blamed = Reason.SENSOR if self._blamed.changed == "sensor" else Reason.INSEPARABLE
             rows.suspect[row], rows.channel[row] = blamed, self._blamed.channel
-        elif since >= window and index - self._upkeep.accused_at >= window and self._unsuspected():
+            return
+        looked = self._blamed is not None or index - self._upkeep.accused_at < window
+        if since >= window and not looked and self._unsuspected():
             self._upkeep.accuse_in_distress(self.point, segment, self._lacking, rows, row)
 
     def _unsuspected(self) -> bool:
@@ -321,7 +324,8 @@ class WindowML:
         beginning = np.where(np.isfinite(rows.theta[row]) & near, rows.theta[row], point.theta)
         fit = point.maximise(problem, beginning, afresh=afresh, near=near)
         verdict = None if near or not was_settled else self._hear(problem, fit)
-        self._blamed = None if verdict is None else verdict.after(self._blamed)
+        self._agreed = verdict is not None and verdict.names_as(self._blamed)
+        self._blamed = verdict if verdict is not None and verdict.channel >= 0 else None
         # a sensor that stays at fault is heard ever more seldom; once it fits again that is seen at once
         self._heard = 0 if self._blamed is None else min(self._heard + 1, MOST_FAILED)
         dof = point.dof_of(self.settings.plan.window, 0 if problem.bridge is None else problem.bridge.free)

@@ -64,8 +64,10 @@ class Pipeline:
         all_steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in channels])
         steps = all_steps[len(config.inputs) :]
         longest = longest_bridge(rig_model(config).model, rig.sample_rate_hz)
+        quantities = tuple(channel.quantity for channel in channels)
+        window = hop_plan(config).window
         self.quality = Quality(
-            QualitySettings(tuple(names), len(config.inputs), all_steps, hop_plan(config).window, longest)
+            QualitySettings(tuple(names), len(config.inputs), all_steps, window, longest, quantities)
         )
         # first, since it says in words what the others would stumble over
         self.estimation: Estimation = make_estimation(config, steps, all_steps[: len(config.inputs)])

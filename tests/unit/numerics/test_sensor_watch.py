@@ -7,7 +7,7 @@ from scipy.signal import butter, lfilter
 from agent.numerics.sensor_watch import Finding, SensorWatch
 from tests.unit.numerics.rigs import FloatArray, noisy, record, sampled
 
-INPUTS = np.array([False, False, True])
+INPUTS, KINDS = np.array([False, False, True]), np.array([0, 0, 1])
 WINDOW = 250
 
 
@@ -26,7 +26,7 @@ def white(seed: int, samples: int = 12_000) -> FloatArray:
 
 
 def watch(v: FloatArray, step: FloatArray | None = None, cut: int = 100) -> list[Finding]:
-    watcher = SensorWatch(INPUTS, np.zeros(3) if step is None else step, WINDOW)
+    watcher = SensorWatch(INPUTS, np.zeros(3) if step is None else step, WINDOW, KINDS)
     return [found for start in range(0, len(v), cut) for found in watcher.take(v[start : start + cut])]
 
 
@@ -96,10 +96,82 @@ def test_watch_gives_the_same_however_the_stream_is_cut() -> None:
 def test_watch_after_a_gap_remembers_a_stuck_channel_until_it_moves() -> None:
     v = smooth(5)
     v[3000:5000, 0] = v[3000, 0]
-    watcher = SensorWatch(INPUTS, np.zeros(3), WINDOW)
+    watcher = SensorWatch(INPUTS, np.zeros(3), WINDOW, KINDS)
     before = watcher.take(v[:4000])
     watcher.restart()
     after = watcher.take(v[4100:])
     assert before[-1].kind == "stuck"
     assert [f.kind for f in after] == [None]
     assert 900 < after[0].stop <= 964
+
+
+def blows(samples: int, rest: float, width: int, first: int) -> FloatArray:
+    """Blows of a hammer, one each 200 samples, on a force that rests in between; the record begins at one `first`."""
+    t = np.arange(first, first + samples)
+    amplitude = 800.0 * (1.0 + 0.2 * np.random.default_rng(1).standard_normal(t.max() // 200 + 1))[t // 200]
+    into = (t % 200) / width
+    return np.where(into < 1.0, amplitude * np.sin(np.pi * np.minimum(into, 1.0)), 0.0) + rest
+
+
+def under(force: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The rig under a force, on wires of fine steps."""
+    v = record(sampled(), force[:, None]).v
+    v[:, :2] += 1e-6 * np.random.default_rng(2).standard_normal((len(v), 2))
+    steps = np.array([1e-9, 1e-9, 1e-4])
+    return np.round(v / steps) * steps, steps
+
+
+@pytest.mark.parametrize("rest", [0.0, 3.0])
+@pytest.mark.parametrize("width", [4, 60])
+@pytest.mark.parametrize("first", [0, 2])
+def test_watch_of_a_force_that_rests_between_blows_finds_nothing(rest: float, width: int, first: int) -> None:
+    assert watch(*under(blows(2000, rest, width, first))) == []
+
+
+@pytest.mark.parametrize("force", [
+    np.minimum(50.0 * np.sin(0.02 * np.arange(2000)), 40.0),
+    np.maximum(50.0 * np.sin(0.02 * np.arange(2000)), -40.0),
+], ids=["top", "bottom"])  # fmt: skip
+def test_watch_names_a_force_that_runs_into_the_end_of_its_range_again_and_again(force: FloatArray) -> None:
+    found = watch(*under(force))
+    assert {(f.channel, f.kind) for f in found} == {(2, "saturated"), (2, None)}
+    assert found[0].stop < 800
+
+
+def test_watch_names_a_channel_whose_range_has_shrunk() -> None:
+    v = smooth(0)
+    limit = 0.4 * np.abs(v[:6000, 1]).max()
+    v[6000:, 1] = np.clip(v[6000:, 1], -limit, limit)
+    found = [f for f in watch(v) if f.kind is not None]
+    assert {f.channel for f in found} == {1}
+    assert "saturated" in {f.kind for f in found}
+
+
+def slow_and_coarse(levels: float, seed: int, samples: int = 40_000) -> tuple[FloatArray, FloatArray]:
+    """Two outputs that follow a slow movement of changing size, the second on a wire of few levels."""
+    rng = np.random.default_rng(seed)
+    b, a = butter(2, 0.002)
+    u = lfilter(b, a, rng.standard_normal(samples + 2000))[:, None]
+    knots = np.arange(0, len(u) + 5000, 5000)
+    size = np.interp(np.arange(len(u)), knots, 10 ** rng.uniform(-1.5, 0, len(knots)))
+    v = record(sampled(), 5.0 * u / u.std() * size[:, None]).v[2000:]
+    v[:, 0] += 1e-5 * np.ptp(v[:, 0]) * rng.standard_normal(samples)
+    step = np.ptp(v[:, 1]) / levels
+    v[:, 1] = np.round(v[:, 1] / step) * step
+    return v, np.array([0.0, step, 0.0])
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("levels", [2, 10, 40])
+def test_watch_of_a_channel_of_few_levels_finds_nothing(levels: int, stated: bool) -> None:
+    v, step = slow_and_coarse(levels, levels)
+    assert watch(v, step if stated else None, cut=1000) == []
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_watch_names_a_stuck_channel_of_few_levels_where_the_others_go_back_and_forth(stated: bool) -> None:
+    v, step = slow_and_coarse(100, 1)
+    v[20_000:, 1] = v[20_000, 1]
+    (stuck,) = watch(v, step if stated else None, cut=1000)
+    assert (stuck.channel, stuck.kind) == (1, "stuck")
+    assert stuck.stop > 20_000

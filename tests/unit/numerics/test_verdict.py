@@ -90,16 +90,10 @@ def test_court_names_no_sensor_that_explains_a_window_best_but_not_to_its_noise(
     assert (found.changed, found.channel) == ("unexplained", -1)
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "said"),
-    [(None, 1, "inseparable"), (0, 1, "inseparable"), (1, 1, "sensor"), (None, -1, None), (1, -1, None)],
-)
-def test_verdict_on_a_sensor_is_certain_where_a_window_apart_says_the_same(
-    first: int | None, second: int, said: str | None
-) -> None:
+@pytest.mark.parametrize(("first", "second", "agreed"), [(None, 1, False), (0, 1, False), (1, 1, True), (1, -1, False)])
+def test_verdict_names_a_channel_where_a_window_apart_does(first: int | None, second: int, agreed: bool) -> None:
     earlier = None if first is None else Verdict("inseparable", first, 1.0)
-    found = Verdict("sensor" if second >= 0 else "unexplained", second, 20.0).after(earlier)
-    assert (None if found is None else found.changed) == said
+    assert Verdict("sensor" if second >= 0 else "unexplained", second, 20.0).names_as(earlier) is agreed
 
 
 def test_court_does_not_suspect_constants_that_are_estimated() -> None:

@@ -1,0 +1,170 @@
+"""Outputs that stand still while others move: stuck, at a turning point, or too coarse for how little they move.
+
+What a channel would have shown is told by the others: how far they went since it stopped, as a share of how far they
+went before, against how many steps of its own it made then. A sine within two of its steps S goes on elsewhere for
+2.8 / sqrt(S) of the way from end to end, in the worst phase. With few steps that share is no less than one, and such a
+channel is never called stuck.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+SMOOTH = 20.0
+"""A range this many times the noise is motion whatever the channel did before."""
+LIVELY = 0.3
+"""A range of this share of the channel's usual one is motion too."""
+MOVES = 8.0
+"""Nothing below this many steps of the wire is motion."""
+SHORTEST = 24
+"""Samples that a channel must stand still, while others move, at least."""
+PATIENT, LONGEST = 3, 4
+"""It must stand still so many times longer than it has in health; longer than so many windows is not counted so."""
+FADE = 0.995
+"""What is left of a channel's usual range after a block in which something moved."""
+ABRUPT = 32.0
+"""Steps that it must have missed to be no turning point, which misses eight to eighteen."""
+CHUNK = 64
+"""Blocks: how far a channel went is remembered over one to two times so many."""
+FURTHER = 6.0
+"""The share of their way that others must have gone, times the root of the channel's own steps ..."""
+WIDE = 0.7
+"""... where that is no more than this share; else they must have gone half of their way ..."""
+TRIPS, MORE = 4, 1.5
+"""... so often, without going so many times further than before; ..."""
+FEWEST = 24.0
+"""... and a channel of fewer steps tells nothing."""
+APART = 20.0
+"""A channel that never moved is missed where one of its kind went over so many of its steps."""
+
+
+class Standing:
+    """Watches c channels, block by block.
+
+    Args:
+        inputs: (c,) which channels are inputs; those may stand still while the rig moves.
+        kinds: (c,) number of the quantity that each channel shows.
+        window, block: samples of the estimator's window, and of a block.
+    """
+
+    def __init__(self, inputs: BoolArray, kinds: IntArray, window: int, block: int) -> None:
+        c = len(inputs)
+        self.still = np.zeros(c)  # samples for which others moved since each channel stopped
+        self._inputs, self._window, self._block = inputs, window, block
+        self._alike = kinds[:, None] == kinds
+        # a force tells of no course; it speaks only where no other output does
+        told_by = ~inputs if np.sum(~inputs) > 1 else np.ones(c, dtype=bool)
+        self._others = told_by & ~np.eye(c, dtype=bool)
+        self._usual, self._longest, self._speed = np.zeros(c), np.zeros(c), np.zeros(c)
+        self._called = np.zeros(c, dtype=bool)
+        self._low, self._high = np.full(c, np.inf), np.full(c, -np.inf)  # of the standstill, else of the newest block
+        self._chunks = np.stack([np.full((2, c), np.inf), np.full((2, c), -np.inf)])  # lowest, highest; older, newer
+        self._blocks = 0
+        self._way = np.zeros((c, c))  # what the others used to go when each channel stopped
+        self._steps = np.zeros(c)  # and how many steps it made itself then
+        self._since = np.zeros((2, c, c))  # lowest, highest of the others since then
+        self._leg = np.zeros((2, c, c))  # and since they last had gone half of their way
+        self._trips, self._course = np.zeros((c, c)), np.zeros((c, c))
+
+    def skip(self, low: FloatArray, high: FloatArray, noise: FloatArray, step: FloatArray) -> None:
+        """Take blocks (N, c) in which no channel stands still."""
+        size = high - low
+        stirred = np.any(self._smooth(size, noise, step), axis=1)
+        after = np.cumsum(stirred[::-1])[::-1] - stirred
+        faded = (size * FADE ** after[:, None]).max(axis=0)
+        self._usual = np.maximum(self._usual * FADE ** int(stirred.sum()), faded)
+        self._low, self._high = low[-1], high[-1]
+        start = 0
+        while start < len(low):
+            stop = min(start + CHUNK - self._blocks % CHUNK, len(low))
+            self._remember(low[start:stop].min(axis=0), high[start:stop].max(axis=0), stop - start)
+            start = stop
+
+    def judge(
+        self, low: FloatArray, high: FloatArray, noise: FloatArray, step: FloatArray, speed: FloatArray
+    ) -> BoolArray:  # fmt: skip
+        """Take one block: (c,) outputs that have stood still for too long while others moved.
+
+        speed (c,): how fast each went before the block, a sample.
+        """
+        size = high - low
+        smooth = self._smooth(size, noise, step)
+        known = self._usual > MOVES * step
+        lively = (size > MOVES * step) & (size > LIVELY * self._usual) & known
+        run_low, run_high = np.minimum(self._low, low), np.maximum(self._high, high)
+        still = (run_high - run_low <= 1.01 * step) & ~self._inputs
+        self._begin(still & (self.still == 0), np.maximum(speed - step / 16.0, 0.0), step)
+        self._follow(low, high)
+        least, enough = self._least(step, known), self._others_went(step)
+        ended = ~still & (self.still > 0)
+        learnt = np.minimum(np.minimum(self.still, least), LONGEST * self._window)
+        self._longest = np.where(ended, np.maximum(self._longest, learnt), self._longest)
+        self._low, self._high = np.where(still, run_low, low), np.where(still, run_high, high)
+        # one that never moved is judged by motion beyond doubt only
+        moving = smooth | lively
+        others = np.where(known, moving.sum() - moving, smooth.sum() - smooth) > 0
+        self.still = np.where(still, self.still + self._block * others, 0.0)
+        self._usual = np.maximum(self._usual * (FADE if smooth.any() else 1.0), size)
+        self._remember(np.where(still, np.inf, low), np.where(still, -np.inf, high), 1)
+        self._called = still & (self._called | ((self.still >= least) & enough))
+        return self._called
+
+    def _smooth(self, size: FloatArray, noise: FloatArray, step: FloatArray) -> BoolArray:
+        return np.asarray(size > np.maximum(MOVES * step, SMOOTH * noise))
+
+    def _remember(self, low: FloatArray, high: FloatArray, blocks: int) -> None:
+        self._chunks[0, 1] = np.minimum(self._chunks[0, 1], low)
+        self._chunks[1, 1] = np.maximum(self._chunks[1, 1], high)
+        self._blocks += blocks
+        if self._blocks % CHUNK == 0:
+            moved = self.still == 0
+            self._chunks[:, 0, moved] = self._chunks[:, 1, moved]
+            self._chunks[0, 1, moved], self._chunks[1, 1, moved] = np.inf, -np.inf
+
+    def _begin(self, began: BoolArray, speed: FloatArray, step: FloatArray) -> None:
+        if not began.any():
+            return
+        self._speed = np.where(began, speed, self._speed)
+        went = self._chunks[1].max(axis=0) - self._chunks[0].min(axis=0)
+        went = np.maximum(np.where(np.isfinite(went), went, 0.0), self._usual)
+        self._way[began] = went
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = np.where(went > 0, went / step, 0.0)
+        self._steps = np.where(began, steps, self._steps)
+        for ends in (self._since, self._leg):
+            ends[0, began], ends[1, began] = np.inf, -np.inf
+        self._trips[began], self._course[began] = 0, went
+
+    def _follow(self, low: FloatArray, high: FloatArray) -> None:
+        """Follow the others since each channel stopped."""
+        for ends in (self._since, self._leg):
+            np.minimum(ends[0], low, out=ends[0])
+            np.maximum(ends[1], high, out=ends[1])
+        gone = self._leg[1] - self._leg[0] >= 0.5 * self._course
+        self._trips += gone
+        # one that goes ever further has not gone back and forth
+        range_ = self._since[1] - self._since[0]
+        further = range_ > MORE * self._course
+        self._trips[further], self._course[further] = 0, range_[further]
+        gone |= further
+        self._leg[:, gone] = np.stack([np.broadcast_to(low, gone.shape)[gone], np.broadcast_to(high, gone.shape)[gone]])
+
+    def _least(self, step: FloatArray, known: BoolArray) -> FloatArray:
+        """(c,) samples of standstill that are too many, others having moved."""
+        soon = np.maximum(max(SHORTEST, self._window / 4), PATIENT * self._longest)
+        abrupt = self._speed * self.still >= ABRUPT * step
+        return np.where(known & abrupt, np.minimum(soon, self._window), np.maximum(soon, self._window))
+
+    def _others_went(self, step: FloatArray) -> BoolArray:
+        """(c,) some other channel went so far that each one, if sound, would have moved."""
+        range_ = self._since[1] - self._since[0]
+        share = FURTHER / np.sqrt(np.maximum(self._steps, 1e-9))
+        by_range = (share[:, None] <= WIDE) & (range_ >= share[:, None] * self._way)
+        by_trips = (self._trips >= TRIPS) & (self._steps[:, None] >= FEWEST)
+        # where nothing is known of a channel, those of its kind must have gone far in its own steps
+        far = np.where(self._alike, range_ >= APART * step[:, None], True)
+        never = (self._steps <= 1.01)[:, None] & (self._trips >= 2 * TRIPS) & far
+        went = never | ((by_range | by_trips) & (self._way > 0))
+        return np.asarray((went & self._others).any(axis=1))

@@ -73,7 +73,8 @@ def find_process(
     """Return the disturbances that are most likely, with at least one unknown force, and their log likelihood.
 
     Intensities are continuous in their logarithm; the search starts with equal ones and with each direction alone.
-    With unless_above, None where a coarse scan does not come near that log likelihood. Roughly: to half a decade, for
+    None where no intensities have a stable observer, as with parameters that a fit ran away to. With unless_above, None
+    too where a coarse scan does not come near that log likelihood. Roughly: to half a decade, for
     a model that is rough itself.
     """
     directions = disturbance.shape[1]
@@ -94,6 +95,8 @@ def find_process(
         return None
     found = [_climb(value, start * strongest, 5.0 if roughly else 1.0) for start in starts]
     best, process = max(found, key=lambda item: item[0] - EVIDENCE * np.count_nonzero(item[1]))
+    if not np.isfinite(best):
+        return None
     noise = Noise(sigma, process)
     if scale_known:
         return noise, best
@@ -107,7 +110,8 @@ def _value(discrete: Discrete, disturbance: FloatArray, noise: Noise, record: Re
         gain = matched_gain(discrete, disturbance, noise)
     except ValueError:
         return -np.inf
-    return likelihood(discrete, gain, record, scale_known=scale_known).value
+    found = likelihood(discrete, gain, record, scale_known=scale_known).value
+    return found if np.isfinite(found) else -np.inf
 
 
 def _strongest(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -136,6 +140,8 @@ def _climb(value: Callable[[FloatArray], float], strongest: FloatArray, toleranc
         return -value(process(exponents))
 
     start = np.full(count, together)
+    if not np.isfinite(cost(start)):
+        return -np.inf, process(start)  # a simplex finds no way down where nothing is finite
     tolerances = {"xatol": 0.1 * tolerance, "fatol": 0.1 * tolerance**2, "maxfev": 60 * count}
     result = minimize(cost, start, method="Nelder-Mead", options=tolerances)  # type: ignore[call-overload]
     return float(-result.fun), process(np.asarray(result.x))

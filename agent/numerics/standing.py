@@ -162,9 +162,10 @@ class Standing:
         range_ = self._since[1] - self._since[0]
         share = FURTHER / np.sqrt(np.maximum(self._steps, 1e-9))
         by_range = (share[:, None] <= WIDE) & (range_ >= share[:, None] * self._way)
-        by_trips = (self._trips >= TRIPS) & (self._steps[:, None] >= FEWEST)
-        # where nothing is known of a channel, those of its kind must have gone far in its own steps
-        far = np.where(self._alike, range_ >= APART * step[:, None], True)
-        never = (self._steps <= 1.01)[:, None] & (self._trips >= 2 * TRIPS) & far
+        often = self._trips >= TRIPS
+        by_trips = often & (self._steps[:, None] >= FEWEST)
+        # where nothing is known of a channel, one of its kind must have gone far in its steps; without, back and forth
+        counted = self._alike & (step > 0)[:, None]
+        never = (self._steps <= 1.01)[:, None] & np.where(counted, range_ >= APART * step[:, None], often)
         went = never | ((by_range | by_trips) & (self._way > 0))
         return np.asarray((went & self._others).any(axis=1))

@@ -44,13 +44,6 @@ class Verdict:
     channel: int
     odds: float
 
-    def names_as(self, earlier: "Verdict | None") -> bool:
-        """Tell whether a window apart from this one said that it may be the same channel.
-
-        What moves may look like the gain of a sensor in one window.
-        """
-        return earlier is not None and self.channel >= 0 and earlier.channel == self.channel
-
 
 @dataclass(frozen=True, slots=True)
 class Before:

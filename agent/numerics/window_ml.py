@@ -70,7 +70,7 @@ class WindowML:
         self._last_fit = self._steady_since = NEVER
         self._onset: int | None = None
         self._blamed: Verdict | None = None
-        self._agreed = False  # two windows blame the same sensor
+        self._named: dict[int, int] = {}  # channel -> the first window since the onset that blamed it
 
     @property
     def spikes(self) -> int:
@@ -95,7 +95,7 @@ class WindowML:
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt of the parameters stays."""
         self._segment = None
-        self._onset = self._blamed = None
+        self._forget_change()
         self._anchored = False
         self._lacking.forget()
         if self._moving is not None:
@@ -132,6 +132,11 @@ class WindowML:
         self._segment.trim(keep)
         self._lacking.trim(self._segment.first)
         return Rows.joined(pieces, q)
+
+    def _forget_change(self) -> None:
+        """Windows are like the past again."""
+        self._onset = self._blamed = None
+        self._named.clear()
 
     def _record(self) -> int:
         """Samples of the record on which unknown forces are searched."""
@@ -173,7 +178,7 @@ class WindowML:
             events = events if self._anchored else rows.full[position:]
             ahead = int(np.argmax(events)) if events.any() else count - position
             if ahead:
-                self._onset = self._blamed = None
+                self._forget_change()
             position += ahead
             if position == count:
                 break
@@ -238,7 +243,7 @@ class WindowML:
         pause = (window // 4) << self._failed if self._blamed is None else window << (self._heard - 1)
         due = index - self._last_fit >= pause
         if self._anchored and healthy:
-            self._onset = self._blamed = None
+            self._forget_change()
             if not self._searched and index - self._steady_since >= self._record():
                 return self._search(segment, rows, row)
             return wants and due and self._fit(segment, rows, row)
@@ -270,13 +275,17 @@ class WindowML:
             # a rig that was never understood is not changing where what it lacks is known
             lasting = since >= window or (not self.point.settled and bool(self._upkeep.accused))
             rows.changing[row], rows.mismatch[row] = not lasting, lasting
-        if self._blamed is not None and self._agreed:
+        if self._blamed is not None and self._agree(self._blamed.channel):
             blamed = Reason.SENSOR if self._blamed.changed == "sensor" else Reason.INSEPARABLE
             rows.suspect[row], rows.channel[row] = blamed, self._blamed.channel
             return
         looked = self._blamed is not None or index - self._upkeep.accused_at < window
         if since >= window and not looked and self._unsuspected():
             self._upkeep.accuse_in_distress(self.point, segment, self._lacking, rows, row)
+
+    def _agree(self, channel: int) -> bool:
+        """Tell whether windows apart blame a channel: what moves may look like the gain of its sensor in one."""
+        return self._last_fit - self._named[channel] >= self.settings.plan.window
 
     def _unsuspected(self) -> bool:
         """Tell whether nothing better is known than what a look at theta_r would say."""
@@ -324,8 +333,9 @@ class WindowML:
         beginning = np.where(np.isfinite(rows.theta[row]) & near, rows.theta[row], point.theta)
         fit = point.maximise(problem, beginning, afresh=afresh, near=near)
         verdict = None if near or not was_settled else self._hear(problem, fit)
-        self._agreed = verdict is not None and verdict.names_as(self._blamed)
         self._blamed = verdict if verdict is not None and verdict.channel >= 0 else None
+        if self._blamed is not None:
+            self._named.setdefault(self._blamed.channel, self._last_fit)
         # a sensor that stays at fault is heard ever more seldom; once it fits again that is seen at once
         self._heard = 0 if self._blamed is None else min(self._heard + 1, MOST_FAILED)
         dof = point.dof_of(self.settings.plan.window, 0 if problem.bridge is None else problem.bridge.free)

@@ -90,12 +90,6 @@ def test_court_names_no_sensor_that_explains_a_window_best_but_not_to_its_noise(
     assert (found.changed, found.channel) == ("unexplained", -1)
 
 
-@pytest.mark.parametrize(("first", "second", "agreed"), [(None, 1, False), (0, 1, False), (1, 1, True), (1, -1, False)])
-def test_verdict_names_a_channel_where_a_window_apart_does(first: int | None, second: int, agreed: bool) -> None:
-    earlier = None if first is None else Verdict("inseparable", first, 1.0)
-    assert Verdict("sensor" if second >= 0 else "unexplained", second, 20.0).names_as(earlier) is agreed
-
-
 def test_court_does_not_suspect_constants_that_are_estimated() -> None:
     own = SensedModel(rig(), (Nuisance("x1.bias", "bias", "output", 0), Nuisance("x1.gain", "gain", "output", 0)))
     channels = [channel for channel, _ in Court(own, 2, 1, PERIOD, "first")._sensed]

@@ -57,6 +57,16 @@ def test_court_names_the_channel_whose_gain_changed(channel: int, gain: float) -
     assert (found.changed, found.channel) == ("sensor", channel)
 
 
+@pytest.mark.parametrize("channel", range(3))
+@pytest.mark.parametrize("seed", range(2))
+def test_court_names_the_channel_that_was_turned_round(channel: int, seed: int) -> None:
+    v = noisy(np.random.default_rng(10 + seed), W, SIGMA).v
+    v[:, channel] *= -1.0
+    found = judged(v, NOMINAL * 1.1)
+    assert found is not None
+    assert (found.changed, found.channel) == ("sensor", channel)
+
+
 @pytest.mark.parametrize("channel", range(2))
 def test_court_names_the_channel_whose_offset_changed(channel: int) -> None:
     v = noisy(np.random.default_rng(channel + 5), W, SIGMA).v

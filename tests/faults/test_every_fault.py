@@ -107,7 +107,7 @@ def test_shadow_shows_the_wrong_bits_that_a_line_without_a_check_lets_through(tm
     assert int(found.judge.matched.spoilt.sum()) >= 3
 
 
-NOT_TOLD_FROM_OTHERS = {"sensor.drift", "sensor.saturated"}
+NOT_TOLD_FROM_OTHERS = {"sensor.drift"}
 """What bends the fit so slowly that which channel it was cannot be said in a second and a half."""
 
 

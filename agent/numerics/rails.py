@@ -41,6 +41,10 @@ class Rails:
         self._times = np.zeros((2, c), dtype=np.int64)
         self._there, self._since = np.zeros((2, c)), np.zeros((2, c))  # readings at the rail, and all since it is one
 
+    def known(self) -> bool:
+        """Tell whether some channel was stopped twice at one value."""
+        return bool((self._times > 1).any())
+
     def pass_by(self, low: FloatArray, high: FloatArray, samples: int) -> None:
         """Take samples between low and high (c,); a rail that they go beyond is none."""
         self._since += samples
@@ -62,6 +66,8 @@ class Rails:
         """
         found = False
         for top in tops(x, grain):
+            if self._inputs[channel] and abs(top.value) <= 0.5 * grain:
+                continue  # a force at rest
             known = self._value[top.side, channel] == top.value
             if not known:
                 self._value[top.side, channel], self._times[top.side, channel] = top.value, 0
@@ -71,6 +77,10 @@ class Rails:
             extreme = abs(top.value - ends[top.side]) <= 0.5 * grain and not self._inputs[channel]
             found |= (again or extreme) and not self.rests(channel, top.value, grain)
         for side in (0, 1):
+            rail = float(self._value[side, channel])
+            # where the end is known, it need not be run into
+            if self._times[side, channel] > 1 and not self.rests(channel, rail, grain):
+                found |= any(stop - start >= PLATEAU for start, stop in runs(np.asarray(x == rail)))
             self._there[side, channel] += int(np.sum(x[ENTRY:] == self._value[side, channel]))
         return found
 

@@ -111,7 +111,7 @@ class SensorWatch:
 
     def _quiet_until(self, doubtful: BoolArray, b: int) -> int:
         """Return the next block that must be looked at."""
-        if self._standing.still.any() or any(self._kinds):
+        if self._standing.still.any() or any(self._kinds) or self._rails.known():
             return b
         ahead = doubtful[b:]
         return b + int(np.argmax(ahead)) if ahead.any() else len(doubtful)
@@ -190,7 +190,8 @@ class SensorWatch:
         clipped = np.zeros(len(self._stated), dtype=bool)
         reach = 0.5 * blocks.step[b]
         extreme = (blocks.high[b] >= self._high - reach) | (blocks.low[b] <= self._low + reach)
-        for channel in np.flatnonzero((blocks.equal[b] & extreme) | blocks.rail[b]).tolist():
+        known = blocks.equal[b] & self._rails.known()
+        for channel in np.flatnonzero((blocks.equal[b] & extreme) | blocks.rail[b] | known).tolist():
             at = self._context + b * self.block
             x = self._pending[max(0, at - RAIL_ENTRY) : at + self.block, channel]
             x = np.concatenate([np.full(RAIL_ENTRY + self.block - len(x), np.nan), x])

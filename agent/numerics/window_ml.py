@@ -261,6 +261,8 @@ class WindowML:
     def _is_free(self, segment: Segment, rows: Rows, row: int, *, due: bool) -> bool:
         """Tell whether a window after the onset of a change may be fitted: it holds none of what was before."""
         plan, since = self.settings.plan, int(rows.index[row]) - (self._onset or 0)
+        if self._blamed is not None and not due:
+            return False  # the next hearing is of a window apart
         # the window that begins after the onset is free of it for certain, one before that may be
         if self._anchored and since >= plan.window - plan.hop and (due or since < plan.window):
             return True

@@ -20,7 +20,7 @@ RESTART, GAP = "restart", "gap"
 
 _ORDERED = frozenset({"duplicate", "backwards", "missing value", "not finite", "too large", "spike"})
 """Reasons of whoever orders and judges samples: a broken frame explains them, not the other way round."""
-_NOT_ITS_OWN = frozenset({"unpaired", *(reason.name.lower() for reason in Reason)})
+_NOT_ITS_OWN = frozenset({"unpaired", "failure", *(reason.name.lower() for reason in Reason)})
 """Another source's fault, or a channel's, which has an alarm of its own."""
 
 

@@ -40,6 +40,11 @@ class Tally:
         if count:
             self.rejected[reason] += count
 
+    def lose(self, reason: str) -> None:
+        """Refuse the samples of the rows that are not through: they will not come out."""
+        self.refuse(reason, self.waiting)
+        self._rows, self._weight = self._rows[:0], self._weight[:0]
+
     def arrive(self, samples: Samples) -> None:
         """Note rows that came out of the quality block."""
         last = int(np.searchsorted(self._rows, samples.index[-1], side="right"))

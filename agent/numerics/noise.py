@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 EVIDENCE = 12.0
 """Gain in log likelihood that an unknown force must bring for each mass that it is assumed on."""
 _QUIETEST = -8.0  # decades of force noise below the strongest that is tried
+_UNLIKELY = 1e300
+"""What stands for an infinite cost, since the simplex subtracts costs."""
 _SCAN = (-6.5, -5.0, -3.5, -2.0, -0.5)
 
 
@@ -137,7 +139,7 @@ def _climb(value: Callable[[FloatArray], float], strongest: FloatArray, toleranc
     together = max(_SCAN, key=lambda exponent: value(process(np.full(count, exponent))))
 
     def cost(exponents: FloatArray) -> float:
-        return -value(process(exponents))
+        return min(-value(process(exponents)), _UNLIKELY)
 
     start = np.full(count, together)
     if not np.isfinite(cost(start)):

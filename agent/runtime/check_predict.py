@@ -9,6 +9,7 @@ import numpy as np
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, output_noise
 from agent.config import RigConfig
+from agent.numerics.guarded import GREATEST
 from agent.numerics.information import bound_sd, window_information
 from agent.numerics.sensors import with_constant
 from agent.numerics.statespace import Discrete, discretise, simulate
@@ -17,6 +18,8 @@ from agent.types import FloatArray
 
 FORCE_RMS = 1.0
 """N (or the input's own unit): what is assumed where no recording says how the rig is excited."""
+MOST_GROWN = 1e12
+"""A model whose motion grows so many times within a window is no prediction's business."""
 DECAY_FROM = 0.01
 """m (or the state's own unit): where a rig without a measured force is let go."""
 GUESSED_NOISE = 1e-3
@@ -94,6 +97,13 @@ def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int)
     rng = np.random.default_rng(0)
     settle = _settling(discrete, longest)
     count = settle + longest + min(8 * longest, SPAN_MOST)
+    if _growth(discrete, count) > GREATEST:
+        # of a model that leaves the numbers its first window is all there is, if that
+        settle, count = 0, longest
+    if _growth(discrete, count) > MOST_GROWN:
+        nothing = np.zeros((0, discrete.model.m))
+        words = "nothing: the model grows beyond all that is measured within a window"
+        return Excitation(nothing, lambda _: [], lambda *_: nothing[0], np.ones(discrete.model.p), words)
     u = FORCE_RMS * rng.standard_normal((count, len(config.inputs)))
     u = _completed(config, discrete, np.zeros(discrete.model.n), u)
     x, y = simulate(discrete, np.zeros(discrete.model.n), u)
@@ -103,6 +113,12 @@ def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int)
         u, lambda window: _spread(settle, count - window, window), lambda start, _: x[start], _rms(y[settle:]),
         f"white {kind} of {inputs}",
     )  # fmt: skip
+
+
+def _growth(discrete: Discrete, count: int) -> float:
+    """Return how many times as large so many samples make a motion of an unstable model; 1 of others."""
+    radius = float(np.abs(np.linalg.eigvals(discrete.model.A)).max(initial=0.0))
+    return float(10.0 ** min(count * np.log10(max(radius, 1.0)), 300.0))
 
 
 def _decay(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:

@@ -59,27 +59,29 @@ class Pipeline:
     ) -> None:
         self.config = config
         channels = [*config.inputs, *config.outputs]
-        names = [channel.name for channel in channels]
         rig = config.rig
-        all_steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in channels])
-        steps = all_steps[len(config.inputs) :]
-        longest = longest_bridge(rig_model(config).model, rig.sample_rate_hz)
-        quantities = tuple(channel.quantity for channel in channels)
-        window = hop_plan(config).window
-        self.quality = Quality(
-            QualitySettings(tuple(names), len(config.inputs), all_steps, window, longest, quantities)
-        )
+        self._steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in channels])
+        steps = self._steps[len(config.inputs) :]
         # first, since it says in words what the others would stumble over
-        self.estimation: Estimation = make_estimation(config, steps, all_steps[: len(config.inputs)])
+        self.begin_numerics()
         self.acquisition: Acquisition | Alignment = make_acquisition(config, sources, steps)
         self.clocks = SourceClocks()
-        self.friction = dry_friction(config, steps)
         self.newest_ns = 0
         self._taken: list[tuple[IntArray, IntArray, FloatArray]] = []
         self._said: list[Record] = []
         self.watch: Callable[[Samples], None] | None = None
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(rig.name)
+
+    def begin_numerics(self) -> None:
+        """Make what judges and estimates, new: it knows of no sample."""
+        config, inputs = self.config, len(self.config.inputs)
+        channels = [*config.inputs, *config.outputs]
+        names, quantities = tuple(c.name for c in channels), tuple(c.quantity for c in channels)
+        longest, window = longest_bridge(rig_model(config).model, config.rig.sample_rate_hz), hop_plan(config).window
+        self.estimation: Estimation = make_estimation(config, self._steps[inputs:], self._steps[:inputs])
+        self.quality = Quality(QualitySettings(names, inputs, self._steps, window, longest, quantities))
+        self.friction = dry_friction(config, self._steps[inputs:])
 
     def adopt(self, calibrated: Calibrated | None) -> None:
         """Begin with what an earlier run learnt of the rig's disturbances, before the first sample."""
@@ -168,7 +170,7 @@ class Pipeline:
 
     def _health_of(self, name: str, conservation: Conservation, t_ns: int, lag_s: float | None) -> Health:
         state, driver = self.acquisition.sources[name], conservation.driver
-        used, _ = self._ends(name)
+        used, _ = self.ends(name)
         return Health(
             rig=self.config.rig.name, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
             used=used, rejected=dict(self.rejected(name, driver)),
@@ -178,9 +180,9 @@ class Pipeline:
 
     def rejected(self, name: str, driver: Counts) -> Counter[str]:
         """Return a source's samples that were refused by its driver, or after it, by reason."""
-        return driver.rejected + self.acquisition.sources[name].refusals() + self._ends(name)[1]
+        return driver.rejected + self.acquisition.sources[name].refusals() + self.ends(name)[1]
 
-    def _ends(self, name: str) -> tuple[int, Counter[str]]:
+    def ends(self, name: str) -> tuple[int, Counter[str]]:
         """How many of a source's samples were used or still wait, and those refused after it, by reason."""
         if isinstance(self.acquisition, Alignment):
             stream = self.acquisition.streams[name]

@@ -15,7 +15,8 @@ from agent.blocks.source_events import Signs, SourceEvents
 from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
-from agent.runtime.pipeline import Conservation, Pipeline
+from agent.runtime.isolation import IsolatedPipeline
+from agent.runtime.pipeline import Conservation
 from agent.runtime.recording.event_writer import EventWriter
 from agent.runtime.recording.events import EventKeeper
 from agent.runtime.recording.wiring import event_writer, recorder
@@ -49,7 +50,7 @@ class RigRuntime:
         self._episodes = SourceEvents()
         self.summary = RunSummary(config)
         maps = {source.name: source.map for source in config.source}
-        self.pipeline = Pipeline(config, wire_steps(config), maps)
+        self.pipeline = IsolatedPipeline(config, wire_steps(config), maps)
         self._labels = SampleLabels(config.rig.sample_rate_hz)
         self._publish = publish
         self.events: EventKeeper | None = None
@@ -64,7 +65,9 @@ class RigRuntime:
         self.pipeline.sensor_alarms.restore(
             [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
         )
-        self._lost |= {row.parameter: True for row in standing if row.kind == "source" and row.cleared_ns is None}
+        lost = [row.parameter for row in standing if row.kind == "source" and row.cleared_ns is None]
+        self.pipeline.restore_failure(lost)
+        self._lost |= dict.fromkeys(lost, True)
 
     def take(self, use: Use, arrival: Arrival) -> None:
         """Take one block of one of the rig's sources; `compute` makes estimates of it."""

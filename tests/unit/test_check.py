@@ -211,3 +211,14 @@ def test_replay_of_a_rig_without_alarms_or_sources_works_as_check_promised(tmp_p
     assert warned(document, "source") == ["there is none"]
     replay(config=path, recordings=[recording(tmp_path, samples=400)], db=tmp_path / "plain.db")
     assert rows(tmp_path / "plain.db", "SELECT count(*) FROM v_estimates") == [(4 * 8,)]
+
+
+def test_check_model_that_grows_beyond_all_measure_is_warned_of_without_a_word_of_numpy(tmp_path: Path) -> None:
+    text = (EXAMPLES / "coupled_tanks.toml").read_text(encoding="utf-8")
+    stable = re.search(r"(?m)^A = .*$", text)
+    assert stable is not None
+    path = tmp_path / "unstable.toml"
+    path.write_text(text.replace(stable.group(), "A = [[0.08, 0.08], [0.05, 0.075]]"), encoding="utf-8")
+    document = checked(path)
+    assert any("unstable" in message for message in warned(document, "model"))
+    assert all(np.isnan(row["sd"]) and "grows" in row["assumes"] for row in document["predicted_sd"])

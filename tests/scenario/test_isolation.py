@@ -1,0 +1,127 @@
+"""A fault in one rig's numerics is told and counted, and neither ends the agent nor touches another rig."""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.config import load
+from agent.runtime.isolation import PAUSE_NS
+from agent.runtime.service import RigRuntime, Service
+from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Record
+from drivers.port import FloatArray, SampleBlock
+from tests.scenario.live import example, free_port, rows
+from tests.scenario.test_service import renamed
+from tests.unit.numerics.rigs import noisy
+
+SECONDS, FAULT_AT = 5, 1500
+PIECE = 50
+
+
+class Broken:
+    """An estimator that raises from a sample on, once or at every call; otherwise as the one it stands for."""
+
+    def __init__(self, real: Any) -> None:
+        self._real = real
+
+    def step(self, index: int, y: FloatArray, *more: Any) -> Any:
+        """Estimate, until the sample is reached."""
+        if index + len(y) > FAULT_AT:
+            raise np.linalg.LinAlgError("planted: the SVD did not converge")
+        return self._real.step(index, y, *more)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+
+def blocks(seconds: int = SECONDS) -> Iterator[SampleBlock]:
+    """The healthy rig's samples as a bus delivers them: 50 at a time, each block received when its last was taken."""
+    v = noisy(np.random.default_rng([4, 44]), 1000 * seconds, 1e-6).v[:, [2, 0, 1]]
+    for start in range(0, len(v), PIECE):
+        counter = np.arange(start, start + PIECE, dtype=np.int64)
+        yield SampleBlock(v[start : start + PIECE], (start + PIECE) * 1_000_000, counter, wall_offset_ns=0)
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Iterator[tuple[Service, Path]]:
+    """A service of two rigs that nothing is connected to."""
+    text, db = example("modbus", tmp_path).read_text(), tmp_path / "both.db"
+    configs = []
+    for name in ("left", "right"):
+        (tmp_path / f"{name}.toml").write_text(renamed(text, name, free_port()), encoding="utf-8")
+        configs.append(load(tmp_path / f"{name}.toml"))
+    service = Service(configs, db, "live")
+    for writer in service.writers.values():
+        writer.start()
+    yield service, db
+    for writer in service.writers.values():
+        writer.stop()
+
+
+def play(service: Service) -> None:
+    """Give both rigs the same samples and let the service compute after each block."""
+    for block in blocks():
+        for connection in service.connections:
+            connection._driver.counts.received += len(block)
+            connection._driver.counter_modulus = 2**32
+            connection._put(block)
+        service.process()
+
+
+def test_fault_in_one_rig_leaves_the_other_rig_its_rows_and_starts_that_rig_anew(
+    pair: tuple[Service, Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    service, db = pair
+    estimation = service.rigs["left"].pipeline.estimation
+    estimation.estimator = Broken(estimation.estimator)
+    with caplog.at_level(logging.WARNING):
+        play(service)
+        for rig in service.rigs.values():
+            rig.finish()
+        service._ledgers()
+    for writer in service.writers.values():
+        writer.stop()
+    found = {run["rig"]: run for run in (rig.summary.document(1.0) for rig in service.rigs.values())}
+    for run in found.values():
+        samples = run["samples"]
+        assert samples["received"] == 1000 * SECONDS == samples["used"] + sum(samples["rejected"].values())
+    assert found["right"]["samples"]["rejected"] == {}
+    lost = found["left"]["samples"]["rejected"]["failure"]
+    assert 0 < lost <= PAUSE_NS[0] / 1e6 + 4 * PIECE
+    assert [alarm["state"] for alarm in found["left"]["alarms"]] == ["RTNUN"]
+    assert found["left"]["estimates"]["k1"]["status"] == "valid"
+    assert found["right"]["estimates"]["k1"]["n_valid"] > found["left"]["estimates"]["k1"]["n_valid"] > 0
+    ((message,),) = rows(db, "SELECT message FROM v_alarms WHERE kind = 'source' AND parameter = 'estimation'")
+    assert "LinAlgError: planted: the SVD did not converge" in message
+    # the traceback is in the log, which shows it where it is set to debug
+    (record,) = [r for r in caplog.records if r.exc_info]
+    assert record.name == "agent.runtime.isolation"
+
+
+def test_fault_that_comes_back_is_tried_less_and_less_often_and_every_sample_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[Record] = []
+    rig = RigRuntime(load(example("modbus", tmp_path)), published.extend)
+
+    def broken(*_: Any) -> None:
+        raise ValueError("planted")
+
+    monkeypatch.setattr("agent.blocks.estimation.Estimation.step", broken)
+    received = 0
+    for block in blocks(12):
+        received += len(block)
+        rig.pipeline.take("modbus", block, 2**32, None)
+        published += rig.pipeline.compute()
+    events = [record for record in published if isinstance(record, HealthEvent)]
+    assert [record.cause for record in events] == ["failure"] * 4
+    alarms = [record for record in published if isinstance(record, AlarmTransition)]
+    assert [(record.kind, record.parameter, record.to_state) for record in alarms] == [
+        ("source", "estimation", "UNACK")
+    ]
+    assert not any(isinstance(record, EstimateBatch | Health) for record in published)
+    used, rejected = rig.pipeline.ends("modbus")
+    assert used + rejected.total() == received

@@ -207,7 +207,7 @@ class Service:
         return found
 
     def stop(self) -> None:
-        """Ask `run` to return; safe from a signal handler."""
+        """Ask `run` to return; from another thread than `run`'s."""
         self._stop.set()
         self._wake.set()
 
@@ -314,8 +314,10 @@ def _need_sources(rigs: Sequence[RigConfig]) -> None:
 
 
 def _stopper(service: Service) -> Callable[[int, FrameType | None], None]:
+    """Return a signal handler. It interrupts the thread that may hold the very lock that stopping takes."""
+
     def stop(_number: int, _frame: FrameType | None) -> None:
-        service.stop()
+        threading.Thread(target=service.stop, name="stop", daemon=True).start()
 
     return stop
 

@@ -1,6 +1,8 @@
 """What is computed at once changes no row; how often a bus is read and how often a round of computing begins."""
 
 import re
+import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import pytest
 
 from agent.config import RigConfig, driver_class, load
 from agent.runtime.pipeline import Pipeline
-from agent.runtime.service import ROUND_S, _rest_s
+from agent.runtime.service import ROUND_S, Service, _rest_s, _stopper
 from agent.types import EstimateBatch, FloatArray, Record
 from drivers.port import Driver, SampleBlock, SourceRequest
 from sim_bus.bench import PlayedBench
@@ -67,6 +69,16 @@ def test_rounds_rest_three_times_as_long_as_they_take_where_none_waits_too_long_
     assert _rest_s(0.03) == pytest.approx(0.09)
     assert _rest_s(0.1) == pytest.approx(most - 0.1)
     assert _rest_s(0.4) == 0.0
+
+
+def test_signal_amid_a_wait_does_not_wait_for_the_lock_that_the_wait_holds(tmp_path: Path) -> None:
+    service = Service([load(example("modbus", tmp_path))], tmp_path / "rig.db", "live")
+    handler = threading.Thread(target=_stopper(service), args=(signal.SIGTERM, None))
+    with service._wake._cond, service._stop._cond:
+        handler.start()
+        handler.join(5.0)
+        assert not handler.is_alive()
+    assert service._stop.wait(5.0)
 
 
 def read_in_played_time(config: RigConfig, bench: PlayedBench) -> tuple[Driver, list[SampleBlock]]:

@@ -12,7 +12,8 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
 from agent.config import RigConfig, load
@@ -27,22 +28,35 @@ GRACE_S = 20.0
 
 
 def demo(*, bus: str, scenario: str | None, fast: bool, db: Path | None) -> dict[str, Any]:
-    """Run the demo; return the document of CONTRACT section 8. Without db nothing is kept.
+    """Run the demo; return the document of CONTRACT section 8. Without db the database is left in a folder of its own.
 
     Raises what the process says that fails, by its exit code: UsageError, StoreError, else BusError.
     """
     name = scenario or ("random" if "DELTAK_SEED" in os.environ else "default")
-    with TemporaryDirectory(prefix="deltak-demo-", ignore_cleanup_errors=True) as folder:
+    with TemporaryDirectory(prefix="deltak-demo-", ignore_cleanup_errors=True) as folder, _database(db) as database:
         made = write_config(bus, FINE if name == "paper" else COARSE, Path(folder), fast=fast)
         sys.stderr.write(f"bus: {made.words}\n")
-        document = _played(made.config, name, db, fast=fast)
-    return document | {"bus": made.words, "scenario": name, "db": None if db is None else str(db.absolute())}
+        document = _played(made.config, name, database, fast=fast)
+    return document | {"bus": made.words, "scenario": name, "db": str(database)}
 
 
-def _played(made: Path, scenario: str, db: Path | None, *, fast: bool) -> dict[str, Any]:
-    """Play a scenario to the agent and compare; the database and the truth lie beside the configuration."""
+@contextmanager
+def _database(db: Path | None) -> Iterator[Path]:
+    """Give the file to write: where none is named one in a new folder, gone again where the demo fails."""
+    if db is not None:
+        yield db.absolute()
+        return
+    folder = Path(mkdtemp(prefix="deltak-"))
+    try:
+        yield folder / "demo.db"
+    except BaseException:
+        rmtree(folder)
+        raise
+
+
+def _played(made: Path, scenario: str, database: Path, *, fast: bool) -> dict[str, Any]:
+    """Play a scenario to the agent and compare; the truth lies beside the configuration."""
     config = load(made)
-    database = (db or made.with_name("demo.db")).absolute()
     truth_file = made.with_name("truth.npz")
     with ExitStack() as stack:
         device = stack.enter_context(_process(_sim(made, scenario, truth_file, fast=fast), wait_for="ready"))

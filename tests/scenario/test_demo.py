@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from agent.storage import queries
 from tests import peers
 from tests.scenario.live import LIMIT_S, agent, example, hops, rows, wait_until
 from tests.scenario.offline import SECOND, bounds, called_for, play
@@ -113,8 +114,12 @@ def test_demo_paper_scenario_finds_every_parameter_to_a_ten_thousandth(tmp_path:
 
 
 @pytest.mark.parametrize("seed", [7, 21])
-def test_demo_random_schedule_passes(seed: int) -> None:
+def test_demo_random_schedule_passes(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     document = demo("--fast", seed=seed)
+    # without --db the database is there to be asked, and nothing else is left
+    assert [path for path in tmp_path.rglob("*.*") if not path.name.startswith("demo.db")] == []
+    assert len(queries.estimates(Path(document["db"]))) == 4 * ROWS
     assert (document["scenario"], document["samples"]["received"]) == ("random", 3000)
     assert_nothing_lost(document)
     for where, cell in cells(document):

@@ -46,12 +46,14 @@ class PlayedBench:
         if self._file.slow_or_fast:
             names = ", ".join(self._file.slow_or_fast)
             raise SimUsageError(f"source {names}: rate_hz: only devices of the rig's rate can be scored; play it (sim)")
-        check(scenario, [source.driver for source in self._file.source])
+        check(scenario, self._file.drivers)
         rate = self._file.rig.sample_rate_hz
         self._rig = Rig(self._file, scenario)
         self._truth = TruthRecorder(self._rig, rate)
         self._tape = Tape(self._rig, self._truth.keep)
         self.total = round(scenario.duration_s * rate)
+        if not self.total:
+            raise SimUsageError(f"duration_s: {scenario.duration_s:g} s are less than a sample of {1.0 / rate:g} s")
         self._times = {name: PlayedTime() for name in self.sources}
         self._lines: dict[str, Line] = {}
         self._own: dict[int, OwnTape] = {}

@@ -63,6 +63,11 @@ class PlayClock:
         if begin:
             self._begin()
 
+    def unmet(self) -> tuple[str, ...]:
+        """Return the sources that the start still waits for."""
+        with self._lock:
+            return tuple(sorted(self._waiting)) if self._by_reader else ()
+
     def _begin(self) -> None:
         with self._lock:
             if not self.started.is_set():

@@ -4,7 +4,8 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,23 +17,29 @@ if TYPE_CHECKING:
 
 LINGER_S = 1.0
 """With --duration the devices stay readable this long after the last sample."""
+ALONE_S = 5.0
+"""After so long without a reader the command says what it waits for."""
+_TICK_S = 0.05
 
 
-def _list_faults(wanted: bool) -> None:
-    if not wanted:
-        return
+def _list_faults(*, as_json: bool) -> None:
     from sim_bus.fault_names import KNOWN
 
-    for driver, faults in KNOWN.items():
-        for name, kind in faults.items():
-            seen = f"; the agent tells: {kind.cause}" if kind.cause else ""
-            lasts = f" ({kind.lasts_s:g} s)" if kind.lasts_s else ""
-            sys.stdout.write(f"{driver}.{name}: {kind.words}{lasts}{seen}\n")
-    raise typer.Exit
+    kinds = {f"{driver}.{name}": kind for driver, faults in KNOWN.items() for name, kind in faults.items()}
+    if as_json:
+        rows = [{"name": n, "words": k.words, "lasts_s": k.lasts_s, "cause": k.cause} for n, k in kinds.items()]
+        sys.stdout.write(json.dumps({"faults": rows}) + "\n")
+        return
+    for name, kind in kinds.items():
+        seen = f"; the agent tells: {kind.cause}" if kind.cause else ""
+        lasts = f" ({kind.lasts_s:g} s)" if kind.lasts_s else ""
+        sys.stdout.write(f"{name}: {kind.words}{lasts}{seen}\n")
 
 
 def sim(
-    config: Annotated[Path, typer.Argument(help="Configuration whose sources are played.", metavar="CONFIG")],
+    config: Annotated[
+        Path | None, typer.Argument(help="Configuration whose sources are played.", metavar="CONFIG")
+    ] = None,
     scenario: Annotated[
         str, typer.Option(help="Scenario file, or the name of one that comes along: steady, default, step ...")
     ] = "steady",
@@ -41,31 +48,42 @@ def sim(
     ] = None,
     duration: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Seconds to play, from the first reader on, then end.", metavar="S"),
+        typer.Option(min=0.0, max=1e9, help="Seconds to play, from the first reader on, then end.", metavar="S"),
     ] = None,
     fast: Annotated[bool, typer.Option("--fast", help="Play as fast as the readers read.")] = False,
     truth: Annotated[Path | None, typer.Option(help="Write what was played to this NPZ file at the end.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the ledger as JSON at the end.")] = False,
-    _list: Annotated[
-        bool,
-        typer.Option("--list-faults", is_eager=True, callback=_list_faults, help="Name every fault, then end."),
-    ] = False,
+    list_faults: Annotated[bool, typer.Option("--list-faults", help="Name every fault, then end.")] = False,
 ) -> None:
     """Play the devices of CONFIG's sources; prints `ready` when they can be read, ends with SIGTERM."""
-    from sim_bus.errors import SimError
+    from sim_bus.errors import SimError, SimUsageError
 
+    if list_faults:
+        _list_faults(as_json=as_json)
+        return
     signals: list[int] = []
     try:
+        if config is None:
+            raise SimUsageError("sim: missing argument 'CONFIG'; see deltak sim --help")
         player = _make(config, scenario, fault or [], duration, truth, fast=fast)
         ledger = _play(player, duration, signals)
     except SimError as error:
-        for line in error.lines:
-            sys.stderr.write(f"deltak: error: {line}\n")
+        _tell(error.lines, as_json=as_json)
         raise typer.Exit(error.exit_code) from error
     if as_json:
         sys.stdout.write(json.dumps(ledger) + "\n")
     if signal.SIGINT in signals:
         raise typer.Exit(128 + signal.SIGINT)
+
+
+def _tell(lines: Sequence[str], *, as_json: bool) -> None:
+    """Say what is wrong on stderr, a line each, and where JSON is asked for there as well."""
+    for line in lines:
+        sys.stderr.write(f"deltak: error: {line}\n")
+    if as_json:
+        parted = [(path, *rest.partition("; ")) for path, _, rest in (line.partition(": ") for line in lines)]
+        errors = [{"path": path, "message": message, "advice": advice} for path, message, _, advice in parted]
+        sys.stdout.write(json.dumps({"errors": errors}) + "\n")
 
 
 def _make(
@@ -77,7 +95,7 @@ def _make(
     from sim_bus.scenario import load_scenario
 
     rig = read_rig(config)
-    played = load_scenario(scenario, known=lambda: fitting(rig)).with_faults(faults)
+    played = load_scenario(scenario, known=lambda: fitting(rig)).with_faults(faults, duration)
     must_fit(rig, played, duration)
     return Player(rig, played, duration_s=duration, fast=fast, truth=truth)
 
@@ -87,8 +105,20 @@ def _play(player: "Player", duration: float | None, signals: list[int]) -> dict[
         player.start()
         sys.stdout.write("ready\n")
         sys.stdout.flush()
+        _wait_for_readers(player, stop)
         player.wait(stop, LINGER_S if duration else None)
         return player.finish()
+
+
+def _wait_for_readers(player: "Player", stop: threading.Event) -> None:
+    """Say, where nobody reads, that this is what the clock waits for."""
+    begun = time.monotonic()
+    while not player.clock.started.is_set() and time.monotonic() < begun + ALONE_S:
+        if stop.wait(_TICK_S):
+            return
+    waiting = player.clock.unmet()
+    if waiting:
+        sys.stderr.write(f"deltak: note: the clock starts when {', '.join(waiting)} is read; nobody reads it yet\n")
 
 
 @contextmanager

@@ -108,7 +108,8 @@ def read_column(path: Path, column: str) -> FloatArray:
             place = [name.strip() for name in lines.readline().split(",")].index(column)
             return np.loadtxt(lines, delimiter=",", usecols=place, ndmin=1)
     except (OSError, KeyError, ValueError) as error:
-        raise SimUsageError(f'{path}: column "{column}" cannot be read: {error}') from error
+        words = error.strerror if isinstance(error, OSError) else error
+        raise SimUsageError(f'{path}: column "{column}" cannot be read: {words}') from error
 
 
 class ForceStream:
@@ -141,6 +142,8 @@ class ForceStream:
             return _Blows(force, self._rate, rng)
         if force.kind == "recorded":
             column = read_column(folder / (force.file or ""), force.column or "")
+            if not len(column) or not np.isfinite(column).all():
+                raise SimUsageError(f'{folder / (force.file or "")}: column "{force.column}" has no numbers, or gaps')
             return lambda index: force.gain * column[index % len(column)]
         shape = _SHAPES[force.kind]
         return lambda index: shape(force, index / self._rate)

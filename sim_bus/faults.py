@@ -3,8 +3,9 @@
 A fault is called `<driver>.<name>`, e.g. serial.garbage; it strikes every source of that driver, or the one named.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -45,14 +46,34 @@ def strikes(scenario: Scenario, driver: str, source: str, sample_rate_hz: float)
     return tuple(_strike(fault, sample_rate_hz) for fault in mine)
 
 
-def check(scenario: Scenario, drivers: Sequence[str]) -> None:
-    """Raise SimUsageError for a fault that does not exist, or that no source can have."""
-    wrong = [fault.name for fault in scenario.fault if fault.name not in names()]
+def check(scenario: Scenario, drivers: Mapping[str, str]) -> None:
+    """Raise SimUsageError for a fault that does not exist, or that none of the sources (name: driver) can have."""
+    wrong = [text for fault in scenario.fault for text in _wrong(fault, drivers)]
     if wrong:
-        raise SimUsageError(f"--fault: no fault is called {', '.join(wrong)}; faults are {', '.join(names())}")
-    idle = [fault.name for fault in scenario.fault if _driver(fault) not in (*drivers, SENSOR)]
-    if idle:
-        raise SimUsageError(f"--fault: {', '.join(idle)}: the configuration has no source with such a driver")
+        raise SimUsageError(f"--fault: {text}" for text in wrong)
+
+
+def _wrong(fault: FaultAt, drivers: Mapping[str, str]) -> Iterator[str]:
+    driver = _driver(fault)
+    if fault.name not in names():
+        yield f'no fault is called "{fault.name}"; {_alike(fault.name, drivers)}'
+        return
+    there = ", ".join(f"{name} ({kind})" for name, kind in drivers.items())
+    if driver != SENSOR and driver not in drivers.values():
+        yield f"{fault.name}: no source has the driver {driver}; sources are {there}"
+    elif driver != SENSOR and fault.source is not None and drivers.get(fault.source) != driver:
+        yield f'{fault.name}: no {driver} source is called "{fault.source}"; sources are {there}'
+    if driver == SENSOR and fault.source is not None:
+        yield f"{fault.name}: strikes a channel, not a source; say which by channel"
+    if driver != SENSOR and fault.channel is not None:
+        yield f"{fault.name}: strikes a source, not a channel; say which by source"
+
+
+def _alike(name: str, drivers: Mapping[str, str]) -> str:
+    here = [known for known in names() if known.partition(".")[0] in (*drivers.values(), SENSOR)]
+    close = get_close_matches(name, here, 3) or get_close_matches(name, names(), 3)
+    like = f"did you mean {' or '.join(close)}? " if close else ""
+    return f"{like}deltak sim --list-faults names them all"
 
 
 def _driver(fault: FaultAt) -> str:

@@ -1,5 +1,6 @@
 """A rig being played: the tape, the clock and the devices of every source, from start to ledger."""
 
+import os
 import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 from sim_bus.clock import PlayClock
 from sim_bus.device import Bench, Device, Ledgered
+from sim_bus.errors import SimUsageError
 from sim_bus.factory import make_devices
 from sim_bus.faults import check
 from sim_bus.rigfile import RigFile
@@ -42,11 +44,12 @@ class Player:
         truth: Path | None = None,
         grain_s: float = 0.0,
     ) -> None:
-        check(scenario, [source.driver for source in rig_file.source])
+        seconds = scenario.duration_s if duration_s is None else duration_s
+        check(scenario, rig_file.drivers)
+        _check_writable(truth)
         self._scenario = scenario
         self._rig_file = rig_file
         rate = rig_file.rig.sample_rate_hz
-        seconds = scenario.duration_s if duration_s is None else duration_s
         self.rig = Rig(rig_file, scenario)
         self._truth_file = truth
         self._truth = TruthRecorder(self.rig, rate)
@@ -96,6 +99,16 @@ class Player:
         clock = self.clock
         started = {"started_monotonic_ns": clock.start_ns, "started_wall_ns": clock.start_wall_ns, "fast": clock.fast}
         return ledger_of(self._rig_file, self._scenario, self.rig, self.devices, played) | started
+
+
+def _check_writable(truth: Path | None) -> None:
+    """Raise SimUsageError before anything is played where the truth file could not be written in the end."""
+    if truth is None:
+        return
+    if truth.is_dir():
+        raise SimUsageError(f"--truth: {truth} is a folder; name a file")
+    if not os.access(truth.parent, os.W_OK):
+        raise SimUsageError(f"--truth: {truth.parent} is no folder that can be written to")
 
 
 def ledger_of(

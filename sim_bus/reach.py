@@ -46,7 +46,7 @@ def carried_by(rig: RigFile) -> Carried:
 
 def _fits(rig: RigFile, scenario: Scenario, carried: Carried) -> bool:
     try:
-        check(scenario, [source.driver for source in rig.source])
+        check(scenario, rig.drivers)
         return not _too_far(rig, scenario, carried, None)
     except SimUsageError:
         return False

@@ -1,6 +1,8 @@
 """What the simulator needs of a rig's configuration: model, channels, sources. Other keys are left to the agent."""
 
 import tomllib
+from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
 
@@ -169,6 +171,11 @@ class RigFile(_Part):
         return tuple(name for name, rate in rates.items() if rate != self.rig.sample_rate_hz)
 
     @property
+    def drivers(self) -> dict[str, str]:
+        """The sources' drivers, by the sources' names."""
+        return {name: source.driver for name, source in zip(self.source_names, self.source, strict=True)}
+
+    @property
     def source_names(self) -> tuple[str, ...]:
         """Names of the sources; an unnamed one is called after its driver, a second of a kind gets a number."""
         taken = {source.name for source in self.source if source.name}
@@ -192,7 +199,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise SimUsageError(f"{path}: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise SimUsageError(f"{path}: is no text in UTF-8 (byte {error.start})") from error
+    except tomllib.TOMLDecodeError as error:
         raise SimUsageError(f"{path}: {error}") from error
 
 
@@ -201,7 +210,15 @@ def checked(model: type[ModelType], content: Any, where: str) -> ModelType:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise SimUsageError([_line(where, fault["loc"], fault["msg"]) for fault in error.errors()]) from error
+        raise SimUsageError([_line(where, fault["loc"], _words(fault, model)) for fault in error.errors()]) from error
+
+
+def _words(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
+    if fault["type"] != "extra_forbidden":
+        return str(fault["msg"])
+    known = list(model.model_fields) if len(fault["loc"]) == 1 else []
+    close = get_close_matches(str(fault["loc"][-1]), known, 1)
+    return f'there is no such key; did you mean "{close[0]}"?' if close else "there is no such key"
 
 
 def _line(where: str, location: tuple[int | str, ...], message: str) -> str:

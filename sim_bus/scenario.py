@@ -117,9 +117,15 @@ class Scenario(BaseModel):
         struck = [fault for fault in self.fault if fault.sensor in _BROKEN]
         return [*self.sensor, *(_broken(fault, fault.channel or last) for fault in struck)]
 
-    def with_faults(self, texts: Sequence[str]) -> Self:
-        """Return the scenario with more faults, each as NAME@SECONDS or NAME@SECONDS+HOW_LONG."""
-        return self.model_copy(update={"fault": (*self.fault, *(_fault_of(text) for text in texts))})
+    def with_faults(self, texts: Sequence[str], duration_s: float | None = None) -> Self:
+        """Return the scenario with more faults, each as NAME[:TARGET]@SECONDS[+HOW_LONG], in the time that it lasts."""
+        more = [_fault_of(text) for text in texts]
+        end_s = self.duration_s if duration_s is None else duration_s
+        late = [fault for fault in more if end_s and fault.at_s >= end_s]
+        if late:
+            over = f"s all is over, after {end_s:g} s; let it come earlier or play longer"
+            raise SimUsageError(f"--fault: {fault.name}: at {fault.at_s:g} {over}" for fault in late)
+        return self.model_copy(update={"fault": (*self.fault, *more)})
 
     def fits(self, rig: RigFile) -> None:
         """Raise SimUsageError unless every name in the scenario is one of the rig's."""
@@ -131,15 +137,18 @@ class Scenario(BaseModel):
         wrong += [f"device.source: {d.source}" for d in self.device if d.source not in {None, *rig.source_names}]
         wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
-        wrong += [
-            f"change: {n} (a massless node stays massless)"
-            for change in self.changes
-            for n in change.names
-            if n in rig.model.graph.massless
-        ]
-        if wrong:
-            known = f"parameters are {', '.join(sorted(constants))}; channels are {', '.join(sorted(channels))}"
-            raise SimUsageError([f"scenario: {text}: the configuration has no such thing; {known}" for text in wrong])
+        known = f"parameters are {', '.join(sorted(constants))}; channels are {', '.join(sorted(channels))}"
+        lines = [f"{text}: the configuration has no such thing; {known}" for text in wrong] + self._impossible(rig)
+        if lines:
+            raise SimUsageError(f"scenario: {line}" for line in lines)
+
+    def _impossible(self, rig: RigFile) -> list[str]:
+        """Return in words which masses are to become what no mass can be."""
+        massless, masses = rig.model.graph.massless, {mass.name for mass in rig.model.mass}
+        goes = [(name, value) for c in self.changes for name, value in c.targets(rig.model.nominal).items()]
+        lines = [f"change: {name}: a massless node stays massless" for name, _ in goes if name in massless]
+        lighter = [(name, value) for name, value in goes if name in masses - massless and value <= 0.0]
+        return lines + [f"change: {name}: {value:g} kg: a mass stays above 0" for name, value in lighter]
 
 
 def built_in_names() -> tuple[str, ...]:
@@ -157,7 +166,7 @@ def scenario_path(name_or_file: str, known: Callable[[], Sequence[str]] = built_
         return Path(str(resources.files("sim_bus") / "scenarios" / f"{name_or_file}.toml"))
     if not Path(name_or_file).is_file():
         names = ", ".join(known())
-        raise SimUsageError(f'--scenario: "{name_or_file}" is neither a file nor one of {names}')
+        raise SimUsageError(f'scenario "{name_or_file}" is neither a file nor one of {names}')
     return Path(name_or_file)
 
 

@@ -31,10 +31,10 @@ class Change(BaseModel):
     every_s: float = Field(default=0.01, gt=0)
 
     def targets(self, nominal: Values) -> dict[str, float]:
-        """Return where each named parameter goes."""
-        goes = {name: nominal[name] + delta for name, delta in self.delta.items()}
+        """Return where each named parameter that there is goes."""
+        goes = {name: nominal[name] + delta for name, delta in self.delta.items() if name in nominal}
         goes |= self.value
-        return goes | {name: nominal[name] * (1.0 + percent / 100.0) for name, percent in self.percent.items()}
+        return goes | {n: nominal[n] * (1.0 + percent / 100.0) for n, percent in self.percent.items() if n in nominal}
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,7 +1,10 @@
 """Faults on real lines: what a reader meets, and that the ledger agrees with it to the sample."""
 
+import io
+import json
 import socket
 import struct
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +14,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from sim_bus import commands
 from sim_bus.commands import sim as sim_command
 from sim_bus.fault_names import names
+from sim_bus.player import Player
+from sim_bus.rigfile import read_rig
+from sim_bus.scenario import load_scenario
 from tests.sim.rigs import LIMIT_S, MODEL, RawModbus, free_port, refused, ring_config, simulator, until
 from tests.sim.test_serial_device import BINARY, opened, read
 from tests.sim.test_socketcand_device import daemon, played
@@ -147,8 +154,8 @@ def test_modbus_silent_device_does_not_answer(tmp_path: Path, connect: Connect) 
 def test_sim_unknown_fault_names_those_there_are(tmp_path: Path) -> None:
     sim = refused(tmp_path, ring_config(free_port()), "--fault", "modbus.melt@1")
     assert sim.code == 2
-    assert "no fault is called modbus.melt" in sim.err
-    assert "modbus.disconnect" in sim.err
+    assert 'no fault is called "modbus.melt"' in sim.err
+    assert "--list-faults" in sim.err
 
 
 def test_modbus_answers_that_are_wrong_are_so_while_the_fault_lasts(tmp_path: Path) -> None:
@@ -252,3 +259,82 @@ def test_modbus_black_hole_answers_nobody_and_lets_nobody_in(tmp_path: Path) -> 
 
         until(lambda: index() >= 500)
         assert sim.stop() == 0
+
+
+def test_sim_lists_every_fault_as_json_where_that_is_asked_for() -> None:
+    app = typer.Typer()
+    app.command()(sim_command)
+    result = CliRunner().invoke(app, ["--list-faults", "--json"])
+    listed = json.loads(result.stdout)["faults"]
+    assert [fault["name"] for fault in listed] == names()
+    assert listed[0] == {"name": "can.drop", "words": "the sample is not sent", "lasts_s": 0.0, "cause": "gap"}
+
+
+def test_sim_errors_are_a_json_document_where_that_is_asked_for(tmp_path: Path) -> None:
+    sim = refused(tmp_path, ring_config(free_port()), "--json", "--fault", "can.drop@1", "--fault", "modbus.silent:x@1")
+    assert sim.code == 2
+    errors = json.loads(sim.out)["errors"]
+    assert [error["path"] for error in errors] == ["--fault", "--fault"]
+    assert errors[1] == {
+        "path": "--fault",
+        "message": 'modbus.silent: no modbus source is called "x"',
+        "advice": "sources are plc (modbus)",
+    }
+    assert len(sim.err.splitlines()) == 2
+
+
+def test_sim_without_a_configuration_says_so() -> None:
+    app = typer.Typer()
+    app.command()(sim_command)
+    result = CliRunner().invoke(app, [])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "missing argument 'CONFIG'" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--duration", "inf"), "duration"),
+        (("--truth", "/no/such/folder/truth.npz"), "/no/such/folder is no folder that can be written to"),
+        (("--truth", "/tmp"), "/tmp is a folder"),
+        (("--scenario", "nowhere"), 'scenario "nowhere" is neither a file nor one of'),
+        (("--fault", "modbus.silent@8s", "--duration", "2"), "at 8 s all is over, after 2 s"),
+    ],
+)
+def test_sim_what_cannot_be_played_is_refused_before_anything_is(
+    options: tuple[str, ...], words: str, tmp_path: Path
+) -> None:
+    sim = refused(tmp_path, ring_config(free_port()), *options)
+    assert sim.code == 2
+    assert words in sim.err
+    assert "ready" not in sim.out
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("durations = 3", 'durations: there is no such key; did you mean "duration_s"?'),
+        ("[[change]]\nat_s = 1\nvalue = { m1 = -5.0 }", "change: m1: -5 kg: a mass stays above 0"),
+        ("[[change]]\nat_s = 1\ndelta = { k9 = 1.0 }", "change: k9: the configuration has no such thing"),
+        ('[[force]]\nkind = "recorded"\nfile = "empty.csv"\ncolumn = "a"', "has no numbers, or gaps"),
+        ('[[force]]\nkind = "recorded"\nfile = "no.csv"\ncolumn = "a"', "cannot be read: No such file"),
+        ("a = \udcff", "is no text in UTF-8 (byte 4)"),
+    ],
+)
+def test_sim_scenario_that_cannot_be_is_refused_in_words(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "empty.csv").write_text("t,a\n0,nan\n", encoding="utf-8")
+    scenario = tmp_path / "odd.toml"
+    scenario.write_bytes(text.encode("utf-8", "surrogateescape"))
+    sim = refused(tmp_path, ring_config(free_port()), "--scenario", str(scenario))
+    assert sim.code == 2
+    assert words in sim.err
+
+
+def test_sim_that_nobody_reads_says_what_it_waits_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commands, "ALONE_S", 0.1)
+    said = io.StringIO()
+    monkeypatch.setattr("sys.stderr", said)
+    (tmp_path / "rig.toml").write_text((MODEL + BINARY).format(rate=1000.0), encoding="utf-8")
+    player = Player(read_rig(tmp_path / "rig.toml"), load_scenario("steady"))
+    commands._wait_for_readers(player, threading.Event())
+    assert said.getvalue() == "deltak: note: the clock starts when line is read; nobody reads it yet\n"

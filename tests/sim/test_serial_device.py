@@ -32,7 +32,7 @@ byte_order = "little"
 fields = [
   {{ name = "n", type = "uint16" }},
   {{ name = "F", type = "int32", scale = 1e-6 }},
-  {{ name = "X1", type = "int32", scale = 1e-11 }},
+  {{ name = "X1", type = "int32", scale = 5e-11 }},
   {{ name = "X2", type = "float32" }},
 ]
 crc = "CRC-16/IBM-3740"
@@ -87,7 +87,7 @@ def test_binary_frames_checked_by_crccheck_are_the_truth(tmp_path: Path) -> None
         assert frame[:2] == b"\xaa\x55"
         assert int.from_bytes(frame[-2:], "little") == crccheck.crc.Crc16Ibm3740.calc(frame[2:-2])
         n, force, x1, x2 = struct.unpack("<Hiif", frame[2:-2])
-        assert (n, force, x1) == (k, 0, round(readings[k, 1] / 1e-11))
+        assert (n, force, x1) == (k, 0, round(readings[k, 1] / 5e-11))
         assert x2 == pytest.approx(readings[k, 2], rel=1e-7)
     assert not (tmp_path / "line").is_symlink()
 
@@ -105,7 +105,7 @@ def test_frames_with_ends_read_by_others_packages_are_the_truth(tmp_path: Path, 
     for k, coded in enumerate(frames):
         frame = cobs.decode(coded) if framing == "cobs" else sliplib.decode(coded)
         assert int.from_bytes(frame[-2:], "little") == crccheck.crc.Crc16Ibm3740.calc(frame[:-2])
-        assert struct.unpack_from("<Hii", frame) == (k, 0, round(readings[k, 1] / 1e-11))
+        assert struct.unpack_from("<Hii", frame) == (k, 0, round(readings[k, 1] / 5e-11))
 
 
 @pytest.mark.parametrize("checksum", ["none", "nmea"])

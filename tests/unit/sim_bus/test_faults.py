@@ -62,12 +62,49 @@ def test_with_faults_malformed_text_is_refused(text: str) -> None:
         Scenario().with_faults([text])
 
 
-@pytest.mark.parametrize(("name", "words"), [("serial.melt", "no fault is called"), ("can.drop", "no source")])
-def test_check_fault_that_cannot_be_is_refused(name: str, words: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("serial.melt@1", 'no fault is called "serial.melt"; .*--list-faults'),
+        ("serial.dorp@1", r"did you mean serial\.drop"),
+        ("can.drop@1", r"no source has the driver can; sources are line \(serial\), plc \(modbus\)"),
+        ("serial.drop:plc@1", 'no serial source is called "plc"'),
+        ("serial.drop:lime@1", 'no serial source is called "lime"'),
+    ],
+)
+def test_check_fault_that_cannot_be_is_refused(text: str, words: str) -> None:
     with pytest.raises(SimUsageError, match=words):
-        check(Scenario().with_faults([f"{name}@1"]), ["serial"])
+        check(Scenario().with_faults([text]), {"line": "serial", "plc": "modbus"})
+
+
+def test_with_faults_one_that_would_never_come_is_refused() -> None:
+    nine = Scenario(duration_s=9.0)
+    assert len(nine.with_faults(["serial.drop@8.9", "sensor.stuck@0"]).fault) == 2
+    assert len(nine.with_faults(["serial.drop@12"], 20.0).fault) == 1
+    assert len(nine.with_faults(["serial.drop@12"], 0.0).fault) == 1
+    with pytest.raises(SimUsageError, match="at 9 s all is over, after 9 s"):
+        nine.with_faults(["serial.drop@9", "serial.drop@1"])
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ({"name": "sensor.stuck", "source": "line"}, "strikes a channel, not a source"),
+        ({"name": "serial.drop", "channel": "x1"}, "strikes a source, not a channel"),
+    ],
+)
+def test_check_fault_of_the_wrong_thing_is_refused(fault: dict[str, str], words: str) -> None:
+    scenario = Scenario.model_validate({"fault": [{"at_s": 1, **fault}]})
+    with pytest.raises(SimUsageError, match=words):
+        check(scenario, {"line": "serial"})
+
+
+def test_check_tells_of_every_fault_that_is_wrong() -> None:
+    with pytest.raises(SimUsageError) as caught:
+        check(Scenario().with_faults(["can.drop@1", "serial.melt@1", "serial.drop@1"]), {"line": "serial"})
+    assert len(caught.value.lines) == 2
 
 
 def test_check_every_known_fault_passes() -> None:
     for driver, faults in KNOWN.items():
-        check(Scenario().with_faults([f"{driver}.{name}@1" for name in faults]), [driver])
+        check(Scenario().with_faults([f"{driver}.{name}@1" for name in faults]), {"line": driver})

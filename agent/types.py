@@ -99,6 +99,8 @@ class EstimateBatch:
         window_s: (N, q) length of the window used.
         n_used, n_missing: (N,) samples in the window and samples known missing from it.
         dof: (N,) degrees of freedom of the residual variance (for Student's t).
+        others: where there are several windows, what each of them says at the same hops; NaN where it is not whole, or
+            where it is the one that was chosen.
     """
 
     rig: str
@@ -121,6 +123,7 @@ class EstimateBatch:
     n_used: IntArray
     n_missing: IntArray
     dof: FloatArray
+    others: tuple["EstimateBatch", ...] = ()
 
     def __len__(self) -> int:
         return len(self.t_ns)

@@ -1,6 +1,6 @@
 """State detection: samples in, estimates with status, interval and held values out."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -69,6 +69,7 @@ class Estimator(Protocol):
 class Labels:
     """What every row of a rig's estimates carries.
 
+    windows: where there are several, their lengths in samples.
     least (q,): what is reported of a parameter does not go below; its estimate does, so that noise does not bias it.
     """
 
@@ -85,6 +86,14 @@ class Labels:
     hop: int = 1
     channels: tuple[str, ...] = ()
     least: FloatArray | None = None
+    windows: tuple[int, ...] = ()
+
+
+def half_width(sd: FloatArray, dof: FloatArray) -> FloatArray:
+    """Return half the 95 % interval by Student's t; sd (N, q), dof (N,)."""
+    with np.errstate(invalid="ignore"):
+        different, which = np.unique(dof, return_inverse=True)
+        return np.asarray(stdtrit(different, 0.975)[which, None] * sd)
 
 
 @dataclass(slots=True)
@@ -142,7 +151,8 @@ class Estimation:
         """Return rows without estimates for samples that nothing can be made of."""
         plan = HopPlan(self.labels.window, self.labels.hop)
         first = int(samples.index[0])
-        rows = Rows.warming(plan.rows_between(first, first + len(samples.index)), len(self.labels.parameters))
+        due, windows = plan.rows_between(first, first + len(samples.index)), self.labels.windows
+        rows = Rows.warming(due, len(self.labels.parameters), len(windows) if len(windows) > 1 else 0)
         return self._batch(rows, samples) if len(rows.index) else None
 
     def _batch(self, rows: Rows, samples: Samples) -> EstimateBatch:
@@ -155,10 +165,7 @@ class Estimation:
         self._mark(status, reason, samples, rows.full & (missing > MOST * longest))
         self._note_blame(rows, status, t_ns)
         held, age = self._hold(value, status, t_ns)
-        with np.errstate(invalid="ignore"):
-            dof, which = np.unique(rows.dof, return_inverse=True)
-            half = stdtrit(dof, 0.975)[which, None] * sd
-        labels = self.labels
+        labels, half = self.labels, half_width(sd, rows.dof)
         # the truth is not beyond the bound, so a cut interval covers it as often as the whole one
         least = -np.inf if labels.least is None else labels.least
         lower, upper = np.maximum(value - half, least), np.maximum(value + half, least)
@@ -166,12 +173,33 @@ class Estimation:
         begun = np.minimum(rows.index - self._first + 1, labels.window) if samples.usable else np.zeros_like(longest)
         used = np.where(rows.full, longest, begun)
         window_s = np.where(rows.window > 0, rows.window / labels.rate_hz, labels.window_s)
-        return EstimateBatch(
+        batch = EstimateBatch(
             rig=labels.rig, method=labels.method, parameters=labels.parameters, units=labels.units,
             reference=labels.reference, baseline_id=labels.baseline_id, index=rows.index, t_ns=t_ns,
             value=value, sd=sd, lower=lower, upper=upper, status=status, reason=reason,
             held=held, held_age_s=age, window_s=window_s,
             n_used=np.maximum(used.astype(np.int64) - missing, 0), n_missing=missing, dof=rows.dof,
+        )  # fmt: skip
+        return replace(batch, others=tuple(self._other(batch, rows, n) for n in range(rows.each_dof.shape[1])))
+
+    def _other(self, batch: EstimateBatch, rows: Rows, number: int) -> EstimateBatch:
+        """Return what one of several windows says where it is not the one chosen."""
+        labels, window = self.labels, self.labels.windows[number]
+        sd, dof, least = rows.each_sd[:, number], rows.each_dof[:, number], labels.least
+        told = np.isfinite(sd) & (rows.window != window)
+        value, sd = np.where(told, rows.each_theta[:, number], np.nan), np.where(told, sd, np.nan)
+        half, bound = half_width(sd, dof), -np.inf if least is None else least
+        status = np.where(sd > labels.enough_sd, int(Status.UNEXCITED), int(Status.VALID)).astype(np.uint8)
+        reason = np.zeros_like(batch.reason)
+        wrong = ~rows.each_fits[:, number]
+        status[wrong], reason[wrong] = Status.INVALID, Reason.CHANGING
+        known = batch.status == Status.INVALID
+        status, reason = np.where(known, batch.status, status), np.where(known, batch.reason, reason)
+        missing, none = self._lacking.count(rows.index, np.full(len(rows.index), window)), np.full_like(value, np.nan)
+        return replace(
+            batch, value=np.maximum(value, bound), sd=sd, lower=np.maximum(value - half, bound),
+            upper=np.maximum(value + half, bound), status=status, reason=reason, held=none, held_age_s=none,
+            window_s=np.full_like(value, window / labels.rate_hz), n_used=window - missing, n_missing=missing, dof=dof,
         )  # fmt: skip
 
     def take_events(self) -> list[SensorEvent]:

@@ -58,6 +58,22 @@ def gate(dof: float, doubt: float, share: FloatArray | float = 1.0) -> FloatArra
     return np.asarray(((middle + np.sqrt(width * (2.0 * middle - width))) / (middle - width)) ** 3)
 
 
+def keep_each(
+    rows: Rows, widening: FloatArray, share: FloatArray, found: Sequence[Candidate], longer: Sequence[int], doubt: float
+) -> None:
+    """Note in rows what each window says, before one is chosen; longer names all further windows, samples.
+
+    Other arguments: see `choose`.
+    """
+    rows.each_theta[:, 0], rows.each_sd[:, 0], rows.each_dof[:, 0] = rows.theta, rows.sd, rows.dof
+    rows.each_fits[:, 0] = rows.full & ~rows.changing & ~rows.mismatch
+    for told in found:
+        place, new = 1 + list(longer).index(told.window), slice(len(rows.index) - len(told.ratio), None)
+        rows.each_theta[new, place], rows.each_sd[new, place] = told.theta, told.sd * widening[new]
+        rows.each_dof[new, place] = told.dof * share[new]
+        rows.each_fits[new, place] = told.ratio <= gate(told.dof, doubt, share[new])
+
+
 def choose(
     rows: Rows, widening: FloatArray, share: FloatArray, found: Sequence[Candidate], wanted_sd: FloatArray, doubt: float
 ) -> None:

@@ -25,6 +25,10 @@ class Rows:
         window: (N, q) length of the window that each estimate is of, samples; 0 while warming.
         channel: (N,) the channel (outputs, then inputs) whose sensor may be what changed; -1 where none is blamed.
         still: (N,) nothing moves in the window.
+        each_theta, each_sd: (N, L, q) what each of L windows says, shortest first, where there are several (else L is
+            0); NaN where a window is not whole.
+        each_dof: (N, L) their degrees of freedom.
+        each_fits: (N, L) the window is undisturbed.
     """
 
     index: IntArray
@@ -39,17 +43,22 @@ class Rows:
     window: IntArray
     channel: IntArray
     still: BoolArray
+    each_theta: FloatArray
+    each_sd: FloatArray
+    each_dof: FloatArray
+    each_fits: BoolArray
 
     @classmethod
-    def warming(cls, index: IntArray, q: int) -> "Rows":
-        """Return rows without estimates."""
+    def warming(cls, index: IntArray, q: int, windows: int = 0) -> "Rows":
+        """Return rows without estimates, with room for those of several windows."""
         count = len(index)
         nothing, no = np.full((count, q), np.nan), np.zeros(count, dtype=bool)
         unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
         window, channel = np.zeros((count, q), dtype=np.int64), np.full(count, -1, dtype=np.int64)
         return cls(
             index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, channel,
-            no.copy(),
+            no.copy(), np.full((count, windows, q), np.nan), np.full((count, windows, q), np.nan),
+            np.full((count, windows), np.nan), np.zeros((count, windows), dtype=bool),
         )  # fmt: skip
 
     @classmethod
@@ -57,7 +66,7 @@ class Rows:
         """Return rows one after the other."""
         if len(pieces) == 1:
             return pieces[0]
-        pieces = [cls.warming(np.zeros(0, np.int64), q), *pieces]
+        pieces = pieces or [cls.warming(np.zeros(0, np.int64), q)]
         return cls(*(np.concatenate([getattr(piece, f.name) for piece in pieces]) for f in fields(cls)))
 
     def part(self, stop: int) -> "Rows":

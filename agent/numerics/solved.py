@@ -35,7 +35,7 @@ class Solved:
 def solved(point: WorkingPoint, segment: Segment, index: IntArray, solution: WindowSolution | None) -> Solved:
     """Return rows at sample numbers index (N,); the newest of them have the solved windows, if there are any."""
     q = len(point.theta)
-    rows = Rows.warming(index, q)
+    rows = Rows.warming(index, q, point.settings.windows)
     information = np.zeros((len(index), q, q))
     if solution is None:
         return Solved(rows, information, [])

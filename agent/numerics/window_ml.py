@@ -8,7 +8,7 @@ moved by an iterated fit (`placing`), and when colour, suspects and unknown forc
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.choice import choose
+from agent.numerics.choice import choose, keep_each
 from agent.numerics.fit import Fit, Problem
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import MOST, Lacking
@@ -123,7 +123,7 @@ class WindowML:
         first_row = self._segment.first if self._segment.head is None else index
         due = plan.rows_between(index, min(first_row, index + len(v)))
         if len(due):
-            pieces.append(Rows.warming(due, q))
+            pieces.append(Rows.warming(due, q, self.settings.windows))
         self._segment.append(index, v)
         while self._segment.ready():
             pieces.append(self._advance(self._segment))
@@ -155,7 +155,9 @@ class WindowML:
         if found.candidates and self.settings.wanted_sd is not None:
             with np.errstate(invalid="ignore"):
                 widening = np.where(white_sd > 0, rows.sd / white_sd, 1.0)
-            choose(rows, widening, rows.dof / point.dof, found.candidates, self.settings.wanted_sd, point.doubt)
+            share, longer = rows.dof / point.dof, self.settings.longer
+            keep_each(rows, widening, share, found.candidates, longer, point.doubt)
+            choose(rows, widening, share, found.candidates, self.settings.wanted_sd, point.doubt)
         rows.still[:] = still(point, segment, rows)
         if moved_at is None:
             self._units = min(2 * self._units, max(UNITS_MAX, 2 * self.settings.plan.fulls))

@@ -58,3 +58,8 @@ class WindowSettings:
     input_sd: FloatArray | None = None
     drift: int | None = None
     masses: Masses | None = None
+
+    @property
+    def windows(self) -> int:
+        """How many windows there are to be told apart; 0 where there is but one."""
+        return 1 + len(self.longer) if self.longer else 0

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.rig_model import RigModel, rig_model, window_settings
+from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, rig_model, window_settings
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
 from agent.numerics.margins import condition_3, condition_8, worst_perturbation_norm
@@ -94,7 +94,8 @@ def _bytes(config: RigConfig, rig: RigModel) -> int:
     keep, store = config.store.keep, config.store
     retention = Retention(keep.full, keep.minute, keep.hour, store.max_mb * 1e6)
     sources = max(1, len(config.source))
-    return bytes_per_rig_year(len(rig.parameters), store.every_s, config.estimator.hop_s, retention, sources)
+    windows = 1 + len(longer_windows(config, hop_plan(config)))
+    return bytes_per_rig_year(len(rig.parameters), store.every_s, config.estimator.hop_s, retention, sources, windows)
 
 
 def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered: Gathered) -> dict[str, Any]:

@@ -53,6 +53,7 @@ def make_estimation(
         channels=tuple(c.name for c in (*config.outputs, *config.inputs)),
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,
+        windows=(settings.plan.window, *settings.longer) if config.estimator.method == "window-ml" else (),
     )
     return Estimation(_estimator(config, rig, settings), labels)
 

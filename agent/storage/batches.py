@@ -18,7 +18,7 @@ _PER_HOP = (
 def take(batch: EstimateBatch, rows: NDArray[Any]) -> EstimateBatch:
     """Return the rows that a mask or an index array names."""
     parts: dict[str, Any] = {name: getattr(batch, name)[rows] for name in _PER_HOP}
-    return replace(batch, **parts)
+    return replace(batch, **parts, others=tuple(take(other, rows) for other in batch.others))
 
 
 def join(batches: Sequence[EstimateBatch]) -> EstimateBatch:
@@ -26,13 +26,14 @@ def join(batches: Sequence[EstimateBatch]) -> EstimateBatch:
     if len(batches) == 1:
         return batches[0]
     parts: dict[str, Any] = {name: np.concatenate([getattr(b, name) for b in batches]) for name in _PER_HOP}
-    return replace(batches[0], **parts)
+    others = tuple(join(same) for same in zip(*(b.others for b in batches), strict=True))
+    return replace(batches[0], **parts, others=others)
 
 
 def header_of(batch: EstimateBatch) -> tuple[object, ...]:
     """Return what is the same for every row of a batch, as something that can be compared."""
-    plain = tuple(getattr(batch, f.name) for f in fields(batch) if f.name not in (*_PER_HOP, "reference"))
-    return (*plain, np.asarray(batch.reference, dtype=np.float64).tobytes())
+    plain = tuple(getattr(batch, f.name) for f in fields(batch) if f.name not in (*_PER_HOP, "reference", "others"))
+    return (*plain, len(batch.others), np.asarray(batch.reference, dtype=np.float64).tobytes())
 
 
 def joined_runs(batches: Sequence[EstimateBatch]) -> Iterator[EstimateBatch]:

@@ -21,17 +21,31 @@ def add_estimates(plan: Plan, batch: EstimateBatch, run_id: int, names: Names, n
     first = numbers.take("hops", len(batch))
     hops = np.arange(first, first + len(batch), dtype=np.int64)
     _add_hops(plan, hops, run_id, batch.t_ns.astype(np.int64))
+    _add_rows(plan, batch, hops, run_id, names, None)
+    room = (1 << COLUMN_BITS) // len(batch.parameters) - 1
+    for place, other in enumerate(batch.others[:room], 1):
+        _add_rows(plan, other, hops, run_id, names, place)
+
+
+def _add_rows(
+    plan: Plan, batch: EstimateBatch, hops: IntArray, run_id: int, names: Names, place: int | None
+) -> None:
+    """Add the estimates of the window that was chosen, or those that another one, its place known, has."""
     width = len(batch.parameters)
-    seq = ((hops << COLUMN_BITS)[:, None] + np.arange(width)).ravel()
+    first = width * (place or 0)
+    seq = ((hops << COLUMN_BITS)[:, None] + np.arange(first, first + width)).ravel()
     value, sd, lower, upper, held, age = (
         _finite(a) for a in (batch.value, batch.sd, batch.lower, batch.upper, batch.held, batch.held_age_s)
     )
     dof = np.minimum(batch.dof, _MANY)
     symmetric = _symmetric(value, sd, lower, upper, dof)
-    fits = _fits(batch, dof, symmetric, names)
+    fits = _fits(batch, dof, symmetric, names, chosen=place is None)
     numbered = (seq, _series(batch, run_id, names), fits, _verdicts(batch, value, sd, names))
     bare = (value, sd, np.where(symmetric, np.nan, lower), np.where(symmetric, np.nan, upper), held, age)
     columns = (*numbered, *(a.ravel() for a in bare))
+    if place is not None:
+        told = np.isfinite(value.ravel())
+        columns = tuple(column[told] for column in columns)
     plan.add("estimates", *zip(*(c.tolist() for c in (*columns, column_crc(*columns))), strict=True))
 
 
@@ -76,7 +90,9 @@ def _verdicts(batch: EstimateBatch, value: FloatArray, sd: FloatArray, names: Na
     return codes
 
 
-def _fits(batch: EstimateBatch, dof: FloatArray, symmetric: NDArray[np.bool_], names: Names) -> IntArray:
+def _fits(
+    batch: EstimateBatch, dof: FloatArray, symmetric: NDArray[np.bool_], names: Names, *, chosen: bool
+) -> IntArray:
     """Return (N q,) numbers of fits; looked up only where something changes from one hop to the next."""
     out = np.empty(batch.value.shape, dtype=np.int64)
     shared = (batch.n_used, batch.n_missing, dof)
@@ -84,12 +100,12 @@ def _fits(batch: EstimateBatch, dof: FloatArray, symmetric: NDArray[np.bool_], n
         keys = np.column_stack((batch.window_s[:, column], *shared, symmetric[:, column])).astype(np.float64)
         keys = np.where(np.isnan(keys), -1.0, keys)
         starts = np.flatnonzero(np.r_[True, (keys[1:] != keys[:-1]).any(axis=1)])
-        ids = [names.fit(_fit_key(keys[start].tolist())) for start in starts]
+        ids = [names.fit(_fit_key(keys[start].tolist(), chosen=chosen)) for start in starts]
         out[:, column] = np.repeat(ids, np.diff(np.r_[starts, len(keys)]))
     return out.ravel()
 
 
-def _fit_key(cells: list[float]) -> FitKey:
+def _fit_key(cells: list[float], *, chosen: bool) -> FitKey:
     window, used, missing, dof, symmetric = cells
-    plain_dof = dof if dof > 0 else None
-    return (window if window >= 0 else None, max(0, int(used)), max(0, int(missing)), plain_dof, bool(symmetric), 1)
+    plain_dof, known = dof if dof > 0 else None, window if window >= 0 else None
+    return (known, max(0, int(used)), max(0, int(missing)), plain_dof, bool(symmetric), int(chosen))

@@ -31,7 +31,9 @@ class Retention:
     max_bytes: float = 1024e6
 
 
-def bytes_per_rig_year(parameters: int, every_s: float, hop_s: float, keep: Retention, sources: int = 1) -> int:
+def bytes_per_rig_year(
+    parameters: int, every_s: float, hop_s: float, keep: Retention, sources: int = 1, windows: int = 1
+) -> int:
     """Return the size of the file after a year without alarms, as measured on files of this version.
 
     Args:
@@ -40,10 +42,12 @@ def bytes_per_rig_year(parameters: int, every_s: float, hop_s: float, keep: Rete
         hop_s: time between rows.
         keep: the [store] table's keep and max_mb.
         sources: a health row each every 10 s.
+        windows: a row of each in the finest tier.
     """
     period = max(every_s, hop_s)
     rows = [min(keep.full_s, _YEAR_S) / period, min(keep.minute_s, _YEAR_S) / MINUTE, min(keep.hour_s, _YEAR_S) / HOUR]
-    sizes = [_HOP_BYTES + parameters * _CELL_BYTES] + 2 * [_HOP_BYTES + parameters * (_CELL_BYTES + _SPREAD_BYTES)]
+    coarse = _HOP_BYTES + parameters * (_CELL_BYTES + _SPREAD_BYTES)
+    sizes = [_HOP_BYTES + parameters * windows * _CELL_BYTES, coarse, coarse]
     health = sources * (min(keep.full_s, _YEAR_S) / 10 + _YEAR_S / HOUR) * _HEALTH_BYTES
     return ceil(min(keep.max_bytes, health + sum(n * size for n, size in zip(rows, sizes, strict=True))))
 

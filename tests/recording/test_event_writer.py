@@ -285,3 +285,16 @@ def test_channel_may_be_called_like_an_array_of_the_file(tmp_path: Path, told: T
     with np.load(tmp_path / name) as file:
         np.testing.assert_array_equal(file["meta"], job("").items[0].block.values[:, 0])
     assert read_meta(tmp_path / name)["parameter"] == "k1"
+
+
+def test_record_of_a_source_that_never_came_is_an_empty_file_and_nothing_fails(tmp_path: Path, told: Told) -> None:
+    writer = made(tmp_path, told)
+    writer.start()
+    whole = job(writer.name("source", "can"))
+    writer.submit(replace(whole, items=(), labels=()))
+    told.wait(lambda: bool(told.rows()))
+    writer.stop()
+    (row,) = [r for r in told.records if isinstance(r, EventRecord)]
+    assert (row.state, row.samples, writer.lost) == ("complete", 0, 0)
+    with np.load(tmp_path / row.file, allow_pickle=False) as file:
+        assert file["force"].shape == file["t"].shape == (0,)

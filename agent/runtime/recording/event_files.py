@@ -81,7 +81,9 @@ def _joined(parts: Sequence[IntArray]) -> IntArray:
 def npz_bytes(table: Table, channels: Sequence[str], meta: Mapping[str, Any]) -> bytes:
     """Return an NPZ file that `deltak replay` reads."""
     arrays: dict[str, Any] = {"t": table.t_ns.astype("datetime64[ns]")}
-    arrays |= {name: table.values[:, place] for place, name in enumerate(channels)}
+    # a source that never came has no readings, nor a width of them
+    values = table.values if len(table.t_ns) else np.zeros((0, len(channels)))
+    arrays |= {name: values[:, place] for place, name in enumerate(channels)}
     own = {"index": table.number} | ({} if table.counter is None else {"counter": table.counter})
     own["meta"] = np.array(json.dumps({"format": FORMAT, **meta}))
     # a channel may have any name; the file's own arrays give way

@@ -84,12 +84,24 @@ def test_watch_names_a_channel_at_the_end_of_its_range(step: float) -> None:
 
 
 def test_watch_gives_the_same_however_the_stream_is_cut() -> None:
-    v = smooth(4)
+    v = smooth(4, 6000)
     v[3000:3700, 0] = v[3000, 0]
     v[:, 1] = np.clip(v[:, 1], -0.05, 0.05)
     whole = watch(v, cut=len(v))
     assert len(whole) > 4
     for cut in (1, 13, 500):
+        assert watch(v, cut=cut) == whole
+
+
+def test_watch_of_coarse_and_shrunken_channels_is_the_same_however_the_stream_is_cut() -> None:
+    v = smooth(0, 12_000)
+    v[:, 0] = np.round(v[:, 0] / 0.004) * 0.004
+    limit = 0.4 * np.abs(v[:6000, 1]).max()
+    v[6000:, 1] = np.clip(v[6000:, 1], -limit, limit)
+    v[:, 2] = np.maximum(v[:, 2], -3.0)
+    whole = watch(v, cut=len(v))
+    assert {f.channel for f in whole} >= {1, 2}
+    for cut in (7, 500, 777):
         assert watch(v, cut=cut) == whole
 
 
@@ -164,7 +176,7 @@ def slow_and_coarse(levels: float, seed: int, samples: int = 40_000) -> tuple[Fl
 @pytest.mark.parametrize("stated", [True, False])
 @pytest.mark.parametrize("levels", [2, 10, 40])
 def test_watch_of_a_channel_of_few_levels_finds_nothing(levels: int, stated: bool) -> None:
-    v, step = slow_and_coarse(levels, levels)
+    v, step = slow_and_coarse(levels, levels, 20_000)
     assert watch(v, step if stated else None, cut=1000) == []
 
 

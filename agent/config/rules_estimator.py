@@ -10,6 +10,11 @@ from agent.config.messages import listing, nearest
 from agent.config.parse import Faults, readable
 from agent.config.tables import Alarm, MechanicsModel, Observer
 
+MOST_GB = 1.0
+"""What the linearised samples of a window may take."""
+COPIES = 6
+"""How often they are in memory meanwhile, as measured on a million samples of two masses."""
+
 
 def check_estimator(draft: Draft) -> None:
     """Note the faults of the estimator."""
@@ -50,6 +55,10 @@ def _check_observer(draft: Draft) -> None:
     if observer.poles and draft.states and len(observer.poles) != draft.states:
         what = f"has {len(observer.poles)} poles for {draft.states} states"
         faults.add(f"{path}.poles", what, "give one pole a state")
+    pole, times = max(Counter(observer.poles or ()).items(), key=lambda found: found[1], default=(0.0, 0))
+    if draft.outputs and times > (most := len(draft.outputs)):
+        what = f"{pole:g} stands there {times} times; a pole can be placed once an output, {most} times here"
+        faults.add(f"{path}.poles", what, "move the rest apart")
     masses = _pushed(draft.model) if isinstance(draft.model, MechanicsModel) else draft.states
     if isinstance(observer.process_sd, tuple) and masses and len(observer.process_sd) != masses:
         faults.add(f"{path}.process_sd", f"has {len(observer.process_sd)} numbers for {masses}", "give one a mass")
@@ -83,6 +92,10 @@ def _check_lengths(draft: Draft, rate_hz: float) -> None:
             what = f"{window_s:g} s is {samples} samples"
             unknowns = f"{len(draft.estimated)} parameters and {draft.states or 0} states"
             faults.add(path, what, f"{unknowns} need at least {least}: {least / rate_hz:g} s")
+        elif samples > (most := _most_samples(draft)):
+            needed = f"take about {samples / most * MOST_GB:.2g} GB of memory"
+            what = f"{window_s:g} s is {samples:.3g} samples, which {needed}"
+            faults.add(path, what, f"give {most / rate_hz:.3g} s at most, or sample more slowly")
     longest = max(estimator.windows_s, default=math.inf)
     if readable(estimator.drift_s) and estimator.drift_s is not None and estimator.drift_s < longest < math.inf:
         what = f"{estimator.drift_s:g} s is shorter than the window, {longest:g} s"
@@ -104,6 +117,12 @@ def _least_samples(draft: Draft) -> int:
     """Samples of all outputs must outnumber the unknowns: the parameters and the state that the window starts from."""
     unknowns = len(draft.estimated) + (draft.states or 0)
     return unknowns // max(len(draft.outputs), 1) + 2
+
+
+def _most_samples(draft: Draft) -> int:
+    """Samples of the longest window: each is linearised in every parameter, state and input for every output."""
+    columns = len(draft.estimated) + (draft.states or 0) + len(draft.outputs) + 1
+    return round(MOST_GB * 1e9 / (8 * COPIES * max(len(draft.outputs), 1) * columns))
 
 
 def check_alarms(draft: Draft) -> None:

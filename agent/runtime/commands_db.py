@@ -56,12 +56,19 @@ def export(db: Path, what: str, rig: str | None, to: Path | None) -> None:
     if to is None:
         maintenance.export_csv(db, what, sys.stdout, rig)
         return
-    if to.suffix.lower() == ".parquet":
-        count = maintenance.export_parquet(db, what, to, rig)
-    else:
-        with to.open("w", newline="", encoding="utf-8") as file:
-            count = maintenance.export_csv(db, what, file, rig)
+    try:
+        count = _export_to(db, what, to, rig)
+    except OSError as error:
+        words = f"{to}: {error.strerror or error}"
+        raise UsageError.at("--to", words, "give a file in a folder that you may write to") from error
     sys.stderr.write(f"{to}: {count} rows\n")
+
+
+def _export_to(db: Path, what: str, to: Path, rig: str | None) -> int:
+    if to.suffix.lower() == ".parquet":
+        return maintenance.export_parquet(db, what, to, rig)
+    with to.open("w", newline="", encoding="utf-8") as file:
+        return maintenance.export_csv(db, what, file, rig)
 
 
 def _say(as_json: bool, document: Document, words: str) -> None:

@@ -68,6 +68,8 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
 
     Raises RecordingError.
     """
+    for path in recordings:
+        _must_be_no_folder(path)
     recordings = without_indexes(recordings)
     own = [path for path in recordings if is_own(path)]
     if not own:
@@ -105,8 +107,14 @@ def _seen_steps(recording: Driver) -> tuple[float, ...]:
 
 def opened(rig: RigConfig, path: Path) -> Driver:
     """Return the driver of a recording, open. Raises RecordingError."""
+    _must_be_no_folder(path)
     kind = own_recording if is_own(path) else dict.fromkeys(CAN_LOGS, _can_log).get(path.suffix.lower(), _table)
     return _open(kind(rig, path))
+
+
+def _must_be_no_folder(path: Path) -> None:
+    if path.is_dir():
+        raise RecordingError.at(str(path), "is a folder, no recording", "give the files in it")
 
 
 def _open(driver: Driver) -> Driver:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.errors import ConfigError, ModelError
+from agent.errors import ConfigError, ModelError, RecordingError
 from agent.runtime.replay import replay
 from agent.types import FloatArray
 from tests.statistical.machine import ALARM, NAMES, TEXT
@@ -149,6 +149,11 @@ def test_replay_with_a_mass_wrong_by_20_percent_names_it_and_alarms_nothing(
 def test_replay_of_a_window_shorter_than_the_unknowns_says_how_long_it_must_be(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"4 parameters and 4 states need at least 6: 0\.006 s"):
         replay(config=configuration(tmp_path, window_s=0.004), recordings=[recording(tmp_path, None)], db=None)
+
+
+def test_replay_of_a_folder_is_refused_in_words(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="is a folder, no recording; give the files in it"):
+        replay(config=configuration(tmp_path), recordings=[Path()], db=None)
 
 
 def test_replay_of_two_parameters_that_cannot_be_told_apart_names_them(tmp_path: Path) -> None:

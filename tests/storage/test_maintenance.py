@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.errors import StoreError, UsageError
+from agent.runtime import commands_db
 from agent.storage import maintenance, queries
 from agent.storage.retention import Retention
 from agent.storage.store import Store
@@ -113,6 +114,12 @@ def test_export_csv_is_the_view_to_the_last_digit(path: Path) -> None:
     assert [float(r["value"]) for r in rows] == [r["value"] for r in shown]
     assert rows[0]["held"] == ""
     assert list(rows[0]) == list(shown[0])
+
+
+@pytest.mark.parametrize("name", ["rows.csv", "rows.parquet"])
+def test_export_to_where_nothing_can_be_written_is_refused(path: Path, tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match="give a file in a folder that you may write to"):
+        commands_db.export(path, "estimates", None, tmp_path / "none" / name)
 
 
 def test_export_parquet_is_the_view(path: Path, tmp_path: Path) -> None:

@@ -36,8 +36,8 @@ DOUBTFUL = 1.5
 EXCESS_OF_INPUTS = 6.0
 """The same for EXCESS."""
 WILD = 1e5
-"""An isolated input so many times beyond what is usual and beyond the readings before it is a spike whatever the motion
-says: no sensor resolves that much, and sums of its square would leave no digit for the samples that come after it."""
+"""An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever the
+motion says: no sensor resolves that much, and sums of its square would leave no digit for the samples that come after."""
 CONTEXT = 64
 """Samples that are kept as they came, to judge the next ones by."""
 STEPS = 4.0
@@ -80,6 +80,7 @@ class Cleaner:
         self._inputs, self._step = inputs, step
         self._usual = np.full((MEMORY, len(step)), -1.0)  # of the newest whole blocks, over all stretches
         self._seen = np.full(len(step), np.inf)  # smallest change so far
+        self._most = np.zeros(len(step))  # largest reading given away, over all stretches
         self.restart()
 
     def restart(self) -> None:
@@ -169,7 +170,7 @@ class Cleaner:
     def _is_wild(self, spiked: slice, channel: int) -> bool:
         """Tell whether readings that stand out are beyond what the channel can have meant."""
         x, limit = np.abs(self._raw[:, channel]), self._limits[spiked.start, channel]
-        before = np.nanmax(x[max(0, spiked.start - NEAR) : spiked.start])
+        before = x[: spiked.start][~self._marked[: spiked.start, channel]].max(initial=float(self._most[channel]))
         return bool(x[spiked].max(initial=0.0) > WILD * max(limit, before))
 
     def _spike_at(self, place: int, channel: int) -> int:
@@ -197,6 +198,8 @@ class Cleaner:
             known = self._decided if not end else len(clean)
             clean[:known, channel] = filled(clean[:known, channel], self._marked[:known, channel])
         out = slice(self._context, stop)
+        readings = np.where(self._marked[out], 0.0, np.abs(self._raw[out]))
+        self._most = np.maximum(self._most, readings.max(axis=0, initial=0.0))
         released = Clean(clean[out], self._marked[out], self._spike[out], self._suspect[out])
         self._forget(max(0, stop - CONTEXT), stop)
         return released

@@ -132,6 +132,16 @@ def test_cleaner_input_beyond_all_that_its_sensor_can_mean_is_a_spike_whatever_t
         assert np.abs(found.v[:, 2]).max() <= 2 * np.abs(true[:, 2]).max()
 
 
+@pytest.mark.parametrize("cuts", [[], [900, 1500, 1999, 2000, 2001, 2003]])
+def test_cleaner_force_that_comes_back_after_a_rest_is_no_spike(cuts: list[int]) -> None:
+    """A field that is a float has no step: at rest nothing is usual, but what it has read before it can mean."""
+    _, v, _ = spiked(4, spikes=0)
+    v[480:520, 2] = 1.0 + 1e-9 * np.arange(40)
+    v[1000:2100, 2] = 0.0
+    v[2000:2003, 2] = np.array([0.5, 1.0, 0.4]) * np.abs(v[:, 2]).max()
+    assert not clean(v, cuts).spike[:, 2].any()
+
+
 def test_cleaner_blow_on_a_force_that_rests_is_left_to_the_motion() -> None:
     _, v, _ = spiked(4, spikes=0)
     v[:, 2] = 0.0

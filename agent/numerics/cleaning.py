@@ -37,7 +37,7 @@ EXCESS_OF_INPUTS = 6.0
 """The same for EXCESS."""
 WILD = 1e5
 """An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever the
-motion says: no sensor resolves that much, and sums of its square would leave no digit for the samples that come after."""
+motion says: no sensor resolves that much, and sums of its square would leave no digit for those that come after."""
 CONTEXT = 64
 """Samples that are kept as they came, to judge the next ones by."""
 STEPS = 4.0

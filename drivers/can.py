@@ -38,6 +38,7 @@ class CanSettings(BusKeys, FrameKeys):
 class DbcDriver(HeardOnCan):
     """What live and recorded CAN share: the codecs of the messages asked for."""
 
+    stamped: ClassVar[bool | None] = True
     _messages: tuple[MessageCodec, ...] = ()
     _decoder: FrameDecoder
 

@@ -33,6 +33,7 @@ class ModbusDriver(Driver):
     """
 
     settings_model: ClassVar[type[DriverSettings]] = ModbusSettings
+    stamped: ClassVar[bool | None] = False
 
     def __init__(self, request: SourceRequest) -> None:
         super().__init__(request)

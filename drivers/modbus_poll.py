@@ -92,16 +92,18 @@ class PollReader(Reader):
         rows = list(self._rows(ask, min(deadline, max(clock.monotonic(), self.due) + _GATHER_S)))
         if not rows:
             return self.empty()
-        slots = np.stack(rows)
+        slots = np.stack([sample for sample, _ in rows])
+        received = np.array([time_ns for _, time_ns in rows], dtype=np.int64)
         counter = self.layout.counter(slots, self.source.counter) if self.source.counter else None
-        return SampleBlock(self.layout.values(slots, self.source.fields), clock.monotonic_ns(), counter)
+        values = self.layout.values(slots, self.source.fields)
+        return SampleBlock(values, clock.monotonic_ns(), counter, received_ns=received)
 
-    def _rows(self, ask: Ask, deadline: float) -> Iterator[ByteArray]:
-        """Poll until the deadline; a failure after the first sample is kept for the next read."""
+    def _rows(self, ask: Ask, deadline: float) -> Iterator[tuple[ByteArray, int]]:
+        """Poll until the deadline, with each answer's time; a failure after the first is kept for the next read."""
         some = False
         while self.wait_until_due(deadline):
             try:
-                yield self._poll(ask)
+                yield self._poll(ask), clock.monotonic_ns()
             except (LaterError, DriverIOError) as failure:
                 if not some:
                     raise

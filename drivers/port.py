@@ -56,6 +56,7 @@ class SampleBlock:
         t_ns: (n,) the device's or the recording's time stamps, ns; None where there is none.
         epoch: counts up by one when the device is known to have begun counting anew (a restart): counters and
             time stamps of different epochs cannot be compared.
+        received_ns: (n,) monotonic time at which each sample was received, ns; None where only the block's is known.
         wall_offset_ns: wall minus monotonic clock at the receipt, noted by whoever labels samples; drivers leave None.
     """
 
@@ -65,6 +66,7 @@ class SampleBlock:
     t_ns: IntArray | None = None
     epoch: int = 0
     wall_offset_ns: int | None = None
+    received_ns: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.values)
@@ -145,6 +147,8 @@ class Driver(ABC):
     settings_model: ClassVar[type[DriverSettings]]
     counter_modulus: int | None = None
     """The counter wraps to 0 after counter_modulus - 1; None while unknown or without a counter. Known once open."""
+    stamped: ClassVar[bool | None] = None
+    """Whether samples carry time stamps of the device or the kernel (`SampleBlock.t_ns`); None: not told."""
     finite: ClassVar[bool] = False
     """True for recordings: `read` raises EOFError at the end."""
     heard_suffix: ClassVar[str | None] = None

@@ -92,6 +92,7 @@ class SerialDriver(Driver):
     """Samples on a serial line, in binary frames or lines of text."""
 
     settings_model: ClassVar[type[DriverSettings]] = SerialSettings
+    stamped: ClassVar[bool | None] = False
 
     def __init__(self, request: SourceRequest) -> None:
         super().__init__(request)

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.blocks.arrival_count import ArrivalCount
 from agent.types import IntArray
 from drivers.port import SampleBlock
 
@@ -51,6 +52,7 @@ class Indexer:
     _heard_ns: int = 0  # ... and its arrival
     _behind: int = 0
     _epoch: int = 0
+    _arrivals: ArrivalCount | None = None
 
     def take(self, block: SampleBlock) -> tuple[IntArray, BoolArray]:
         """Return the indices of a block's samples (n,) and which of them go forward (n,); count the others."""
@@ -58,7 +60,9 @@ class Indexer:
         if not rows:
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         counted = self.clock == "counter" and block.counter is not None
-        numbered = not counted and (self.clock == "uniform" or (block.t_ns is None and self.clock != "arrival"))
+        if self.clock == "arrival" and block.t_ns is None:
+            return self._by_arrival(block)
+        numbered = not counted and (self.clock == "uniform" or block.t_ns is None)
         raw = self._readings(block, counted=counted, numbered=numbered)
         if block.epoch != self._epoch and self._last is not None and not numbered:
             # the first sample of a device that began anew comes after the time that passed
@@ -73,13 +77,23 @@ class Indexer:
             self._start_anew(int(raw[-1]), counted, arrival_ns)
         return index, kept
 
+    def _by_arrival(self, block: SampleBlock) -> tuple[IntArray, BoolArray]:
+        """Number samples that nothing but their arrival orders."""
+        if self._arrivals is None:
+            self._arrivals = ArrivalCount(self.rate_hz)
+        index, self.origin.value = self._arrivals.take(block, self.origin.value)
+        kept = self._forward(index)
+        if kept.any():
+            self._last, self._heard_ns = int(index[kept][-1]), block.arrival_ns
+        return index, kept
+
     def _readings(self, block: SampleBlock, *, counted: bool, numbered: bool) -> IntArray:
         """What says the order: counter values, row numbers, or time stamps."""
         if counted and block.counter is not None:
             return block.counter
-        if numbered:
+        if numbered or block.t_ns is None:
             return (0 if self._last is None else self._last + 1) + np.arange(len(block), dtype=np.int64)
-        return block.t_ns if block.t_ns is not None else np.full(len(block), block.arrival_ns, dtype=np.int64)
+        return block.t_ns
 
     def _from_time(self, raw: IntArray) -> IntArray:
         if self.origin.value is None:

@@ -10,7 +10,7 @@ from agent.config import RigConfig
 from agent.errors import Fault
 from agent.runtime.check_predict import Prediction, sampled, windows
 from agent.runtime.readings import Recorded
-from agent.runtime.sources import source_hints
+from agent.runtime.sources import source_hints, unordered_sources
 
 MARGINAL = 1e-9
 """A pole this near the unit circle neither decays nor grows."""
@@ -29,6 +29,7 @@ def warnings(
         *_delays(config),
         *_noise(config),
         *_sources(config),
+        *_clocks(config),
         *_recorded(recorded),
     ]
 
@@ -111,6 +112,14 @@ def _sources(config: RigConfig) -> Iterator[Fault]:
     for number, hint in source_hints(config):
         what, _, advice = hint.partition("; ")
         yield Fault(f"source[{number}]", what, advice)
+
+
+def _clocks(config: RigConfig) -> Iterator[Fault]:
+    """Warn where a source has nothing of what the rig's clock orders samples by."""
+    lacks = "no counter" if config.rig.clock == "counter" else "no time stamps"
+    for number in unordered_sources(config):
+        what = f'{config.source[number].name} has {lacks}, but clock = "{config.rig.clock}": lost samples are not seen'
+        yield Fault(f"source[{number}]", what, 'name its counter, or set clock = "arrival"')
 
 
 def _recorded(recorded: Recorded | None) -> Iterator[Fault]:

@@ -204,6 +204,18 @@ def source_hints(config: RigConfig) -> list[tuple[int, str]]:
     return [(n, hint) for n, source in enumerate(config.source) for hint in _own_driver(config, source).hints()]
 
 
+def unordered_sources(config: RigConfig) -> list[int]:
+    """Return the numbers of the sources that lack what the rig's clock orders samples by."""
+    found = []
+    for number, source in enumerate(config.source):
+        driver = _own_driver(config, source)
+        counted = source.counter is not None or driver.counter_modulus is not None
+        lacking = {"device": True, "counter": not counted}.get(config.rig.clock, False)
+        if driver.stamped is False and lacking:
+            found.append(number)
+    return found
+
+
 def _own_driver(config: RigConfig, source: Source) -> Driver:
     """Return a driver for one source alone, not opened."""
     request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)

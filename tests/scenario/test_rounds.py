@@ -4,11 +4,13 @@ import re
 import signal
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent.blocks.indexing import Indexer
 from agent.config import RigConfig, driver_class, load
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.service import ROUND_S, Service, _rest_s, _stopper
@@ -122,3 +124,67 @@ def test_ring_that_is_full_before_the_period_is_over_is_read_in_time(slots: int,
     assert settled[-1] > (SECONDS - 0.25) * 1000
     assert driver.counts.dropped.total() <= 20
     assert not driver.counts.rejected
+
+
+POLL = """
+clock = "arrival"
+[model]
+mass = [{ name = "m1", value = 500.0 }]
+spring = [{ name = "k1", between = ["ground", "m1"], nominal = 2500.0 }]
+damper = [{ name = "B1", between = ["ground", "m1"], nominal = 500.0 }]
+[[channel]]
+name = "force"
+quantity = "force"
+at = "m1"
+unit = "N"
+[[channel]]
+name = "x1"
+quantity = "displacement"
+at = "m1"
+unit = "m"
+noise_sd = 1e-5
+[estimator]
+window_s = 2.0
+hop_s = 0.5
+[[source]]
+driver = "modbus"
+host = "127.0.0.1"
+port = 1502
+mode = "poll"
+fields = [{ name = "F", type = "float32", address = 0 }, { name = "X", type = "float32", address = 2 }]
+map = { force = "F", x1 = "X" }
+"""
+
+
+def numbered(config: RigConfig, blocks: list[SampleBlock]) -> tuple[Indexer, list[int]]:
+    indexer, numbers = Indexer(config.rig.clock, config.rig.sample_rate_hz), []
+    for block in blocks:
+        index, kept = indexer.take(block)
+        numbers += index[kept].tolist()
+    return indexer, numbers
+
+
+@pytest.mark.parametrize("rate", [20, 50, 60, 200])
+def test_polls_that_only_their_arrival_orders_are_numbered_one_by_one(rate: int, tmp_path: Path) -> None:
+    path = tmp_path / "poll.toml"
+    text = POLL + f"period_s = {1 / rate!r}\n"
+    path.write_text(f'[rig]\nname = "poll"\nsample_rate_hz = {rate}.0' + text, encoding="utf-8")
+    played = tmp_path / "played.toml"
+    played.write_text('duration_s = 4.0\n[[force]]\nkind = "random"\nrms = 5.0\n', encoding="utf-8")
+    config = load(path)
+    driver, blocks = read_in_played_time(config, PlayedBench(path, load_scenario(str(played), {})))
+    indexer, numbers = numbered(config, blocks)
+    assert driver.counts.received == len(numbers) > (SECONDS - 0.25) * rate
+    assert numbers == list(range(len(numbers)))
+    assert not indexer.rejected
+
+
+def test_line_without_a_counter_is_numbered_one_by_one_by_its_arrival(tmp_path: Path) -> None:
+    path = example("serial", tmp_path)
+    config = load(path)
+    _, blocks = read_in_played_time(config, PlayedBench(path, load_scenario("default", {})))
+    indexer = Indexer("arrival", config.rig.sample_rate_hz)
+    numbers = np.concatenate([indexer.take(replace(block, counter=None))[0] for block in blocks])
+    assert len(numbers) > (SECONDS - 0.25) * 1000
+    np.testing.assert_array_equal(numbers, np.arange(len(numbers)))
+    assert not indexer.rejected

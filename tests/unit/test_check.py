@@ -222,3 +222,15 @@ def test_check_model_that_grows_beyond_all_measure_is_warned_of_without_a_word_o
     document = checked(path)
     assert any("unstable" in message for message in warned(document, "model"))
     assert all(np.isnan(row["sd"]) and "grows" in row["assumes"] for row in document["predicted_sd"])
+
+
+@pytest.mark.parametrize(("clock", "lacks"), [("counter", "no counter"), ("device", "no time stamps")])
+def test_check_warns_of_a_clock_that_the_source_does_not_have(tmp_path: Path, clock: str, lacks: str) -> None:
+    text = example("serial", tmp_path).read_text(encoding="utf-8")
+    (counter,) = re.findall(r"(?m)^counter = .*$", text)
+    path = tmp_path / "clock.toml"
+    text = re.sub(r"(?m)^clock = .*$", f'clock = "{clock}"', text)
+    path.write_text(text.replace(counter, ""), encoding="utf-8")
+    assert any(lacks in message for message in warned(checked(path), "source[0]"))
+    path.write_text(re.sub(r"(?m)^clock = .*$", 'clock = "arrival"', text).replace(counter, ""), encoding="utf-8")
+    assert not warned(checked(path), "source[0]")

@@ -7,8 +7,8 @@ A file "NAME-NNNNNNNN.raw" is
                     created_ns, rig
     blocks          u32 length of what follows, u32 its CRC-32, then
                     i64 arrival_ns (monotonic), i64 wall_offset_ns (wall minus monotonic), u32 epoch, u32 rows,
-                    u16 columns, u16 flags (1: counter, 2: t_ns, 4: wall_offset_ns is known),
-                    rows x columns float64 row by row, rows int64 counter, rows int64 t_ns
+                    u16 columns, u16 flags (1: counter, 2: t_ns, 4: wall_offset_ns is known, 8: received_ns),
+                    rows x columns float64 row by row, rows int64 counter, rows int64 t_ns, rows int64 received_ns
 
 Everything is little-endian. A file cut short (power, full disk) is read up to its last whole block.
 """
@@ -33,7 +33,7 @@ SUFFIX = ".raw"
 _HEAD = struct.Struct("<qqIIHH")
 _FRAME = struct.Struct("<II")
 _LONGEST_BLOCK = 1 << 30
-_COUNTER, _TIMES, _OFFSET = 1, 2, 4
+_COUNTER, _TIMES, _OFFSET, _RECEIVED = 1, 2, 4, 8
 
 
 def encode_header(header: RawHeader) -> bytes:
@@ -47,7 +47,7 @@ def encode_block(block: SampleBlock) -> bytes:
     values = np.ascontiguousarray(block.values, dtype="<f8")
     parts = [values.tobytes()]
     flags = 0 if block.wall_offset_ns is None else _OFFSET
-    for flag, numbers in ((_COUNTER, block.counter), (_TIMES, block.t_ns)):
+    for flag, numbers in ((_COUNTER, block.counter), (_TIMES, block.t_ns), (_RECEIVED, block.received_ns)):
         if numbers is not None:
             flags |= flag
             parts.append(np.ascontiguousarray(numbers, dtype="<i8").tobytes())
@@ -62,7 +62,9 @@ def decode_block(content: bytes) -> SampleBlock:
     arrival, offset, epoch, rows, columns, flags = _HEAD.unpack_from(content)
     values = np.frombuffer(content, "<f8", rows * columns, _HEAD.size).reshape(rows, columns)
     place = _HEAD.size + 8 * rows * columns
-    found: dict[int, np.ndarray[tuple[int], np.dtype[np.int64]] | None] = {_COUNTER: None, _TIMES: None}
+    found: dict[int, np.ndarray[tuple[int], np.dtype[np.int64]] | None] = dict.fromkeys(
+        (_COUNTER, _TIMES, _RECEIVED)
+    )
     for flag in found:
         if flags & flag:
             found[flag] = np.frombuffer(content, "<i8", rows, place)
@@ -70,7 +72,7 @@ def decode_block(content: bytes) -> SampleBlock:
     if place != len(content):
         raise ValueError("the block's length is wrong")
     known = offset if flags & _OFFSET else None
-    return SampleBlock(values, arrival, found[_COUNTER], found[_TIMES], epoch, known)
+    return SampleBlock(values, arrival, found[_COUNTER], found[_TIMES], epoch, known, found[_RECEIVED])
 
 
 def read_header(file: BinaryIO, path: Path) -> RawHeader:

@@ -31,7 +31,10 @@ def repair(db: Path, *, as_json: bool) -> None:
     with maintenance.told(db):
         found = maintenance.repair(db)
     words = "sound; nothing was changed" if found is None else f"repaired: {found}"
-    _say(as_json, {"db": str(db), "repaired": found is not None}, f"{db}: {words}")
+    document: Document = {"db": str(db), "repaired": found is not None}
+    if found is not None:
+        document |= {"saved": found.saved, "lost": found.refused, "lost_at_least": found.unread}
+    _say(as_json, document, f"{db}: {words}")
 
 
 def compact(db: Path, *, as_json: bool) -> None:

@@ -36,4 +36,4 @@ def _repair(store: Store) -> Mapping[str, Any]:
     store.recover(found[0])
     recovery = store.recovery
     assert isinstance(recovery, Recovery)  # noqa: S101 - recover left it
-    return {"repaired": [str(recovery.aside), recovery.cause, recovery.saved, recovery.refused]}
+    return {"repaired": [str(recovery.aside), recovery.cause, recovery.saved, recovery.refused, recovery.unread]}

@@ -11,13 +11,13 @@ from urllib.parse import quote
 from agent.storage.checksum import row_crc
 from agent.storage.connect import build, empty_log
 from agent.storage.files import beside, sync_folder
+from agent.storage.losses import TOLD, Losses
 from agent.storage.pages import scan
 from agent.storage.rows import VERDICTS, Row
 from agent.storage.schema import COLUMN_BITS, TABLES, columns_of, insert_sql
 from agent.storage.verify import good_rows
 
 _AT_ONCE = 20_000
-_TOLD = ("estimates", "alarms", "alarm_events", "health", "events")  # what people count as rows
 _LONG = frozenset({"hops", "estimates", "spreads"})
 _MOST_FAILURES = {
     True: 200,
@@ -30,17 +30,28 @@ _ENTRIES = ("", "-wal", "-shm", "-journal")
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What became of a damaged file: where it lies now, why, and how many rows were saved."""
+    """What became of a damaged file: where it lies now, why, how many rows were saved and how many were lost.
+
+    unread: part of it could not be read and may have held more rows than are known to be lost.
+    """
 
     aside: Path
     cause: str
     saved: int
     refused: int
+    unread: bool = False
+
+    @property
+    def lost(self) -> str:
+        """How many rows were lost, in words."""
+        if not self.unread:
+            return f"{self.refused} were lost"
+        return f"at least {self.refused} were lost" if self.refused else "how many were lost cannot be told"
 
     def __str__(self) -> str:
         return (
-            f"the database was damaged ({self.cause}); {self.saved} rows were saved, {self.refused} were unreadable or "
-            f"wrong; the damaged file is {self.aside.name}"
+            f"the database was damaged ({self.cause}); {self.saved} rows were saved, {self.lost}; "
+            f"the damaged file is {self.aside.name}"
         )
 
 
@@ -64,10 +75,10 @@ def recover(path: Path, cause: str, highs: Mapping[str, int] | None = None) -> R
     fresh = beside(path, ".salvaging")
     _remove(fresh)
     build(fresh)
-    saved, refused = _copy_rows(path, fresh, highs or {})
+    saved, lost, unread = _copy_rows(path, fresh, highs or {})
     fresh.rename(beside(path, ".salvaged"))
     sync_folder(path.parent)
-    return Recovery(_exchange(path, beside(path, ".salvaged")), cause, saved, refused)
+    return Recovery(_exchange(path, beside(path, ".salvaged")), cause, saved, lost, unread)
 
 
 def _exchange(path: Path, salvaged: Path) -> Path:
@@ -110,42 +121,47 @@ def _remove(path: Path) -> None:
         beside(path, suffix).unlink(missing_ok=True)
 
 
-def _copy_rows(damaged: Path, fresh: Path, highs: Mapping[str, int]) -> tuple[int, int]:
-    """Copy every row that can be read and whose checksum is right; returns how many, and how many were not."""
+def _copy_rows(damaged: Path, fresh: Path, highs: Mapping[str, int]) -> tuple[int, int, bool]:
+    """Copy every row that can be read and whose checksum is right.
+
+    Returns how many, how many are known to be lost, and whether there may have been more.
+    """
     with closing(sqlite3.connect(fresh, isolation_level=None)) as target:
         target.execute("PRAGMA synchronous = FULL")
-        refused = _copy_by_trees(damaged, target)
+        losses = _copy_by_trees(damaged, target)
         for table, rows in scan(damaged, beside(damaged, "-wal")):
             _insert(target, table, rows, "INSERT OR IGNORE")
         _drop_orphans(target)
+        lost = losses.count(target, highs)
         _complete(target, highs)
-        saved = sum(target.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in _TOLD)  # noqa: S608 - own
-        lost = sum(not _holds(target, table, seq) for table, seq in refused)
+        saved = sum(target.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in TOLD)  # noqa: S608 - own
         empty_log(target)
-    return saved, lost
+    return saved, lost, losses.unread
 
 
-def _holds(target: sqlite3.Connection, table: str, seq: object) -> bool:
-    return target.execute(f"SELECT 1 FROM {table} WHERE seq = ?", (seq,)).fetchone() is not None  # noqa: S608 - own
-
-
-def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> set[tuple[str, object]]:
-    """Copy what SQLite itself can reach; returns the rows (table, seq) that it reached and that were wrong.
+def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> Losses:
+    """Copy what SQLite itself can reach; returns what is known of the rest.
 
     With the log first, then without: where a log is torn, what it replaced may still stand in the file.
     """
-    refused: set[tuple[str, object]] = set()
+    losses = Losses()
+    losses.begin(target)
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         for source in _readable_source(damaged, mode):
             with closing(source):
+                failures = 0
                 for table in TABLES:
-                    for rows in _readable(source, table):
+                    tree = _Tree(source, table)
+                    for rows in tree.rows():
                         right = good_rows(table, rows)
-                        refused.update((table, row[0]) for row, fine in zip(rows, right, strict=True) if not fine)
+                        losses.note(table, (row[0] for row, fine in zip(rows, right, strict=True) if not fine))
                         good = [row for row, fine in zip(rows, right, strict=True) if fine]
                         _insert(target, table, good, "INSERT OR IGNORE")
+                    failures += tree.failures
                 _insert_consumers(source, target)
-    return refused
+                if mode == "mode=ro":  # what the file alone lists may have been deleted since
+                    losses.settle(source, target, failures)
+    return losses
 
 
 def _readable_source(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
@@ -161,25 +177,33 @@ def _readable_source(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
         yield source
 
 
-def _readable(source: sqlite3.Connection, table: str) -> Iterator[list[Row]]:
-    """Yield the rows of a table; a stretch that cannot be read is halved until what is sick is narrowed down."""
-    wide = 1 << COLUMN_BITS if table in _LONG else 1
-    failures, most = 0, _MOST_FAILURES[table in _LONG]
-    todo = [(0, _newest(source, table))]
-    query = f"SELECT {', '.join(columns_of(table))} FROM {table} WHERE seq BETWEEN ? AND ? ORDER BY seq"  # noqa: S608
-    while todo and failures < most:
-        first, last = todo.pop()
-        cursor = source.cursor()
-        try:
-            cursor.execute(query, (first, last))
-            while rows := _some(cursor):
-                first = rows[-1][0] + 1
-                yield rows
-        except (sqlite3.Error, OverflowError, UnicodeDecodeError):
-            failures += 1
-            if last - first > wide:
-                middle = (first + last) // 2
-                todo += [(middle + 1, last), (first, middle)]
+@dataclass(slots=True)
+class _Tree:
+    """A table as SQLite reaches it; failures counts the stretches that could not be read."""
+
+    source: sqlite3.Connection
+    table: str
+    failures: int = 0
+
+    def rows(self) -> Iterator[list[Row]]:
+        """Yield the rows; a stretch that cannot be read is halved until what is sick is narrowed down."""
+        table, columns = self.table, ", ".join(columns_of(self.table))
+        wide, most = (1 << COLUMN_BITS if table in _LONG else 1), _MOST_FAILURES[table in _LONG]
+        todo = [(0, _newest(self.source, table))]
+        query = f"SELECT {columns} FROM {table} WHERE seq BETWEEN ? AND ? ORDER BY seq"  # noqa: S608 - own names
+        while todo and self.failures < most:
+            first, last = todo.pop()
+            cursor = self.source.cursor()
+            try:
+                cursor.execute(query, (first, last))
+                while rows := _some(cursor):
+                    first = rows[-1][0] + 1
+                    yield rows
+            except (sqlite3.Error, OverflowError, UnicodeDecodeError):
+                self.failures += 1
+                if last - first > wide:
+                    middle = (first + last) // 2
+                    todo += [(middle + 1, last), (first, middle)]
 
 
 def _some(cursor: sqlite3.Cursor) -> list[Row]:

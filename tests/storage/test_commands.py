@@ -80,7 +80,7 @@ def test_repair_of_a_damaged_file_that_an_agent_holds_goes_on_in_a_new_one(path:
     agent._errands.ask(lambda store: store.connection.execute("UPDATE alarms SET message = 'k1 rose'"))
     recovery = maintenance.repair(path)
     assert recovery is not None
-    assert (recovery.aside.exists(), recovery.refused) == (True, 1)
+    assert (recovery.aside.exists(), recovery.refused) == (True, 2)
     agent.publish([batch(5, first=2 * 10**6)])
     assert agent.flush(20)
     assert [a["parameter"] for a in queries.alarms(path)] == ["store"]

@@ -2,8 +2,10 @@ import csv
 import io
 import sqlite3
 import threading
+from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.errors import StoreError, UsageError
@@ -41,10 +43,35 @@ def test_check_finds_one_flipped_bit_of_a_text_and_repair_leaves_that_row_out(pa
     assert maintenance.check(path).problems == ["1 rows of alarms have a wrong checksum"]
     result = maintenance.repair(path)
     assert result is not None
-    assert result.refused == 1
+    assert (result.refused, result.unread) == (2, False)  # and the step that it had taken
     assert maintenance.check(path).problems == []
     assert len(queries.estimates(path)) == 2000
     assert queries.alarms(path) == []
+
+
+@pytest.mark.parametrize("table", ["health", "alarm_events"])
+def test_repair_of_a_file_whose_pages_are_destroyed_never_says_that_nothing_was_lost(path: Path, table: str) -> None:
+    with closing(sqlite3.connect(path)) as file:
+        query = "SELECT rootpage FROM sqlite_master WHERE name = ?"
+        pages = [file.execute(query, (name,)).fetchone()[0] for name in (table, "health_by_run")]
+    octets = bytearray(path.read_bytes())
+    for page in pages:
+        octets[1024 * (page - 1) : 1024 * page] = np.random.default_rng(5).bytes(1024)
+    path.write_bytes(octets)
+    result = maintenance.repair(path)
+    assert result is not None
+    assert "at least 1 were lost" in str(result)
+
+
+def test_repair_of_destroyed_estimates_counts_what_saved_instants_lack(path: Path) -> None:
+    octets = bytearray(path.read_bytes())
+    place = len(octets) // 2048 * 1024
+    octets[place : place + 4096] = bytes(4096)
+    path.write_bytes(octets)
+    result = maintenance.repair(path)
+    assert result is not None
+    assert result.unread
+    assert result.refused >= 2000 - len(queries.estimates(path)) > 0
 
 
 def test_repair_of_a_sound_file_does_nothing(path: Path) -> None:

@@ -19,6 +19,8 @@ RESOLVED = 1e-9
 """Of the largest reading: below this a step cannot be told from the rounding of decimal text."""
 ON_GRID, MOST = 0.01, 0.99
 """Readings are multiples of a step if nearly all of them are within this share of it."""
+LEVELS, HELD = 8, 10
+"""Something is commanded if it has fewer levels than this, and stays at each for so many samples on average."""
 
 
 class RecordingSettings(DriverSettings):
@@ -87,6 +89,15 @@ class RecordingDriver(Driver):
             return (0.0,) * len(self.request.fields)
         return tuple(_step(column) for column in self._ahead[1].T)
 
+    def switched(self) -> tuple[bool, ...]:
+        """Tell of each field whether it is held at a few levels: the step between two of them is no resolution.
+
+        Of the first block, before it is read, as `resolution` is; False where there is none.
+        """
+        if self._ahead is None:
+            return (False,) * len(self.request.fields)
+        return tuple(_is_switched(column) for column in self._ahead[1].T)
+
     def _fault(self, words: str) -> None:
         self.counts.faults["text"] += 1
         self.note(words)
@@ -112,6 +123,13 @@ class RecordingDriver(Driver):
         """Return the times with the last readable one in place of those that are not."""
         newest = np.maximum.accumulate(np.where(bad, -1, np.arange(len(t_ns))))
         return np.where(newest < 0, self._last_ns, t_ns[np.maximum(newest, 0)])
+
+
+def _is_switched(values: FloatArray) -> bool:
+    """Tell whether readings (n,) are those of something that is commanded in a few levels and stays at each."""
+    finite = values[np.isfinite(values)]
+    jumps = int(np.count_nonzero(np.diff(finite)))
+    return HELD * jumps < len(finite) and len(np.unique(finite)) < LEVELS
 
 
 def _step(values: FloatArray) -> float:

@@ -1,11 +1,11 @@
 """Advisory of the model: what it was found to lack, and what to do about it, in words."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from agent.numerics.mechanics import GROUND
-from agent.numerics.suspects import Accusation, Suspect
+from agent.numerics.suspects import Accusation, ChannelSuspect, Suspect
 from agent.text import number
 from agent.types import EstimateBatch, HealthEvent, Reason
 
@@ -19,11 +19,12 @@ class ModelAdvice:
     Args:
         rig: its name.
         rate_hz: samples a second.
+        channels: name and SI unit of each output, then of each input.
     """
 
-    def __init__(self, rig: str, rate_hz: float) -> None:
-        self._rig, self._pause = rig, round(AGAIN_S * rate_hz)
-        self._said: dict[Suspect, int] = {}
+    def __init__(self, rig: str, rate_hz: float, channels: Sequence[tuple[str, str]] = ()) -> None:
+        self._rig, self._pause, self._channels = rig, round(AGAIN_S * rate_hz), channels
+        self._said: dict[Suspect | ChannelSuspect, int] = {}
 
     def step(self, findings: Iterable[tuple[int, Accusation]], batch: EstimateBatch) -> list[HealthEvent]:
         """Return events for findings (sample, accusation) that belong to rows of a batch."""
@@ -37,11 +38,13 @@ class ModelAdvice:
 
     def _event(self, found: Accusation, t_ns: int) -> HealthEvent:
         cause = found.suspect.reason.name.lower().replace("_", " ")
-        return HealthEvent(self._rig, SOURCE, t_ns, cause, words(found))
+        return HealthEvent(self._rig, SOURCE, t_ns, cause, words(found, self._channels))
 
 
-def words(found: Accusation) -> str:
-    """Return what a model lacks and what to do about it."""
+def words(found: Accusation, channels: Sequence[tuple[str, str]] = ()) -> str:
+    """Return what a model lacks, or what is wrong with channels (name, SI unit), and what to do about it."""
+    if isinstance(found.suspect, ChannelSuspect):
+        return _channel_words(found.suspect, found.sizes, channels)
     node, other = found.suspect.between
     place = node if other == GROUND else f"{node} and {other}"
     if found.suspect.reason is Reason.MASS:
@@ -58,3 +61,31 @@ def words(found: Accusation) -> str:
         Reason.BIAS: f"what the model leaves looks like a constant force at {place}: an offset of the force or of a "
         "displacement; set bias = true on that channel",
     }[found.suspect.reason]
+
+
+def _channel_words(suspect: ChannelSuspect, sizes: Sequence[float], channels: Sequence[tuple[str, str]]) -> str:
+    """Return how channels are wrong, and what to do about it."""
+    if suspect.kind == "forces":
+        return (
+            f"the readings ask for unknown forces that cause {number(100 * sizes[0], 2)} % of the motion, beside those "
+            "that are measured: check zero, sign, scale and delay of every channel, and whether another force acts"
+        )
+    named = [channels[r] for r in suspect.channels]
+    every = " and ".join(name for name, _ in named)
+    if suspect.kind == "bias":
+        reads = " and ".join(
+            f"{name} reads {number(abs(size), 3)} {unit} too {'high' if size > 0 else 'low'}"
+            for (name, unit), size in zip(named, sizes, strict=True)
+        )
+        return f"{reads}, as if never zeroed: zero it, correct its offset, or set bias = true on that channel"
+    if suspect.kind == "delay":
+        late = "late" if sizes[0] > 0 else "early"
+        return (
+            f"{every} comes {number(1e3 * abs(sizes[0]), 3)} ms {late} against the other channels: state that under "
+            f"delay_s of {'that channel' if sizes[0] > 0 else 'the others'}"
+        )
+    if suspect.kind == "swap":
+        return f"{every} look exchanged: exchange them in source.map, or on the terminals"
+    if suspect.kind == "sign" or abs(sizes[0] + 1.0) < 0.05:
+        return f"{every} looks turned round: give its scale the other sign, or mount it the other way"
+    return f"{every} reads {number(sizes[0], 3)} times what moves there: correct its scale"

@@ -85,6 +85,7 @@ class Labels:
     enough_sd: FloatArray
     hop: int = 1
     channels: tuple[str, ...] = ()
+    channel_units: tuple[str, ...] = ()
     least: FloatArray | None = None
     windows: tuple[int, ...] = ()
 
@@ -123,7 +124,9 @@ class Estimation:
     def __post_init__(self) -> None:
         q = len(self.labels.parameters)
         self._held, self._held_ns = np.full(q, np.nan), np.zeros(q, dtype=np.int64)
-        self._model = ModelAdvice(self.labels.rig, self.labels.rate_hz)
+        labels = self.labels
+        named = tuple(zip(labels.channels, labels.channel_units, strict=True))
+        self._model = ModelAdvice(labels.rig, labels.rate_hz, named)
 
     def step(self, samples: Samples) -> EstimateBatch | None:
         """Take samples of one segment; return the estimates that they end, None when there are none."""

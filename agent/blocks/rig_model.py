@@ -10,6 +10,7 @@ from agent.numerics.gains import AutomaticGains, Gains, KalmanGains, PlacedGains
 from agent.numerics.hops import HopPlan
 from agent.numerics.masses import masses_of
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.mistakes import Mistakes
 from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.statespace import AffineModel, Model, affine_model
 from agent.numerics.suspects import suspects_of
@@ -213,6 +214,9 @@ def window_settings(
             rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, known_noise(config, resolution)
         ),
         masses=masses_of(rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold),
+        mistakes=Mistakes(
+            rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
+        ),
         court=Court(
             rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
         ),

@@ -13,15 +13,19 @@ from agent.numerics.colour import coloured_likelihood
 from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.gains import Gains
 from agent.numerics.masses import MassError, Masses
-from agent.numerics.noise import EVIDENCE, Record, find_process, likelihood, sensor_noise
+from agent.numerics.mistakes import Mistake, Mistakes
+from agent.numerics.noise import EVIDENCE, Record, find_process, likelihood, sensor_noise, share_of_motion
 from agent.numerics.observer import Gain, Noise
 from agent.numerics.statespace import Discrete
+from agent.numerics.suspects import ChannelSuspect
 
 FloatArray = NDArray[np.float64]
 ROUND_OFF = 1e-12
 """Least noise that arithmetic can tell from zero, as a share of the signal."""
 QUIET = 1.21
 """A residual variance up to this over what the sensors' noise explains needs no unknown force."""
+MOST_FORCED = 0.5
+"""Share of the motion that unknown forces may cause beside measured ones: estimates would rest on what is assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +36,13 @@ class Calibration:
         fit: of the parameters.
         noise: the disturbances under which it was made.
         wrong: a mass that would explain what neither they nor noise do; None where none does.
+        mistake: what is wrong with channels, so that the fit says nothing; None where that is not known.
     """
 
     fit: Fit
     noise: Noise
     wrong: MassError | None = None
+    mistake: Mistake | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +54,14 @@ class Calibrator:
         stated: (p,) noise sd of each output where it is known, NaN where it is to be learnt.
         floor: (p,) least sd that the wire's resolution allows.
         masses: those that the model takes as known; None for a rig without.
+        mistakes: how channels may be wrong; None to believe them.
     """
 
     gains: Gains
     stated: FloatArray
     floor: FloatArray
     masses: Masses | None = None
+    mistakes: Mistakes | None = None
 
     @property
     def learns(self) -> bool:
@@ -72,8 +80,11 @@ class Calibrator:
         peak = np.abs(v[:, : len(self.stated)]).max(axis=0)
         return np.asarray(np.maximum(self.floor, ROUND_OFF * peak + 1e-300))
 
-    def calibrate(self, problem: Problem, theta: FloatArray) -> Calibration:
-        """Fit a record from theta (q,): without unknown forces where that explains it, else with those found."""
+    def calibrate(self, problem: Problem, theta: FloatArray, known: ChannelSuspect | None = None) -> Calibration:
+        """Fit a record from theta (q,): without unknown forces where that explains it, else with those found.
+
+        known: what was found wrong with channels before; it is looked for first.
+        """
         noise = self.first_noise(problem.v)
         x0 = np.zeros(problem.sample(theta).model.n)
         quiet = fit_window(problem, theta, x0, self._stages(noise))
@@ -86,11 +97,38 @@ class Calibrator:
         wrong = self._wrong_mass(problem, quiet, noise, self._stages(noise), coloured)
         if self.gains.disturbance is None:
             return replace(self._learnt(problem, quiet, noise), wrong=wrong)
+        bar = coloured if wrong is None else wrong.likelihood
+        mistake = self._mistake(problem, theta, noise, -np.inf if wrong is None else wrong.likelihood, known)
+        if mistake is not None and mistake.whole:
+            return Calibration(quiet, noise, mistake=mistake)
+        mistake = mistake if mistake is not None and mistake.likelihood > bar + EVIDENCE else None
+        bar = bar if mistake is None else mistake.likelihood
         # the wide-basin gain alone: without correction a disturbed rig may not have converged at all
         wide = fit_window(problem, theta, x0, [self._start(noise)])
-        bar = coloured if wrong is None else wrong.likelihood
         forced = self._alternate(problem, wide, noise, self.gains.disturbance, bar)
-        return forced or replace(self._learnt(problem, quiet, noise), wrong=wrong)
+        if forced is not None:
+            share = self._share(problem, forced.fit.theta, forced.noise)
+            if share <= MOST_FORCED:
+                return forced
+            mistake = Mistake(ChannelSuspect("forces"), (share,), share, False, bar)
+        wrong = wrong if mistake is None else None
+        return replace(self._learnt(problem, quiet, noise), wrong=wrong, mistake=mistake)
+
+    def _mistake(
+        self, problem: Problem, theta: FloatArray, noise: Noise, without: float, known: ChannelSuspect | None
+    ) -> Mistake | None:
+        """Return what is wrong with channels where it explains a record decisively better than a log likelihood."""
+        if self.mistakes is None:
+            return None
+        mistake = self.mistakes.find(problem, theta, self._stages(noise), noise.sigma, known)
+        return mistake if mistake is not None and mistake.likelihood > without + EVIDENCE else None
+
+    def _share(self, problem: Problem, theta: FloatArray, noise: Noise) -> float:
+        """Return how much of the motion unknown forces cause; 0 where no force is measured, as they cause all of it."""
+        directions = self.gains.disturbance
+        if directions is None or self.mistakes is None or not self.mistakes.inputs:
+            return 0.0
+        return share_of_motion(problem.sample(theta), directions, noise, problem.v)
 
     def _wrong_mass(
         self, problem: Problem, fit: Fit, noise: Noise, stages: Sequence[Callable[[Discrete], Gain]], without: float
@@ -169,4 +207,4 @@ class Calibrator:
         )
         if searched is None or searched[1] - bar <= EVIDENCE * np.count_nonzero(searched[0].process):
             return None
-        return searched[0]
+        return searched[0] if self._share(problem, fit.theta, searched[0]) <= MOST_FORCED else None

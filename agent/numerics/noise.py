@@ -147,3 +147,16 @@ def _climb(value: Callable[[FloatArray], float], strongest: FloatArray, toleranc
     tolerances = {"xatol": 0.1 * tolerance, "fatol": 0.1 * tolerance**2, "maxfev": 60 * count}
     result = minimize(cost, start, method="Nelder-Mead", options=tolerances)  # type: ignore[call-overload]
     return float(-result.fun), process(np.asarray(result.x))
+
+
+def share_of_motion(discrete: Discrete, disturbance: FloatArray, noise: Noise, v: FloatArray) -> float:
+    """Return how much of what the outputs of a record v (N, p+m) do the unknown forces cause: rms over rms."""
+    model = discrete.model
+    push = disturbance * noise.process * discrete.period_s
+    # sum over the first 2^k samples after each push, by doubling, as many as the record has
+    power, caused, samples = model.A, push @ push.T, 1
+    while 2 * samples <= len(v):
+        caused, power, samples = caused + power @ caused @ power.T, power @ power, 2 * samples
+    variance = np.diag(model.C @ caused @ model.C.T)
+    seen = np.maximum(v[:, : model.p].var(axis=0), noise.sigma**2)
+    return float(np.sqrt(np.mean(variance / seen)))

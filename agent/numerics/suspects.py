@@ -37,6 +37,25 @@ class Suspect:
     between: tuple[str, str]
 
 
+@dataclass(frozen=True, slots=True)
+class ChannelSuspect:
+    """Channels that are wrong in one way, numbers among outputs, then inputs.
+
+    Attributes:
+        kind: "bias", "gain", "sign", "swap" or "delay"; "forces" for none of them: what only
+            unknown forces as large as the measured ones would explain.
+        channels: those concerned.
+    """
+
+    kind: str
+    channels: tuple[int, ...] = ()
+
+    @property
+    def reason(self) -> Reason:
+        """What estimates are not valid for."""
+        return {"bias": Reason.BIAS, "forces": Reason.MISMATCH}.get(self.kind, Reason.SENSOR)
+
+
 def mass_suspect(name: str) -> Suspect:
     """Return the suspect that a mass is wrong."""
     return Suspect(Reason.MASS, (name, GROUND))
@@ -50,11 +69,13 @@ class Accusation:
         suspect: who.
         share: of the residual's sum of squares that it explains.
         change: of a mass, over what the model has, less one; 0 for others.
+        sizes: of each channel of a `ChannelSuspect`: offset (SI), gain, delay (s); share of the motion of "forces".
     """
 
-    suspect: Suspect
+    suspect: Suspect | ChannelSuspect
     share: float
     change: float = 0.0
+    sizes: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

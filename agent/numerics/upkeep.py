@@ -103,7 +103,12 @@ class Upkeep:
         self._blame(suspects.accuse(point.theta, point.gain, v, point.dof * point.colour.share, bridge), rows, row)
 
     def believe(self, point: WorkingPoint, rows: Rows, row: int) -> None:
-        """Take what a calibration that did not stand said of a mass."""
+        """Take what a calibration that did not stand said of channels, or of a mass."""
+        mistake = point.mistake
+        if mistake is not None:
+            self.accused_at = int(rows.index[row])
+            self._blame(Accusation(mistake.suspect, mistake.share, sizes=mistake.sizes), rows, row)
+            return
         if point.wrong is not None:
             self.accused_at = int(rows.index[row])
             self._blame(Accusation(mass_suspect(point.wrong.name), 1.0, point.wrong.change), rows, row)

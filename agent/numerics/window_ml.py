@@ -293,7 +293,7 @@ class WindowML:
 
     def _unsuspected(self) -> bool:
         """Tell whether nothing better is known than what a look at theta_r would say."""
-        return self.point.settled or self.point.wrong is None
+        return self.point.settled or (self.point.wrong is None and self.point.mistake is None)
 
     def _is_clean(self, segment: Segment, rows: Rows, row: int) -> bool:
         """Tell whether a window that its residual does not accuse is free of what contradicts the past."""
@@ -343,7 +343,8 @@ class WindowML:
         # a sensor that stays at fault is heard ever more seldom; once it fits again that is seen at once
         self._heard = 0 if self._blamed is None else min(self._heard + 1, MOST_FAILED)
         dof = point.dof_of(self.settings.plan.window, 0 if problem.bridge is None else problem.bridge.free)
-        if verdict is None and fit.converged and self._move(segment, rows, row, fit, dof, whole=whole):
+        sound = verdict is None and point.mistake is None and fit.converged
+        if sound and self._move(segment, rows, row, fit, dof, whole=whole):
             if afresh:
                 point.usual_share = point.colour.share
             return True

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from agent.numerics.gains import Gains
 from agent.numerics.hops import HopPlan
 from agent.numerics.masses import Masses
+from agent.numerics.mistakes import Mistakes
 from agent.numerics.statespace import Hold
 from agent.numerics.suspects import Suspects
 from agent.numerics.verdict import Court
@@ -36,6 +37,7 @@ class WindowSettings:
         suspects: what to look for where the model does not fit; None for nothing.
         court: tells a changed sensor from a changed structure; None believes in the structure.
         masses: those that the model takes as known, which may be wrong; None for nothing.
+        mistakes: how channels may be wrong from the first sample; None to believe them.
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
         drift: samples of the window in which parameters that move may run straight lines; None where they may not.
@@ -58,6 +60,7 @@ class WindowSettings:
     input_sd: FloatArray | None = None
     drift: int | None = None
     masses: Masses | None = None
+    mistakes: Mistakes | None = None
 
     @property
     def windows(self) -> int:

@@ -13,12 +13,13 @@ from agent.numerics.commission import Commission
 from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.hops import HopOperators
 from agent.numerics.masses import MassError
+from agent.numerics.mistakes import Mistake
 from agent.numerics.observer import Gain, Noise
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, Model, discretise
 from agent.numerics.suspects import mass_suspect
 from agent.numerics.window_settings import WindowSettings
-from agent.types import Calibrated
+from agent.types import Calibrated, Reason
 
 FloatArray = NDArray[np.float64]
 
@@ -34,6 +35,7 @@ class WorkingPoint:
         usual_share: the colour's share in undisturbed windows. That of one window is what the gate goes by, and a
             window that holds a movement may have little of it.
         wrong: a mass that explained a record better than unknown forces; None for none. It outlives a fit that failed.
+        mistake: what is wrong with channels by the newest fit that learnt the noise; None for nothing.
         settled: noise and theta come from a fit, not from the configuration.
         discrete, gain, operators: the sampled model, the observer and the lifted filters at theta_r.
         unknowns: of a window; dof: degrees of freedom that its residual has left.
@@ -44,7 +46,7 @@ class WorkingPoint:
         self.settings = settings
         self.theta = np.array(model.nominal, dtype=float)
         self.scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
-        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor, settings.masses)
+        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor, settings.masses, settings.mistakes)
         directions = settings.gains.disturbance
         unforced = np.zeros(0 if directions is None else directions.shape[1])
         self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)
@@ -52,6 +54,7 @@ class WorkingPoint:
         self.usual_share = 1.0
         self.commission = Commission(np.ones(len(self.theta)))
         self.wrong: MassError | None = None
+        self.mistake: Mistake | None = None
         self.settled = False
         self.rebuild()
         self.unknowns = self.discrete.model.n + len(self.theta)
@@ -161,9 +164,12 @@ class WorkingPoint:
     def maximise(self, problem: Problem, theta: FloatArray, *, afresh: bool, near: bool) -> Fit:
         """Fit a window from theta (q,); afresh also learns what disturbs it, near needs no wide basin."""
         if afresh:
-            calibration = self.calibrator.calibrate(problem, theta)
+            known = None if self.mistake is None else self.mistake.suspect
+            calibration = self.calibrator.calibrate(problem, theta, known)
             self.noise, self.wrong = calibration.noise, self._confirmed(calibration, problem)
+            self.mistake = self._unrivalled(calibration, problem)
             return calibration.fit
+        self.mistake = None
         gains, noise = self.settings.gains, self.noise
         stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
         fit = fit_window(problem, theta, np.zeros(self.n), stages[1:] if near else stages)
@@ -178,6 +184,16 @@ class WorkingPoint:
         gain = self.settings.gains.settled(self.sampled(fit.theta), calibration.noise)
         chief = suspects.accuse(fit.theta, gain, problem.v, float(fit.residual.size), problem.bridge, least=0.0)
         return wrong if chief is None or chief.suspect == mass_suspect(wrong.name) else None
+
+    def _unrivalled(self, calibration: Calibration, problem: Problem) -> Mistake | None:
+        """Return the mistake that a calibration found, unless friction or a bent spring explains as much."""
+        mistake, fit, suspects = calibration.mistake, calibration.fit, self.settings.suspects
+        if mistake is None or mistake.whole or suspects is None or not np.all(np.isfinite(fit.theta)):
+            return mistake
+        gain = self.settings.gains.settled(self.sampled(fit.theta), calibration.noise)
+        chief = suspects.accuse(fit.theta, gain, problem.v, float(fit.residual.size), problem.bridge)
+        shaped = chief is not None and chief.suspect.reason in (Reason.DRY_FRICTION, Reason.NONLINEAR)
+        return None if chief is not None and shaped and chief.share > mistake.share else mistake
 
     def input_noise(self, discrete: Discrete, gain: Gain, samples: int) -> InputNoise | None:
         """What noise of measured inputs adds to residuals; None where none is known."""

@@ -51,6 +51,7 @@ def make_estimation(
         hop=settings.plan.hop,
         least=np.where(np.isfinite(settings.lower), 0.0, -np.inf),
         channels=tuple(c.name for c in (*config.outputs, *config.inputs)),
+        channel_units=tuple(c.si_unit for c in (*config.outputs, *config.inputs)),
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,
         windows=(settings.plan.window, *settings.longer) if config.estimator.method == "window-ml" else (),

@@ -22,6 +22,7 @@ from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import Record, RunInfo
 from drivers.port import Counts, Driver, DriverError, SampleBlock, SourceRequest
+from drivers.recording import RecordingDriver
 
 SOURCE = "recording"
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
@@ -92,17 +93,23 @@ def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
     names = {channel.name: channel.name for channel in (*rig.inputs, *rig.outputs)}
     known = resolutions([source.map for source in rig.source], steps)
     if tracks and not rig.source:
-        known = resolutions([names], [_seen_steps(tracks[0].driver)])
+        known = resolutions([names], [_seen_steps(rig, tracks[0].driver)])
     if tracks and tracks[0].source != SOURCE:
         return Pipeline(rig, known, {source.name: source.map for source in rig.source})
     return Pipeline(rig, known, {SOURCE: names})
 
 
-def _seen_steps(recording: Driver) -> tuple[float, ...]:
+def _seen_steps(rig: RigConfig, recording: Driver) -> tuple[float, ...]:
+    """Return the steps of a recording's inputs and outputs; an input that is switched is known as well as it is."""
     try:
-        return recording.resolution()
+        steps = recording.resolution()
     except DriverError as error:
         raise RecordingError.at("", str(error), "mend or cut the recording") from error
+    if not isinstance(recording, RecordingDriver):
+        return steps
+    inputs = {channel.name for channel in rig.inputs}
+    switched = zip(recording.request.fields, steps, recording.switched(), strict=True)
+    return tuple(0.0 if held and name in inputs else step for name, step, held in switched)
 
 
 def opened(rig: RigConfig, path: Path) -> Driver:
@@ -131,7 +138,7 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     """The driver of a log of CAN frames, decoded as the configuration's CAN source says."""
     sources = [source for source in rig.source if source.driver == "can"]
     if len(sources) != 1:
-        advice = "describe the frames by one [[source]] with driver = \"can\""
+        advice = 'describe the frames by one [[source]] with driver = "can"'
         raise RecordingError.at("", f"{path}: a CAN log needs the CAN source it was heard on", advice)
     source, recording = sources[0], driver_class("can-log")
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]

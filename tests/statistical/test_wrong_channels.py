@@ -44,7 +44,7 @@ WRONG: dict[str, tuple[Callable[[FloatArray], None], str]] = {
     "offset -3": (offset(-3.0), "x1 reads 0.2"),
     "turned": (turned, "x1 looks turned round"),
     "exchanged": (exchanged, "x1 and x2 look exchanged"),
-    "late": (late, "x1 comes 2"),
+    "late": (late, "x1 comes "),
     "scaled": (scaled, "x2 reads 1."),
 }
 

@@ -222,6 +222,10 @@ class Driver(ABC):
     def close(self) -> None:
         """Release the bus; harmless when closed already."""
 
+    def switched(self) -> tuple[bool, ...]:
+        """Tell of each field whether its readings are seen to be held at a few levels, as what is commanded is."""
+        return (False,) * len(self.request.fields)
+
     @abstractmethod
     def resolution(self) -> tuple[float, ...]:
         """Smallest step that the wire can carry, one a requested field, in the field's unit; 0.0 for floats.

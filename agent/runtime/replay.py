@@ -22,7 +22,6 @@ from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import Record, RunInfo
 from drivers.port import Counts, Driver, DriverError, SampleBlock, SourceRequest
-from drivers.recording import RecordingDriver
 
 SOURCE = "recording"
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
@@ -105,8 +104,6 @@ def _seen_steps(rig: RigConfig, recording: Driver) -> tuple[float, ...]:
         steps = recording.resolution()
     except DriverError as error:
         raise RecordingError.at("", str(error), "mend or cut the recording") from error
-    if not isinstance(recording, RecordingDriver):
-        return steps
     inputs = {channel.name for channel in rig.inputs}
     switched = zip(recording.request.fields, steps, recording.switched(), strict=True)
     return tuple(0.0 if held and name in inputs else step for name, step, held in switched)

@@ -40,6 +40,12 @@ def number(value: float | None, digits: int = 6) -> str:
     return f"{value:.{digits}g}"
 
 
+def percent(share: float) -> str:
+    """Write the size of a share in percent, to two digits where they say something: `12 %`, `100 %`."""
+    size = 100.0 * abs(share)
+    return f"{size:.0f} %" if size >= 10.0 else f"{size:.2g} %"
+
+
 def iso_time(t_ns: int) -> str:
     """Write nanoseconds since the epoch as ISO 8601 in UTC with nine decimals and Z."""
     seconds, fraction = divmod(int(t_ns), 1_000_000_000)

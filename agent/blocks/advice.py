@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.numerics.mechanics import GROUND
 from agent.numerics.suspects import Accusation, ChannelSuspect, Suspect
-from agent.text import number
+from agent.text import number, percent
 from agent.types import EstimateBatch, HealthEvent, Reason
 
 SOURCE = "model"
@@ -50,7 +50,7 @@ def words(found: Accusation, channels: Sequence[tuple[str, str]] = ()) -> str:
     if found.suspect.reason is Reason.MASS:
         larger = "larger" if found.change > 0 else "smaller"
         return (
-            f"mass {node} looks {number(100 * abs(found.change), 2)} % {larger} than model.mass says: correct its "
+            f"mass {node} looks {percent(found.change)} {larger} than model.mass says: correct its "
             f'value, or make it a parameter: add "{node}" to estimator.estimate'
         )
     between = f"between {node} and {other}" if other != GROUND else f"at {node}"

@@ -259,7 +259,8 @@ class _Judgement:
         column = self.columns[i]
         origin = "nominal" if self.batch.baseline_id is None else "its baseline"
         place = f"{'above' if delta > 0 else 'below'} {origin} {number(float(self.batch.reference[column]))}"
-        figures = f"{with_sd(abs(delta), sd)} {self.batch.units[column]} {place} (limit {number(float(self.limit[i]))})"
+        unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
+        figures = f"{with_sd(abs(delta), sd)} {unit}{place} (limit {number(float(self.limit[i]))})"
         return f"{self.rules[i].parameter} is {'' if raising else 'back within its limit: '}{figures}"
 
 

@@ -35,6 +35,20 @@ _TEXTS: Final[Mapping[str, str]] = {
     "too_short": "must have at least {min_length} entries, not {actual_length}",
     "too_long": "must have at most {max_length} entries, not {actual_length}",
 }
+_ADVICE: Final[Mapping[str, str]] = {
+    "missing": "add it",
+    "string_type": "write it in quotes",
+    "float_type": "write it as 0.25 or 1e-6, without quotes",
+    "float_parsing": "write it as 0.25 or 1e-6, without quotes",
+    "int_type": "write it without quotes and without a point",
+    "int_parsing": "write it without quotes and without a point",
+    "int_from_float": "write it without a point",
+    "tuple_type": "write it in square brackets",
+    "list_type": "write it in square brackets",
+    "dict_type": "write it in braces or under a [heading] of its own",
+    "model_type": "write it in braces or under a [heading] of its own",
+    "model_attributes_type": "write it in braces or under a [heading] of its own",
+}
 _NAME_RULE: Final = 'names are a letter and then at most 63 letters, digits, "_", "." or "-"'
 
 
@@ -103,7 +117,7 @@ def _fault(where: str, detail: ErrorDetails, known: Sequence[str]) -> Fault:
     if kind == "string_pattern_mismatch" and context.get("pattern", "").startswith("^[A-Za-z]"):
         return Fault(where, f"{shown(detail['input'])} is not a name", _NAME_RULE)
     message, _, advice = _sentence(detail, context).partition("; ")
-    return Fault(where, message, advice)
+    return Fault(where, message, advice or _ADVICE.get(kind, ""))
 
 
 def _sentence(detail: ErrorDetails, context: dict[str, Any]) -> str:

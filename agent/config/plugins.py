@@ -6,6 +6,8 @@ from agent.errors import ConfigError
 from drivers.port import Driver
 
 GROUP = "deltak.drivers"
+_REPLAYED = ("recording", "can-log")
+"""These read what `deltak replay` is given; no source is of such a kind."""
 
 
 def driver_entries() -> dict[str, EntryPoint]:
@@ -17,7 +19,7 @@ def driver_class(name: str) -> type[Driver]:
     """Return the driver of that name; ConfigError (path "driver") names those there are, or what its import lacks."""
     entries = driver_entries()
     if name not in entries:
-        there = ", ".join(entries) or "none"
+        there = ", ".join(entry for entry in entries if entry not in _REPLAYED) or "none"
         raise ConfigError.at("driver", f'no driver is called "{name}"', f"drivers are {there}")
     try:
         loaded: object = entries[name].load()

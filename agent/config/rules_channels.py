@@ -89,6 +89,12 @@ def _check_same_units(channels: list[Entry[Channel]], faults: Faults) -> None:
 
 
 def _check_columns(draft: Draft) -> None:
+    owner: dict[str, str] = {}
+    for key, column in (draft.columns.names or {}).items():
+        if column in owner:
+            what = f"{shown(column)} is the column of {owner[column]} already"
+            draft.faults.add(join("columns", key), what, "give each channel a column of its own")
+        owner.setdefault(column, key)
     known = ["t", *draft.channel_names]
     for key in draft.columns.names or {}:
         if key not in known and len(draft.channel_names) == len(draft.channels):

@@ -45,7 +45,11 @@ def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
 
     Raises StoreError; UsageError for an unknown rig.
     """
-    rows = [row for row in queries.alarms(db, rig, active) if not active or row["cleared_at"] is None]
+    rows = queries.alarms(db, rig, active)
+    if active:
+        # one replay after another may each leave an alarm standing; the newest of a parameter is what stands
+        newest = {(row["rig"], row["kind"], row["parameter"]): row for row in rows if row["cleared_at"] is None}
+        rows = sorted(newest.values(), key=lambda row: row["id"])
     if form == "table":
         _print_alarm_table(rows)
     else:

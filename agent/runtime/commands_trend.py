@@ -1,5 +1,6 @@
 """`deltak trend`: a parameter's drift, as sentences, JSON, CSV or a picture."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ def trend(
     plot: Path | None,
 ) -> None:
     """Print a parameter's trend. Raises StoreError; UsageError for a parameter, rig, time or picture that cannot be."""
+    if limit is not None and not math.isfinite(limit):
+        raise UsageError.at("--limit", f"must be a number, not {limit:g}", "give a value of the parameter, in its unit")
     document = _document(queries.points(db, rig, parameter, *times), _window_s(db, parameter), limit)
     if plot is not None:
         _draw(document, plot)
@@ -65,7 +68,7 @@ def _sentences(found: Document) -> str:
     name = f"{found['parameter']} of {found['rig']}"
     if not found["n"]:
         return f"{name}: no valid rows in that time"
-    unit = found["unit"] or ""
+    unit = _unit(found)
     _, newest, sd = found["points"][-1]
     lines = [f"{name}: newest {with_sd(newest, sd)} {unit} at {short_time(found['until'])}"]
     lines.append(
@@ -77,15 +80,28 @@ def _sentences(found: Document) -> str:
         verdict = "a trend" if found["trend"] else "no trend: the interval holds 0"
         lines.append(f"line there: {with_sd(found['value'], found['sd'])} {unit}; {_drift(found)}: {verdict}")
     if found["limit"] is not None:
-        lines.append(f"limit {number(found['limit'])} {unit}: {number(found['limit'] - newest, 4)} {unit} away")
+        lines.append(f"limit {number(found['limit'])} {unit}: {_distance(found, newest)}".replace("  ", " "))
     return "\n".join(lines)
+
+
+def _distance(found: Document, newest: float) -> str:
+    """Say how far the limit is, and whether it lies between the first row and the newest."""
+    before, now = found["limit"] - found["points"][0][1], found["limit"] - newest
+    beyond = before * now < 0
+    return f"{'crossed, ' if beyond else ''}{number(abs(now), 4)} {_unit(found)} {'beyond it' if beyond else 'away'}"
+
+
+def _unit(found: Document) -> str:
+    """Return the unit as it is written behind a number; nothing for a bare number."""
+    return "" if found["unit"] in {None, "1"} else str(found["unit"])
 
 
 def _drift(found: Document) -> str:
     """Write the drift in a unit of time that suits the span."""
     seconds, word = _time_unit(found)
     slope, sd, lower, upper = (found[f"slope_{k}"] * seconds / 86_400 for k in ("per_day", "sd", "lower", "upper"))
-    return f"drift {with_sd(slope, sd)} {found['unit'] or ''} per {word} (95 %: {interval(lower, upper)})"
+    change = f"{with_sd(slope, sd)} {_unit(found)}".rstrip()
+    return f"drift {change} per {word} (95 %: {interval(lower, upper)})"
 
 
 def _time_unit(found: Document) -> tuple[int, str]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.errors import UsageError
 from agent.runtime.cli_errors import faults_of
 from agent.runtime.commands_queries import ALARM_COLUMNS, ESTIMATE_COLUMNS, TABLE_ROWS, alarms, estimates
 from agent.runtime.commands_trend import trend
@@ -130,6 +131,16 @@ def test_alarms_lists_activations_and_active_only_what_stands(db: Path, said: Sa
     assert every[0]["cleared_at"] == "2026-02-02T02:40:04.000000000Z"
 
 
+def test_alarms_active_shows_of_a_parameter_the_newest_that_stands(
+    db: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after two replays of one rig, each of which ended with the alarm standing."""
+    same = dict.fromkeys(ALARM_COLUMNS) | {"rig": "r", "kind": "level", "parameter": "k2"}
+    standing = [same | {"id": 3}, same | {"id": 7}]
+    monkeypatch.setattr("agent.storage.queries.alarms", lambda *_: standing)
+    assert [a["id"] for a in json.loads(said(alarms, db, None, "json", active=True))["alarms"]] == [7]
+
+
 def test_alarms_table_and_csv_carry_the_message(db: Path, said: Said) -> None:
     assert "k1 is 25.1 ± 0.9 N/m above nominal" in said(alarms, db, None, "table", active=False)
     assert said(alarms, db, None, "csv", active=False).splitlines()[0] == ",".join(ALARM_COLUMNS)
@@ -148,6 +159,16 @@ def test_trend_json_has_every_key_and_finds_the_drift(db: Path, said: Said) -> N
     assert found["trend"] is True
     assert found["value"] == pytest.approx(45.0, abs=4 * found["sd"])
     assert found["n_disjoint"] < found["n"] / 4  # windows of 0.25 s every 0.05 s
+
+
+def test_trend_limit_that_was_crossed_is_said_to_be(db: Path, said: Said) -> None:
+    newest, first = (json.loads(said(trend, db, "k1", "press-8", (None, None), None, "json", None))["points"][i][1]
+                     for i in (-1, 0))  # fmt: skip
+    between, past = 0.5 * (newest + first), newest + 2 * (newest - first)
+    assert ": crossed, " in said(trend, db, "k1", "press-8", (None, None), between, "table", None)
+    assert "N/m away" in said(trend, db, "k1", "press-8", (None, None), past, "table", None)
+    with pytest.raises(UsageError, match="must be a number, not nan; give a value of the parameter"):
+        said(trend, db, "k1", "press-8", (None, None), float("nan"), "table", None)
 
 
 def test_trend_sentences_say_whether_there_is_one(db: Path, said: Said) -> None:

@@ -18,6 +18,7 @@ from agent.runtime.clock import SampleLabels, boot_id, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
 from agent.runtime.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.results import RunSummary
+from agent.runtime.unusable import Evidence, judge
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import Record, RunInfo
@@ -56,10 +57,16 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
             stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
             pipeline.adopt(writer.calibrations[rig.rig.name])
-        for records in _records(pipeline, tracks):
+        evidence = Evidence(rig.rig.sample_rate_hz)
+        for records in _records(pipeline, tracks, evidence):
             summary.take(records)
+            evidence.see(records)
             if writer is not None:
                 writer.publish(records)
+        faults = judge(rig, str(recordings[0]), evidence, *_whole_counts(pipeline, tracks, evidence))
+    for fault in faults:
+        log.warning("%s", fault)
+        summary.advise(str(fault))
     return summary.document(time.monotonic() - started)
 
 
@@ -170,12 +177,30 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     return writer
 
 
-def _records(pipeline: Pipeline, tracks: Sequence[Track]) -> Iterator[list[Record]]:
+def _whole_counts(
+    pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence
+) -> tuple[Counts, Counter[str]]:
+    """Return what all drivers counted and what acquisition refused; the drivers' remarks go to the evidence."""
+    total, refused = Counts(), Counter[str]()
+    for _, driver in tracks:
+        total.received += driver.counts.received
+        total.rejected.update(driver.counts.rejected)
+        notes = driver.take_notes()
+        evidence.notes += notes
+        for note in notes:
+            log.info("%s", note)
+    for state in pipeline.acquisition.sources.values():
+        refused.update(state.refusals())
+    return total, refused
+
+
+def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> Iterator[list[Record]]:
     """Yield what each block leads to, with the ledger every 10 s of samples and at the end."""
     due: int | None = None
     labels = SampleLabels(pipeline.config.rig.sample_rate_hz)
     for track, block in _played(tracks):
         # blocks that were received live are labelled as they were then
+        evidence.watch(block)
         received = block.wall_offset_ns is not None
         label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
         yield pipeline.step(track.source, block, track.driver.counter_modulus, label if received else None)

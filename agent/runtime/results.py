@@ -42,6 +42,10 @@ class RunSummary:
             elif isinstance(record, Health):
                 self._health[record.source] = record
 
+    def advise(self, words: str) -> None:
+        """Add words to the document's advice."""
+        self._advice.append(words)
+
     def _estimates(self, batch: EstimateBatch) -> None:
         valid = (batch.status == Status.VALID).sum(axis=0)
         self._valid = valid if self._valid is None else self._valid + valid
@@ -79,11 +83,19 @@ class RunSummary:
         samples = self.samples()
         span = samples["used"] / self.config.rig.sample_rate_hz
         return {
-            "rig": self.config.rig.name, "db": self.db, "run_id": self.run_id, "samples": samples, "span_s": span,
+            "rig": self.config.rig.name, "db": self.db, "run_id": self.run_id, "samples": samples,
+            "faults": self.faults(), "span_s": span,
             "windows": self.windows, "estimates": self.estimates(), "alarms": self._alarms, "advice": self._advice,
             "seconds": seconds,
             "samples_per_s": samples["received"] / seconds if seconds > 0 else None,
         }  # fmt: skip
+
+    def faults(self) -> dict[str, int]:
+        """Return what went wrong on lines and in files without being a sample, by name, over all sources."""
+        total: Counter[str] = Counter()
+        for health in self._health.values():
+            total.update(health.faults)
+        return {reason: n for reason, n in total.items() if n}
 
     def samples(self) -> dict[str, Any]:
         """Return the ledger over all sources, as the newest health records have it."""

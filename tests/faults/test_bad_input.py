@@ -251,11 +251,12 @@ def test_recording_with_time_running_backwards_refuses_those_samples(place: Plac
     assert found["rejected"] == {"backwards": 2}
 
 
-def test_recording_of_time_that_only_runs_backwards_uses_one_sample(place: Place, deltak: Run) -> None:
-    found = replayed(place, samples(50)[::-1], deltak)
-    assert found["received"] == 50
-    assert found["used"] + sum(found["rejected"].values()) == 50
-    assert found["used"] == 1
+def test_recording_of_time_that_only_runs_backwards_is_refused_and_its_ledger_kept(place: Place, deltak: Run) -> None:
+    path = csv(place.folder / "odd.csv", samples(50)[::-1])
+    code, _, err = deltak("replay", str(place.config), str(path), "--db", str(place.db), "--json")
+    assert code == 2
+    assert "its times run backwards from row to row; sort the rows by time" in err
+    assert (50, 1, 49, 0) in rows(place.db, "SELECT received, used, rejected, gaps FROM v_health")
 
 
 def _foreign(path: Path) -> None:

@@ -1,0 +1,96 @@
+"""Recordings that nothing or little can be made of are refused or warned of, with what to do about it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.errors import RecordingError
+from agent.runtime.check import check
+from agent.runtime.replay import replay
+from drivers.port import FloatArray
+from tests.scenario.live import example
+from tests.unit.numerics.rigs import noisy
+
+ROWS = 700
+LINE = Callable[[float, FloatArray], str]
+
+
+def comma(t: float, v: FloatArray) -> str:
+    """A row as spreadsheets of half the world write it."""
+    return ";".join(f"{value:.9f}".replace(".", ",") for value in (t, *v))
+
+
+def plain(t: float, v: FloatArray) -> str:
+    """A row as it should be."""
+    return ",".join(f"{value:.9f}" for value in (t, *v))
+
+
+def written(folder: Path, times: FloatArray, line: LINE = plain) -> Path:
+    """Write a recording of a healthy rig with these times."""
+    v = noisy(np.random.default_rng(3), len(times), 1e-6).v[:, [2, 0, 1]]
+    head = "t;force;x1;x2" if line is comma else "t,force,x1,x2"
+    path = folder / "recording.csv"
+    path.write_text("\n".join([head, *(line(t, row) for t, row in zip(times.tolist(), v, strict=True))]) + "\n")
+    return path
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A rig of 1 kHz without sources."""
+    text = example("modbus", tmp_path).read_text(encoding="utf-8")
+    path = tmp_path / "rig.toml"
+    path.write_text(text[: text.index("[[source]]")], encoding="utf-8")
+    return path
+
+
+SECONDS = np.arange(ROWS) / 1000.0
+USELESS: dict[str, tuple[FloatArray, LINE, str]] = {
+    "decimal commas": (SECONDS, comma, "decimal commas"),
+    "backwards": (SECONDS[::-1], plain, "backwards from row to row; sort"),
+    "beyond": (SECONDS + 1.7e12, plain, "are no seconds"),
+    "milliseconds": (SECONDS * 1e3, plain, "in milliseconds: it must be in seconds"),
+    "microseconds": (SECONDS * 1e6, plain, "in microseconds"),
+}
+
+
+@pytest.mark.parametrize("case", USELESS)
+def test_recording_of_no_use_is_refused_with_what_to_do(case: str, tmp_path: Path, config: Path) -> None:
+    times, line, words = USELESS[case]
+    path = written(tmp_path, times, line)
+    with pytest.raises(RecordingError, match=words) as caught:
+        replay(config=config, recordings=[path], db=None)
+    assert caught.value.exit_code == 2
+    assert all(fault.advice and fault.path == str(path) for fault in caught.value.faults)
+
+
+def test_recording_of_no_use_is_refused_by_check_in_the_same_words(tmp_path: Path, config: Path) -> None:
+    with pytest.raises(RecordingError, match="decimal commas"):
+        check(config=config, recording=written(tmp_path, SECONDS, comma), probe=False)
+
+
+@pytest.mark.parametrize(("times", "rate"), [(np.arange(10 * ROWS) / 1e4, 10_000), (np.arange(ROWS) / 100.0, 100)])
+def test_recording_at_another_rate_is_warned_of(
+    times: FloatArray, rate: int, tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    document = replay(config=config, recordings=[written(tmp_path, times)], db=None)
+    (words,) = [text for text in document["advice"] if "sample_rate_hz" in text]
+    assert f"set rig.sample_rate_hz = {rate}" in words
+    assert words in [record.getMessage() for record in caplog.records]
+
+
+def test_cells_that_are_no_numbers_are_counted_in_the_document(tmp_path: Path, config: Path) -> None:
+    path = written(tmp_path, SECONDS)
+    lines = path.read_text(encoding="utf-8").split("\n")
+    lines[300] = lines[300][:-4] + "oops"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert replay(config=config, recordings=[path], db=None)["faults"] == {"text": 1}
+
+
+def test_recording_that_fits_is_not_warned_of(tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture) -> None:
+    jitter = np.random.default_rng(1).uniform(-2e-4, 2e-4, ROWS)
+    document = replay(config=config, recordings=[written(tmp_path, SECONDS + jitter)], db=None)
+    assert document["advice"] == []
+    assert document["samples"]["used"] == ROWS
+    assert not caplog.records

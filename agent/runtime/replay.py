@@ -83,7 +83,7 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
         return [Track(SOURCE, opened(rig, path)) for path in recordings]
     if len(own) < len(recordings):
         other = next(path for path in recordings if not is_own(path))
-        raise RecordingError.at("", f"{other}: is no recording of the agent like {own[0]}", "replay each by itself")
+        raise RecordingError.at(str(other), f"is no recording of the agent like {own[0]}", "replay each by itself")
     return [Track(name, _open(driver)) for name, driver in own_recordings(rig, own).items()]
 
 
@@ -143,12 +143,12 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     sources = [source for source in rig.source if source.driver == "can"]
     if len(sources) != 1:
         advice = 'describe the frames by one [[source]] with driver = "can"'
-        raise RecordingError.at("", f"{path}: a CAN log needs the CAN source it was heard on", advice)
+        raise RecordingError.at(str(path), "a CAN log needs the CAN source it was heard on", advice)
     source, recording = sources[0], driver_class("can-log")
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     lacking = [name for name in channels if name not in source.map]
     if lacking:
-        raise RecordingError.at("", f"{path}: the CAN source does not carry {', '.join(lacking)}", "map every channel")
+        raise RecordingError.at(str(path), f"the CAN source does not carry {', '.join(lacking)}", "map every channel")
     keys = recording.settings_model.model_fields.keys() & source.settings.model_fields_set
     layout = {key: getattr(source.settings, key) for key in keys}
     settings = recording.settings_model(path=path.absolute(), **layout)  # type: ignore[call-arg]

@@ -187,6 +187,17 @@ class Calibrator:
         without = coloured_likelihood(fit.residual, noise.sigma)
         return Calibration(fit, noise, self._wrong_mass(problem, fit, noise, [matched], without))
 
+    def needs_no_force(self, problem: Problem, fit: Fit, noise: Noise) -> bool:
+        """Tell whether a record is decisively likelier without the unknown forces under which it was fitted."""
+        quiet = replace(noise, process=np.zeros_like(noise.process))
+        alone = fit_window(problem, fit.theta, fit.x0, self._stages(quiet))
+        discrete, known = problem.sample(fit.theta), not self.learns
+        record = Record(problem.v, fit.x0, problem.bridge)
+        forced = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
+        discrete, record = problem.sample(alone.theta), Record(problem.v, alone.x0, problem.bridge)
+        plain = likelihood(discrete, self.gains.settled(discrete, quiet), record, scale_known=known).value
+        return alone.converged and plain > forced + EVIDENCE
+
     def forces_in(self, problem: Problem, theta: FloatArray, noise: Noise) -> Noise | None:
         """Return unknown forces that explain a longer record decisively better than what is assumed, else None."""
         if self.gains.disturbance is None:

@@ -80,7 +80,8 @@ class WindowML:
     def calibrated(self) -> Calibrated | None:
         """Return what is known of the rig's disturbances; None while that is nothing to rely on."""
         point = self.point
-        return point.calibrated(searched=self._searched) if point.settled and point.wrong is None else None
+        sound = point.settled and point.wrong is None and not self._upkeep.accused
+        return point.calibrated(searched=self._searched) if sound else None
 
     def adopt(self, known: Calibrated) -> None:
         """Begin with what an earlier run knew; a first window that it does not explain ends that."""
@@ -336,6 +337,9 @@ class WindowML:
         near = self._anchored and self._onset is None
         beginning = np.where(np.isfinite(rows.theta[row]) & near, rows.theta[row], point.theta)
         fit = point.maximise(problem, beginning, afresh=afresh, near=near)
+        if self._adopted and not was_settled and point.refutes_adopted(problem, fit):
+            self._disown()
+            afresh, fit = True, point.maximise(problem, point.theta, afresh=True, near=False)
         verdict = None if near or not was_settled else self._hear(problem, fit)
         self._blamed = verdict if verdict is not None and verdict.channel >= 0 else None
         if self._blamed is not None:
@@ -350,11 +354,16 @@ class WindowML:
             return True
         restore()
         if self._adopted and not point.settled:
-            self._adopted, self._searched = False, self.settings.gains.disturbance is None
+            self._disown()
         self._upkeep.believe(point, rows, row)
         # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is
         self._failed = 0 if point.settled else min(self._failed + 1, MOST_FAILED)
         return False
+
+    def _disown(self) -> None:
+        """Drop what an earlier run knew: the rig is not as it was."""
+        self._adopted, self._searched = False, self.settings.gains.disturbance is None
+        self.point.forget_adopted()
 
     def _move(self, segment: Segment, rows: Rows, row: int, fit: Fit, dof: float, *, whole: bool) -> bool:
         """Move theta_r to a fit and give its row what the fit says; return False where the fit does not stand."""

@@ -77,6 +77,25 @@ class WorkingPoint:
         self.rebuild()
         return True
 
+    def forget_adopted(self) -> None:
+        """Begin as if nothing had been known of the disturbances."""
+        stated = self.settings.sigma
+        self.noise = Noise(np.where(np.isfinite(stated), stated, 1.0), np.zeros_like(self.noise.process))
+        self.commission = Commission(np.ones(len(self.theta)))
+        self.rebuild()
+
+    def refutes_adopted(self, problem: Problem, fit: Fit) -> bool:
+        """Tell whether a fit under adopted disturbances says that they are not those of its window.
+
+        Either the window leaves far less than they would have it, or sensor noise alone explains it far better. A
+        window that tells nothing of the parameters tells nothing of forces that act while the rig moves either.
+        """
+        s2 = float(np.mean(fit.residual**2)) if fit.residual.size else 1.0
+        sd = np.sqrt(np.diag(fit.covariance) * s2)
+        if not (fit.converged and self.noise.forced and np.any(sd < self.settings.enough_sd)):
+            return False
+        return s2 < 2.0 - self.gate or self.calibrator.needs_no_force(problem, fit, self.noise)
+
     def rebuild(self) -> None:
         """Make observer and operators about theta_r."""
         self.discrete = discrete = self.sampled(self.theta)

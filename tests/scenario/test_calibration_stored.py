@@ -132,6 +132,22 @@ def test_calibration_that_does_not_explain_the_rig_is_made_anew(tmp_path: Path) 
     assert now == pytest.approx(5e-5, rel=0.2)
 
 
+def test_calibration_with_forces_that_are_gone_is_replaced_at_the_first_window(tmp_path: Path) -> None:
+    """What shook the machine then does not now: intervals are those of a file that knows nothing."""
+    config, db = learning(tmp_path), tmp_path / "rig.db"
+    v = healthy(np.random.default_rng(8), 3000, 5e-6)
+    still = recording(tmp_path / "still.npz", v)
+    replay(config=config, recordings=[disturbed(tmp_path)], db=db)
+    known = replay(config=config, recordings=[still], db=db)["estimates"]
+    fresh = replay(config=config, recordings=[still], db=tmp_path / "fresh.db")["estimates"]
+    (_, before), (_, now) = stored(db)
+    assert max(before["process"]) > 0.3
+    assert max(now["process"]) == 0.0
+    for name in NAMES:
+        assert known[name]["status"] == "valid"
+        assert known[name]["sd"] == pytest.approx(fresh[name]["sd"], rel=0.05)
+
+
 def run_info(**changes: str) -> RunInfo:
     fields: dict[str, Any] = {"rig": "rig", "kind": "live", "started_ns": 1, "code_version": "1", "config_sha256": "aa"}
     return RunInfo(**(fields | changes))

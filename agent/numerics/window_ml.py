@@ -79,9 +79,8 @@ class WindowML:
 
     def calibrated(self) -> Calibrated | None:
         """Return what is known of the rig's disturbances; None while that is nothing to rely on."""
-        point = self.point
-        sound = point.settled and point.wrong is None and not self._upkeep.accused
-        return point.calibrated(searched=self._searched) if sound else None
+        sound = self.point.settled and self.point.wrong is None and not self._upkeep.accused
+        return self.point.calibrated(searched=self._searched) if sound else None
 
     def adopt(self, known: Calibrated) -> None:
         """Begin with what an earlier run knew; a first window that it does not explain ends that."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from agent.blocks import calibration_words
 from agent.blocks.advice import ModelAdvice
 from agent.blocks.sensor_labels import SensorEvent
 from agent.numerics.hops import HopPlan
@@ -70,6 +71,7 @@ class Labels:
     """What every row of a rig's estimates carries.
 
     windows: where there are several, their lengths in samples.
+    pushed: name and unit of what each unknown force acts on.
     least (q,): what is reported of a parameter does not go below; its estimate does, so that noise does not bias it.
     """
 
@@ -86,6 +88,7 @@ class Labels:
     hop: int = 1
     channels: tuple[str, ...] = ()
     channel_units: tuple[str, ...] = ()
+    pushed: tuple[tuple[str, str], ...] = ()
     least: FloatArray | None = None
     windows: tuple[int, ...] = ()
 
@@ -118,6 +121,8 @@ class Estimation:
     _advice: list[HealthEvent] = field(default_factory=list)
     _known: Calibrated | None = None
     _learnt: list[CalibrationRecord] = field(default_factory=list)
+    _told: bool = True
+    _news: list[HealthEvent] = field(default_factory=list)
     _lacking: Lacking = field(default_factory=lambda: Lacking(0))
     _model: ModelAdvice = field(default_factory=lambda: ModelAdvice("", 1.0))
 
@@ -213,7 +218,7 @@ class Estimation:
     def adopt(self, known: Calibrated) -> None:
         """Begin with what an earlier run knew of the rig's disturbances."""
         self.estimator.adopt(known)
-        self._known = known
+        self._known, self._told = known, False
 
     def take_calibration(self) -> list[CalibrationRecord]:
         """Return what was learnt of the rig's disturbances since the last call, the newest."""
@@ -221,10 +226,21 @@ class Estimation:
         return learnt
 
     def _note_calibration(self, t_ns: int) -> None:
-        known = self.estimator.calibrated()
+        known, labels = self.estimator.calibrated(), self.labels
+        named = (tuple(zip(labels.channels, labels.channel_units, strict=True)), labels.pushed)
+        if not self._told and self._known is not None:
+            self._told = True
+            self._news.append(calibration_words.adopted(labels.rig, t_ns, self._known, *named))
         if known is not None and known != self._known:
+            news = calibration_words.learnt(labels.rig, t_ns, self._known, known, *named)
+            self._news += [] if news is None else [news]
             self._known = known
             self._learnt = [CalibrationRecord(self.labels.rig, t_ns, known)]
+
+    def take_news(self) -> list[HealthEvent]:
+        """Return which levels of the disturbances were taken over, found or replaced since the last call."""
+        news, self._news = self._news, []
+        return news
 
     def take_advice(self) -> list[HealthEvent]:
         """Return what the model was found to lack since the last call."""

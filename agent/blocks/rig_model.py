@@ -108,6 +108,16 @@ def _linear(config: RigConfig, names: tuple[str, ...]) -> AffineModel:
     return affine_model(names, nominal, matrices, derivatives)
 
 
+def pushed(model: Model) -> tuple[tuple[str, str], ...]:
+    """Return name and unit of what an unknown force in each direction acts on: masses in N, else states."""
+    inner = model.model if isinstance(model, SensedModel) else model
+    if not isinstance(inner, MassSpringDamper):
+        return tuple((name, "") for name in inner.state_names)
+    nodes = inner.structure.masses
+    names = tuple(m.name for m in nodes if m.value > 0) or tuple(m.name for m in nodes)
+    return tuple((name, "N") for name in names)
+
+
 def _disturbance(model: Model) -> FloatArray:
     """A force on each mass (on each node where none has mass), or anything on each state of a linear model."""
     if isinstance(model, SensedModel):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from agent.blocks.estimation import Estimation, Estimator, Labels
-from agent.blocks.rig_model import RigModel, rig_model, window_settings
+from agent.blocks.rig_model import RigModel, pushed, rig_model, window_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
 from agent.numerics.observer import Noise
@@ -51,6 +51,7 @@ def make_estimation(
         hop=settings.plan.hop,
         least=np.where(np.isfinite(settings.lower), 0.0, -np.inf),
         channels=tuple(c.name for c in (*config.outputs, *config.inputs)),
+        pushed=pushed(rig.model),
         channel_units=tuple(c.si_unit for c in (*config.outputs, *config.inputs)),
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,

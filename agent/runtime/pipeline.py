@@ -148,6 +148,7 @@ class Pipeline:
                 records.append(batch)
                 records.extend(self.estimation.take_advice())
                 records.extend(self.estimation.take_calibration())
+                records.extend(self.estimation.take_news())
                 records.extend(self.alarms.step(batch))
                 records.extend(self.sensor_alarms.confirm(batch))
                 records.extend(self.sensor_alarms.step(self.estimation.take_events()))

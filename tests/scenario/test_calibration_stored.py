@@ -141,6 +141,10 @@ def test_calibration_with_forces_that_are_gone_is_replaced_at_the_first_window(t
     known = replay(config=config, recordings=[still], db=db)["estimates"]
     fresh = replay(config=config, recordings=[still], db=tmp_path / "fresh.db")["estimates"]
     (_, before), (_, now) = stored(db)
+    with sqlite3.connect(db) as base:
+        events = base.execute("SELECT cause, message FROM v_events WHERE source = 'calibration'").fetchall()
+    assert [cause for cause, _ in events] == ["found", "adopted", "replaced"]
+    assert "unknown forces: none; before: noise of the sensors: x1 " in events[2][1]
     assert max(before["process"]) > 0.3
     assert max(now["process"]) == 0.0
     for name in NAMES:

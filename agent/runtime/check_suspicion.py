@@ -5,12 +5,21 @@ from typing import Any
 
 import numpy as np
 
+from agent.blocks.advice import words
 from agent.blocks.alignment_plan import channels_of, complete_inputs, stretch_samples
 from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_model, window_settings
 from agent.config import RigConfig
 from agent.config.tables import Channel
 from agent.errors import Fault
+from agent.numerics.calibrate import ROUND_OFF
+from agent.numerics.fit import Problem
+from agent.numerics.guarded import sized
+from agent.numerics.noise import sensor_noise
+from agent.numerics.observer import Noise
+from agent.numerics.statespace import Discrete, Model, discretise
+from agent.numerics.suspects import Accusation
 from agent.numerics.suspicion import Examiner, Finding, Hypothesis
+from agent.numerics.window_settings import WindowSettings
 from agent.text import number
 from agent.types import FloatArray
 
@@ -34,7 +43,35 @@ def suspicions(
         progress(f"examining channels: {done} of {everything} explanations")
 
     finding = _examiner(config, said).examine(stretches)
-    return [] if finding is None else [_row(config, finding)]
+    return _unzeroed(config, stretches[0]) if finding is None else [_row(config, finding)]
+
+
+def _unzeroed(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
+    """Return the displacements that look as if they had never been zeroed, of readings v (N, c), inputs first."""
+    rig, resolution, inputs = rig_model(config), np.zeros(len(config.outputs)), len(config.inputs)
+    settings = window_settings(config, rig, resolution)
+    y, u = v[:, inputs:], v[:, :inputs]
+    columns = np.hstack([y, complete_inputs(config, resolution)(y, u)])
+    guess = np.maximum(sensor_noise(y), ROUND_OFF * np.abs(y).max(axis=0) + 1e-300)
+    noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, guess), np.zeros(rig.disturbance.shape[1]))
+    stages = [lambda at: settings.gains.start(at, noise), lambda at: settings.gains.settled(at, noise)]
+    scale = sized(settings.scale, settings.scale_column, columns)
+    problem = Problem(lambda theta: _sampled(rig.model, theta, settings), columns, scale, settings.lower)
+    mistakes = settings.mistakes
+    found = None if mistakes is None else mistakes.find(problem, rig.model.nominal, stages, noise.sigma)
+    if found is None or found.suspect.kind != "bias":
+        return []
+    channels = [(channel.name, channel.si_unit) for channel in config.outputs]
+    accusation = Accusation(found.suspect, found.share, sizes=found.sizes)
+    return [{
+        "kind": "offset", "channels": [channels[r][0] for r in found.suspect.channels], "factor": None,
+        "left_before": None, "left_after": None, "words": words(accusation, channels),
+    }]  # fmt: skip
+
+
+def _sampled(model: Model, theta: FloatArray, settings: WindowSettings) -> Discrete:
+    """Return a rig's sampled model at theta (q,)."""
+    return discretise(model.continuous(theta), settings.period_s, settings.hold)
 
 
 def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examiner:

@@ -192,3 +192,12 @@ def test_check_probe_hears_both_sources_and_names_what_is_wrong(tmp_path: Path) 
     assert {c["name"]: c["source"] for c in probe["channels"]} == {"force": "can", "x1": "modbus", "x2": "modbus"}
     noise = {c["name"]: c["noise_sd"] for c in probe["channels"]}
     assert noise["x1"] == pytest.approx(1e-6, rel=0.3)
+
+
+def test_displacement_that_was_never_zeroed_is_named_with_its_offset() -> None:
+    values = readings(3)
+    values[:, 1] += 0.05
+    (row,) = suspected(values)
+    assert (row["kind"], row["channels"]) == ("offset", ["x1"])
+    assert row["words"].startswith("x1 reads 0.0")
+    assert " m too high, as if never zeroed" in row["words"]

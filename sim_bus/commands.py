@@ -128,7 +128,8 @@ def _stopped_by_signals(signals: list[int]) -> Iterator[threading.Event]:
 
     def note(number: int, _frame: object) -> None:
         signals.append(number)
-        stop.set()
+        # this interrupts the thread that may hold the very lock that setting takes
+        threading.Thread(target=stop.set, name="stop", daemon=True).start()
 
     before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
     try:

@@ -142,7 +142,7 @@ def _climb(value: Callable[[FloatArray], float], strongest: FloatArray, toleranc
         return min(-value(process(exponents)), _UNLIKELY)
 
     start = np.full(count, together)
-    if not np.isfinite(cost(start)):
+    if cost(start) >= _UNLIKELY:
         return -np.inf, process(start)  # a simplex finds no way down where nothing is finite
     tolerances = {"xatol": 0.1 * tolerance, "fatol": 0.1 * tolerance**2, "maxfev": 60 * count}
     result = minimize(cost, start, method="Nelder-Mead", options=tolerances)  # type: ignore[call-overload]

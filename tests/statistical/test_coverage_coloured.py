@@ -9,11 +9,11 @@ from tests.statistical.machine import say
 FULL = 200
 QUICK = {
     "white": 200,
-    "white, to be learnt": 60,
-    "AR(1) 0.9": 30,
-    "force on m1": 20,
-    "16 bits": 60,
-    "200 us of jitter": 60,
+    "white, to be learnt": 30,
+    "AR(1) 0.9": 15,
+    "force on m1": 12,
+    "16 bits": 30,
+    "200 us of jitter": 30,
 }
 """Runs of each case where time is short."""
 

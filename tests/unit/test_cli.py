@@ -196,9 +196,9 @@ def test_interrupt_signal_to_the_process_exits_130() -> None:
         "def run(**_):\n    print('ready', flush=True)\n    threading.Event().wait(60)\n"
         "agent.runtime.service = SimpleNamespace(run=run)\nmain(['run', 'a.toml'])\n"
     )
-    with subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as child:
+    # a shell's background jobs are begun with SIGINT ignored, and this may be run by one
+    command = ["env", "--default-signal=INT", sys.executable, "-c", script]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         assert child.stdout.readline() == "ready\n"
         child.send_signal(signal.SIGINT)

@@ -11,7 +11,7 @@ from agent.numerics.statespace import Discrete, discretise
 from tests.unit.numerics.rigs import FloatArray, disturbance, measured_model, random_structure, record
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(masses=st.integers(1, 6), seed=st.integers(0, 2**32 - 1))
 @example(masses=6, seed=0)
 @example(masses=6, seed=1)

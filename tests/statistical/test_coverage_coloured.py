@@ -8,7 +8,7 @@ from tests.statistical.machine import say
 
 FULL = 200
 QUICK = {
-    "white": 200,
+    "white": 80,
     "white, to be learnt": 30,
     "AR(1) 0.9": 15,
     "force on m1": 12,

@@ -131,7 +131,7 @@ def plan(seen: dict[str, int], every: int) -> Iterator[tuple[str, int, int, int]
 
 
 @pytest.mark.parametrize("start", ["first", "later"])
-@pytest.mark.parametrize("every", [20, pytest.param(1, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
+@pytest.mark.parametrize("every", [40, pytest.param(1, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
 def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(ward: Ward, start: str, every: int) -> None:
     before, number = ward.fresh("before"), 0
     if start == "later":

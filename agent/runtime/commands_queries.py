@@ -45,15 +45,26 @@ def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
 
     Raises StoreError; UsageError for an unknown rig.
     """
-    rows = queries.alarms(db, rig, active)
+    rows: Sequence[Row] = queries.alarms(db, rig, active)
     if active:
-        # one replay after another may each leave an alarm standing; the newest of a parameter is what stands
-        newest = {(row["rig"], row["kind"], row["parameter"]): row for row in rows if row["cleared_at"] is None}
-        rows = sorted(newest.values(), key=lambda row: row["id"])
+        rows = _standing(rows, {run["run_id"]: run["kind"] for run in queries.runs(db)})
     if form == "table":
         _print_alarm_table(rows)
     else:
         _print_rows("alarms", ALARM_COLUMNS, rows, form)
+
+
+def _standing(rows: Sequence[Row], kinds: Mapping[int, str]) -> list[Row]:
+    """Return the alarms that stand: of one parameter the newest that runs of one kind (kinds: of each run) left so.
+
+    One replay after another may leave an alarm standing; none of them may hide one of the live machine.
+    """
+    newest = {
+        (row["rig"], row["kind"], row["parameter"], kinds.get(row["run_id"])): row
+        for row in rows
+        if row["cleared_at"] is None
+    }
+    return sorted(newest.values(), key=lambda row: row["id"])
 
 
 def records(db: Path, rig: str | None, form: str) -> None:

@@ -136,9 +136,12 @@ def test_alarms_active_shows_of_a_parameter_the_newest_that_stands(
 ) -> None:
     """As after two replays of one rig, each of which ended with the alarm standing."""
     same = dict.fromkeys(ALARM_COLUMNS) | {"rig": "r", "kind": "level", "parameter": "k2"}
-    standing = [same | {"id": 3}, same | {"id": 7}]
+    standing = [same | {"id": i, "run_id": run} for i, run in ((2, 1), (3, 2), (7, 3))]
+    runs = [{"run_id": run, "kind": kind} for run, kind in ((1, "live"), (2, "replay"), (3, "replay"))]
     monkeypatch.setattr("agent.storage.queries.alarms", lambda *_: standing)
-    assert [a["id"] for a in json.loads(said(alarms, db, None, "json", active=True))["alarms"]] == [7]
+    monkeypatch.setattr("agent.storage.queries.runs", lambda *_: runs)
+    # that of the live machine is not hidden by what recordings of it ended with
+    assert [a["id"] for a in json.loads(said(alarms, db, None, "json", active=True))["alarms"]] == [2, 7]
 
 
 def test_alarms_table_and_csv_carry_the_message(db: Path, said: Said) -> None:

@@ -44,6 +44,8 @@ class ModelAdvice:
 def words(found: Accusation, channels: Sequence[tuple[str, str]] = ()) -> str:
     """Return what a model lacks, or what is wrong with channels (name, SI unit), and what to do about it."""
     if isinstance(found.suspect, ChannelSuspect):
+        if found.suspect.kind == "stuck":
+            return _stuck_words([channels[r] for r in found.suspect.channels], found.sizes)
         return _channel_words(found.suspect, found.sizes, channels)
     node, other = found.suspect.between
     place = node if other == GROUND else f"{node} and {other}"
@@ -61,6 +63,12 @@ def words(found: Accusation, channels: Sequence[tuple[str, str]] = ()) -> str:
         Reason.BIAS: f"what the model leaves looks like a constant force at {place}: an offset of the force or of a "
         "displacement; set bias = true on that channel",
     }[found.suspect.reason]
+
+
+def _stuck_words(named: Sequence[tuple[str, str]], stood: Sequence[float]) -> str:
+    """Return which channels (name, SI unit) stood where, and what to do about it."""
+    each = (f"{name} stood at {number(at, 4)} {unit}" for (name, unit), at in zip(named, stood, strict=True))
+    return f"{', '.join(each)} all through a window that no parameters explain: look at that sensor and its wiring"
 
 
 def _channel_words(suspect: ChannelSuspect, sizes: Sequence[float], channels: Sequence[tuple[str, str]]) -> str:

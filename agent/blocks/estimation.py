@@ -264,7 +264,7 @@ class Estimation:
             if self._blamed is None:
                 self._blamed_at = index
             self._blamed = fault
-            sure = fault.reason == Reason.SENSOR or index - self._blamed_at >= self.labels.window
+            sure = fault.reason in (Reason.SENSOR, Reason.STUCK) or index - self._blamed_at >= self.labels.window
             if sure and self._said is None:
                 self._said = fault
                 self._events.append(SensorEvent(fault, True, index, int(t_ns[row])))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.colour import coloured_likelihood
 from agent.numerics.fit import Fit, Problem, fit_window
+from agent.numerics.frozen import Frozen
 from agent.numerics.guarded import GuardedProblem
 from agent.numerics.observer import Gain
 from agent.numerics.sensors import Nuisance, SensedModel
@@ -100,6 +101,10 @@ class Mistakes:
     inputs: int
     period_s: float
     hold: Hold
+
+    def frozen(self) -> Frozen:
+        """Return what is known at the beginning of channels that stand still."""
+        return Frozen(self.outputs, self.inputs)
 
     def find(
         self, problem: Problem, theta: FloatArray, stages: Stages, sigma: FloatArray,

@@ -27,6 +27,8 @@ SHARE = 0.3
 """Least share of the residual's sum of squares that a suspect must explain to be named."""
 EVIDENCE = 30.0
 """Least ratio of what it explains to what a column of no meaning would."""
+NOBODY = -1
+"""No channel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +38,18 @@ class Suspect:
     reason: Reason
     between: tuple[str, str]
 
+    @property
+    def at_fault(self) -> int:
+        """No channel is."""
+        return NOBODY
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelSuspect:
     """Channels that are wrong in one way, numbers among outputs, then inputs.
 
     Attributes:
-        kind: "bias", "gain", "sign", "swap" or "delay"; "forces" for none of them: what only
+        kind: "bias", "gain", "sign", "swap", "delay" or "stuck"; "forces" for none of them: what only
             unknown forces as large as the measured ones would explain.
         channels: those concerned.
     """
@@ -53,7 +60,13 @@ class ChannelSuspect:
     @property
     def reason(self) -> Reason:
         """What estimates are not valid for."""
-        return {"bias": Reason.BIAS, "forces": Reason.MISMATCH}.get(self.kind, Reason.SENSOR)
+        special = {"bias": Reason.BIAS, "forces": Reason.MISMATCH, "stuck": Reason.STUCK}
+        return special.get(self.kind, Reason.SENSOR)
+
+    @property
+    def at_fault(self) -> int:
+        """The channel whose sensor is at fault for certain; what else is wrong may be the configuration's."""
+        return self.channels[0] if self.kind == "stuck" else NOBODY
 
 
 def mass_suspect(name: str) -> Suspect:
@@ -69,7 +82,8 @@ class Accusation:
         suspect: who.
         share: of the residual's sum of squares that it explains.
         change: of a mass, over what the model has, less one; 0 for others.
-        sizes: of each channel of a `ChannelSuspect`: offset (SI), gain, delay (s); share of the motion of "forces".
+        sizes: of each channel of a `ChannelSuspect`: offset (SI), gain, delay (s), where it is stuck (SI);
+            share of the motion of "forces".
     """
 
     suspect: Suspect | ChannelSuspect

@@ -7,11 +7,13 @@ from numpy.typing import NDArray
 
 from agent.numerics.colour import Colour, colour_of
 from agent.numerics.fit import linearise
-from agent.numerics.hops import Segment
+from agent.numerics.frozen import Frozen
+from agent.numerics.hops import HopPlan, Segment
 from agent.numerics.lacking import Lacking
 from agent.numerics.masses import LEAST
+from agent.numerics.memory import disjoint
 from agent.numerics.rows import Rows
-from agent.numerics.suspects import Accusation, mass_suspect
+from agent.numerics.suspects import NOBODY, Accusation, mass_suspect
 from agent.numerics.working_point import WorkingPoint
 
 FloatArray = NDArray[np.float64]
@@ -31,13 +33,16 @@ class Upkeep:
     Attributes:
         coloured_at: newest sample of the window whose colour is in use.
         accused: the Reason that was found for what the model lacks, 0 for none; accused_at its newest sample.
+        channel: the channel (outputs, then inputs) that is at fault for it, -1 for none.
         distressed: it was found in a window that no parameters explain; where they do again, it is looked at anew.
+        frozen: what is known of channels that stand still; None where channels are believed.
         findings: (sample, accusation) of every look that found something, until they are taken away.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, frozen: Frozen | None = None) -> None:
+        self.frozen = frozen
         self.coloured_at = self.accused_at = NEVER
-        self.accused = 0
+        self.accused, self.channel = 0, NOBODY
         self.distressed = False
         self.findings: list[tuple[int, Accusation]] = []
 
@@ -73,7 +78,8 @@ class Upkeep:
         if point.colour.share < 1.0 or point.wrong is not None:
             self.accuse(point, segment, lacking, rows, row)
         else:
-            self.accused_at, self.accused, rows.suspect[row:] = int(rows.index[row]), 0, 0
+            self.accused_at = int(rows.index[row])
+            self._blame(None, rows, row)
 
     def accuse_in_distress(
         self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int
@@ -81,6 +87,23 @@ class Upkeep:
         """Look for what the model lacks in a window that no parameters explain: it may be what it lacks for good."""
         self.accuse(point, segment, lacking, rows, row)
         self.distressed = bool(self.accused)
+
+    def note(self, segment: Segment, plan: HopPlan, rows: Rows, healthy: BoolArray) -> None:
+        """Take how channels stand still in the disjoint healthy windows (N,) among rows."""
+        if self.frozen is None:
+            return
+        for index in rows.index[disjoint(plan, rows, healthy)].tolist():
+            self.frozen.note(segment.samples(index + 1 - plan.window, index + 1))
+
+    def finds_frozen(self, segment: Segment, window: int, rows: Rows, row: int) -> bool:
+        """Tell whether a channel froze for the whole of a row's window, which no parameters explain; accuse it."""
+        index = int(rows.index[row])
+        found = None if self.frozen is None else self.frozen.find(segment.samples(index + 1 - window, index + 1))
+        if found is None:
+            return False
+        self.accused_at, self.distressed = index, True
+        self._blame(found, rows, row)
+        return True
 
     def accuse(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Look for what the model lacks in the window of a row; the finding stands until the next look."""
@@ -102,20 +125,22 @@ class Upkeep:
             point.wrong = None
         self._blame(suspects.accuse(point.theta, point.gain, v, point.dof * point.colour.share, bridge), rows, row)
 
-    def believe(self, point: WorkingPoint, rows: Rows, row: int) -> None:
-        """Take what a calibration that did not stand said of channels, or of a mass."""
-        mistake = point.mistake
-        if mistake is not None:
+    def believe(self, point: WorkingPoint, v: FloatArray, rows: Rows, row: int) -> None:
+        """Take what a calibration of a window v (W, c) that did not stand said of channels, or of a mass."""
+        mistake, wrong = point.mistake, point.wrong
+        found = None if self.frozen is None else self.frozen.find_unmoved(v)
+        if found is None and mistake is not None:
+            found = Accusation(mistake.suspect, mistake.share, sizes=mistake.sizes)
+        elif found is None and wrong is not None:
+            found = Accusation(mass_suspect(wrong.name), 1.0, wrong.change)
+        if found is not None:
             self.accused_at = int(rows.index[row])
-            self._blame(Accusation(mistake.suspect, mistake.share, sizes=mistake.sizes), rows, row)
-            return
-        if point.wrong is not None:
-            self.accused_at = int(rows.index[row])
-            self._blame(Accusation(mass_suspect(point.wrong.name), 1.0, point.wrong.change), rows, row)
+            self._blame(found, rows, row)
 
     def _blame(self, found: Accusation | None, rows: Rows, row: int) -> None:
         self.accused = 0 if found is None else int(found.suspect.reason)
-        rows.suspect[row:] = self.accused
+        self.channel = NOBODY if found is None else found.suspect.at_fault
+        rows.suspect[row:], rows.channel[row:] = self.accused, self.channel
         if found is not None:
             self.findings.append((int(rows.index[row]), found))
 

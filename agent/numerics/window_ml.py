@@ -58,7 +58,7 @@ class WindowML:
         self.settings = settings
         self.point = WorkingPoint(model, settings)
         self.recentred = 0
-        self._upkeep = Upkeep()
+        self._upkeep = Upkeep(None if settings.mistakes is None else settings.mistakes.frozen())
         self._memory = Memory.empty(len(self.point.theta))
         self._lacking = Lacking(self.point.outputs)
         self._moving = None if settings.drift is None else Moving(settings.drift)
@@ -116,14 +116,12 @@ class WindowML:
             self._lacking.doubt(index, suspect)
         v = np.hstack([y, with_constant(u, self.point.discrete.model.m)])
         q, plan = len(self.point.theta), self.settings.plan
-        pieces: list[Rows] = []
         if self._segment is None:
             more = [(window - plan.head) // plan.hop for window in self.settings.longer]
             self._segment = Segment(plan, index, v.shape[1], more)
         first_row = self._segment.first if self._segment.head is None else index
         due = plan.rows_between(index, min(first_row, index + len(v)))
-        if len(due):
-            pieces.append(Rows.warming(due, q, self.settings.windows))
+        pieces = [Rows.warming(due, q, self.settings.windows)] if len(due) else []
         self._segment.append(index, v)
         while self._segment.ready():
             pieces.append(self._advance(self._segment))
@@ -148,7 +146,7 @@ class WindowML:
         index, windows = segment.advance(point.operators, min(segment.ready(), self._units))
         found = solved(point, segment, index, None if windows is None else solve_windows(windows, point.n))
         rows = found.rows
-        rows.suspect[rows.full] = self._upkeep.accused
+        rows.suspect[rows.full], rows.channel[rows.full] = self._upkeep.accused, self._upkeep.channel
         mend(found, point, segment, self._lacking)
         white_sd = rows.sd / point.widening
         moved_at = self._judge(segment, found)
@@ -188,18 +186,19 @@ class WindowML:
                 healthy, wanting = self._first_looks(found)
             before = self._memory
             # what came before this row is remembered first: a fit that contradicts it must forget it too
-            self._remember(found, healthy & trusted, position)
+            self._remember(segment, found, healthy & trusted, position)
             if self._act(segment, rows, position, healthy=bool(healthy[position]), wants=bool(wanting[position])):
                 return position
             self._memory = before
             position += 1
-        self._remember(found, healthy & trusted, count)
+        self._remember(segment, found, healthy & trusted, count)
         return None
 
-    def _remember(self, found: Solved, healthy: BoolArray, stop: int) -> None:
+    def _remember(self, segment: Segment, found: Solved, healthy: BoolArray, stop: int) -> None:
         """Add the disjoint healthy windows among the first `stop` rows to the memory."""
-        first = np.arange(len(healthy)) < stop
-        self._memory = self._memory.with_rows(self.point, found.rows, found.information, healthy & first)
+        healthy = healthy & (np.arange(len(healthy)) < stop)
+        self._memory = self._memory.with_rows(self.point, found.rows, found.information, healthy)
+        self._upkeep.note(segment, self.settings.plan, found.rows, healthy)
 
     def _first_looks(self, found: Solved) -> tuple[BoolArray, BoolArray]:
         """Return which rows pass the gate (N,), and which of them want theta_r moved (N,)."""
@@ -250,10 +249,11 @@ class WindowML:
                 return self._search(segment, rows, row)
             return wants and due and self._fit(segment, rows, row)
         starting = not self._anchored and (due or self._onset is None)
-        if self._onset is None:
-            self._onset = index
+        self._onset = index if self._onset is None else self._onset
         self._steady_since = index
         self.point.commission.restart()
+        if self._anchored and self._upkeep.finds_frozen(segment, window, rows, row):
+            return False
         if (starting or self._is_free(segment, rows, row, due=due)) and self._fit(segment, rows, row):
             self._onset = None
             return True
@@ -354,7 +354,7 @@ class WindowML:
         restore()
         if self._adopted and not point.settled:
             self._disown()
-        self._upkeep.believe(point, rows, row)
+        self._upkeep.believe(point, v, rows, row)
         # a first fit searches for unknown forces: where it keeps failing it must not eat the time there is
         self._failed = 0 if point.settled else min(self._failed + 1, MOST_FAILED)
         return False

@@ -12,7 +12,7 @@ from drivers.port import SampleBlock
 from tests import figures
 from tests.conformance.test_can_conformance import DaemonLine, FdLine
 from tests.conformance.test_can_modes_conformance import SlcanLine
-from tests.faults.test_line_chaos import BACK_WITHIN_S, Source, chaos, play_on, resources
+from tests.faults.test_line_chaos import BACK_WITHIN_S, MOST_MB, Source, chaos, play_on, resources
 
 LINES: dict[str, Callable[[], Line]] = {"socketcand": DaemonLine, "slcan": SlcanLine}
 
@@ -72,7 +72,7 @@ def assert_recovers(makers: dict[str, Callable[[], Line]], cycles: int, samples:
     assert not beside.events
     assert bytes(beside.counters) == (np.arange(beside.played) % 256).astype(np.uint8).tobytes()
     assert ended[:2] == begun[:2]
-    assert ended[2] - begun[2] < 8.0
+    assert ended[2] - begun[2] < MOST_MB, (begun, ended)
 
 
 @pytest.mark.realtime

@@ -1,5 +1,6 @@
 """Lines and servers that go away and come back, again and again: read anew in time, nothing left, none harmed."""
 
+import ctypes
 import gc
 import os
 import random
@@ -23,6 +24,8 @@ from tests.conformance.test_serial_conformance import BinaryLine, EndedLine
 BACK_WITHIN_S = 2.0
 DEADLINE_S = 20.0
 STEP_S = 0.01
+MOST_MB = 5.0
+"""Memory that may have come to be in use over all outages."""
 SILENT_S = 3600.0
 """Lines that have had their outages are silent until the others have had theirs."""
 LINES: dict[str, Callable[[], Line]] = {
@@ -104,8 +107,10 @@ def chaos(source: Source, cycles: int) -> list[float]:
 
 
 def resources() -> tuple[int, int, float]:
-    """Return open descriptors, threads, and resident memory in MB."""
+    """Return open descriptors, threads, and resident memory in MB, without what the C library keeps for reuse."""
     gc.collect()
+    # threads that come and go leave freed pages in arenas of their own: 6 to 9 MB, after 20 outages as after 240
+    ctypes.CDLL(None).malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return (
         len(list(Path("/proc/self/fd").iterdir())),
@@ -164,4 +169,4 @@ def test_lines_that_go_and_come_are_read_within_two_seconds_and_others_lose_noth
     assert not beside.events
     assert (beside.missed, beside.samples) == (0, beside.played)
     assert ended[:2] == begun[:2]
-    assert ended[2] - begun[2] < 8.0, (begun, ended)
+    assert ended[2] - begun[2] < MOST_MB, (begun, ended)

@@ -1,0 +1,60 @@
+"""Channels that froze: they read the same to the last digit through a whole window that no parameters explain.
+
+A force may rest while the rig moves on, so that one which stands still is no fault by itself, as a displacement's is
+(`standing`); nor is anything to be seen where every channel froze together. But where a window is not explained, a
+channel that never stood so in a window that was tells why.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.suspects import Accusation, ChannelSuspect
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+EQUAL = 1e-12
+"""Readings that differ by this share of their size are the same: what was filled in may miss by a rounding error."""
+
+
+class Frozen:
+    """Remembers how the measured channels, so many outputs, then so many inputs, stand still in health."""
+
+    def __init__(self, outputs: int, inputs: int) -> None:
+        self._outputs, self._channels = outputs, (channels := outputs + inputs)
+        self._moved = np.zeros(channels, dtype=bool)
+        self._low, self._high = np.full(channels, np.inf), np.full(channels, -np.inf)  # where they stood in health
+
+    def note(self, v: FloatArray) -> None:
+        """Take a window v (W, c) that was explained."""
+        stands, at = self._stands(v), v[-1, : self._channels]
+        self._moved |= ~stands
+        self._low = np.where(stands, np.minimum(self._low, at), self._low)
+        self._high = np.where(stands, np.maximum(self._high, at), self._high)
+
+    def find(self, v: FloatArray) -> Accusation | None:
+        """Return the channels that froze in a window v (W, c) that was not explained; None for none."""
+        at = v[-1, : self._channels]
+        rests = (at >= self._low) & (at <= self._high)
+        return self._accusation(self._stands(v) & self._moved & ~rests, at)
+
+    def find_unmoved(self, v: FloatArray) -> Accusation | None:
+        """Return the inputs that tell nothing in the first windows v (W, c), none of which was explained.
+
+        An input that reads 0 is one that does nothing; where all of them stand elsewhere none of them was ever seen to
+        work.
+        """
+        at = v[-1, : self._channels]
+        stands = self._stands(v) & (np.arange(self._channels) >= self._outputs)
+        unmoved = not self._moved.any() and bool(stands[self._outputs :].all())
+        return self._accusation(stands & (at != 0), at) if unmoved else None
+
+    def _accusation(self, stuck: BoolArray, at: FloatArray) -> Accusation | None:
+        channels = np.flatnonzero(stuck)
+        if not len(channels):
+            return None
+        return Accusation(ChannelSuspect("stuck", tuple(channels.tolist())), 1.0, sizes=tuple(at[channels].tolist()))
+
+    def _stands(self, v: FloatArray) -> BoolArray:
+        """(channels,) which read the same all through a window."""
+        v = v[:, : self._channels]
+        return np.asarray(np.ptp(v, axis=0) <= EQUAL * np.abs(v[-1]))

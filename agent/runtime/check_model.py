@@ -90,7 +90,7 @@ def _silent_advice(rig: RigModel, measured: int, number: int) -> str:
 
 
 def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Identifiability) -> str:
-    """Say what would separate a blend: another displacement, a measured force, or fixing one of its parameters."""
+    """Say what would separate a blend: another measurement, a known load or length, or fixing one of its parameters."""
     chosen = [p for p, change in zip(rig.parameters, blend, strict=True) if change]
     ways = []
 
@@ -103,7 +103,24 @@ def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Id
         ways.append(f"measure the displacement of {_either(nodes)}")
     if any(p.kind == "bias" for p in chosen):
         ways.append("measure the rest position or the unloaded force")
+    if any(p.kind == "gain" for p in chosen):
+        ways.append("check one of these sensors against a load or a length that is known")
+    if _side_by_side(rig, {p.name for p in chosen}):
+        ways.append("measure the force that one of them carries and enter what that makes of it")
     return ", ".join([*ways, ""]) + f"{'or ' if ways else ''}leave {_out(chosen)} out of the estimate"
+
+
+def _side_by_side(rig: RigModel, names: set[str]) -> bool:
+    """Tell whether some springs, or some dampers, of these names join the same two nodes: they always move alike."""
+    mechanics = mechanics_of(rig.model)
+    if mechanics is None:
+        return False
+    structure = mechanics.structure
+    for elements in (structure.springs, structure.dampers, structure.frictions):
+        joined = [frozenset(e.between) for e in elements if e.name in names]
+        if len(set(joined)) < len(joined):
+            return True
+    return False
 
 
 def _out(chosen: list[Parameter]) -> str:

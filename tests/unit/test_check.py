@@ -49,6 +49,15 @@ def test_check_every_example_is_usable_and_its_document_complete(path: Path) -> 
     assert 1e6 < document["bytes_per_rig_year"] < 1e9
 
 
+def test_check_springs_side_by_side_names_what_would_tell_them_apart(tmp_path: Path) -> None:
+    spring = '{ name = "k1", between = ["ground", "m1"], nominal = 25.0 }'
+    beside = '{ name = "k3", between = ["m1", "ground"], nominal = 9.0 }'
+    (fault,) = checked(edited(tmp_path, (spring, f"{spring}, {beside}")))["errors"]
+    assert fault["message"].startswith('"k1" and "k3" cannot be told apart')
+    assert fault["advice"].startswith("measure the force that one of them carries")
+    assert fault["advice"].endswith("or leave one of them out of the estimate")
+
+
 def test_check_poles_and_conditions_are_those_of_the_model(tmp_path: Path) -> None:
     document = checked(edited(tmp_path))
     M, K, B = np.diag([5.0, 3.0]), np.array([[125.0, -100.0], [-100.0, 100.0]]), np.array([[10.0, -5.0], [-5.0, 5.0]])

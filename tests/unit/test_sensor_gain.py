@@ -67,4 +67,5 @@ def test_model_faults_gains_that_nothing_tells_apart_are_named_with_a_way_out(
     (fault,) = model_faults(config, rig_model(config))
     assert fault.message.startswith(named)
     assert "changes no reading" in fault.message
+    assert "check one of these sensors against a load or a length that is known" in fault.advice
     assert 'leave "x2.gain" out of the estimate' in fault.advice

@@ -8,6 +8,8 @@ export PIP_ROOT_USER_ACTION := ignore
 # Small matrix products are ten times slower on two BLAS threads than on one.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
+# Tests start hundreds of processes; compiling what each imports anew takes longer than many a test.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help $(VENV) demo test lint bench soak clean distclean
 
@@ -31,12 +33,13 @@ $(VENV)/.develop: pyproject.toml | $(VENV)/bin/python
 demo: $(VENV)/.runtime
 	@$(VENV)/bin/deltak demo $(ARGS)
 
-# First what two processes can share, then what holds a pace on the wall clock, with nothing beside it. Exit code 5 says
-# that ARGS left nothing to run.
+# First what two processes can share, the longest files first; then what holds a pace on the wall clock, one test after
+# another, beside the one process (tests/lanes.py) whose tests have none to hold. Exit code 5 says that ARGS left nothing
+# to run.
 test: $(VENV)/.develop
 	sh tests/install_peers.sh
-	$(PYTEST) -n 2 --dist loadfile -m "not realtime and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]
-	$(PYTEST) -m "realtime and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]
+	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]
+	$(PYTEST) -n 2 --dist loadscope -m "realtime and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]
 
 lint: $(VENV)/.develop
 	$(VENV)/bin/ruff check .

@@ -1,6 +1,7 @@
 """Seeds, profiles and the closing words of every test run."""
 
 import os
+import signal
 import zlib
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import hypothesis
 import numpy as np
 import pytest
 
-from tests import figures, peers
+from tests import figures, lanes, peers
 from tests.tracing import run as tracing
 
 SEED = int(os.environ.get("DELTAK_SEED", "0"))
@@ -34,7 +35,20 @@ _REPORT = pytest.StashKey[Path]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # a run in a script's background ignores SIGINT, and so would every process that tests start and interrupt
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.stash[_REPORT] = tracing.begin()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items[:] = lanes.in_order(items)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> lanes.Lanes | None:
+    """Divide a run by lanes where --dist asks for scopes; Makefile does so for what holds a pace."""
+    return lanes.Lanes(config, log) if config.getvalue("dist") == "loadscope" else None
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -1,6 +1,7 @@
 """The rig of the statistical tests, its configuration, and its motion as the simulator's own equations give it."""
 
 import copy
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -149,8 +150,13 @@ def fresh(key: object, make: Callable[[], Fresh]) -> Fresh:
 
 
 def each(work: Callable[[Item], Found], items: Iterable[Item], processes: int = 2) -> list[Found]:
-    """Return work(item) for every item, on two processes; the order is that of the items."""
+    """Return work(item) for every item, on two processes; the order is that of the items.
+
+    Within one of several processes that share a test run there is no processor left for more.
+    """
     things = list(items)
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        return list(map(work, things))
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         return list(pool.map(work, things, chunksize=max(1, len(things) // (4 * processes))))
 

@@ -1,0 +1,26 @@
+"""How processes that share a test run divide the tests among them."""
+
+from collections.abc import Iterable
+
+import pytest
+from xdist.scheduler import LoadScopeScheduling
+
+LONGEST = "tests/statistical/"
+"""Files here have few tests that compute for long; begun last, one of them would run on with nothing beside it."""
+
+BESIDE = (
+    "tests/docs/", "tests/uml/", "tests/vcan/", "tests/scenario/test_no_write.py", "tests/scenario/test_wires.py",
+)  # fmt: skip
+"""What waits for processes and for guests, and has no clock to keep up with."""
+
+
+class Lanes(LoadScopeScheduling):
+    """Tests that hold a pace on the wall clock, one after another; beside them, one after another, what has none."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "beside" if nodeid.startswith(BESIDE) else "pace"
+
+
+def in_order(items: Iterable[pytest.Item]) -> list[pytest.Item]:
+    """Return tests with those of the longest files first, else as they were."""
+    return sorted(items, key=lambda item: not item.nodeid.startswith(LONGEST))

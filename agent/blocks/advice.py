@@ -51,8 +51,9 @@ def words(found: Accusation, channels: Sequence[tuple[str, str]] = ()) -> str:
     place = node if other == GROUND else f"{node} and {other}"
     if found.suspect.reason is Reason.MASS:
         larger = "larger" if found.change > 0 else "smaller"
+        size = percent(found.change) if abs(found.change) < 1.0 else "far"  # found to first order: no more is known
         return (
-            f"mass {node} looks {percent(found.change)} {larger} than model.mass says: correct its "
+            f"mass {node} looks {size} {larger} than model.mass says: correct its "
             f'value, or make it a parameter: add "{node}" to estimator.estimate'
         )
     between = f"between {node} and {other}" if other != GROUND else f"at {node}"
@@ -96,4 +97,19 @@ def _channel_words(suspect: ChannelSuspect, sizes: Sequence[float], channels: Se
         return f"{every} look exchanged: exchange them in source.map, or on the terminals"
     if suspect.kind == "sign" or abs(sizes[0] + 1.0) < 0.05:
         return f"{every} looks turned round: give its scale the other sign, or mount it the other way"
-    return f"{every} reads {number(sizes[0], 3)} times what moves there: correct its scale"
+    return _scale_words(every, sizes[0], driving=suspect.kind == "input gain")
+
+
+def _scale_words(name: str, factor: float, *, driving: bool) -> str:
+    """Return how many times too large a channel reads; of one that drives only against all that it moves."""
+    if driving:
+        return (
+            f"{name} reads {_times(factor)} times what the motion asks for, or all that moves reads "
+            f"{_times(1.0 / factor)} times what it should: correct the scale that is wrong"
+        )
+    return f"{name} reads {_times(factor)} times what moves there: correct its scale"
+
+
+def _times(factor: float) -> str:
+    """Write a factor to three digits, without an exponent where it is a thousand or so."""
+    return number(float(number(factor, 3)))

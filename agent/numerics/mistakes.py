@@ -19,7 +19,8 @@ from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.frozen import Frozen
 from agent.numerics.guarded import GuardedProblem
 from agent.numerics.observer import Gain
-from agent.numerics.sensors import Nuisance, SensedModel
+from agent.numerics.scale_asked import factor_of_input, factor_of_output
+from agent.numerics.sensors import Nuisance, SensedModel, Side
 from agent.numerics.skew import DELAY_SCALE_S, DelayedModel, Group
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
 from agent.numerics.suspects import ChannelSuspect
@@ -42,6 +43,8 @@ STEPS = 8
 """Of a fit: one that needs more explains nothing gross."""
 EXPLAINED = 1.1
 """Residual variance, in units of the noise, that leaves nothing more to explain."""
+NEAR = 0.4
+"""Logarithm of a gain that a fit reaches from 1; a larger one is guessed first."""
 CLOSE = 0.6
 """Samples of a delay that first order serves for."""
 TURNS = 4
@@ -136,7 +139,7 @@ class Mistakes:
         return max(found, key=_worth, default=None)
 
     def _trials(self, record: "_Recorded", known: ChannelSuspect | None) -> Iterator[_Trial]:
-        tried = {"bias": self._biased, "gain": self._gained, "delay": self._late}
+        tried = {"bias": self._biased, "gain": self._gained, "input gain": self._gained, "delay": self._late}
         for suspect in sorted(self._suspects(), key=lambda one: known is None or one.kind != known.kind):
             trial = tried.get(suspect.kind, self._mended)(record, suspect.channels)
             if trial is not None:
@@ -156,9 +159,9 @@ class Mistakes:
         for late in dict.fromkeys([*((r,) for r in outputs), outputs]):
             yield ChannelSuspect("delay", late)
         # beside one output its gain cannot be told from masses
-        for r in outputs if self.outputs > 1 else ():
-            if not self._estimates("gain", r):
-                yield ChannelSuspect("gain", (r,))
+        for channel in range(self.outputs + self.inputs) if self.outputs > 1 else ():
+            if not self._estimates("gain", channel):
+                yield ChannelSuspect("gain" if channel < self.outputs else "input gain", (channel,))
 
     def _fit(
         self, record: "_Recorded", v: FloatArray, model: Model, theta: FloatArray, extra: FloatArray | None = None
@@ -178,9 +181,9 @@ class Mistakes:
                 return None
         return fit if np.all(np.isfinite(fit.residual)) and fit.residual.size else None
 
-    def _sensed(self, kind: Literal["bias", "gain"], outputs: Sequence[int]) -> SensedModel:
-        """Return the rig's model with one more constant for each of some outputs."""
-        added = tuple(Nuisance(f"{kind} {r}", kind, "output", r) for r in outputs)
+    def _sensed(self, kind: Literal["bias", "gain"], side: Side, numbers: Sequence[int]) -> SensedModel:
+        """Return the rig's model with one more constant for each of some outputs, or inputs."""
+        added = tuple(Nuisance(f"{kind} {r}", kind, side, r) for r in numbers)
         if isinstance(self.model, SensedModel):
             return SensedModel(self.model.model, self.model.nuisances + added)
         return SensedModel(self.model, added)
@@ -189,17 +192,17 @@ class Mistakes:
         """Return readings with the input that is always 1, where the rig's own model has none."""
         return v if isinstance(self.model, SensedModel) else np.hstack([v, np.ones((len(v), 1))])
 
-    def _estimates(self, kind: str, r: int) -> bool:
-        """Tell whether the rig estimates that constant of an output anyway."""
+    def _estimates(self, kind: str, channel: int) -> bool:
+        """Tell whether the rig estimates that constant of a channel anyway."""
         known = self.model.nuisances if isinstance(self.model, SensedModel) else ()
-        return any(n.kind == kind and n.side == "output" and n.number == r for n in known)
+        return any((n.kind, n.side, n.number) == (kind, *self._place(channel)) for n in known)
 
     def _biased(self, record: "_Recorded", outputs: tuple[int, ...]) -> _Trial | None:
         """Fit all offsets at once and blame those that are surely there."""
         v, count = record.v, len(outputs)
         sizes = np.sqrt(np.mean(v[:, outputs] ** 2, axis=0)) + 1e-300
         begin = np.concatenate([record.theta, np.zeros(count)])
-        fit = self._fit(record, self._with_constant(v), self._sensed("bias", outputs), begin, sizes)
+        fit = self._fit(record, self._with_constant(v), self._sensed("bias", "output", outputs), begin, sizes)
         if fit is None:
             return None
         wrong = _surely(fit, count, LEAST["bias"] * v[:, outputs].std(axis=0))
@@ -207,12 +210,38 @@ class Mistakes:
         channels = ChannelSuspect("bias", tuple(outputs[i] for i in blamed))
         return _Trial(channels, tuple(float(fit.theta[i - count]) for i in blamed), fit) if blamed else None
 
-    def _gained(self, record: "_Recorded", outputs: tuple[int, ...]) -> _Trial | None:
-        begin = np.append(record.theta, 1.0)
-        fit = self._fit(record, self._with_constant(record.v), self._sensed("gain", outputs), begin, np.ones(1))
-        if fit is None or not _surely(fit, 1, np.array([LEAST["gain"]]), 1.0)[0]:
+    def _gained(self, record: "_Recorded", channels: tuple[int, ...]) -> _Trial | None:
+        """Divide one channel by the factor that the model asks of it, roughly, and fit the rest of its gain."""
+        channel, v = channels[0], record.v.copy()
+        asked = self._asked(record, channel)
+        v[:, channel] /= asked
+        side, number = self._place(channel)
+        model = self._sensed("gain", side, (number,))
+        fit = self._fit(record, self._with_constant(v), model, np.append(record.theta, 1.0), np.ones(1))
+        # an output reads its gain times what moves there, an input is multiplied by its own
+        output = side == "output"
+        right = 1.0 / asked if output else asked
+        if fit is None or not _surely(fit, 1, np.array([LEAST["gain"] * right]), right)[0]:
             return None
-        return _Trial(ChannelSuspect("gain", outputs), (float(fit.theta[-1]),), fit)
+        rest = float(fit.theta[-1])
+        suspect = ChannelSuspect("gain" if output else "input gain", channels)
+        return _Trial(suspect, (asked * rest if output else asked / rest,), fit)
+
+    def _place(self, channel: int) -> tuple[Side, int]:
+        """Return on which side a channel is, and which of them it is there."""
+        return ("output", channel) if channel < self.outputs else ("input", channel - self.outputs)
+
+    def _asked(self, record: "_Recorded", channel: int) -> float:
+        """Return the factor that the model asks of a channel where a fit from 1 would not come to it."""
+        v, p = self._with_constant(record.v), self.outputs
+        sampled = discretise(self._sensed("gain", "output", ()).continuous(record.theta), self.period_s, self.hold)
+        if channel < p:
+            asked = factor_of_output(sampled, v[:, :p], v[:, p:], channel)
+        else:
+            without = v[:, p:].copy()
+            without[:, channel - p] = 0.0
+            asked = factor_of_input(sampled, v[:, :p], v[:, p:], without)
+        return 1.0 if asked is None or abs(np.log(asked)) < NEAR else asked
 
     def _mended(self, record: "_Recorded", channels: tuple[int, ...]) -> _Trial | None:
         """Turn one channel round, or exchange two."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from agent.numerics.statespace import Model, StateSpace
 
 FloatArray = NDArray[np.float64]
+Side = Literal["input", "output"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class Nuisance:
 
     name: str
     kind: Literal["bias", "gain"]
-    side: Literal["input", "output"]
+    side: Side
     number: int
 
     @property

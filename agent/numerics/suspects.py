@@ -49,7 +49,7 @@ class ChannelSuspect:
     """Channels that are wrong in one way, numbers among outputs, then inputs.
 
     Attributes:
-        kind: "bias", "gain", "sign", "swap", "delay" or "stuck"; "forces" for none of them: what only
+        kind: "bias", "gain", "input gain", "sign", "swap", "delay" or "stuck"; "forces" for none of them: what only
             unknown forces as large as the measured ones would explain.
         channels: those concerned.
     """

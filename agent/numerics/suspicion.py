@@ -18,7 +18,8 @@ from agent.numerics.gains import Gains
 from agent.numerics.guarded import GuardedProblem, sized
 from agent.numerics.noise import sensor_noise
 from agent.numerics.observer import Noise
-from agent.numerics.statespace import Discrete, Hold, Model, discretise, simulate
+from agent.numerics.scale_asked import factor_of_input, factor_of_output
+from agent.numerics.statespace import Hold, Model, discretise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -198,28 +199,14 @@ class Examiner:
                     yield Hypothesis("scale", (channel,), factor)
 
     def _asked(self, v: FloatArray, channel: int) -> float | None:
-        """How many times too large a channel is if the nominal model is right, roughly; None where that is unclear.
-
-        The initial state and one gain are fitted by linear least squares, the parameters as they are.
-        """
+        """How many times too large a channel is if the nominal model is right, roughly; None where that is unclear."""
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         sampled = discretise(self.model.continuous(self.model.nominal), self.period_s, self.hold)
-        forced = _forced(sampled, self.complete(y, u))
-        target, column = y - forced, np.zeros_like(y)
-        if channel < self.inputs:
-            others = u.copy()
-            others[:, channel] = 0.0
-            without = _forced(sampled, self.complete(y, others))
-            target, column = y - without, forced - without
-        else:
-            number = channel - self.inputs
-            target[:, number], column[:, number] = -forced[:, number], -y[:, number]
-        weight = 1.0 / np.maximum(np.sqrt(np.mean(y**2, axis=0)), 1e-300)
-        design = np.concatenate([_free(sampled, len(v)), column[:, :, None]], axis=2) * weight[:, None]
-        rows = design.reshape(-1, design.shape[2])
-        found = np.linalg.lstsq(rows, (target * weight).ravel(), rcond=1e-10)[0]
-        gain = abs(float(found[-1]))
-        return 1.0 / gain if 1e-9 < gain < 1e9 else None
+        if channel >= self.inputs:
+            return factor_of_output(sampled, y, self.complete(y, u), channel - self.inputs)
+        others = u.copy()
+        others[:, channel] = 0.0
+        return factor_of_input(sampled, y, self.complete(y, u), self.complete(y, others))
 
     def _try(self, hypothesis: Hypothesis, stretches: Sequence[FloatArray]) -> Trial:
         """Fit the model to mended stretches."""
@@ -255,16 +242,3 @@ class Examiner:
     def _forces(self) -> int:
         directions = self.gains.disturbance
         return 0 if directions is None else int(directions.shape[1])
-
-
-def _forced(sampled: Discrete, u: FloatArray) -> FloatArray:
-    """Return the outputs (N, p) of a model that inputs move from rest."""
-    return simulate(sampled, np.asarray(sampled.B1 @ u[0]), u)[1]
-
-
-def _free(sampled: Discrete, count: int) -> FloatArray:
-    """Return how outputs (N, p) follow from each of the initial states, (N, p, n)."""
-    free, row = np.empty((count, sampled.model.p, sampled.model.n)), sampled.model.C
-    for k in range(count):
-        free[k], row = row, row @ sampled.model.A
-    return free

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from agent.numerics.fit import Problem
 from agent.numerics.observer import Gain
 from agent.numerics.reference import Reference
-from agent.numerics.sensors import Nuisance, SensedModel, with_constant
+from agent.numerics.sensors import Nuisance, SensedModel, Side, with_constant
 from agent.numerics.statespace import Discrete, Hold, Model, discretise
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-Side = Literal["output", "input"]
 MARGIN = 12.0
 """By how much one story's penalised sum of squares must be less than another's to be believed: odds of 400 to 1."""
 DRIFT = 0.002

@@ -32,7 +32,7 @@ def judge(found: list[Shift], request: pytest.FixtureRequest) -> None:
     assert valid > 0.8
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(480)
 def test_false_alarms_in_a_rig_day_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
     judge(each(quarter, range(4)), request)
 

@@ -29,6 +29,8 @@ from agent.types import (
 )
 
 BoolArray = NDArray[np.bool_]
+MOST_STUCK = 0.05
+"""Share of a window in which dry friction may hold the motion: what holds it then is known no better than the model."""
 
 
 class Estimator(Protocol):
@@ -71,6 +73,7 @@ class Labels:
     """What every row of a rig's estimates carries.
 
     windows: where there are several, their lengths in samples.
+    frictions: how many of the last inputs are shares of a dry friction, -1 or 1 while it slides.
     pushed: name and unit of what each unknown force acts on.
     least (q,): what is reported of a parameter does not go below; its estimate does, so that noise does not bias it.
     """
@@ -91,6 +94,7 @@ class Labels:
     pushed: tuple[tuple[str, str], ...] = ()
     least: FloatArray | None = None
     windows: tuple[int, ...] = ()
+    frictions: int = 0
 
 
 def half_width(sd: FloatArray, dof: FloatArray) -> FloatArray:
@@ -124,6 +128,7 @@ class Estimation:
     _told: bool = True
     _news: list[HealthEvent] = field(default_factory=list)
     _lacking: Lacking = field(default_factory=lambda: Lacking(0))
+    _sticking: Lacking = field(default_factory=lambda: Lacking(0))
     _model: ModelAdvice = field(default_factory=lambda: ModelAdvice("", 1.0))
 
     def __post_init__(self) -> None:
@@ -142,10 +147,14 @@ class Estimation:
                 self.estimator.start_segment()
             self._segment, self._first = samples.segment, int(samples.index[0])
             self._lacking.forget()
+            self._sticking.forget()
         self.used += len(samples.index)
         if samples.missing is not None:
             self.used -= int(samples.missing.any(axis=1).sum())
             self._lacking.append(int(samples.index[0]), samples.missing)
+        if self.labels.frictions:
+            share = np.abs(samples.u[:, -self.labels.frictions :])
+            self._sticking.append(int(samples.index[0]), share < 1.0)
         doubtful = () if samples.missing is None and samples.suspect is None else (samples.missing, samples.suspect)
         rows = self.estimator.step(int(samples.index[0]), samples.y, samples.u, *doubtful)
         if not len(rows.index):
@@ -170,6 +179,11 @@ class Estimation:
         longest = np.maximum(rows.window.max(axis=1), self.labels.window)
         missing = self._lacking.count(rows.index, longest)
         status, reason = self._verdicts(rows, known)
+        if self.labels.frictions:
+            stuck = self._sticking.count(rows.index, longest) > MOST_STUCK * longest
+            self._sticking.trim(int(rows.index[0] - longest.max()))
+            held_fast = stuck[:, None] & (status == Status.VALID)
+            status[held_fast], reason[held_fast] = Status.UNEXCITED, Reason.STANDSTILL
         self._mark(status, reason, samples, rows.full & (missing > MOST * longest))
         self._note_blame(rows, status, t_ns)
         held, age = self._hold(value, status, t_ns)

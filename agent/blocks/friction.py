@@ -6,10 +6,10 @@ from agent.blocks.acquisition import Aligned
 from agent.blocks.rig_model import known_noise, rig_model
 from agent.config import RigConfig
 from agent.config.tables import MechanicsModel
-from agent.numerics.friction import FrictionInputs, motion_filter
 from agent.numerics.mechanics import MassSpringDamper
 from agent.numerics.sensors import SensedModel
 from agent.numerics.statespace import Model
+from agent.numerics.stick_slip import FrictionInputs, friction_observer
 from agent.types import FloatArray, Samples
 
 
@@ -41,9 +41,8 @@ def friction_inputs(config: RigConfig, resolution: FloatArray) -> FrictionInputs
     if model is None or not model.structure.frictions:
         return None
     known = known_noise(config, resolution)
-    pairs = [element.between for element in model.structure.frictions]
     period_s = 1.0 / config.rig.sample_rate_hz
-    return FrictionInputs(motion_filter(model, pairs, period_s, config.estimator.hold, known))
+    return FrictionInputs(friction_observer(model, period_s, config.estimator.hold, known))
 
 
 def signals(config: RigConfig) -> int:

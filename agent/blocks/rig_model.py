@@ -13,6 +13,7 @@ from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, St
 from agent.numerics.mistakes import Mistakes
 from agent.numerics.sensors import Nuisance, SensedModel
 from agent.numerics.statespace import AffineModel, Model, affine_model
+from agent.numerics.stick_slip import least_force
 from agent.numerics.suspects import suspects_of
 from agent.numerics.verdict import Court
 from agent.numerics.window_settings import WindowSettings
@@ -216,6 +217,7 @@ def window_settings(
         scale_column=_scale_columns(config, rig),
         longer=longer_windows(config, plan),
         input_sd=input_noise(config, input_resolution),
+        least_force=_least_force(config, rig.model, resolution),
         drift=_drift_window(config),
         wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
         lower=np.where(physical & (nominal != 0), np.where(needed, 0.02 * scale, 0.0), -np.inf),
@@ -231,6 +233,14 @@ def window_settings(
             rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
         ),
     )
+
+
+def _least_force(config: RigConfig, model: Model, resolution: FloatArray) -> FloatArray | None:
+    inner = model.model if isinstance(model, SensedModel) else model
+    if not isinstance(inner, MassSpringDamper):
+        return None
+    sigma = known_noise(config, resolution)
+    return least_force(inner, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, sigma)
 
 
 def _holding(config: RigConfig) -> set[str]:

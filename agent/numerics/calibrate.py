@@ -55,6 +55,7 @@ class Calibrator:
         floor: (p,) least sd that the wire's resolution allows.
         masses: those that the model takes as known; None for a rig without.
         mistakes: how channels may be wrong; None to believe them.
+        least: (d,) unknown forces that are there in any case beside a stated noise; None for none.
     """
 
     gains: Gains
@@ -62,6 +63,7 @@ class Calibrator:
     floor: FloatArray
     masses: Masses | None = None
     mistakes: Mistakes | None = None
+    least: FloatArray | None = None
 
     @property
     def learns(self) -> bool:
@@ -85,6 +87,19 @@ class Calibrator:
 
         known: what was found wrong with channels before; it is looked for first.
         """
+        found = self._calibrated(problem, theta, known)
+        noise = self._with_least(found.noise)
+        if noise is found.noise or found.mistake is not None or not found.fit.converged:
+            return found
+        fit = fit_window(problem, found.fit.theta, found.fit.x0, [lambda discrete: self.gains.settled(discrete, noise)])
+        return replace(found, fit=fit, noise=noise)
+
+    def _with_least(self, noise: Noise) -> Noise:
+        if self.least is None or self.learns or self.gains.disturbance is None:
+            return noise
+        return replace(noise, process=np.maximum(noise.process, self.least))
+
+    def _calibrated(self, problem: Problem, theta: FloatArray, known: ChannelSuspect | None) -> Calibration:
         noise = self.first_noise(problem.v)
         x0 = np.zeros(problem.sample(theta).model.n)
         quiet = fit_window(problem, theta, x0, self._stages(noise))
@@ -218,4 +233,4 @@ class Calibrator:
         )
         if searched is None or searched[1] - bar <= EVIDENCE * np.count_nonzero(searched[0].process):
             return None
-        return searched[0] if self._share(problem, fit.theta, searched[0]) <= MOST_FORCED else None
+        return self._with_least(searched[0]) if self._share(problem, fit.theta, searched[0]) <= MOST_FORCED else None

@@ -6,7 +6,7 @@ of the sign biases the friction, and an integrating disturbance state in the obs
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,7 @@ def motion_filter(
     d = discrete.model
     weights = np.where(np.isfinite(sigma), sigma, np.nanmean(sigma) if np.isfinite(sigma).any() else 1.0)
     L = start_gain(discrete, _pushes(plain), weights, _window(period_s))
-    difference = _differences(plain, pairs)
+    difference = differences(plain, pairs)
     W, direct = difference @ continuous.A, difference @ continuous.B
     if displacements:
         W, direct = difference, np.zeros_like(direct)
@@ -114,7 +114,7 @@ def _pushes(model: MassSpringDamper) -> FloatArray:
     return np.vstack([np.diag(1.0 / masses), np.zeros((n - len(masses), len(masses)))])
 
 
-def _differences(model: MassSpringDamper, pairs: Sequence[tuple[str, str]]) -> FloatArray:
+def differences(model: MassSpringDamper, pairs: Sequence[tuple[str, str]]) -> FloatArray:
     """Return (r, n) rows that take the relative displacement of each pair from the states."""
     names = model.state_names
     difference = np.zeros((len(pairs), len(names)))
@@ -153,43 +153,3 @@ def signs(velocities: FloatArray, noise: FloatArray, greatest: FloatArray) -> Fl
     """Return -1, 0 or 1 for velocities (N, r); `greatest` (N, r) is the greatest speed up to each sample."""
     least = np.maximum(DEVIATIONS * noise, CREEP * greatest)
     return np.asarray(np.where(np.abs(velocities) > least, np.sign(velocities), 0.0))
-
-
-@dataclass(slots=True)
-class FrictionInputs:
-    """Puts the sign of each friction element's velocity beside the inputs of a stream.
-
-    Deterministic to the last bit however the stream is cut: whole blocks are counted from the segment's first sample,
-    and an unfinished one is computed anew when it goes on.
-    """
-
-    motion: MotionFilter
-    _state: FloatArray = field(default_factory=lambda: np.zeros(0))
-    _greatest: FloatArray = field(default_factory=lambda: np.zeros(0))
-    _pending: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-
-    def start_segment(self) -> None:
-        """Forget the samples before a gap."""
-        self._state = np.zeros(0)
-
-    def beside(self, y: FloatArray, u: FloatArray) -> FloatArray:
-        """Return inputs (N, m + r): u (N, m), then the signs -1, 0, 1 of the velocities seen in y (N, p)."""
-        v = np.hstack([y, u])
-        if not self._state.size:
-            self._state = self.motion.first @ v[0]
-            self._greatest = np.zeros(len(self.motion.noise))
-            self._pending = v[:0]
-        known = len(self._pending)
-        stream = np.vstack([self._pending, v])
-        found = [self._block(stream[start : start + BLOCK]) for start in range(0, len(stream), BLOCK)]
-        self._pending = stream[len(stream) - len(stream) % BLOCK :]
-        return np.hstack([u, np.vstack(found)[known:]])
-
-    def _block(self, v: FloatArray) -> FloatArray:
-        """Return the signs (N, r) of up to BLOCK samples; a whole block moves the state on."""
-        stretch = _stretch(self._state, v)
-        velocities = (self.motion.outputs @ stretch).reshape(BLOCK, -1)[: len(v)]
-        greatest = np.maximum.accumulate(np.vstack([self._greatest, np.abs(velocities)]))[1:]
-        if len(v) == BLOCK:
-            self._state, self._greatest = self.motion.state @ stretch, greatest[-1]
-        return signs(velocities, self.motion.noise, greatest)

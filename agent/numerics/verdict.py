@@ -181,7 +181,10 @@ class Court:
         z, x0, least = story.start.copy(), np.zeros(gain.L.shape[0]), np.inf
         size = np.concatenate([problem.scale, np.full(count - q, np.inf)])
         for _ in range(STEPS):
-            here = told.at(z, gain, x0)
+            try:
+                here = told.at(z, gain, x0)
+            except np.linalg.LinAlgError:
+                break  # a step went where the model outgrows the numbers
             squares = here.cost + float((z - mean) @ prior @ (z - mean))
             H = here.psi.T @ here.psi + prior
             g = here.psi.T @ here.e - prior @ (z - mean)

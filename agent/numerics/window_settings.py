@@ -41,6 +41,8 @@ class WindowSettings:
         longer: further windows, samples, longer than the plan's by whole hops; each estimate is taken from the
             shortest that knows it to wanted_sd (q,).
         drift: samples of the window in which parameters that move may run straight lines; None where they may not.
+        least_force: (d,) unknown force in each direction of the gains' that is there in any case, where the outputs'
+            noise is stated; None for none.
     """
 
     period_s: float
@@ -61,6 +63,7 @@ class WindowSettings:
     drift: int | None = None
     masses: Masses | None = None
     mistakes: Mistakes | None = None
+    least_force: FloatArray | None = None
 
     @property
     def windows(self) -> int:

@@ -46,7 +46,8 @@ class WorkingPoint:
         self.settings = settings
         self.theta = np.array(model.nominal, dtype=float)
         self.scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
-        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor, settings.masses, settings.mistakes)
+        masses, mistakes, least = settings.masses, settings.mistakes, settings.least_force
+        self.calibrator = Calibrator(settings.gains, settings.sigma, settings.floor, masses, mistakes, least)
         directions = settings.gains.disturbance
         unforced = np.zeros(0 if directions is None else directions.shape[1])
         self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.blocks.estimation import Estimation, Estimator, Labels
+from agent.blocks.friction import signals
 from agent.blocks.rig_model import RigModel, pushed, rig_model, window_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
@@ -56,6 +57,7 @@ def make_estimation(
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,
         windows=(settings.plan.window, *settings.longer) if config.estimator.method == "window-ml" else (),
+        frictions=signals(config) - len(config.inputs),
     )
     return Estimation(_estimator(config, rig, settings), labels)
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.numerics.friction import FrictionInputs, motion_filter
+from agent.numerics.friction import motion_filter
 from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.stick_slip import FrictionInputs, acting, friction_observer
 
 PERIOD_S = 1e-3
 PAIR = [("m", "ground")]
@@ -42,19 +43,19 @@ def stroke(rng: np.random.Generator, noise: float) -> tuple[NDArray[np.float64],
 
 def test_friction_inputs_on_a_sliding_mass_have_the_sign_of_its_velocity() -> None:
     y, u, v = stroke(np.random.default_rng(1), 1e-7)
-    motion = motion_filter(slider(mass=9.0), PAIR, PERIOD_S, "first", np.array([1e-7]))
-    signs = FrictionInputs(motion).beside(y, u)[:, 1]
+    observer = friction_observer(slider(mass=9.0), PERIOD_S, "first", np.array([1e-7]))
+    signs = FrictionInputs(observer).beside(y, u)[:, 1]
     moving = np.abs(v) > 0.02
     assert np.mean(signs[moving] == np.sign(v[moving])) > 0.995
-    assert set(np.unique(signs)) <= {-1.0, 0.0, 1.0}
+    assert np.abs(signs).max() < 3.0
 
 
 def test_friction_inputs_however_the_stream_is_cut_are_the_same_to_the_bit() -> None:
     rng = np.random.default_rng(2)
     y, u, _ = stroke(rng, 1e-6)
-    motion = motion_filter(slider(), PAIR, PERIOD_S, "first", np.array([1e-6]))
-    whole = FrictionInputs(motion).beside(y, u)
-    pieces, cut, start = [], FrictionInputs(motion), 0
+    observer = friction_observer(slider(), PERIOD_S, "first", np.array([1e-6]))
+    whole = FrictionInputs(observer).beside(y, u)
+    pieces, cut, start = [], FrictionInputs(observer), 0
     while start < len(y):
         stop = start + int(rng.integers(1, 100))
         pieces.append(cut.beside(y[start:stop], u[start:stop]))
@@ -65,15 +66,15 @@ def test_friction_inputs_however_the_stream_is_cut_are_the_same_to_the_bit() -> 
 def test_friction_inputs_at_standstill_under_noise_are_zero() -> None:
     rng = np.random.default_rng(3)
     y = 0.5 + 1e-5 * rng.standard_normal((4000, 1))
-    motion = motion_filter(slider(), PAIR, PERIOD_S, "first", np.array([1e-5]))
-    signs = FrictionInputs(motion).beside(y, np.zeros((4000, 1)))[:, 1]
-    assert np.mean(signs == 0.0) > 0.99
+    observer = friction_observer(slider(), PERIOD_S, "first", np.array([1e-5]))
+    signs = FrictionInputs(observer).beside(y, np.zeros((4000, 1)))[:, 1]
+    assert np.mean(signs[100:] == 0.0) > 0.9
 
 
 def test_friction_inputs_after_a_gap_forget_what_was_before() -> None:
     y, u, _ = stroke(np.random.default_rng(4), 0.0)
-    motion = motion_filter(slider(), PAIR, PERIOD_S, "first", np.array([np.nan]))
-    inputs = FrictionInputs(motion)
+    observer = friction_observer(slider(), PERIOD_S, "first", np.array([np.nan]))
+    inputs = FrictionInputs(observer)
     first = inputs.beside(y[:777], u[:777])
     inputs.beside(y[1000:1500] + 3.0, u[1000:1500])
     inputs.start_segment()
@@ -91,3 +92,20 @@ def test_motion_filter_noise_is_what_white_sensor_noise_leaves(quantity: str) ->
         seen.append(motion.outputs @ stretch)
         x = motion.state @ stretch
     assert np.std(np.array(seen)[100:]) == pytest.approx(float(motion.noise[0]), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("speed", "free", "mean", "last"),
+    [
+        (0.5, 0.6, 1.0, 1.0),  # slides on
+        (-0.5, -0.4, -1.0, -1.0),
+        (0.1, -0.5, 0.1 / 0.7 - 0.6 / 0.7, -1.0),  # crosses zero and turns round
+        (0.05, 0.05, 0.5, 0.0),  # stops within the sample, and nothing pushes
+        (0.0, 0.05, 0.5, 0.5),  # is held by half of the friction
+        (0.0, 0.3, 1.0, 1.0),  # breaks loose
+    ],
+)
+def test_acting_friction_slides_turns_round_sticks_and_breaks_loose(
+    speed: float, free: float, mean: float, last: float
+) -> None:
+    assert acting(speed, free, 0.1) == pytest.approx((mean, last))

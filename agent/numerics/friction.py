@@ -1,8 +1,8 @@
-"""Dry friction: the sign of a velocity that nobody measures, as one more input of known shape.
+"""The sign of a velocity that nobody measures: what dry friction would do where the model has none.
 
-The velocity comes from an observer of its own: the nominal model without friction, corrected fast. It is causal, knows
-the forces (so it does not lag at a reversal) and does not depend on what is being estimated. A smooth switch in place
-of the sign biases the friction, and an integrating disturbance state in the observer would swallow it.
+The velocity comes from an observer of its own: the nominal model without friction, corrected fast. It is causal and
+does not depend on what is being estimated. It lags where friction acts that it does not know, which matters little to
+a suspect; friction that the model has is an input of its own kind (`stick_slip`).
 """
 
 from collections.abc import Sequence

@@ -64,7 +64,7 @@ class FrictionObserver:
     @property
     def takes(self) -> FloatArray:
         """(r,) the relative velocity that the whole friction of each element takes in a sample."""
-        return -np.einsum("rn,nr->r", self.W[:, : len(self.G)], self.G)
+        return np.asarray(-np.einsum("rn,nr->r", self.W[:, : len(self.G)], self.G))
 
 
 def friction_observer(model: MassSpringDamper, period_s: float, hold: Hold, sigma: FloatArray) -> FrictionObserver:
@@ -76,7 +76,7 @@ def friction_observer(model: MassSpringDamper, period_s: float, hold: Hold, sigm
     """
     plain = replace(model, parameters=())
     rubbing = model.structure.frictions
-    r, m = len(rubbing), len(model.forces)
+    m = len(model.forces)
     continuous = plain.continuous(plain.nominal)
     held = continuous.n
     difference = differences(plain, [element.between for element in rubbing])

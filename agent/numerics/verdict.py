@@ -187,11 +187,13 @@ class Court:
                 break  # a step went where the model outgrows the numbers
             squares = here.cost + float((z - mean) @ prior @ (z - mean))
             H = here.psi.T @ here.psi + prior
+            if not (np.isfinite(squares) and np.all(np.isfinite(H))):
+                break
             g = here.psi.T @ here.e - prior @ (z - mean)
             root = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
             step = root * np.linalg.lstsq(H * np.outer(root, root), root * g, rcond=1e-13)[0]
             gained = float(g @ step)
-            if not np.isfinite(squares) or squares > 1.5 * least:
+            if squares > 1.5 * least:
                 break
             least = min(least, squares - gained if gained < 0.01 * squares else squares)
             if gained < 1e-3:

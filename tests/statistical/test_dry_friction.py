@@ -16,7 +16,6 @@ SLIDING = {
 STICKING = Case(15.0, 15.0, strength=0.25)
 
 
-
 def judge(name: str, seeds: range, request: pytest.FixtureRequest) -> None:
     found = each(_Sliding(name), seeds)
     valid = np.concatenate([f[0] for f in found])

@@ -73,6 +73,7 @@ class Labels:
     """What every row of a rig's estimates carries.
 
     windows: where there are several, their lengths in samples.
+    longest: samples of the longest window that a row may be of; 0 for no longer one than `window`.
     frictions: how many of the last inputs are shares of a dry friction, -1 or 1 while it slides.
     pushed: name and unit of what each unknown force acts on.
     least (q,): what is reported of a parameter does not go below; its estimate does, so that noise does not bias it.
@@ -94,6 +95,7 @@ class Labels:
     pushed: tuple[tuple[str, str], ...] = ()
     least: FloatArray | None = None
     windows: tuple[int, ...] = ()
+    longest: int = 0
     frictions: int = 0
 
 
@@ -160,6 +162,9 @@ class Estimation:
         if not len(rows.index):
             return None
         batch = self._batch(rows, samples)
+        oldest = int(rows.index[-1]) - max(self.labels.window, self.labels.longest)
+        self._lacking.trim(oldest)
+        self._sticking.trim(oldest)
         self._advice += self._model.step(self.estimator.take_findings(), batch)
         self._note_calibration(int(batch.t_ns[-1]))
         return batch
@@ -181,7 +186,6 @@ class Estimation:
         status, reason = self._verdicts(rows, known)
         if self.labels.frictions:
             stuck = self._sticking.count(rows.index, longest) > MOST_STUCK * longest
-            self._sticking.trim(int(rows.index[0] - longest.max()))
             held_fast = stuck[:, None] & (status == Status.VALID)
             status[held_fast], reason[held_fast] = Status.UNEXCITED, Reason.STANDSTILL
         self._mark(status, reason, samples, rows.full & (missing > MOST * longest))

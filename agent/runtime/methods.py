@@ -57,6 +57,7 @@ def make_estimation(
         rate_hz=config.rig.sample_rate_hz,
         enough_sd=settings.enough_sd,
         windows=(settings.plan.window, *settings.longer) if config.estimator.method == "window-ml" else (),
+        longest=max(settings.plan.window, *settings.longer, settings.drift or 0),
         frictions=signals(config) - len(config.inputs),
     )
     return Estimation(_estimator(config, rig, settings), labels)

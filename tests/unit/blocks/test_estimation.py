@@ -1,9 +1,11 @@
 """What a row is worth: status, reason, held values and their ages, counts, intervals."""
 
+import pickle
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from agent.blocks.estimation import Estimation, Labels
@@ -11,6 +13,7 @@ from agent.numerics.rows import Rows
 from agent.numerics.suspects import Accusation, Suspect, mass_suspect
 from agent.types import Calibrated, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
+BoolArray = NDArray[np.bool_]
 START = 1_760_000_000_123_456_789
 HOP = 10
 
@@ -40,7 +43,10 @@ class Told:
     def start_segment(self) -> None:
         self.segments += 1
 
-    def step(self, index: int, y: FloatArray, u: FloatArray) -> Rows:
+    def step(
+        self, index: int, y: FloatArray, u: FloatArray, _missing: BoolArray | None = None,
+        _suspect: BoolArray | None = None,
+    ) -> Rows:  # fmt: skip
         due = np.array([i for i in range(index, index + len(y)) if i % HOP == HOP - 1], dtype=np.int64)
         rows = Rows.warming(due, 2)
         for row, i in enumerate(due.tolist()):
@@ -126,6 +132,21 @@ def test_estimation_gap_starts_the_method_anew_and_counts_every_sample() -> None
 def test_estimation_warming_row_says_how_many_samples_there_are() -> None:
     batches = feed(estimation(Told()), [7, 13])
     assert column(batches, "n_used").tolist() == [10, 20, 30, 30, 30, 30, 30, 30, 30, 30]
+
+
+def test_estimation_counts_what_windows_lack_and_forgets_what_no_window_reaches() -> None:
+    block, sizes, counts = estimation(Told()), [], []
+    for start in range(0, 20_000, 100):
+        index: IntArray = np.arange(start, start + 100, dtype=np.int64)
+        missing = np.zeros((100, 2), dtype=bool)
+        missing[::10, 0] = True
+        samples = Samples(index, START + index, np.zeros((100, 1)), np.zeros((100, 1)), 0, missing)
+        batch = block.step(samples)
+        assert batch is not None
+        counts.append(batch.n_missing)
+        sizes.append(len(pickle.dumps(block)))
+    assert np.unique(np.concatenate(counts[1:])).tolist() == [3]
+    assert max(sizes) <= sizes[2] + 100
 
 
 RUBS = Accusation(Suspect(Reason.DRY_FRICTION, ("m1", "ground")), 0.9)

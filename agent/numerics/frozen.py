@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from agent.numerics.suspects import Accusation, ChannelSuspect
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 EQUAL = 1e-12
 """Readings that differ by this share of their size are the same: what was filled in may miss by a rounding error."""
@@ -24,12 +25,17 @@ class Frozen:
         self._moved = np.zeros(channels, dtype=bool)
         self._low, self._high = np.full(channels, np.inf), np.full(channels, -np.inf)  # where they stood in health
 
-    def note(self, v: FloatArray) -> None:
-        """Take a window v (W, c) that was explained."""
-        stands, at = self._stands(v), v[-1, : self._channels]
-        self._moved |= ~stands
-        self._low = np.where(stands, np.minimum(self._low, at), self._low)
-        self._high = np.where(stands, np.maximum(self._high, at), self._high)
+    def note(self, v: FloatArray, ends: IntArray, window: int) -> None:
+        """Take windows of samples v (W, c) that were explained; they end before rows `ends` (N,)."""
+        first, last = v[ends - window, : self._channels], v[ends - 1, : self._channels]
+        # one that ends where it began may have stood still all the time
+        alike = np.abs(last - first) <= EQUAL * np.abs(last)
+        self._moved |= ~alike.all(axis=0)
+        for row in np.flatnonzero(alike.any(axis=1)).tolist():
+            stands, at = self._stands(v[ends[row] - window : ends[row]]), last[row]
+            self._moved |= ~stands
+            self._low = np.where(stands, np.minimum(self._low, at), self._low)
+            self._high = np.where(stands, np.maximum(self._high, at), self._high)
 
     def find(self, v: FloatArray) -> Accusation | None:
         """Return the channels that froze in a window v (W, c) that was not explained; None for none."""

@@ -32,11 +32,8 @@ class Memory:
         """Return the memory of nothing."""
         return cls(Reference.empty(q), Past.empty(q))
 
-    def with_rows(self, point: WorkingPoint, rows: Rows, information: FloatArray, healthy: BoolArray) -> "Memory":
-        """Return the memory after the disjoint ones among rows (N,) whose windows are healthy (N,)."""
-        chosen = disjoint(point.settings.plan, rows, healthy)
-        if not len(chosen):
-            return self
+    def with_rows(self, point: WorkingPoint, rows: Rows, information: FloatArray, chosen: IntArray) -> "Memory":
+        """Return the memory after some rows, one or more, whose windows are healthy and disjoint."""
         theta = rows.theta[chosen] / point.scale
         A, b = self.reference.with_windows(information[chosen], theta)
         return Memory(Reference(A[-1], b[-1]), self.past.after(information[chosen], theta))

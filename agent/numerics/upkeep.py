@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from agent.numerics.colour import Colour, colour_of
 from agent.numerics.fit import linearise
 from agent.numerics.frozen import Frozen
-from agent.numerics.hops import HopPlan, Segment
+from agent.numerics.hops import Segment
 from agent.numerics.lacking import Lacking
 from agent.numerics.masses import LEAST
-from agent.numerics.memory import disjoint
 from agent.numerics.rows import Rows
 from agent.numerics.suspects import NOBODY, Accusation, mass_suspect
 from agent.numerics.working_point import WorkingPoint
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 NEVER = -(10**18)
 LONG = 4096
@@ -88,12 +88,11 @@ class Upkeep:
         self.accuse(point, segment, lacking, rows, row)
         self.distressed = bool(self.accused)
 
-    def note(self, segment: Segment, plan: HopPlan, rows: Rows, healthy: BoolArray) -> None:
-        """Take how channels stand still in the disjoint healthy windows (N,) among rows."""
-        if self.frozen is None:
-            return
-        for index in rows.index[disjoint(plan, rows, healthy)].tolist():
-            self.frozen.note(segment.samples(index + 1 - plan.window, index + 1))
+    def note(self, segment: Segment, window: int, index: IntArray) -> None:
+        """Take how channels stand still in healthy windows, one or more, whose newest samples are index (N,)."""
+        if self.frozen is not None:
+            start = int(index[0]) + 1 - window
+            self.frozen.note(segment.samples(start, int(index[-1]) + 1), index + 1 - start, window)
 
     def finds_frozen(self, segment: Segment, window: int, rows: Rows, row: int) -> bool:
         """Tell whether a channel froze for the whole of a row's window, which no parameters explain; accuse it."""

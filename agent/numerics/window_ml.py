@@ -126,8 +126,7 @@ class WindowML:
         while self._segment.ready():
             pieces.append(self._advance(self._segment))
         longest = max(plan.window, *self.settings.longer, self.settings.drift or 0)
-        keep = max(longest, 0 if self._searched else self._record()) + plan.hop
-        self._segment.trim(keep)
+        self._segment.trim(max(longest, 0 if self._searched else self._record()) + plan.hop)
         self._lacking.trim(self._segment.first)
         return Rows.joined(pieces, q)
 
@@ -196,9 +195,10 @@ class WindowML:
 
     def _remember(self, segment: Segment, found: Solved, healthy: BoolArray, stop: int) -> None:
         """Add the disjoint healthy windows among the first `stop` rows to the memory."""
-        healthy = healthy & (np.arange(len(healthy)) < stop)
-        self._memory = self._memory.with_rows(self.point, found.rows, found.information, healthy)
-        self._upkeep.note(segment, self.settings.plan, found.rows, healthy)
+        chosen = disjoint(self.settings.plan, found.rows, healthy & (np.arange(len(healthy)) < stop))
+        if len(chosen):
+            self._memory = self._memory.with_rows(self.point, found.rows, found.information, chosen)
+            self._upkeep.note(segment, self.settings.plan.window, found.rows.index[chosen])
 
     def _first_looks(self, found: Solved) -> tuple[BoolArray, BoolArray]:
         """Return which rows pass the gate (N,), and which of them want theta_r moved (N,)."""

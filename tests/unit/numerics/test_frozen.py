@@ -18,10 +18,14 @@ def window(seed: int, **standing: float) -> FloatArray:
     return v
 
 
+def note(watched: Frozen, *windows: FloatArray) -> None:
+    watched.note(np.vstack(windows), W * np.arange(1, len(windows) + 1), W)
+
+
 @pytest.fixture
 def frozen() -> Frozen:
     watched = Frozen(2, 1)
-    watched.note(window(0))
+    note(watched, window(0))
     return watched
 
 
@@ -39,11 +43,17 @@ def test_all_channels_that_froze_are_found(frozen: Frozen) -> None:
 
 
 def test_force_that_stood_there_in_health_is_not_found(frozen: Frozen) -> None:
-    frozen.note(window(1, force=0.0))
-    frozen.note(window(2, force=4.0))
+    note(frozen, window(1, force=0.0), window(4), window(2, force=4.0))
     assert frozen.find(window(3, force=0.0)) is None
     assert frozen.find(window(3, force=3.0)) is None
     assert frozen.find(window(3, force=4.5)) is not None
+
+
+def test_force_that_moved_and_came_back_did_not_stand(frozen: Frozen) -> None:
+    there_and_back = window(1)
+    there_and_back[[0, -1], 2] = 3.0
+    note(frozen, there_and_back)
+    assert frozen.find(window(2, force=3.0)) is not None
 
 
 def test_force_that_moved_within_the_window_is_not_found(frozen: Frozen) -> None:

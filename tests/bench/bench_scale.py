@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from agent.blocks.estimation import Estimation
 from agent.config import RigConfig, load
+from agent.numerics.hops import HopOperators
+from agent.numerics.window_ml import WindowML
 from agent.runtime.methods import make_estimation
 from agent.types import Samples
 from sim_bus.plant import Graph, Link, equations, propagate, step
@@ -30,6 +32,8 @@ PERIOD, NOISE = 1e-3, 5e-6
 BLOCK = 20_000
 STATES = (2, 4, 8, 16)
 RIGS = (1, 8, 64)
+SETTLED = 3
+"""Blocks after which a rig moves its reference no more."""
 WINDOWS = ((0.25,), (0.25, 0.5, 1.0, 2.0, 4.0))
 
 
@@ -110,14 +114,17 @@ def feed(block: Estimation, played: Stream, number: int) -> None:
     block.step(Samples(where, where * 1_000_000, played.u[rows], played.y[rows], 0))
 
 
-def rate(blocks: list[Estimation], played: Stream, rounds: int = 10) -> float:
-    """Return samples a second of one core, of all the estimators together, each given a block in turn."""
+def rate(blocks: list[Estimation], played: Stream, rounds: int = 10, begun: int = 0) -> float:
+    """Return samples a second of one core, of all the estimators together, each given a block in turn.
+
+    begun: blocks that they were given before.
+    """
     settling = rounds // 5
     for number in range(rounds):
         if number == settling:
             start = time.process_time()
         for block in blocks:
-            feed(block, played, number)
+            feed(block, played, begun + number)
     return len(blocks) * BLOCK * (rounds - settling) / (time.process_time() - start)
 
 
@@ -127,10 +134,25 @@ def by_states() -> list[tuple[int, int, float]]:
     return [(n, len(chosen), rate([fresh(n // 2, chosen)], stream(n // 2))) for n, chosen in chains]
 
 
-def by_rigs() -> list[tuple[int, float]]:
-    """(rigs, rate): rigs of one model, each with a reference of its own."""
-    first = fresh(2, everything(2))
-    return [(count, rate([copy.deepcopy(first) for _ in range(count)], stream(2), 10)) for count in RIGS]
+def by_rigs() -> list[tuple[int, float, float]]:
+    """(rigs, rate, rate): rigs of one model, each linearised about a reference of its own, then all about one."""
+    first, played = fresh(2, everything(2)), stream(2)
+    for number in range(SETTLED):
+        feed(first, played, number)
+    found = []
+    for count in RIGS:
+        own = [copy.deepcopy(first) for _ in range(count)]
+        operators = operators_of(first)
+        shared = [copy.deepcopy(first, {id(operators): operators}) for _ in range(count)]
+        found.append((count, rate(own, played, begun=SETTLED), rate(shared, played, begun=SETTLED)))
+        assert all(operators_of(block) is operators for block in shared)
+    return found
+
+
+def operators_of(block: Estimation) -> HopOperators:
+    """Return the lifted filters that an estimator has built about its reference."""
+    assert isinstance(block.estimator, WindowML)
+    return block.estimator.point.operators
 
 
 def by_windows() -> list[tuple[tuple[float, ...], float]]:
@@ -157,8 +179,8 @@ def growth_mb(samples: int) -> tuple[float, float]:
 def table() -> list[str]:
     lines = ["", "| states | parameters | samples/s of one core |", "|---|---|---|"]
     lines += [f"| {n} | {q} | {found / 1e6:.2f} M |" for n, q, found in by_states()]
-    lines += ["", "| rigs of one model | samples/s of one core |", "|---|---|"]
-    lines += [f"| {count} | {found / 1e6:.2f} M |" for count, found in by_rigs()]
+    lines += ["", "| rigs of one model | samples/s of one core, own reference | shared reference |", "|---|---|---|"]
+    lines += [f"| {count} | {own / 1e6:.2f} M | {shared / 1e6:.2f} M |" for count, own, shared in by_rigs()]
     lines += ["", "| windows, s | samples/s of one core |", "|---|---|"]
     lines += [f"| {', '.join(map(str, windows))} | {found / 1e6:.2f} M |" for windows, found in by_windows()]
     return lines

@@ -10,7 +10,7 @@ import pytest
 from agent.runtime.replay import replay
 from agent.types import FloatArray
 from tests.figures import figure
-from tests.scenario.live import agent, hops, rows, wait_until
+from tests.scenario.live import agent, rows, wait_until
 from tests.scenario.two_sources import EXAMPLES
 from tests.sim.rigs import free_port, simulator
 
@@ -42,10 +42,17 @@ def play(folder: Path, rate_hz: float, seconds: float) -> tuple[Path, dict[str, 
     db = folder / "live.db"
     with simulator(folder, configure(folder, rate_hz), "--scenario", str(scenario)) as device:
         with agent(device.config, options=["--db", str(db)]) as running:
-            wait_until(lambda: hops(db) >= 20 * (seconds - 1.0), "the rows", limit_s=60.0 + seconds)
+            every = (1000.0 + rate_hz) * seconds
+            wait_until(lambda: received(db) >= every, "every sample", limit_s=60.0 + seconds)
             document = running.document()
         assert device.stop() == 0
         return device.config, document, device.ledger()
+
+
+def received(db: Path) -> int:
+    """Samples that the agent says it has received of both sources."""
+    each = rows(db, "SELECT max(received) FROM v_health GROUP BY source")
+    return sum(count for (count,) in each)
 
 
 def found(db: Path) -> tuple[FloatArray, FloatArray]:

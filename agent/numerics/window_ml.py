@@ -1,15 +1,16 @@
 """The product's estimator: sliding-window maximum likelihood in observer form, with its policy of change.
 
 Samples go in, one row of estimates comes out a hop. A row is one exact projected Gauss-Newton step about theta_r from
-block summaries (`hops`, `window`, `solved`); the policy here decides when a window straddles a change, when theta_r is
-moved by an iterated fit (`placing`), and when colour, suspects and unknown forces are looked for (`upkeep`).
+block summaries (`hops`, `window`, `solved`); the policy here decides when a window straddles a change (`change`), when
+theta_r is moved by an iterated fit (`placing`), and when colour, suspects and unknown forces are looked for (`upkeep`).
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.change import Change, hear
 from agent.numerics.choice import choose, keep_each
-from agent.numerics.fit import Fit, Problem
+from agent.numerics.fit import Fit
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import MOST, Lacking
 from agent.numerics.memory import Memory, disjoint, far, quieter
@@ -23,11 +24,10 @@ from agent.numerics.stillness import still
 from agent.numerics.straddle import Window, is_clean
 from agent.numerics.suspects import Accusation
 from agent.numerics.upkeep import NEVER, Upkeep
-from agent.numerics.verdict import Before, Verdict
 from agent.numerics.window import solve_windows
 from agent.numerics.window_settings import WindowSettings
 from agent.numerics.working_point import WorkingPoint
-from agent.types import Calibrated, Reason
+from agent.types import Calibrated
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -66,11 +66,9 @@ class WindowML:
         self._units = UNITS_MIN
         self._anchored = self._adopted = False
         self._searched = settings.gains.disturbance is None
-        self._failed = self._heard = 0
+        self._failed = 0
         self._last_fit = self._steady_since = NEVER
-        self._onset: int | None = None
-        self._blamed: Verdict | None = None
-        self._named: dict[int, int] = {}  # channel -> the first window since the onset that blamed it
+        self._change = Change()
 
     @property
     def spikes(self) -> int:
@@ -95,7 +93,7 @@ class WindowML:
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt of the parameters stays."""
         self._segment = None
-        self._forget_change()
+        self._change.forget()
         self._anchored = False
         self._lacking.forget()
         if self._moving is not None:
@@ -129,11 +127,6 @@ class WindowML:
         self._segment.trim(max(longest, 0 if self._searched else self._record()) + plan.hop)
         self._lacking.trim(self._segment.first)
         return Rows.joined(pieces, q)
-
-    def _forget_change(self) -> None:
-        """Windows are like the past again."""
-        self._onset = self._blamed = None
-        self._named.clear()
 
     def _record(self) -> int:
         """Samples of the record on which unknown forces are searched."""
@@ -177,7 +170,7 @@ class WindowML:
             events = events if self._anchored else rows.full[position:]
             ahead = int(np.argmax(events)) if events.any() else count - position
             if ahead:
-                self._forget_change()
+                self._change.forget()
             position += ahead
             if position == count:
                 break
@@ -241,29 +234,29 @@ class WindowML:
         index, window = int(rows.index[row]), self.settings.plan.window
         if self._lacking.count(rows.index[row : row + 1], window)[0] > MOST * window:
             return False
-        pause = (window // 4) << self._failed if self._blamed is None else window << (self._heard - 1)
+        pause = (window // 4) << self._failed if self._change.blamed is None else self._change.pause(window)
         due = index - self._last_fit >= pause
         if self._anchored and healthy:
-            self._forget_change()
+            self._change.forget()
             if not self._searched and index - self._steady_since >= self._record():
                 return self._search(segment, rows, row)
             return wants and due and self._fit(segment, rows, row)
-        starting = not self._anchored and (due or self._onset is None)
-        self._onset = index if self._onset is None else self._onset
+        starting = not self._anchored and (due or self._change.onset is None)
+        self._change.begin(index)
         self._steady_since = index
         self.point.commission.restart()
         if self._anchored and self._upkeep.finds_frozen(segment, window, rows, row):
             return False
         if (starting or self._is_free(segment, rows, row, due=due)) and self._fit(segment, rows, row):
-            self._onset = None
+            self._change.onset = None
             return True
         self._mark(segment, rows, row, healthy=healthy)
         return False
 
     def _is_free(self, segment: Segment, rows: Rows, row: int, *, due: bool) -> bool:
         """Tell whether a window after the onset of a change may be fitted: it holds none of what was before."""
-        plan, since = self.settings.plan, int(rows.index[row]) - (self._onset or 0)
-        if self._blamed is not None and not due:
+        plan, since = self.settings.plan, int(rows.index[row]) - (self._change.onset or 0)
+        if self._change.blamed is not None and not due:
             return False  # the next hearing is of a window apart
         # the window that begins after the onset is free of it for certain, one before that may be
         if self._anchored and since >= plan.window - plan.hop and (due or since < plan.window):
@@ -273,23 +266,17 @@ class WindowML:
     def _mark(self, segment: Segment, rows: Rows, row: int, *, healthy: bool) -> None:
         """Say what a row is that no fit explained, and look for what the model lacks when that has lasted."""
         index, window = int(rows.index[row]), self.settings.plan.window
-        since = index - (index if self._onset is None else self._onset)
+        since = self._change.lasting(index)
         excited = bool(np.any(rows.sd[row] < self.settings.enough_sd))
         if not healthy or excited:
             # a rig that was never understood is not changing where what it lacks is known
             lasting = since >= window or (not self.point.settled and bool(self._upkeep.accused))
             rows.changing[row], rows.mismatch[row] = not lasting, lasting
-        if self._blamed is not None and self._agree(self._blamed.channel):
-            blamed = Reason.SENSOR if self._blamed.changed == "sensor" else Reason.INSEPARABLE
-            rows.suspect[row], rows.channel[row] = blamed, self._blamed.channel
+        if self._change.mark(rows, row, self._last_fit, window):
             return
-        looked = self._blamed is not None or index - self._upkeep.accused_at < window
+        looked = self._change.blamed is not None or index - self._upkeep.accused_at < window
         if since >= window and not looked and self._unsuspected():
             self._upkeep.accuse_in_distress(self.point, segment, self._lacking, rows, row)
-
-    def _agree(self, channel: int) -> bool:
-        """Tell whether windows apart blame a channel: what moves may look like the gain of its sensor in one."""
-        return self._last_fit - self._named[channel] >= self.settings.plan.window
 
     def _unsuspected(self) -> bool:
         """Tell whether nothing better is known than what a look at theta_r would say."""
@@ -333,18 +320,14 @@ class WindowML:
         whole = len(v) <= most or self._lacking.count(rows.index[row : row + 1], len(v))[0] > 0
         v = v if whole else v[-LONG:]
         problem = point.problem(v, self._lacking.bridge(v, stop))
-        near = self._anchored and self._onset is None
+        near = self._anchored and self._change.onset is None
         beginning = np.where(np.isfinite(rows.theta[row]) & near, rows.theta[row], point.theta)
         fit = point.maximise(problem, beginning, afresh=afresh, near=near)
         if self._adopted and not was_settled and point.refutes_adopted(problem, fit):
             self._disown()
             afresh, fit = True, point.maximise(problem, point.theta, afresh=True, near=False)
-        verdict = None if near or not was_settled else self._hear(problem, fit)
-        self._blamed = verdict if verdict is not None and verdict.channel >= 0 else None
-        if self._blamed is not None:
-            self._named.setdefault(self._blamed.channel, self._last_fit)
-        # a sensor that stays at fault is heard ever more seldom; once it fits again that is seen at once
-        self._heard = 0 if self._blamed is None else min(self._heard + 1, MOST_FAILED)
+        verdict = None if near or not was_settled else hear(point, self._memory, problem, fit)
+        self._change.note(verdict, self._last_fit)
         dof = point.dof_of(self.settings.plan.window, 0 if problem.bridge is None else problem.bridge.free)
         sound = verdict is None and point.mistake is None and fit.converged
         if sound and self._move(segment, rows, row, fit, dof, whole=whole):
@@ -373,7 +356,7 @@ class WindowML:
             return False
         self._memory = self._memory.with_reference(placed.reference)
         self._upkeep.coloured_at, self._failed = index, 0
-        if not self._anchored or self._onset is not None:
+        if not self._anchored or self._change.onset is not None:
             self._steady_since, self._memory = index, self._memory.without_past()
         self._anchored = True
         self.recentred += 1
@@ -382,19 +365,3 @@ class WindowML:
         rows.changing[row] = rows.mismatch[row] = False
         self._upkeep.review(point, segment, self._lacking, rows, row)
         return True
-
-    def _hear(self, problem: Problem, fit: Fit) -> Verdict | None:
-        """Say which sensor may have changed where a window contradicts the past; None where it is the structure."""
-        court, past, point = self.settings.court, self._memory.past.reference, self.point
-        if court is None:
-            return None
-        before = Before.of(past, point.scale, point.theta)
-        known = np.all(np.isfinite(fit.covariance))
-        q = len(point.theta)
-        if fit.converged and (not known or before.distance(fit.theta, fit.covariance) < q + 5 * np.sqrt(2 * q)):
-            return None
-        if not fit.converged and not np.diag(past.A).any():
-            return None
-        after = fit.theta if fit.converged else before.theta
-        found = court.judge(problem, point.gain, before, after, point.usual_gate, point.usual_share)
-        return None if found is None or found.changed == "structure" else found

@@ -1,7 +1,7 @@
 """Times that people type: ISO 8601, or an age counted back from the newest row."""
 
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from decimal import Decimal
 
 from agent.errors import UsageError
@@ -50,10 +50,3 @@ def _iso_ns(text: str, match: "re.Match[str]") -> int:
         raise UsageError.at("time", f'"{text}" is no time ({error})', "write 2026-03-01T12:00:00Z") from error
     since = moment - datetime(1970, 1, 1, tzinfo=UTC)
     return (since.days * 86400 + since.seconds) * 10**9 + int((fraction or "").ljust(9, "0"))
-
-
-def iso(t_ns: int) -> str:
-    """Return ISO 8601 UTC with nine decimals and Z, as the views print it."""
-    seconds, fraction = divmod(int(t_ns), 10**9)
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
-    return f"{moment:%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"

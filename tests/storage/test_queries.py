@@ -6,7 +6,8 @@ import pytest
 from agent.errors import UsageError
 from agent.storage import queries
 from agent.storage.store import Store
-from agent.storage.times import age_ns, iso, parse_time
+from agent.storage.times import age_ns, parse_time
+from agent.text import iso_time
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step, warming
 
 
@@ -50,7 +51,7 @@ def test_parse_time_of_nonsense_says_what_to_write(text: str) -> None:
 
 def test_iso_is_the_inverse_of_parse_time() -> None:
     for t_ns in (0, -1, START + 123_456_789, 9_223_372_036_854_775_807):
-        assert parse_time(iso(t_ns), None) == t_ns
+        assert parse_time(iso_time(t_ns), None) == t_ns
     assert age_ns("2w") == 14 * 86_400 * 10**9
 
 
@@ -61,7 +62,7 @@ def test_estimates_can_be_narrowed(path: Path) -> None:
     assert len(queries.estimates(path, parameter="c9")) == 10
     ages = queries.estimates(path, rig="press-7", parameter="k1", since="1s")
     assert [r["t_ns"] for r in ages] == [START + i * HOP for i in range(79, 100)]
-    both = queries.estimates(path, "press-7", "k1", iso(START + 3 * HOP), iso(START + 4 * HOP))
+    both = queries.estimates(path, "press-7", "k1", iso_time(START + 3 * HOP), iso_time(START + 4 * HOP))
     assert [r["t_ns"] for r in both] == [START + 3 * HOP, START + 4 * HOP]
 
 

@@ -11,8 +11,8 @@ from agent.storage import queries
 from agent.storage.backlog import Backlog, Pause
 from agent.storage.rows import Plan
 from agent.storage.store import Store
-from agent.storage.times import iso
 from agent.storage.writer import StoreWriter
+from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, HealthEvent
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step
 
@@ -133,7 +133,7 @@ def test_writer_keeps_at_it_while_the_disk_fails_and_says_so(
     assert [e.cause for e in told] == [cause]
     (alarm,) = [a for a in queries.alarms(path) if a["parameter"] == "store"]
     assert (alarm["kind"], alarm["priority"], alarm["state"]) == ("source", "high", "RTNUN")
-    assert (alarm["raised_at"], alarm["cleared_at"]) == (iso(START + 9 * HOP), iso(START + 19 * HOP))
+    assert (alarm["raised_at"], alarm["cleared_at"]) == (iso_time(START + 9 * HOP), iso_time(START + 19 * HOP))
     assert [r.getMessage().split(": ", 1)[1][:20] for r in caplog.records if r.levelname == "WARNING"] == [
         "cannot be written (i" if problem is SYNC else "cannot be written (d", "can be written again",
     ]  # fmt: skip

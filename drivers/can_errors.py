@@ -3,7 +3,7 @@
 Classes and bits as in linux/can/error.h. An error frame is no sample: it is counted among the faults of the line.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -95,10 +95,3 @@ def _counters(identifier: int, data: list[int]) -> str:
     if not identifier & _COUNTERS:
         return ""
     return f" (transmit errors {data[6]}, receive errors {data[7]})"
-
-
-def all_names() -> Iterator[str]:
-    """Yield every name that a fault can have."""
-    yield from _CLASSES.values()
-    yield from _CONTROLLER_BITS.values()
-    yield from ("controller fault", PLAIN)

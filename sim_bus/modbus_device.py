@@ -4,7 +4,7 @@ import asyncio
 import socket
 import threading
 from abc import abstractmethod
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, ClassVar
@@ -26,7 +26,6 @@ from sim_bus.modbus_server import SerialServer, TcpServer
 from sim_bus.modbus_units import Unit, make_unit
 from sim_bus.pty_line import PtyLine, join
 
-Action = Callable[[int, int, int, int, list[int], list[int] | list[bool] | None], Awaitable[ExcCodes | None]]
 _READ = frozenset({3, 4})
 _STOP_S = 5.0
 _LOOK_S = 0.02

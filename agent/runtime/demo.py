@@ -22,7 +22,6 @@ from agent.runtime.demo_bus import COARSE, FINE, write_config
 from agent.runtime.demo_truth import Truth, alarm_delays, read_truth, segments
 from agent.storage import queries
 
-READY_S = 30.0
 STALL_S = 20.0
 GRACE_S = 20.0
 

@@ -336,11 +336,6 @@ class Store:
             self._scrubber.step(self.connection)
             self._ballast.lay()
 
-    def wal_bytes(self) -> int:
-        """Return the size of the write-ahead log's file."""
-        log = beside(self.path, "-wal")
-        return log.stat().st_size if log.exists() else 0
-
     def _disconnect(self) -> None:
         connections, self._connection, self._side = (self._side, self._connection), None, None
         for connection in connections:

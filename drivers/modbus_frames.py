@@ -8,6 +8,7 @@ import importlib
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,7 +32,7 @@ _LONGEST_TCP = 260
 REMEMBERED = 64
 """Requests given up whose replies are still known for what they are."""
 _LOADING = threading.Lock()
-_EXCEPTIONS = {
+EXCEPTIONS: Mapping[int, str] = {
     1: "illegal function",
     2: "illegal data address",
     3: "illegal data value",
@@ -42,6 +43,8 @@ _EXCEPTIONS = {
     10: "gateway path unavailable",
     11: "gateway target does not answer",
 }
+"""What a device may answer instead, by its code in the standard."""
+UNKNOWN_EXCEPTION = "not a code of the standard"
 _ADVICE = {
     1: "look at function, 3 or 4",
     2: "look at address, which counts from 0, at function and at the number of registers",
@@ -97,7 +100,7 @@ def check_reply(pdu: bytes, request: Request) -> ByteArray:
 def _exception(pdu: bytes, request: Request) -> ReplyError:
     if len(pdu) != 2:
         return ReplyError("reply", f"an exception of {len(pdu)} bytes to {request.words}")
-    named = f"exception {pdu[1]} ({_EXCEPTIONS.get(pdu[1], 'not a code of the standard')})"
+    named = f"exception {pdu[1]} ({EXCEPTIONS.get(pdu[1], UNKNOWN_EXCEPTION)})"
     advice = f"; {_ADVICE[pdu[1]]}" if pdu[1] in _ADVICE else ""
     return ReplyError(named, f"the device answers {named} to {request.words}{advice}", pdu[1])
 

@@ -6,6 +6,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from drivers.modbus_frames import EXCEPTIONS as KNOWN_EXCEPTIONS
+from drivers.modbus_frames import UNKNOWN_EXCEPTION
+
 ONE_SAMPLE = 0.0
 SOME_TIME = 0.5
 
@@ -93,18 +96,7 @@ _ON_TEXT = {
 }
 """What a broken message of a CAN daemon looks like."""
 
-EXCEPTIONS: Mapping[int, str] = {
-    1: "illegal function",
-    2: "illegal data address",
-    3: "illegal data value",
-    4: "device failure",
-    5: "acknowledge, still working",
-    6: "device busy",
-    8: "memory parity error",
-    10: "gateway path unavailable",
-    11: "gateway target does not answer",
-    85: "not a code of the standard",
-}
+EXCEPTIONS: Mapping[int, str] = {**KNOWN_EXCEPTIONS, 85: UNKNOWN_EXCEPTION}
 REPLIES: Mapping[str, FaultKind] = {
     **{
         f"exception-{code}": FaultKind(f"every answer is {named}", named, SOME_TIME, timed=True)

@@ -3,8 +3,11 @@
 import time
 from collections import Counter, deque
 from collections.abc import Sequence
+from math import ceil
 
-from agent.storage.batches import joined_runs
+import numpy as np
+
+from agent.storage.batches import joined_runs, take
 from agent.types import AlarmTransition, EstimateBatch, Record
 
 SHORTEST_S, LONGEST_S = 0.2, 5.0
@@ -59,11 +62,21 @@ class Backlog:
     def _drop_oldest(self, reason: str) -> bool:
         for place, record in enumerate(self._records):
             if not isinstance(record, AlarmTransition):
-                del self._records[place]
-                self._cells -= cells_of(record)
-                self.dropped[reason] += cells_of(record)
+                self._drop(place, record, reason)
                 return True
         return False
+
+    def _drop(self, place: int, record: Record, reason: str) -> None:
+        """Drop a record, but of estimates no more instants than are too many: joined ones may be all that waits."""
+        gone = cells_of(record)
+        many = 0 if not isinstance(record, EstimateBatch) else ceil((self._cells - self._most) * len(record) / gone)
+        if isinstance(record, EstimateBatch) and many < len(record):
+            self._records[place] = take(record, np.arange(many, len(record)))
+            gone -= cells_of(self._records[place])
+        else:
+            del self._records[place]
+        self._cells -= gone
+        self.dropped[reason] += gone
 
 
 class Pause:

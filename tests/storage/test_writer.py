@@ -261,6 +261,16 @@ def test_backlog_never_drops_alarms() -> None:
     assert waiting.dropped == {"disk full": 8}
 
 
+def test_backlog_that_is_full_loses_its_oldest_instants_and_no_more() -> None:
+    waiting = Backlog(1000)
+    for i in range(400):
+        waiting.add([batch(1, first=i)], "disk full")
+    assert len(waiting) == 1000
+    kept = [int(t) for r in waiting.take() if isinstance(r, EstimateBatch) for t in r.t_ns]
+    assert kept == [START + i * HOP for i in range(150, 400)]
+    assert waiting.dropped == {"disk full": 600}
+
+
 def test_pause_grows_to_five_seconds() -> None:
     pause = Pause()
     lengths = []

@@ -212,16 +212,20 @@ class Service:
         self._wake.set()
 
     def run(self, duration_s: float | None) -> None:
-        """Read, compute and store until stopped or duration_s has passed."""
+        """Read, compute and store until stopped or duration_s has passed.
+
+        Raises StoreError where a database can never be opened, RuntimeError where a writer ended by a fault of its own.
+        """
         started = monotonic_ns()
-        self._start()
         try:
+            self._start()
             ledger_due = started + HEALTH_PERIOD_NS
             while not self._stop.is_set() and not _over(started, duration_s):
                 self._wake.wait(_patience(started, duration_s))
                 self._wake.clear()
                 begun = monotonic_ns()
                 self.process()
+                self._need_writers()
                 self._stop.wait(min(_rest_s((monotonic_ns() - begun) / 1e9), _patience(started, duration_s)))
                 if monotonic_ns() >= ledger_due:
                     ledger_due += HEALTH_PERIOD_NS
@@ -257,6 +261,12 @@ class Service:
                     self.rigs[use.rig].link(use.source, event)
         for rig in self.rigs.values():
             rig.poll()
+
+    def _need_writers(self) -> None:
+        """Raise where nothing is stored any more: an agent started anew stores again, one that went on would not."""
+        for path, writer in self.writers.items():
+            if writer.broken is not None:
+                raise RuntimeError(f"{path}: the thread that writes to it failed ({writer.broken})")
 
     def _ledgers(self) -> None:
         for rig in self.rigs.values():

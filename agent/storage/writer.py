@@ -85,6 +85,8 @@ class StoreWriter:
         """Grows with every round of the thread; a watchdog may read it."""
         self.written = 0
         """Rows of estimates, alarms and health that were acknowledged."""
+        self.broken: str | None = None
+        """What ended the thread where no disk did, in words; nothing is stored after it."""
         self.dropped_at_queue: Counter[str] = Counter()
 
     # --- the pipeline's side -----------------------------------------------------------------------------------
@@ -130,7 +132,10 @@ class StoreWriter:
         with self._condition:
             self._stopping = True
             self._condition.notify_all()
-        self._thread.join(timeout_s)
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+        else:
+            self._end()
         if self._lossless:
             self._raise_failure()
 
@@ -160,7 +165,9 @@ class StoreWriter:
 
     def _raise_failure(self) -> None:
         if self._failure is not None:
-            raise StoreError.at("store", f"cannot be written ({self._failure})", "look at its disk") from self._failure
+            why = self.broken or str(self._failure)
+            advice = "look at its disk" if self.broken is None else "see the log"
+            raise StoreError.at("store", f"cannot be written ({why})", advice) from self._failure
 
     def _place(self) -> str:
         return "the store" if self._store is None else str(self._store.path)
@@ -171,6 +178,11 @@ class StoreWriter:
         try:
             while not self._round():
                 pass
+        except Exception as error:
+            # from here on nothing is stored: whoever publishes or watches must hear of it
+            log.exception("%s: the thread that writes to it failed", self._place())
+            self.broken = f"{type(error).__name__}: {error}"
+            self._failure = error
         finally:
             self._end()
 
@@ -350,10 +362,13 @@ class StoreWriter:
 
     def _end(self) -> None:
         self._errands.end()
-        if self._server is not None:
-            self._server.stop()
-        for backlog in self._backlogs.values():
-            left = sum(map(cells_of, backlog.take()))
+        try:
+            if self._server is not None:
+                self._server.stop()
+        except OSError as error:  # on a disk that became read-only; the next start replaces the socket
+            log.warning("%s: the socket for commands beside it stays: %s", self._place(), error)
+        for rig, backlog in self._backlogs.items():
+            left = sum(map(cells_of, [*self._flight.pop(rig, ()), *backlog.take()]))
             if left:
                 backlog.dropped[self._pause.cause or "stopped"] += left
                 log.warning("%s: %d rows could not be stored before the end", self._place(), left)

@@ -1,3 +1,4 @@
+import errno
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -269,6 +270,42 @@ def test_backlog_that_is_full_loses_its_oldest_instants_and_no_more() -> None:
     kept = [int(t) for r in waiting.take() if isinstance(r, EstimateBatch) for t in r.t_ns]
     assert kept == [START + i * HOP for i in range(150, 400)]
     assert waiting.dropped == {"disk full": 600}
+
+
+def test_writer_whose_thread_fails_says_so_and_replays_do_not_take_that_for_success(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    Sick.cause = None
+    writer = StoreWriter(lambda: Sick.open(path), [run_info()], lossless=True, period_s=LONG)
+    writer.start()
+    writer._thinners.clear()
+    writer.publish([batch(1)])
+    with pytest.raises(StoreError, match="KeyError"):
+        writer.flush(20)
+    with pytest.raises(StoreError, match="KeyError"):
+        writer.stop(20)
+    assert not writer.is_alive()
+    assert [r.message for r in caplog.records if r.exc_info] == [f"{path}: the thread that writes to it failed"]
+    Store.open(path).close()
+
+
+def test_writer_counts_what_is_left_and_closes_its_file_where_its_socket_cannot_be_removed(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Sick.cause = None
+    writer = StoreWriter(lambda: Sick.open(path), [run_info()], period_s=LONG, served=True)
+    writer.start()
+    Sick.cause = FULL
+    monkeypatch.setattr("agent.storage.command_socket.CommandServer.stop", _read_only)
+    writer.publish([batch(1)])
+    writer.stop(20)
+    Sick.cause = None
+    assert writer.dropped.total() == 4
+    Store.open(path).close()
+
+
+def _read_only(_: object) -> None:
+    raise OSError(errno.EROFS, "Read-only file system")
 
 
 def test_pause_grows_to_five_seconds() -> None:

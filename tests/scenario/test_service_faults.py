@@ -1,0 +1,39 @@
+"""What a service does where one of its own parts fails: it ends, lets go, and counts what was lost."""
+
+from pathlib import Path
+
+import pytest
+
+from agent.config import load
+from agent.errors import StoreError
+from agent.runtime.service import Service
+from agent.storage.store import Store
+from tests.scenario.live import example
+from tests.scenario.test_service import renamed
+from tests.sim.rigs import free_port
+
+
+def test_agent_whose_writer_fails_ends_and_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An agent that cannot store anything any more must not look like one that watches."""
+    text, db = example("modbus", tmp_path).read_text(), tmp_path / "rig.db"
+    (tmp_path / "rig.toml").write_text(renamed(text, "press-7", free_port()), encoding="utf-8")
+    service = Service([load(tmp_path / "rig.toml")], db, "live")
+    (writer,) = service.writers.values()
+    monkeypatch.setattr(writer, "_collect", lambda _: 1 / 0)
+    with pytest.raises(RuntimeError, match=r"rig\.db.*ZeroDivisionError"):
+        service.run(30.0)
+    assert not any(connection.is_alive() for connection in service.connections)
+
+
+def test_agent_that_cannot_open_one_of_its_databases_lets_go_of_the_others(tmp_path: Path) -> None:
+    text = example("modbus", tmp_path).read_text()
+    configs = []
+    for name in ("left", "right"):
+        file = tmp_path / f"{name}.toml"
+        file.write_text(renamed(text, name, free_port()).replace("two-mass-rig.db", f"{name}.db"), encoding="utf-8")
+        configs.append(load(file))
+    paths = [config.store.path for config in configs]
+    paths[1].write_text("not a database")
+    with pytest.raises(StoreError, match="not a deltak database"):
+        Service(configs, None, "live").run(None)
+    Store.open(paths[0]).close()

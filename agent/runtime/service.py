@@ -153,7 +153,7 @@ class RigRuntime:
     def ledger(self, connections: Sequence[Connection]) -> None:
         """Publish the conservation ledger of every source."""
         conservation = {
-            use.source: Conservation(connection.counts, Counter(connection.dropped))
+            use.source: Conservation(connection.counts, connection.dropped)
             for connection in connections
             for use in connection.uses
             if use.rig == self.config.rig.name

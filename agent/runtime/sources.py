@@ -45,8 +45,8 @@ class Connection:
 
     Attributes:
         uses: the sources that it serves.
-        dropped: samples that found the queue full, by reason.
         counts: the driver's counts at the newest block taken.
+        dropped: samples of before it that found the queue full, by reason.
         progress: grows with every turn of the thread; a watchdog may read it.
         make_recorder: makes what records every block, where that is wanted, once the driver is open.
     """
@@ -66,6 +66,7 @@ class Connection:
         self._waiting: deque[Arrival] = deque()
         self._events: list[LinkEvent] = []
         self._samples = 0
+        self._overflowed: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._work, name=f"read {driver.request.name}", daemon=True)
 
@@ -93,6 +94,7 @@ class Connection:
             arrivals, events = list(self._waiting), self._events
             self._waiting.clear()
             self._events, self._samples = [], 0
+            self.dropped = self._overflowed.copy()
         if arrivals:
             self.counts = arrivals[-1].counts
         return arrivals, events
@@ -160,7 +162,7 @@ class Connection:
             while self._samples > QUEUE_SAMPLES and len(self._waiting) > 1:
                 oldest = self._waiting.popleft()
                 self._samples -= len(oldest.block)
-                self.dropped["queue full"] += len(oldest.block)
+                self._overflowed["queue full"] += len(oldest.block)
         self._wake.set()
 
 

@@ -1,13 +1,17 @@
 """What a service does where one of its own parts fails: it ends, lets go, and counts what was lost."""
 
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.config import load
 from agent.errors import StoreError
 from agent.runtime.service import Service
+from agent.runtime.sources import connect
 from agent.storage.store import Store
+from drivers.port import SampleBlock
 from tests.scenario.live import example
 from tests.scenario.test_service import renamed
 from tests.sim.rigs import free_port
@@ -37,3 +41,16 @@ def test_agent_that_cannot_open_one_of_its_databases_lets_go_of_the_others(tmp_p
     with pytest.raises(StoreError, match="not a deltak database"):
         Service(configs, None, "live").run(None)
     Store.open(paths[0]).close()
+
+
+def test_samples_that_found_the_queue_full_are_in_the_ledger_once_those_after_them_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("agent.runtime.sources.QUEUE_SAMPLES", 100)
+    (connection,) = connect([load(example("modbus", tmp_path))], threading.Event())
+    for number in range(5):
+        connection._driver.counts.received += 50
+        connection._put(SampleBlock(np.zeros((50, 3)), number))
+        assert (connection.counts.received, connection.dropped) == (0, {})
+    arrivals, _ = connection.take()
+    assert connection.counts.received == sum(len(a.block) for a in arrivals) + connection.dropped["queue full"] == 250

@@ -37,7 +37,7 @@ class IsolatedPipeline(Pipeline):
         self._rejected_before: dict[str, Counter[str]] = {source: Counter() for source in sources}
         self._told: list[Record] = []
         self._standing = False
-        self._now_ns, self._resumes_ns, self._failed_ns = 0, 0, 0
+        self._now_ns, self._resumes_ns = 0, 0
         self._pause_ns = PAUSE_NS[0]
 
     def restore_failure(self, standing: Sequence[str]) -> None:
@@ -85,9 +85,9 @@ class IsolatedPipeline(Pipeline):
 
     def _fail(self, words: str) -> None:
         """Start the numerics anew after a pause, count what was on its way, and say so."""
-        again = self._now_ns - self._failed_ns < PAUSE_NS[1]
-        self._pause_ns = min(2 * self._pause_ns, PAUSE_NS[1]) if again and self._failed_ns else PAUSE_NS[0]
-        self._failed_ns, self._resumes_ns = self._now_ns, self._now_ns + self._pause_ns
+        again = self._resumes_ns > 0 and self._now_ns - self._resumes_ns < PAUSE_NS[1]
+        self._pause_ns = min(2 * self._pause_ns, PAUSE_NS[1]) if again else PAUSE_NS[0]
+        self._resumes_ns = self._now_ns + self._pause_ns
         message = f"the estimation failed and starts anew after {self._pause_ns / 1e9:g} s: {words}"
         self._told.append(HealthEvent(self.config.rig.name, ESTIMATION, self.newest_ns, FAILURE, message))
         if not self._standing:

@@ -125,3 +125,22 @@ def test_fault_that_comes_back_is_tried_less_and_less_often_and_every_sample_is_
     assert not any(isinstance(record, EstimateBatch | Health) for record in published)
     used, rejected = rig.pipeline.ends("modbus")
     assert used + rejected.total() == received
+
+
+def test_pause_after_a_fault_that_keeps_coming_back_grows_to_a_minute_and_stays_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = RigRuntime(load(example("modbus", tmp_path)), lambda _: None)
+
+    def broken(*_: Any) -> None:
+        raise ValueError("planted")
+
+    monkeypatch.setattr("agent.blocks.estimation.Estimation.step", broken)
+    pauses = []
+    for second in range(1, 320):
+        counter = np.arange(1000 * second, 1000 * second + PIECE, dtype=np.int64)
+        block = SampleBlock(np.ones((PIECE, 3)), second * 1_000_000_000, counter, wall_offset_ns=0)
+        rig.pipeline.take("modbus", block, 2**32, None)
+        if any(isinstance(record, HealthEvent) for record in rig.pipeline.compute()):
+            pauses.append(rig.pipeline._pause_ns // 1_000_000_000)
+    assert pauses == [1, 2, 4, 8, 16, 32, *[60] * 5]

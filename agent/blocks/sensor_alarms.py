@@ -29,6 +29,10 @@ class SensorAlarms:
         self._standing = set(standing)
         self._restored = set(standing)
 
+    def start_anew(self) -> None:
+        """Go on with the alarms that stand, though what judged their channels begins anew and knows of none."""
+        self._restored = set(self._standing)
+
     def step(self, events: Iterable[SensorEvent]) -> list[AlarmTransition]:
         """Return the transitions that events make; a fault that stands already is not raised again."""
         changes = []
@@ -40,7 +44,7 @@ class SensorAlarms:
         return changes
 
     def confirm(self, batch: EstimateBatch) -> list[AlarmTransition]:
-        """Return what a batch says of alarms left standing by the run before: a valid estimate clears them."""
+        """Return what a batch says of alarms that whoever judges now did not raise: a valid estimate clears them."""
         valid = (batch.status == Status.VALID).any(axis=1)
         if not self._restored or not valid.any():
             return []

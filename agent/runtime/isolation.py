@@ -109,6 +109,7 @@ class IsolatedPipeline(Pipeline):
             self._used_before += used - self.quality.waiting
             self._rejected_before[source] += rejected
         self.begin_numerics()
+        self.sensor_alarms.start_anew()
 
     def _settle(self, source: str) -> None:
         """Count the samples of a source that ended nowhere: the fault lost them."""

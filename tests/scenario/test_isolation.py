@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.blocks.sensor_labels import SensorEvent
 from agent.config import load
 from agent.runtime.isolation import PAUSE_NS
 from agent.runtime.service import RigRuntime, Service
-from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Record
+from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, SensorFault
 from drivers.port import FloatArray, SampleBlock
 from tests.scenario.live import example, free_port, rows
 from tests.scenario.test_service import renamed
@@ -144,3 +145,18 @@ def test_pause_after_a_fault_that_keeps_coming_back_grows_to_a_minute_and_stays_
         if any(isinstance(record, HealthEvent) for record in rig.pipeline.compute()):
             pauses.append(rig.pipeline._pause_ns // 1_000_000_000)
     assert pauses == [1, 2, 4, 8, 16, 32, *[60] * 5]
+
+
+def test_sensor_alarm_that_stood_before_a_fault_clears_once_estimates_are_valid_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[Record] = []
+    rig = RigRuntime(load(example("modbus", tmp_path)), published.extend)
+    channel = rig.config.outputs[0].name
+    rig.pipeline.sensor_alarms.step([SensorEvent(SensorFault(channel, Reason.STUCK), True, 0, 0)])
+    monkeypatch.setattr(rig.pipeline.quality, "step", lambda *_: 1 / 0)
+    for block in blocks(4):
+        rig.pipeline.take("modbus", block, 2**32, None)
+        published += rig.pipeline.compute()
+    steps = [(r.kind, r.parameter, r.to_state) for r in published if isinstance(r, AlarmTransition)]
+    assert ("sensor", channel, "RTNUN") in steps

@@ -37,7 +37,7 @@ def _add_rows(
     value, sd, lower, upper, held, age = (
         _finite(a) for a in (batch.value, batch.sd, batch.lower, batch.upper, batch.held, batch.held_age_s)
     )
-    dof = np.minimum(batch.dof, _MANY)
+    dof = _few_digits(np.minimum(batch.dof, _MANY))
     symmetric = _symmetric(value, sd, lower, upper, dof)
     fits = _fits(batch, dof, symmetric, names, chosen=place is None)
     numbered = (seq, _series(batch, run_id, names), fits, _verdicts(batch, value, sd, names))
@@ -58,6 +58,17 @@ def _add_hops(plan: Plan, hops: IntArray, run_id: int, t_ns: IntArray) -> None:
 def _finite(numbers: FloatArray) -> FloatArray:
     """Return a copy in which everything that is not a number is NaN, which SQLite stores as NULL."""
     return np.where(np.isfinite(numbers), numbers, np.nan)
+
+
+def _few_digits(dof: FloatArray) -> FloatArray:
+    """Return whole degrees of freedom as they are, others (N,) to two digits.
+
+    White noise leaves whole ones, the same over the years. Coloured noise leaves a new fraction each window; a row in
+    `fits` for each would outgrow the estimates. Intervals are not made of what is lost: they stand in the row itself.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        step = 10.0 ** (np.floor(np.log10(dof)) - 1)
+        return np.where((dof == np.rint(dof)) | ~(dof > 0), dof, np.rint(dof / step) * step)
 
 
 def _symmetric(

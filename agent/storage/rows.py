@@ -10,6 +10,8 @@ from agent.storage.schema import TABLES
 from agent.types import Reason, Status
 
 Row = tuple[Any, ...]
+MOST_FITS = 10_000
+"""Fits whose numbers are remembered, the newest: one that comes back after them is given another number."""
 
 VERDICTS = {
     (int(status) << 8) | int(reason): (
@@ -79,9 +81,10 @@ class Names:
         """Learn what the file already names; what was not committed yet stays waiting."""
         self._rigs.update({name: seq for seq, name in connection.execute("SELECT seq, name FROM rigs")})
         self._verdicts.update(seq for (seq,) in connection.execute("SELECT seq FROM verdicts"))
-        fits = "SELECT seq, window_s, n_used, n_missing, dof, t95 IS NOT NULL, chosen FROM fits"
-        for seq, window, used, missing, dof, symmetric, chosen in connection.execute(fits):
-            self._fits[(window, used, missing, dof, bool(symmetric), chosen)] = seq
+        columns = "seq, window_s, n_used, n_missing, dof, t95 IS NOT NULL, chosen"
+        newest = connection.execute(f"SELECT {columns} FROM fits ORDER BY seq DESC LIMIT ?", (MOST_FITS,)).fetchall()
+        for seq, window, used, missing, dof, symmetric, chosen in reversed(newest):
+            self._remember((window, used, missing, dof, bool(symmetric), chosen), seq)
 
     def saved(self) -> None:
         """Note that a commit took the waiting rows along."""
@@ -107,12 +110,19 @@ class Names:
 
         symmetric: lower and upper are value -+ t95 sd, so the row itself need not carry them.
         """
-        seq = self._fits.get(key)
+        seq = self._fits.pop(key, None)
         if seq is None:
             window, used, missing, dof, symmetric, chosen = key
-            seq = self._fits[key] = self._numbers.take("fits")
+            seq = self._numbers.take("fits")
             self.fresh.sealed("fits", seq, window, used, missing, dof, student_95(dof) if symmetric else None, chosen)
+        self._remember(key, seq)
         return seq
+
+    def _remember(self, key: FitKey, seq: int) -> None:
+        """Keep the number of a fit as that of the one used last; the one used longest ago makes room."""
+        self._fits[key] = seq
+        if len(self._fits) > MOST_FITS:
+            del self._fits[next(iter(self._fits))]
 
     def verdicts(self, codes: set[int]) -> None:
         """See that the file has the texts of these verdicts."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from agent.errors import StoreError
 from agent.storage import connect, queries
@@ -432,3 +433,39 @@ def test_write_of_nothing_is_harmless(path: Path) -> None:
     stored(path, empty())
     assert queries.estimates(path) == []
     assert queries.latest(path) == []
+
+
+def coloured(first: int, hops: int = 20) -> EstimateBatch:
+    """Rows under coloured noise: each window finds other degrees of freedom."""
+    dof = np.random.default_rng(first).uniform(30.0, 400.0, hops)
+    plain = batch(hops, first=first)
+    half = np.asarray(stdtrit(dof, 0.975))[:, None] * plain.sd
+    return batch(hops, first=first, dof=dof, lower=plain.value - half, upper=plain.value + half)
+
+
+def test_rows_under_coloured_noise_keep_their_intervals_and_name_no_fit_each(path: Path) -> None:
+    with Store.open(path) as store:
+        run_id = store.begin_run(run_info())
+        batches = [coloured(first) for first in range(0, 4000, 20)]
+        for one in batches:
+            store.write(run_id, [one])
+    fits = select(path, "SELECT count(*) FROM fits")[0][0]
+    assert fits < 150
+    found = np.array(select(path, "SELECT lower, upper FROM v_estimates WHERE parameter = 'k1' ORDER BY t_ns"))
+    np.testing.assert_array_equal(found[:, 0], np.concatenate([b.lower[:, 0] for b in batches]))
+    np.testing.assert_array_equal(found[:, 1], np.concatenate([b.upper[:, 0] for b in batches]))
+
+
+def test_fits_that_were_named_long_ago_take_no_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.storage.rows.MOST_FITS", 100)
+    with Store.open(path) as store:
+        run_id = store.begin_run(run_info())
+        for first in range(0, 1000, 20):
+            store.write(run_id, [batch(20, first=first, n_missing=np.arange(first, first + 20))])
+        assert len(store.names._fits) <= 100
+    with Store.open(path) as store:
+        assert len(store.names._fits) <= 100
+        run_id = store.begin_run(run_info())
+        store.write(run_id, [batch(1, first=1000)])
+    query = "SELECT f.n_missing FROM hops h JOIN estimates e ON e.seq = h.seq * 1024 JOIN fits f ON f.seq = e.fit_id"
+    assert [n for (n,) in select(path, f"{query} ORDER BY h.t_ns")] == [*range(1000), 0]

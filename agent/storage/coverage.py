@@ -8,13 +8,17 @@ from agent.storage.rows import Numbers, Plan
 class Coverage:
     """The stretch that one run covers, kept up to date as it is written.
 
-    Live runs follow one another and hide nothing; a replay of a time that the file holds already hides the older rows.
+    Live runs follow one another and hide nothing of each other, whatever the wall clock said; a replay of a time that
+    the file holds already hides the older rows.
     """
 
     def __init__(self, connection: sqlite3.Connection, run_id: int, rig: str) -> None:
         self._run_id = run_id
         self._own = _stretch(connection, run_id)
-        query = "SELECT r.seq FROM runs r JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND r.seq < ?"
+        query = (
+            "SELECT r.seq FROM runs r JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ?1 AND r.seq < ?2 "
+            "AND NOT (r.kind = 'live' AND (SELECT own.kind FROM runs own WHERE own.seq = ?2) = 'live')"
+        )
         older = [seq for (seq,) in connection.execute(query, (rig, run_id)).fetchall()]
         stretches = {seq: _stretch(connection, seq) for seq in older}
         self._older = {seq: stretch for seq, stretch in stretches.items() if stretch is not None}

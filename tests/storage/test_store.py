@@ -211,6 +211,14 @@ def test_views_of_runs_that_follow_one_another_show_all_of_them(path: Path) -> N
     assert select(path, "SELECT count(*) FROM overlaps") == [(0,)]
 
 
+def test_live_run_begun_after_the_clock_was_set_back_hides_nothing_of_the_one_before(path: Path) -> None:
+    first = stored(path, batch(100), step("NORM", "UNACK", START + 50 * HOP))
+    second = stored(path, batch(100, first=40))
+    assert [alarm["run_id"] for alarm in queries.alarms(path, active=True)] == [first]
+    shown = [r["run_id"] for r in queries.estimates(path, parameter="k1")]
+    assert (shown.count(first), shown.count(second)) == (100, 100)
+
+
 def test_latest_is_the_newest_row_of_each_rig_and_parameter(path: Path) -> None:
     with Store.open(path) as store:
         one, two = store.begin_run(run_info()), store.begin_run(run_info("press-8"))

@@ -87,7 +87,8 @@ class Thinner:
     def _forget(self, t_ns: IntArray) -> None:
         assert self._held is not None  # noqa: S101 - called by _release only
         newest = int(t_ns[-1])
-        stay = t_ns >= newest - round(BEFORE_S * 1e9)
+        # rows that are later than the newest one are of before the clock was set back
+        stay = (t_ns >= newest - round(BEFORE_S * 1e9)) & (t_ns <= newest)
         stay[-1] = True
         self._held, self._passed = take(self._held, stay), self._passed[stay]
         self._transitions = [m for m in self._transitions if m + round(AFTER_S * 1e9) >= newest]

@@ -70,6 +70,17 @@ def test_thinner_holds_a_live_row_back_no_longer_than_its_period() -> None:
     assert [i for i, records in enumerate(out) if records] == [20, 40]
 
 
+def test_thinner_whose_time_is_set_back_holds_no_more_rows_than_otherwise() -> None:
+    thinner, before, after = Thinner(1.0), [batch(1, first=i) for i in range(1000)], []
+    hour = 3600 * SECOND // HOP
+    after = [batch(1, first=i, start=START - hour * HOP) for i in range(1000, 2000)]
+    kept = [record for one in (*before, *after) for record in thinner.feed([one])]
+    assert thinner._held is not None
+    assert len(thinner._held) <= 10 * SECOND // HOP + 1
+    newest = [START + i * HOP for i in (*range(19, 1000, 20), *range(1019 - hour, 1999 - hour, 20))]
+    assert times(kept) == sorted(newest)
+
+
 def test_thinner_starts_afresh_when_the_reference_changes() -> None:
     changed = batch(30, first=30, reference=np.full(4, 1.0))
     out = [r for r in fed([[batch(30)], [changed]]) if isinstance(r, EstimateBatch)]

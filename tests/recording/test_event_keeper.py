@@ -172,9 +172,19 @@ def test_memory_is_bounded_by_time_and_by_bytes(rig: Rig, monkeypatch: pytest.Mo
     memory = rig.keeper._memory
     assert sum(len(item.block) for item in memory.items) <= 400
     assert sum(len(labels.number) for labels in memory.labels) <= 400
-    monkeypatch.setattr(events, "MOST_BYTES", 2400)
+    monkeypatch.setattr(events, "MOST_BYTES", 10_000)
     rig.feed(1000)
-    assert memory.held == sum(item.block.values.nbytes for item in memory.items) <= 2400
+    assert memory.held == sum(map(events.bytes_of, memory.items)) <= 10_000
+
+
+def test_memory_is_bounded_where_samples_come_and_none_of_them_is_labelled(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(events, "MOST_BYTES", 100_000)
+    for number in range(2000):  # of one source, while the one whose samples make rows is away
+        rig.keeper.take("can", SampleBlock(np.zeros((1, 3)), number * MS, np.array([number])), 65536)
+        rig.keeper.see([])
+    assert len(rig.keeper._memory.items) <= 100
 
 
 def test_repeated_and_late_samples_stand_in_no_record(rig: Rig) -> None:

@@ -23,7 +23,9 @@ from drivers.port import SampleBlock
 
 Label = Callable[[IntArray], IntArray]
 MOST_BYTES = 64 << 20
-"""Of readings that wait in memory for an alarm."""
+"""Of blocks that wait in memory for an alarm."""
+OBJECT_BYTES = 1024
+"""What a block takes beside its numbers: most of it, where a slow device delivers one sample at a time."""
 LONGEST = 4
 """Alarms raised meanwhile lengthen a record to at most so many times its after_s."""
 PATIENCE_S = 2.0
@@ -66,13 +68,13 @@ class Memory:
 
     def add(self, item: Taken) -> None:
         self.items.append(item)
-        self.held += item.block.values.nbytes
+        self.held += bytes_of(item)
 
     def cut(self) -> None:
         """Forget what lies further back than the span, or has no room."""
         items = self.items
         while len(items) > 1 and (items[-1].moment - items[0].moment > self.span or self.held > MOST_BYTES):
-            self.held -= self.items.popleft().block.values.nbytes
+            self.held -= bytes_of(self.items.popleft())
         while len(self.labels) > 1 and self.labels[-1].number[-1] - self.labels[0].number[-1] > self.span:
             self.labels.popleft()
 
@@ -83,6 +85,13 @@ class Memory:
             if len(place):
                 return int(labels.number[place[-1]])
         return otherwise
+
+
+def bytes_of(item: Taken) -> int:
+    """Return what a block takes in memory."""
+    block = item.block
+    arrays = (item.number, item.kept, block.values, block.counter, block.t_ns, block.received_ns)
+    return OBJECT_BYTES + sum(array.nbytes for array in arrays if array is not None)
 
 
 class EventKeeper:

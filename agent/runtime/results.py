@@ -13,6 +13,8 @@ from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, Status
 
 _COLUMNS = ("value", "sd", "lower", "upper")
+MOST_TOLD = 10_000
+"""Activations of alarms, and words of advice, that the document of a run tells, the newest; the database has all."""
 
 
 @dataclass(slots=True)
@@ -38,13 +40,14 @@ class RunSummary:
             elif isinstance(record, AlarmTransition):
                 self._alarm(record)
             elif isinstance(record, HealthEvent) and record.source == SOURCE:
-                self._advice.append(record.message)
+                self.advise(record.message)
             elif isinstance(record, Health):
                 self._health[record.source] = record
 
     def advise(self, words: str) -> None:
         """Add words to the document's advice."""
         self._advice.append(words)
+        del self._advice[:-MOST_TOLD]
 
     def _estimates(self, batch: EstimateBatch) -> None:
         valid = (batch.status == Status.VALID).sum(axis=0)
@@ -56,6 +59,7 @@ class RunSummary:
     def _alarm(self, change: AlarmTransition) -> None:
         if change.to_state == "UNACK":
             self._alarms.append(self._activation(change))
+            del self._alarms[:-MOST_TOLD]
             return
         for alarm in reversed(self._alarms):
             if (alarm["kind"], alarm["parameter"]) == (change.kind, change.parameter):

@@ -7,6 +7,7 @@ import random
 import threading
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,9 +128,9 @@ class ReconnectingDriver:
         return block
 
     def close(self) -> None:
-        """Close the source; `read` opens it again."""
-        self.driver.close()
+        """Close the source; `read` opens it again. Raises OSError where the driver does."""
         self.is_open = False
+        self.driver.close()
 
     def _read_open(self, timeout_s: float) -> SampleBlock:
         if not self.is_open:
@@ -178,7 +179,8 @@ class ReconnectingDriver:
 
     def _lose(self, cause: str, message: str, kind: str = "") -> None:
         """Close the source, plan the next try, and say so unless it is lost already."""
-        self.close()
+        with suppress(OSError):  # a device that is gone may refuse even that; it is lost either way
+            self.close()
         now = self._clock()
         self._retry_at = now + self._backoff.next_s()
         if self._fault is None:

@@ -154,6 +154,22 @@ def test_read_that_fails_closes_the_source_and_says_why(parts: Parts) -> None:
     assert (event.cause, event.message) == ("lost", "unplugged")
 
 
+def test_source_that_cannot_even_be_closed_is_opened_again(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, wrapper, clock = parts
+    driver.reads.extend([1, DriverIOError("unplugged"), 2])
+
+    def gone() -> None:
+        raise OSError("no such device")
+
+    monkeypatch.setattr(driver, "close", gone)
+    got = 0
+    for _ in range(4):
+        got += len(wrapper.read(0.2))
+        clock.now += 0.2
+    assert got == 3
+    assert causes(wrapper) == ["lost", "recovered"]
+
+
 def test_silence_beyond_stale_s_is_said_once_and_reopens(parts: Parts) -> None:
     driver, wrapper, clock = parts
     wrapper.read(0.1)

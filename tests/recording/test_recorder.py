@@ -194,6 +194,23 @@ def test_after_a_failed_sync_recording_goes_on_in_a_new_file(
     assert (recorder.recorded, recorder.dropped) == (100, 50)
 
 
+def test_samples_that_are_on_the_disk_count_as_recorded_where_old_files_cannot_be_deleted(
+    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(tmp_path, HEADER, limits=Limits(max_bytes=1, segment_bytes=1), tell=told)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    for one in range(3):
+        recorder._write([(block(one), None)])
+    monkeypatch.undo()
+    recorder._abandon()
+    assert (recorder.recorded, recorder.dropped) == (150, 0)
+    assert len(segments(tmp_path)) == 3
+
+
 def disk_with(monkeypatch: pytest.MonkeyPatch, free: Callable[[], int]) -> None:
     monkeypatch.setattr("agent.runtime.recording.recorder.room", lambda _: free())
 

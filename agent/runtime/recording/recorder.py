@@ -120,7 +120,7 @@ class Recorder:
             if waiting:
                 self._append(waiting)
                 self.recorded += samples
-            self._shelf.prune(None if self._segment is None else self._segment.path)
+            self._prune()
         except OSError as error:
             self._give_up(samples, error.strerror or str(error))
         except Exception as error:
@@ -130,6 +130,13 @@ class Recorder:
         else:
             if waiting:
                 self._recovered()
+
+    def _prune(self) -> None:
+        """Delete what is too old or too much; where that fails the disk fills, and `_make_room` will say so."""
+        try:
+            self._shelf.prune(None if self._segment is None else self._segment.path)
+        except OSError as error:
+            log.warning("%s: old recordings cannot be deleted: %s", self._header.source, error)
 
     def _give_up(self, samples: int, cause: str) -> None:
         """Count what is lost; the next deliveries go to a new file."""

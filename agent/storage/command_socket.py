@@ -79,7 +79,7 @@ class CommandServer:
         try:
             asked = json.loads(line)
             handler = self._handlers[asked["command"]]
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             return {"ok": False, "error": f"not a command; commands are {', '.join(sorted(self._handlers))}"}
         try:
             return {"ok": True, **handler(asked)}

@@ -53,7 +53,7 @@ def test_socket_may_be_used_by_owner_and_group_only(server: Path) -> None:
     assert stat.S_IMODE(beside(server, ".sock").stat().st_mode) == 0o660
 
 
-@pytest.mark.parametrize("line", [b"\n", b"[]\n", b'{"command": 3}\n', b"\xff\xfe\n", b"x" * 70_000])
+@pytest.mark.parametrize("line", [b"\n", b"[]\n", b'{"command": 3}\n', b"\xff\xfe\n", b"x" * 70_000, b"[" * 60_000])
 def test_server_survives_lines_that_are_no_commands(server: Path, line: bytes) -> None:
     with socket.socket(socket.AF_UNIX) as peer:
         peer.connect(str(beside(server, ".sock")))

@@ -173,9 +173,13 @@ def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[st
     if rig is not None and rig not in queries.rigs(path):
         raise UsageError.at("--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}")
     connection = connect_reader(Path(path))
-    has_rig = what != "alarm_events"
-    condition, values = (" WHERE rig = ?", (rig,)) if rig is not None and has_rig else ("", ())
-    cursor = connection.execute(f"SELECT * FROM v_{what}{condition}", values)  # noqa: S608 - own names
+    own = "alarm_id IN (SELECT id FROM v_alarms WHERE rig = ?)" if what == "alarm_events" else "rig = ?"
+    condition, values = (f" WHERE {own}", (rig,)) if rig is not None else ("", ())
+    try:
+        cursor = connection.execute(f"SELECT * FROM v_{what}{condition}", values)  # noqa: S608 - own names
+    except BaseException:
+        connection.close()
+        raise
     return [column[0] for column in cursor.description], _rows(connection, cursor)
 
 

@@ -3,6 +3,7 @@ import io
 import sqlite3
 import threading
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +158,16 @@ def test_export_parquet_is_the_view(path: Path, tmp_path: Path) -> None:
     table = parquet.read_table(target)
     assert table.column("value").to_pylist() == [r["value"] for r in queries.estimates(path)]
     assert table.column("reason").null_count == 2000
+
+
+def test_export_of_one_rig_has_its_steps_of_alarms_alone(tmp_path: Path) -> None:
+    path = tmp_path / "both.db"
+    with Store.open(path) as store:
+        for rig in ("left", "right"):
+            store.write(store.begin_run(run_info(rig)), [replace(step("NORM", "UNACK"), rig=rig)])
+    for rig, number in (("left", 1), ("right", 2)):
+        columns, rows = maintenance.export(path, "alarm_events", rig)
+        assert [row[columns.index("alarm_id")] for row in rows] == [number]
 
 
 @pytest.mark.parametrize(

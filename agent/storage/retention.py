@@ -227,8 +227,8 @@ class TierKeeper:
         found = self._store.connection.execute(query, parts).fetchall()
         if not found:
             return False
-        hops = [seq for seq, _ in found]
-        unsent = sum(seq > self._sent() for seq in hops)
+        hops, taken = [seq for seq, _ in found], self._sent()
+        unsent = sum(seq > taken for seq in hops)
         with self._store.transaction() as connection:
             bounds = [(seq << COLUMN_BITS, (seq + 1 << COLUMN_BITS) - 1) for seq in hops]
             connection.executemany("DELETE FROM estimates WHERE seq BETWEEN ? AND ?", bounds)

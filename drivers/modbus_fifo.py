@@ -10,6 +10,9 @@ from drivers.modbus_modes import Ask, Reader
 from drivers.modbus_settings import ModbusSettings
 from drivers.port import Counts, SampleBlock, SourceRequest
 
+_WIDEST = 1 << 62
+"""A counter of more values wraps with the numbers themselves, beyond which its modulus lies."""
+
 
 class FifoReader(Reader):
     """Reads a queue with function 24.
@@ -54,7 +57,7 @@ class FifoReader(Reader):
         last, self._last = self._last, int(counter[-1])
         if last is None:
             return slots
-        ahead = (counter - last) % self.modulus
+        ahead = counter - last if self.modulus > _WIDEST else (counter - last) % self.modulus
         return slots[(ahead > 0) & (ahead < self.modulus // 2)]
 
     def _block(self, slots: ByteArray) -> SampleBlock:

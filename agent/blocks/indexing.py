@@ -13,6 +13,8 @@ from drivers.port import SampleBlock
 
 Clock = Literal["counter", "device", "uniform", "arrival"]
 BoolArray = NDArray[np.bool_]
+WIDEST = 1 << 62
+"""A counter of more values does not wrap in any lifetime, and one of 64 bits wraps with the numbers themselves."""
 RESTART_AFTER_S = 0.1
 """A device that keeps counting from behind for this long has restarted; a single late frame has not."""
 
@@ -112,7 +114,7 @@ class Indexer:
         return self._last + np.cumsum(steps)
 
     def _shortest(self, steps: IntArray) -> IntArray:
-        if self.modulus is None:
+        if self.modulus is None or self.modulus > WIDEST:
             return steps
         half = self.modulus // 2
         return np.asarray((steps + half) % self.modulus - half)

@@ -24,6 +24,18 @@ def indexer(clock: Clock = "counter", modulus: int | None = None) -> Indexer:
     return Indexer(clock, 1000.0, modulus=modulus)
 
 
+@pytest.mark.parametrize(("bits", "first"), [(63, 0), (63, 2**62 - 50), (64, 0), (64, 2**63 - 50), (64, 2**64 - 50)])
+def test_indexer_counter_of_all_bits_that_numbers_have_is_counted(bits: int, first: int) -> None:
+    """A field of 64 bits is read as a signed number, which goes on below zero where it has no room above."""
+    it = indexer(modulus=2**bits)
+    for start in (0, 100, 250):
+        raw = np.array([(first + start + n) % 2**64 for n in range(100)], np.uint64).astype(np.int64)
+        index, kept = it.take(block(raw, arrival_ms=start + 100.0))
+        assert kept.all()
+        assert index.tolist() == list(range(start, start + 100))
+    assert not it.rejected
+
+
 @pytest.mark.parametrize("bits", [8, 16, 32])
 def test_indexer_counter_wrap_goes_on_counting(bits: int) -> None:
     modulus = 2**bits

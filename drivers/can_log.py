@@ -13,6 +13,7 @@ from drivers.can_bus import message_row
 from drivers.can_frames import Frames, frames_of
 from drivers.can_keys import FrameKeys
 from drivers.can_text import candump_block
+from drivers.can_unfit import Unfit
 from drivers.npz_file import seconds_to_ns
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
 
@@ -35,15 +36,18 @@ class CanLogDriver(DbcDriver):
 
     A log that cannot be read from its beginning raises DriverConfigError; one that is damaged further on ends there,
     which is noted and counted (faults "log"). Lines of text that are no frame are noted and counted (faults "text").
+    Of a log in which no frame is one of those looked for, what it holds is noted at its end.
     """
 
     settings_model: ClassVar[type[DriverSettings]] = CanLogSettings
     finite: ClassVar[bool] = True
     _frames: Iterator[Frames] | None = None
+    _unfit: Unfit
 
     def open(self) -> None:
         self.prepare()
         self._decoder.restart()
+        self._unfit = Unfit()
         path = self.request.folder / self.request.settings.path
         if _kind(path) not in SUFFIXES:
             raise DriverConfigError(f"{path}: is no CAN log that can be read; {', '.join(SUFFIXES)} are")
@@ -60,9 +64,19 @@ class CanLogDriver(DbcDriver):
         if frames is None:
             rest = self._decoder.flush()
             if rest is None:
+                self._end()
                 raise EOFError(f"{self.request.settings.path}: end of the log")
             return self.block_of(rest)
-        return self.decoded(frames)
+        block = self.decoded(frames)
+        if not self.counts.received:
+            self._unfit.see(frames.table)
+        return block
+
+    def _end(self) -> None:
+        """Note what a log holds that has nothing of what is looked for, before all other remarks."""
+        if not self.counts.received:
+            words = f"{self.request.folder / self.request.settings.path}: {self._unfit.words(self._messages)}"
+            self._notes = [words, *(note for note in self._notes if note != words)]
 
     def close(self) -> None:
         self._frames = None

@@ -94,3 +94,40 @@ def test_recording_that_fits_is_not_warned_of(tmp_path: Path, config: Path, capl
     assert document["advice"] == []
     assert document["samples"]["used"] == ROWS
     assert not caplog.records
+
+
+FRAME = "({t:.6f}) {wire} {number}#{data}"
+
+
+def logged(folder: Path, number: str = "100", wire: str = "can0", rows: int = ROWS) -> Path:
+    """Write a candump log of a rig that stands still, its frames under an identifier."""
+    path = folder / f"{wire}-{number}.log"
+    frames = (
+        FRAME.format(t=1.6e9 + i / 1000, wire=wire, number=number, data=f"{i % 256:02X}{i // 256:02X}{'0' * 12}")
+        for i in range(rows)
+    )
+    path.write_text("\n".join([*frames, ""]), encoding="ascii")
+    return path
+
+
+def test_can_log_without_a_frame_that_fits_is_refused_with_what_is_in_it(tmp_path: Path) -> None:
+    path = logged(tmp_path, "101")
+    with path.open("a", encoding="ascii") as file:
+        file.write("(1600000009.000000) can0 0CFF1027#00\n" * 7)
+    with pytest.raises(RecordingError) as caught:
+        replay(config=example("can", tmp_path), recordings=[path], db=None)
+    assert caught.value.exit_code == 2
+    (fault,) = caught.value.faults
+    assert fault.path == str(path)
+    assert fault.message.startswith(f"none of its {ROWS + 7} frames fits")
+    assert f"seen are 101 ({ROWS} times), 0CFF1027 (7 times)" in fault.message
+    assert "looked for is RIG_SAMPLE (100)" in fault.message
+    with pytest.raises(RecordingError, match="none of its"):
+        check(config=tmp_path / "can.toml", recording=path, probe=False)
+
+
+def test_can_log_without_a_frame_that_fits_is_warned_of_beside_one_that_fits(tmp_path: Path) -> None:
+    logs = [logged(tmp_path, "101"), logged(tmp_path)]
+    document = replay(config=example("can", tmp_path), recordings=logs, db=None)
+    assert document["samples"]["used"] == ROWS
+    assert [text for text in document["advice"] if text.startswith(f"{logs[0]}: none of its {ROWS} frames fits")]

@@ -11,9 +11,11 @@ import numpy as np
 from drivers.can import DbcDriver
 from drivers.can_bus import message_row
 from drivers.can_frames import Frames, frames_of
+from drivers.can_heard import interface_name
 from drivers.can_keys import FrameKeys
 from drivers.can_text import candump_block
 from drivers.can_unfit import Unfit
+from drivers.can_wires import wire_of
 from drivers.npz_file import seconds_to_ns
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
 
@@ -26,9 +28,14 @@ _BYTES = 1 << 20
 
 
 class CanLogSettings(FrameKeys):
-    """A log, the DBC file that describes its frames, and how samples lie in them."""
+    """A log, the DBC file that describes its frames, and how samples lie in them.
+
+    Attributes:
+        channel: the interface that the source listens to; read alone where a candump log names it beside others.
+    """
 
     path: Path
+    channel: str | None = None
 
 
 class CanLogDriver(DbcDriver):
@@ -84,15 +91,28 @@ class CanLogDriver(DbcDriver):
     def _candump(self, path: Path) -> Iterator[Frames]:
         try:
             with path.open("rb") as file:
+                wire = self._wire(file, path)
                 start = 1
                 for text in _whole_lines(file):
-                    frames, bad = candump_block(text)
+                    frames, bad = candump_block(text, wire)
                     self._note_lines(path, start, bad)
                     start += text.count(b"\n")
                     if len(frames):
                         yield frames
         except OSError as error:
             raise DriverConfigError(f"{path}: {error.strerror or error}") from error
+
+    def _wire(self, file: IO[bytes], path: Path) -> bytes | None:
+        """Return the interface whose frames are to be read, None where all are; the file is at its beginning then."""
+        channel: str | None = self.request.settings.channel
+        if channel is None:
+            return None
+        try:
+            return wire_of(_whole_lines(file), interface_name(channel))
+        except DriverConfigError as error:
+            raise DriverConfigError(f"{path}: {error}") from error
+        finally:
+            file.seek(0)
 
     def _note_lines(self, path: Path, start: int, bad: list[int]) -> None:
         self.counts.faults["text"] += len(bad)

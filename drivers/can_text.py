@@ -60,8 +60,11 @@ class _Lines:
         return table
 
 
-def candump_block(text: bytes) -> tuple[Frames, list[int]]:
-    """Return the frames of whole lines, in order, and the places of the lines that are none."""
+def candump_block(text: bytes, wire: bytes | None = None) -> tuple[Frames, list[int]]:
+    """Return the frames of whole lines, in order, and the places of the lines that are none.
+
+    wire: the interface whose frames are returned; by default those of all are.
+    """
     lines = _lines(np.frombuffer(text, np.uint8))
     count = len(lines.start)
     table, t_ns, read = np.zeros(count, FRAME), np.zeros(count, np.int64), np.zeros(count, np.bool_)
@@ -77,7 +80,21 @@ def candump_block(text: bytes) -> tuple[Frames, list[int]]:
             t_ns[place], table[place], read[place] = item[0], np.frombuffer(item[1], FRAME)[0], True
         elif line.strip():
             bad.append(place)
+    if wire is not None:
+        read &= _named(lines, wire)
     return (Frames(table, t_ns) if read.all() else Frames(table[read], t_ns[read])), bad
+
+
+def _named(lines: _Lines, wire: bytes) -> NDArray[np.bool_]:
+    """Tell of each line that is a frame whether it names an interface."""
+    begin, padded = lines.close + 1, np.append(lines.text, np.zeros(len(wire) + 3, np.uint8))
+    # behind the bracket tools write one space, hands may write more
+    while (blank := padded[begin] == _SPACE).any():
+        begin = begin + blank
+    same = np.ones(len(begin), np.bool_)
+    for place, character in enumerate(wire + b" "):
+        same &= padded[begin + place] == character
+    return same
 
 
 def _lines(text: ByteArray) -> _Lines:

@@ -117,3 +117,15 @@ def test_lines_all_of_one_shape_are_read_as_one_line_is(end: str, wrong: int | N
     assert bad == amiss
     assert frames.table.tobytes() == b"".join(rows)
     assert frames.t_ns.tolist() == times
+
+
+@pytest.mark.parametrize("wire", ["can0", "vcan0", "c", "can_of_the_press", "can"])
+def test_frames_of_one_interface_are_those_of_its_lines(wire: str, rng: np.random.Generator) -> None:
+    lines = [line(rng) for _ in range(5_000)] + ["rubbish", "(1.5)   can0  123#01", "(1.5) can0 123#0"]
+    rng.shuffle(lines)
+    frames, bad = candump_block(text(lines), wire.encode())
+    mine = [item for item in lines if item.split()[1:2] == [wire]]
+    rows, times, _ = one_by_one(mine)
+    assert [row.tobytes() for row in frames.table] == rows
+    assert frames.t_ns.tolist() == times
+    assert bad == candump_block(text(lines))[1]

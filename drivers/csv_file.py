@@ -10,6 +10,8 @@ from drivers.recorded import BLOCK_ROWS, RecordedFile, Rows, Wanted
 
 _DELIMITERS = ",;\t"
 _LONGEST_HEADER = 1 << 20
+_MOST_BYTES = 1 << 26
+"""That are read at once, however long the first row is."""
 
 
 class CsvFile(RecordedFile):
@@ -65,7 +67,7 @@ class CsvFile(RecordedFile):
         self._wanted.fault(f'{place}: {self._names[column]}: "{text[:40]}" is no number; it counts as missing')
 
     def rows(self) -> Iterator[Rows]:
-        size = len(self._first) * BLOCK_ROWS
+        size = min(len(self._first) * BLOCK_ROWS, _MOST_BYTES)
         chunk = self._first + self._file.read(size) + self._file.readline()
         while chunk:
             yield self._table.read(chunk)

@@ -2,7 +2,7 @@
 
 import re
 from datetime import datetime
-from decimal import ROUND_HALF_EVEN, Decimal, InvalidOperation
+from decimal import ROUND_HALF_EVEN, Decimal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ def text_to_ns(text: str) -> int | None:
 def _decimal_ns(text: str) -> int | None:
     try:
         nanoseconds = int((Decimal(text) * 10**9).to_integral_value(ROUND_HALF_EVEN))
-    except InvalidOperation:
+    except ArithmeticError:  # no number, or one of a million digits
         return None
     return nanoseconds if abs(nanoseconds) < 1 << 63 else None
 

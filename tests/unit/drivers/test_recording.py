@@ -214,3 +214,9 @@ def test_npz_with_a_flipped_bit_is_refused_or_read_to_its_end(tmp_path: Path, rn
             pass
         finally:
             recording.close()
+
+
+def test_csv_whose_first_row_is_very_long_is_read_in_pieces_that_fit_into_memory(tmp_path: Path) -> None:
+    recording = driver(written(tmp_path, f"t,force,x1\n{'1' * 3_000_000}\n0.001,1,2\n"))
+    assert everything(recording).values[-1].tolist() == [1.0, 2.0]
+    assert recording.counts.rejected.total() == 1

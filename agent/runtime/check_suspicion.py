@@ -20,11 +20,14 @@ from agent.numerics.statespace import Discrete, Model, discretise
 from agent.numerics.suspects import Accusation
 from agent.numerics.suspicion import Examiner, Finding, Hypothesis
 from agent.numerics.window_settings import WindowSettings
+from agent.runtime.check_plain import plain_suspicions, suspicion
 from agent.text import number
 from agent.types import FloatArray
 
 STRETCHES = 2
 ELASTIC = ("spring", "damper", "friction", "linear")
+KINDS = {"bias": "offset", "gain": "scale", "input gain": "scale"}
+"""What is found in a window, by the names that a check gives it."""
 Progress = Callable[[str], None]
 
 
@@ -33,7 +36,8 @@ def suspicions(
 ) -> list[dict[str, Any]]:
     """Return what is suspected of readings v (N, c), inputs first, with uninterrupted pieces as (first, end) rows.
 
-    One fault at a time: two that spoil each other's explanation are found one after the other, if at all.
+    What is plain without a model comes first. Of the rest one fault at a time: two that spoil each other's explanation
+    are found one after the other, if at all.
     """
     stretches = [v[first:end] for first, end in _liveliest(config, v, pieces)]
     if not stretches:
@@ -42,31 +46,37 @@ def suspicions(
     def said(done: int, everything: int) -> None:
         progress(f"examining channels: {done} of {everything} explanations")
 
+    if plain := plain_suspicions(config, v):
+        return plain
     finding = _examiner(config, said).examine(stretches)
-    return _unzeroed(config, stretches[0]) if finding is None else [_row(config, finding)]
+    return _mistaken(config, stretches[0]) if finding is None else [_row(config, finding)]
 
 
-def _unzeroed(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
-    """Return the displacements that look as if they had never been zeroed, of readings v (N, c), inputs first."""
+def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
+    """Return the channels that `replay` would condemn too, of readings v (N, c), inputs first."""
     rig, resolution, inputs = rig_model(config), np.zeros(len(config.outputs)), len(config.inputs)
     settings = window_settings(config, rig, resolution)
     y, u = v[:, inputs:], v[:, :inputs]
     columns = np.hstack([y, complete_inputs(config, resolution)(y, u)])
     guess = np.maximum(sensor_noise(y), ROUND_OFF * np.abs(y).max(axis=0) + 1e-300)
-    noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, guess), np.zeros(rig.disturbance.shape[1]))
+    # what is stated is the sensor's; its wire adds to that
+    noise = Noise(np.fmax(settings.sigma, guess), np.zeros(rig.disturbance.shape[1]))
     stages = [lambda at: settings.gains.start(at, noise), lambda at: settings.gains.settled(at, noise)]
     scale = sized(settings.scale, settings.scale_column, columns)
     problem = Problem(lambda theta: _sampled(rig.model, theta, settings), columns, scale, settings.lower)
     mistakes = settings.mistakes
     found = None if mistakes is None else mistakes.find(problem, rig.model.nominal, stages, noise.sigma)
-    if found is None or found.suspect.kind != "bias":
+    # a gain or a delay that leaves more than noise may as well be something else that the model lacks
+    if found is None or not (found.whole or found.suspect.kind == "bias"):
         return []
-    channels = [(channel.name, channel.si_unit) for channel in config.outputs]
+    # the model's outputs come first in what is found, its inputs in the configuration
+    channels = [*config.outputs, *config.inputs]
     accusation = Accusation(found.suspect, found.share, sizes=found.sizes)
-    return [{
-        "kind": "offset", "channels": [channels[r][0] for r in found.suspect.channels], "factor": None,
-        "left_before": None, "left_after": None, "words": words(accusation, channels),
-    }]  # fmt: skip
+    said = words(accusation, [(channel.name, channel.si_unit) for channel in channels])
+    kind = KINDS.get(found.suspect.kind, found.suspect.kind)
+    factor = found.sizes[0] if kind == "scale" else None
+    return [suspicion(kind, [channels[r].name for r in found.suspect.channels], said, factor)]
+
 
 
 def _sampled(model: Model, theta: FloatArray, settings: WindowSettings) -> Discrete:

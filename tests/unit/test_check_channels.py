@@ -201,3 +201,53 @@ def test_displacement_that_was_never_zeroed_is_named_with_its_offset() -> None:
     assert (row["kind"], row["channels"]) == ("offset", ["x1"])
     assert row["words"].startswith("x1 reads 0.0")
     assert " m too high, as if never zeroed" in row["words"]
+
+
+def test_displacement_that_never_moves_is_named_for_that() -> None:
+    values = readings(3)
+    values[:, 1] = 0.0
+    (row,) = suspected(values)
+    assert (row["kind"], row["channels"]) == ("still", ["x1"])
+    assert row["words"].startswith("x1 never moves: it reads 0 m from the first sample to the last")
+
+
+def test_coarse_channel_beside_the_noise_of_a_rig_at_rest_is_not_named() -> None:
+    rng = np.random.default_rng(0)
+    assert suspected(np.column_stack([np.zeros((3000, 2)), 1e-6 * rng.standard_normal(3000)])) == []
+
+
+def test_force_that_rests_all_the_time_is_not_named() -> None:
+    values = readings(3)
+    values[:, 0] = 0.0
+    assert [row for row in suspected(values) if row["kind"] == "still"] == []
+
+
+def test_channels_that_read_the_same_to_the_last_digit_are_named_together() -> None:
+    values = readings(3)
+    values[:, 2] = values[:, 1]
+    (row,) = suspected(values)
+    assert (row["kind"], row["channels"]) == ("same", ["x1", "x2"])
+    assert row["words"] == "x1 and x2 read the same to the last digit: two names for one sensor?"
+
+
+def test_channels_of_a_few_coarse_levels_may_read_the_same() -> None:
+    values = readings(3)
+    values[:, 1] = values[:, 2] = np.round(values[:, 2] / 0.02) * 0.02
+    assert [row for row in suspected(values) if row["kind"] == "same"] == []
+
+
+def test_force_that_reads_a_fifth_too_large_is_named_with_its_factor() -> None:
+    values = readings(3, noise_m=1e-6)
+    values[:, 0] *= 1.2
+    (row,) = suspected(values)
+    assert (row["kind"], row["channels"]) == ("scale", ["force"])
+    assert row["factor"] == pytest.approx(1.2, rel=0.01)
+    assert row["words"].startswith("force reads 1.2 times what the motion asks for")
+
+
+def test_displacement_that_comes_late_is_named_with_its_delay() -> None:
+    values = readings(3, noise_m=1e-6)
+    values[5:, 1] = values[:-5, 1].copy()
+    (row,) = suspected(values[5:])
+    assert (row["kind"], row["channels"], row["factor"]) == ("delay", ["x1"], None)
+    assert row["words"].startswith(("x1 comes 5 ms late", "x1 comes 4.9", "x1 comes 5.0"))

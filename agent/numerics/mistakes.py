@@ -129,6 +129,9 @@ class Mistakes:
         if plain is None:
             return None
         left, found = max(float(np.mean(plain.residual**2)), 1e-300), []
+        still = np.flatnonzero(np.ptp(record.v[:, : self.outputs], axis=0) == 0).tolist()
+        if still and left >= EXPLAINED:
+            return _stuck(record.v, still)
         for trial in self._trials(record, known):
             rest = float(np.mean(trial.fit.residual**2))
             if (share := 1.0 - rest / left) >= (SHARE if rest >= EXPLAINED else LESS):
@@ -270,6 +273,12 @@ class Mistakes:
         found_s = float(fit.theta[-1]) + whole * self.period_s
         sure = _surely(fit, 1, np.array([LEAST["delay"] * self.period_s]), -whole * self.period_s)[0]
         return _Trial(ChannelSuspect("delay", outputs), (found_s,), fit) if sure else None
+
+
+def _stuck(v: FloatArray, outputs: Sequence[int]) -> Mistake:
+    """Return that sensors are stuck: a scale, a sign or a delay would hide it, and the others would be blamed."""
+    suspect = ChannelSuspect("stuck", tuple(outputs))
+    return Mistake(suspect, tuple(v[-1, outputs].tolist()), share=1.0, whole=True, likelihood=np.inf)
 
 
 def _worth(mistake: Mistake) -> float:

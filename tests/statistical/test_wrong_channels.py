@@ -103,6 +103,15 @@ def test_channel_that_is_wrong_from_the_start_is_named_and_no_row_is_valid(reque
     judge(list(WRONG), range(1), request, 0.99)
 
 
+@pytest.mark.parametrize("channel", [1, 2])
+def test_channel_that_never_moves_is_named_for_that_alone(channel: int) -> None:
+    v = healthy(np.random.default_rng([0, 31]), SAMPLES)
+    v[:, channel] = 0.0
+    found = said(v)
+    assert [re.match(f"x{channel} stood at 0 m all through", words) is not None for words in found.words] == [True]
+    assert (found.valid, found.alarms) == (0, 1)
+
+
 @pytest.mark.soak
 def test_channel_that_is_wrong_from_the_start_is_named_in_150_runs(request: pytest.FixtureRequest) -> None:
     judge(list(WRONG), range(100, 125), request, 0.9)

@@ -51,7 +51,8 @@ class CsvFile(RecordedFile):
         except UnicodeDecodeError:
             text = "\0"
         if any(ord(character) < 32 and character != "\t" for character in text) or len(line) == _LONGEST_HEADER:
-            raise DriverConfigError(f"{self._wanted.path}:1: is not text; a recording is a CSV or NPZ file")
+            kinds = "a CSV or NPZ file, or a CAN log (.log, .asc, .blf, .trc, .mf4); unpack what is compressed"
+            raise DriverConfigError(f"{self._wanted.path}:1: is not text; a recording is {kinds}")
         if not text.strip():
             raise DriverConfigError(f"{self._wanted.path}:1: is blank; the first line must name the columns")
         return text

@@ -127,6 +127,7 @@ def test_csv_with_unreadable_times_and_the_uniform_clock_keeps_every_row(tmp_pat
         (b"0,1,2\n0.001,3,4\n", "holds numbers and no names"),
         (b"\x89PNG\r\n\x1a\n\x00\x01\xff", "is not text"),
         (bytes(range(256)) * 100, "is not text"),
+        (b"\x1f\x8b\x08\x00", "or a CAN log .*; unpack what is compressed"),
         (b"\n1,2\n", "is blank"),
         (b"t,force,y\n0,1,2\n", 'no column is called "x1"; columns are t, force, y'),
         (b"t,force,x1,x1\n0,1,2,3\n", '2 columns are called "x1"'),

@@ -138,7 +138,9 @@ class Quality:
 
     def _clean(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
         self._index, self._t_ns = np.concatenate([self._index, index]), np.concatenate([self._t_ns, t_ns])
-        return self._label(self._cleaner.take(v))
+        clean = self._cleaner.take(v)
+        self._count_spikes(clean)
+        return self._label(clean)
 
     def _end(self) -> list[Samples]:
         """End the stretch; incomplete samples at its end are left out."""
@@ -147,6 +149,7 @@ class Quality:
         self._open = False
         clean = self._cleaner.take(np.zeros((0, len(self.settings.channels))), end=True)
         complete = np.flatnonzero(~clean.missing.any(axis=1))
+        self._count_spikes(clean)
         pieces = self._label(clean.part(int(complete[-1]) + 1 if len(complete) else 0))
         self._index, self._t_ns = self._index[:0], self._t_ns[:0]
         self._watched = 0
@@ -155,14 +158,18 @@ class Quality:
         self._labels.new_segment()
         return pieces
 
+    def _count_spikes(self, clean: Clean) -> None:
+        """Count the samples that a spike alone spoils: those that lack a reading besides are counted as that."""
+        lost = clean.missing & ~clean.spike
+        spikes = int((clean.spike.any(axis=1) & ~lost.any(axis=1)).sum())
+        if spikes:
+            self.rejected["spike"] += spikes
+
     def _label(self, clean: Clean) -> list[Samples]:
         """Hand on clean samples with what is known of their channels."""
         count = len(clean)
         piece = Piece(self._index[:count], self._t_ns[:count], clean)
         self._index, self._t_ns = self._index[count:], self._t_ns[count:]
-        spikes = int(clean.spike.any(axis=1).sum())
-        if spikes:
-            self.rejected["spike"] += spikes
         findings = self._watch.take(clean.v)
         labelled = list(self._labels.labelled(piece, findings, self._watched))
         self._watched += count

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.blocks.quality import Quality, QualitySettings
+from agent.blocks.quality import Quality, QualitySettings, whole
 from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.sensor_labels import SensorEvent
 from agent.types import FloatArray, IntArray, Reason, Samples, SensorFault
@@ -149,3 +149,44 @@ def test_sensor_alarms_raise_once_and_clear_once() -> None:
     states = [(change.kind, change.parameter, change.to_state) for change in alarms.step(events)]
     assert states == [("sensor", "x1", "UNACK"), ("sensor", "x1", "RTNUN")]
     assert alarms.step([SensorEvent(other, False, 9, 9)]) == []
+
+
+def accounted(v: FloatArray, index: IntArray, cut: int) -> tuple[int, int]:
+    """Return how many samples arrived complete, and how many were used, refused here or still wait."""
+    pieces, _, quality = play(v, index, cut)
+    used = sum(int(whole(piece).sum()) for piece in pieces if piece.usable)
+    return int(np.isfinite(v).all(axis=1).sum()), used + quality.rejected.total() + quality.waiting
+
+
+def test_quality_leaves_the_spike_of_a_sample_that_lacks_a_reading_uncounted() -> None:
+    v = readings(1000)
+    v[500, 0], v[500, 1] = np.nan, 1.0
+    v[700, 1], v[700, 2] = np.nan, 0.5
+    v[800, 1:] += 0.02
+    _, _, quality = play(v)
+    assert dict(quality.rejected) == {"spike": 1}
+    assert accounted(v, np.arange(1000), cut=100) == (998, 998)
+
+
+def test_quality_counts_the_spike_that_ends_a_stretch() -> None:
+    v = readings(1000)
+    v[600, 1] += 0.02
+    v[601:603, 2] = np.nan
+    index = np.delete(np.arange(1000), np.arange(603, 620))
+    assert accounted(v[index], index, cut=100) == (981, 981)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_quality_counts_each_sample_once_whatever_befalls_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    v = readings(4000, seed)
+    v[900:1500, 1] = v[900, 1]
+    v[2000:2600, 2] = np.minimum(v[2000:2600, 2], np.quantile(v[:2000, 2], 0.7))
+    v[3000:3100, 2] = np.nan
+    struck = rng.integers(200, 4000, 60)
+    v[struck, 1 + rng.integers(0, 2, 60)] += 0.03
+    v[struck[:30], 0] = np.nan
+    v[rng.random(v.shape) < 0.004] = np.nan
+    index = np.flatnonzero(rng.random(4000) > 0.01).astype(np.int64)
+    arrived, found = accounted(v[index], index, cut=37)
+    assert found == arrived

@@ -55,6 +55,7 @@ class RigRuntime:
         self._publish = publish
         self.events: EventKeeper | None = None
         self._lost: dict[str, bool] = {}
+        self._begun_ns = 0
         self._taken: list[tuple[str, Arrival]] = []
 
     def restore(self, standing: Sequence[AlarmRow], calibrated: Calibrated | None = None) -> None:
@@ -151,7 +152,10 @@ class RigRuntime:
         )  # fmt: skip
 
     def ledger(self, connections: Sequence[Connection]) -> None:
-        """Publish the conservation ledger of every source."""
+        """Publish the conservation ledger of every source, as of the newest sample.
+
+        Before there is one its instant is that of the first ledger, so standstill is one row however long it lasts.
+        """
         conservation = {
             use.source: Conservation(connection.counts, connection.dropped)
             for connection in connections
@@ -160,7 +164,9 @@ class RigRuntime:
         }
         newest = self.pipeline.newest_ns
         lag = (wall_ns() - newest) / 1e9 if newest else None
-        self._emit(self.pipeline.health(conservation, newest or wall_ns(), lag))
+        if not newest and not self._begun_ns:
+            self._begun_ns = self._wall()
+        self._emit(self.pipeline.health(conservation, newest or self._begun_ns, lag))
 
     def _emit(self, records: Sequence[Record]) -> None:
         if records:

@@ -12,7 +12,7 @@ from agent.storage.coverage import Coverage
 from agent.storage.encode import add_estimates
 from agent.storage.event_records import RecordBook
 from agent.storage.rows import Names, Numbers, Plan
-from agent.storage.status import add_event, add_health
+from agent.storage.status import HealthBook, add_event
 from agent.types import (
     AlarmTransition,
     CalibrationRecord,
@@ -38,7 +38,7 @@ class Books:
         self._names, self._numbers, self._connection = names, numbers, connection
         self._alarms: dict[int, AlarmBook] = {}
         self._coverage: dict[int, Coverage] = {}
-        self._records, self._calibrations = RecordBook(), CalibrationBook()
+        self._records, self._calibrations, self._health = RecordBook(), CalibrationBook(), HealthBook()
 
     def __contains__(self, run_id: int) -> bool:
         return run_id in self._alarms
@@ -65,7 +65,7 @@ class Books:
         if isinstance(record, AlarmTransition):
             self._alarms[run_id].apply(plan, record, self._numbers)
         elif isinstance(record, Health):
-            add_health(plan, record, run_id, self._numbers)
+            self._health.apply(plan, record, run_id, self._numbers)
         elif isinstance(record, HealthEvent):
             add_event(plan, record, run_id, self._numbers)
         elif isinstance(record, CalibrationRecord):

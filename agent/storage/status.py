@@ -8,12 +8,29 @@ from agent.storage.rows import Numbers, Plan
 from agent.types import Health, HealthEvent, SourceClock
 
 
-def add_health(plan: Plan, record: Health, run_id: int, numbers: Numbers) -> None:
-    """Add a ledger row; the reasons travel in it as JSON, which the view takes apart."""
-    sums = (record.received, record.used, sum(record.rejected.values()), sum(record.dropped.values()), record.gaps)
-    lag = None if record.lag_s is None or record.lag_s - record.lag_s != 0 else float(record.lag_s)
-    cells = (record.source, record.t_ns, *(int(n) for n in sums), lag, _reasons(record))
-    plan.sealed("health", numbers.take("health"), run_id, *cells)
+class HealthBook:
+    """Which row each source's ledger has at its newest instant.
+
+    There is one row an instant and source, and the last one told counts: while no sample comes the instant stays, and
+    what else was counted changes that row instead of adding more of them.
+    """
+
+    def __init__(self) -> None:
+        self._rows: dict[tuple[int, str], tuple[int, int]] = {}
+
+    def apply(self, plan: Plan, record: Health, run_id: int, numbers: Numbers) -> None:
+        """Add a ledger's row to a plan; the reasons travel in it as JSON, which the view takes apart."""
+        sums = (record.received, record.used, sum(record.rejected.values()), sum(record.dropped.values()), record.gaps)
+        lag = None if record.lag_s is None or record.lag_s - record.lag_s != 0 else float(record.lag_s)
+        cells = (record.source, record.t_ns, *(int(n) for n in sums), lag, _reasons(record))
+        plan.sealed("health", self._seq(record, run_id, numbers), run_id, *cells)
+
+    def _seq(self, record: Health, run_id: int, numbers: Numbers) -> int:
+        t_ns, seq = self._rows.get((run_id, record.source), (None, 0))
+        if t_ns != record.t_ns:
+            seq = numbers.take("health")
+            self._rows[run_id, record.source] = record.t_ns, seq
+        return seq
 
 
 def _reasons(record: Health) -> str | None:

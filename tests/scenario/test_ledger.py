@@ -1,0 +1,77 @@
+"""The ledger while a source is silent."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config import load
+from agent.runtime.replay import replay
+from agent.runtime.service import Service
+from drivers.port import SampleBlock
+from tests.scenario.live import example, rows
+
+LEDGER = "SELECT received, used, rejected, dropped FROM v_health ORDER BY received"
+
+
+class Told:
+    """One source of a running service whose driver is played by the test, turn after turn."""
+
+    def __init__(self, service: Service, db: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.service, self.db = service, db
+        (self.connection,) = service.connections
+        (self.writer,) = service.writers.values()
+        self._next = np.arange(0)
+        self.connection._driver.counter_modulus = 2**32
+        monkeypatch.setattr(self.connection._link, "read", self._read)
+
+    def _read(self, _timeout_s: float) -> SampleBlock:
+        counts, counter = self.connection._driver.counts, self._next
+        counts.received += len(counter)
+        arrival = (int(counter[-1]) if len(counter) else 0) * 1_000_000
+        return SampleBlock(np.random.default_rng(1).normal(size=(len(counter), 3)), arrival, counter)
+
+    def samples(self, first: int, count: int) -> None:
+        """Let samples arrive."""
+        self._next = np.arange(first, first + count)
+        self.connection._turn()
+
+    def ledger(self) -> list[tuple[int, ...]]:
+        """Let the next ledger be told; return all that are stored."""
+        self.service.process()
+        self.service._ledgers()
+        assert self.writer.flush()
+        return rows(self.db, LEDGER)
+
+
+@pytest.fixture
+def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Told]:
+    db = tmp_path / "rig.db"
+    service = Service([load(example("modbus", tmp_path))], db, "live")
+    (writer,) = service.writers.values()
+    writer.start()
+    yield Told(service, db, monkeypatch)
+    writer.stop()
+
+
+def test_ledger_of_a_silent_source_is_one_row(told: Told) -> None:
+    told.samples(0, 50)
+    assert [told.ledger() for _ in range(4)] == [[(50, 50, 0, 0)]] * 4
+    told.samples(50, 50)
+    assert told.ledger() == [(50, 50, 0, 0), (100, 100, 0, 0)]
+
+
+def test_ledger_of_a_source_that_was_never_heard_is_one_row(told: Told) -> None:
+    assert [told.ledger() for _ in range(4)] == [[(0, 0, 0, 0)]] * 4
+
+
+def test_replay_ends_with_one_row_of_the_ledger(tmp_path: Path) -> None:
+    recording, db = tmp_path / "short.csv", tmp_path / "replayed.db"
+    values = np.random.default_rng(2).normal(size=(400, 3)).tolist()
+    lines = [f"{number / 1000},{a},{b},{c}" for number, (a, b, c) in enumerate(values)]
+    recording.write_text("\n".join(["t,force,x1,x2", *lines]), encoding="utf-8")
+    document = replay(config=example("modbus", tmp_path), recordings=[recording], db=db)
+    found = rows(db, "SELECT t_ns, received, used + rejected + dropped FROM v_health")
+    assert found == [(399_000_000, 400, 400)]
+    assert document["samples"]["received"] == 400

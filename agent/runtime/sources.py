@@ -45,7 +45,7 @@ class Connection:
 
     Attributes:
         uses: the sources that it serves.
-        counts: the driver's counts at the newest block taken.
+        counts: the driver's counts as they were when what waited was last taken.
         dropped: samples of before it that found the queue full, by reason.
         progress: grows with every turn of the thread; a watchdog may read it.
         make_recorder: makes what records every block, where that is wanted, once the driver is open.
@@ -66,6 +66,7 @@ class Connection:
         self._waiting: deque[Arrival] = deque()
         self._events: list[LinkEvent] = []
         self._samples = 0
+        self._counted = Counts()
         self._overflowed: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._work, name=f"read {driver.request.name}", daemon=True)
@@ -94,9 +95,7 @@ class Connection:
             arrivals, events = list(self._waiting), self._events
             self._waiting.clear()
             self._events, self._samples = [], 0
-            self.dropped = self._overflowed.copy()
-        if arrivals:
-            self.counts = arrivals[-1].counts
+            self.dropped, self.counts = self._overflowed.copy(), self._counted
         return arrivals, events
 
     def _work(self) -> None:
@@ -134,6 +133,8 @@ class Connection:
         if len(block):
             self._tell_first()
             self._put(noted)
+        elif self._driver.counts != self._counted:
+            self._count()
 
     def _tell_first(self) -> None:
         if not self._heard:
@@ -154,10 +155,16 @@ class Connection:
             self._events.append(event)
         self._wake.set()
 
+    def _count(self) -> None:
+        """Note what was counted by a read that brought no sample: refused frames and losses are told all the same."""
+        with self._lock:
+            self._counted = self._driver.counts.copy()
+
     def _put(self, block: SampleBlock) -> None:
         """Queue a block; where the queue is full the oldest goes and is counted."""
         with self._lock:
-            self._waiting.append(Arrival(block, self._driver.counts.copy(), self._driver.counter_modulus))
+            self._counted = self._driver.counts.copy()
+            self._waiting.append(Arrival(block, self._counted, self._driver.counter_modulus))
             self._samples += len(block)
             while self._samples > QUEUE_SAMPLES and len(self._waiting) > 1:
                 oldest = self._waiting.popleft()

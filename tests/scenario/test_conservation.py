@@ -108,6 +108,23 @@ def test_broken_frames_are_refused_and_counted_and_nothing_else_is_lost(tmp_path
     assert samples["gaps"] == 2
 
 
+def test_frames_that_are_broken_to_the_end_are_counted_to_the_end(tmp_path: Path) -> None:
+    """No good sample follows those that could take their count along."""
+    example("serial", tmp_path)
+    text, db = (tmp_path / "serial.toml").read_text(encoding="utf-8"), tmp_path / "agent.db"
+    faults = scenario(tmp_path, "serial", {"corrupt": (1.0, 2.0)})
+    with simulator(tmp_path, text, "--scenario", str(faults)) as device:
+        with agent(device.config, options=["--db", str(db)]) as running:
+            wait_until(lambda: bool(rows(db, "SELECT id FROM v_events WHERE cause = 'stale'")), "no good sample")
+            document = running.document()
+        assert device.stop() == 0
+    assert_balanced(document)
+    assert_stored(document, db)
+    samples = document["samples"]
+    assert samples["used"] == PLAYED - len(struck(device, "corrupt")) == 1000
+    assert sum(samples["rejected"].values()) > 900
+
+
 def test_modbus_ring_loses_nothing_while_the_device_does_not_answer(tmp_path: Path) -> None:
     """The ring holds a second: half a second without answers is read afterwards."""
     faults = {"silent": (0.5, 0.9), "busy": (1.2, 1.5)}

@@ -1,6 +1,7 @@
-"""The ledger while a source is silent."""
+"""The ledger while a source is silent, or sends nothing that could be used: it tells what was counted all the same."""
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from agent.config import load
 from agent.runtime.replay import replay
 from agent.runtime.service import Service
-from drivers.port import SampleBlock
+from drivers.port import Counts, SampleBlock
 from tests.scenario.live import example, rows
 
 LEDGER = "SELECT received, used, rejected, dropped FROM v_health ORDER BY received"
@@ -22,19 +23,27 @@ class Told:
         self.service, self.db = service, db
         (self.connection,) = service.connections
         (self.writer,) = service.writers.values()
-        self._next = np.arange(0)
+        self._count, self._next = self._nothing, np.arange(0)
         self.connection._driver.counter_modulus = 2**32
         monkeypatch.setattr(self.connection._link, "read", self._read)
+
+    def _nothing(self, _counts: Counts) -> None: ...
 
     def _read(self, _timeout_s: float) -> SampleBlock:
         counts, counter = self.connection._driver.counts, self._next
         counts.received += len(counter)
+        self._count(counts)
         arrival = (int(counter[-1]) if len(counter) else 0) * 1_000_000
         return SampleBlock(np.random.default_rng(1).normal(size=(len(counter), 3)), arrival, counter)
 
     def samples(self, first: int, count: int) -> None:
         """Let samples arrive."""
-        self._next = np.arange(first, first + count)
+        self._count, self._next = self._nothing, np.arange(first, first + count)
+        self.connection._turn()
+
+    def nothing_but(self, count: Callable[[Counts], None]) -> None:
+        """Let the driver count something in a read that brings no sample."""
+        self._count, self._next = count, np.arange(0)
         self.connection._turn()
 
     def ledger(self) -> list[tuple[int, ...]]:
@@ -53,6 +62,17 @@ def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Told]:
     writer.start()
     yield Told(service, db, monkeypatch)
     writer.stop()
+
+
+def refused(counts: Counts) -> None:
+    """Count thirty broken frames."""
+    counts.received += 30
+    counts.rejected["crc"] += 30
+
+
+def overrun(counts: Counts) -> None:
+    """Count samples that a device overwrote before they were read."""
+    counts.dropped["overrun"] += 70
 
 
 def test_ledger_of_a_silent_source_is_one_row(told: Told) -> None:
@@ -75,3 +95,33 @@ def test_replay_ends_with_one_row_of_the_ledger(tmp_path: Path) -> None:
     found = rows(db, "SELECT t_ns, received, used + rejected + dropped FROM v_health")
     assert found == [(399_000_000, 400, 400)]
     assert document["samples"]["received"] == 400
+
+
+def test_ledger_tells_what_was_refused_after_the_last_good_sample(told: Told) -> None:
+    told.samples(0, 50)
+    told.ledger()
+    told.nothing_but(refused)
+    told.nothing_but(overrun)
+    assert told.ledger() == [(150, 50, 30, 70)]
+    (rig,) = told.service.rigs.values()
+    assert rig.summary.samples() == {
+        "received": 150, "used": 50, "rejected": {"crc": 30}, "dropped": {"overrun": 70}, "gaps": 0,
+    }  # fmt: skip
+
+
+def test_ledger_tells_what_was_refused_of_a_source_without_any_good_sample(told: Told) -> None:
+    told.nothing_but(refused)
+    assert told.ledger() == [(30, 0, 30, 0)]
+    told.nothing_but(overrun)
+    assert told.ledger() == [(100, 0, 30, 70)]
+    told.samples(0, 50)
+    assert told.ledger()[-1] == (150, 50, 30, 70)
+
+
+def test_ledger_balances_in_every_row_while_samples_wait_and_frames_are_refused(told: Told) -> None:
+    for number in range(5):
+        told.samples(50 * number, 50)
+        told.nothing_but(refused)
+        found = told.ledger()
+        assert found[-1] == (80 * (number + 1), 50 * (number + 1), 30 * (number + 1), 0)
+    assert told.connection.counts.rejected == Counter(crc=150)

@@ -39,6 +39,7 @@ class ModbusDriver(Driver):
         super().__init__(request)
         self._settings: ModbusSettings = request.settings
         self._reader = READERS[self._settings.mode](request, self._settings, self.counts, self.note)
+        self._reader.report = self.report
         self._resolution = self._reader.layout.resolution(request.fields)
         self.counter_modulus = self._reader.modulus
         self._line: ModbusLine | None = None

@@ -27,6 +27,10 @@ class RefusedError(DriverIOError):
         self.code = code
 
 
+def _untold(_cause: str, _words: str) -> None:
+    """Tell nobody."""
+
+
 class Reader(ABC):
     """One mode of one source."""
 
@@ -38,6 +42,8 @@ class Reader(ABC):
         self.settings = settings
         self.counts = counts
         self.note = note
+        self.report: Callable[[str, str], None] = _untold
+        """The driver's own: tells of a state of the line by a cause and words."""
         self.due = 0.0
         self.epoch = 0
 

@@ -10,6 +10,7 @@ from drivers.fields import ByteArray, FieldSpec, Layout
 from drivers.modbus_codec import Ring, slot_layout, slots_of
 from drivers.modbus_frames import Request
 from drivers.modbus_modes import Ask, Reader
+from drivers.modbus_pace import Carried, Pace
 from drivers.modbus_settings import ModbusSettings
 from drivers.port import Counts, DriverConfigError, IntArray, SampleBlock, SourceRequest
 
@@ -20,7 +21,11 @@ INDEX = "index"
 
 
 class RingReader(Reader):
-    """Reads a ring: the index, the slots up to it, the index again."""
+    """Reads a ring: the index, the slots up to it, the index again.
+
+    After a stall reading goes on with the oldest sample that is left; on a link that is too slow for the device, near
+    the newest (see `modbus_pace`).
+    """
 
     def __init__(self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]):
         super().__init__(source, settings, counts, note)
@@ -38,6 +43,7 @@ class RingReader(Reader):
         self._seen: int | None = None
         self._pause_s = 0.0
         self._asked: tuple[int, float] | None = None
+        self._pace = Pace(self._ring)
 
     @property
     def most_registers(self) -> int:
@@ -81,13 +87,18 @@ class RingReader(Reader):
         head = raw if self._next is None else self._ring.unwrap(raw, self._next)
         if self._next is not None and head < self._next:
             head = self._restart(raw)
-        oldest = self._ring.oldest(head)
         if self._next is None:
-            self._next = oldest
-        elif oldest > self._next:
-            self.counts.dropped["overrun"] += oldest - self._next
-            self._next = oldest
+            self._next = self._ring.oldest(head)
+        elif self._ring.oldest(head) > self._next:
+            self._skip_to(self._pace.resume(head))
         return head
+
+    def _skip_to(self, number: int) -> None:
+        """Go on with a later sample; those before it are lost."""
+        lost = number - (self._next or 0)
+        if lost > 0:
+            self.counts.dropped["overrun"] += lost
+            self._next = number
 
     def _restart(self, raw: int) -> int:
         self.note(f"the device's index ran back to {raw}: it was restarted; reading goes on with its oldest sample")
@@ -98,6 +109,7 @@ class RingReader(Reader):
 
     def _fetch(self, ask: Ask, head: int, deadline: float) -> SampleBlock:
         first = end = self._next or 0
+        begun = clock.monotonic()
         pieces: list[ByteArray] = []
         for span in self._ring.spans(first, head):
             pieces.append(ask(self._request(span.address, span.count)))
@@ -109,18 +121,28 @@ class RingReader(Reader):
         if after < head:
             self._seen = self._follow(raw)
             return self.empty()
-        return self._deliver(first, end, after, np.concatenate(pieces))
-
-    def _deliver(self, first: int, end: int, after: int, data: ByteArray) -> SampleBlock:
-        arrival_ns = clock.monotonic_ns()
         late = self._ring.overtaken(first, end - first, after)
+        block = self._deliver(first, np.concatenate(pieces), late)
+        self._next = end
+        if self._pace.behind(late):
+            self._fall_back(after, Carried(end - first, after - head, clock.monotonic() - begun))
+        backlog = after - self._next
+        self._seen = self._follow(after % self._ring.modulus) if backlog >= self._ring.samples_a_request else None
+        return block
+
+    def _fall_back(self, head: int, carried: Carried) -> None:
+        """Leave out what the link is too slow for, and say so."""
+        if self._pace.fell_behind(carried):
+            self.report("too slow", f"{self.source.name}: {carried.words}")
+        self._skip_to(self._pace.resume(head))
+
+    def _deliver(self, first: int, data: ByteArray, late: NDArray[np.bool_]) -> SampleBlock:
+        """Return the samples from number `first` on but for those that came too late (n,), and count all of them."""
+        arrival_ns = clock.monotonic_ns()
         slots = slots_of(data, self.layout)[~late]
-        self.counts.received += end - first
+        self.counts.received += len(late)
         if late.any():
             self.counts.rejected["overrun"] += int(late.sum())
-        self._next = end
-        backlog = after - end
-        self._seen = self._follow(after % self._ring.modulus) if backlog >= self._ring.samples_a_request else None
         return SampleBlock(
             self.layout.values(slots, self.source.fields),
             arrival_ns,

@@ -24,6 +24,8 @@ ROUND_OFF = 1e-12
 """Least noise that arithmetic can tell from zero, as a share of the signal."""
 QUIET = 1.21
 """A residual variance up to this over what the sensors' noise explains needs no unknown force."""
+FAR = 3.0
+"""Forces this many times weaker or stronger than assumed are other forces."""
 MOST_FORCED = 0.5
 """Share of the motion that unknown forces may cause beside measured ones: estimates would rest on what is assumed."""
 
@@ -93,6 +95,9 @@ class Calibrator:
             return found
         fit = fit_window(problem, found.fit.theta, found.fit.x0, [lambda discrete: self.gains.settled(discrete, noise)])
         return replace(found, fit=fit, noise=noise)
+
+    def _quiet(self, noise: Noise) -> Noise:
+        return self._with_least(replace(noise, process=np.zeros_like(noise.process)))
 
     def _with_least(self, noise: Noise) -> Noise:
         if self.least is None or self.learns or self.gains.disturbance is None:
@@ -180,8 +185,10 @@ class Calibrator:
         known = not self.learns
         for turn in range(2):
             discrete, record = problem.sample(fit.theta), Record(problem.v, fit.x0, problem.bridge)
-            # at the first turn theta is rough and the likelihood of forces only a lower bound of what they can do
-            bar = coloured + EVIDENCE if turn else None
+            # at the first turn theta is rough and the likelihood of forces only a lower bound of what they can do; at
+            # the second a coarse scan may step over the narrow peak of a long record, on which the first turn stands
+            clear = not turn or self._value(problem, fit, noise) > coloured + EVIDENCE
+            bar = None if clear else coloured + EVIDENCE
             searched = find_process(
                 discrete, disturbance, noise.sigma, record, scale_known=known, unless_above=bar, roughly=not turn
             )
@@ -204,17 +211,28 @@ class Calibrator:
 
     def needs_no_force(self, problem: Problem, fit: Fit, noise: Noise) -> bool:
         """Tell whether a record is decisively likelier without the unknown forces under which it was fitted."""
-        quiet = replace(noise, process=np.zeros_like(noise.process))
+        quiet = self._quiet(noise)
         alone = fit_window(problem, fit.theta, fit.x0, self._stages(quiet))
-        discrete, known = problem.sample(fit.theta), not self.learns
-        record = Record(problem.v, fit.x0, problem.bridge)
-        forced = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
-        discrete, record = problem.sample(alone.theta), Record(problem.v, alone.x0, problem.bridge)
-        plain = likelihood(discrete, self.gains.settled(discrete, quiet), record, scale_known=known).value
-        return alone.converged and plain > forced + EVIDENCE
+        return alone.converged and self._value(problem, alone, quiet) > self._value(problem, fit, noise) + EVIDENCE
+
+    def doubts(self, problem: Problem, theta: FloatArray, noise: Noise) -> bool:
+        """Tell whether a window at theta (q,) is likelier with far weaker or stronger forces: a search is due."""
+        discrete = problem.sample(theta)
+        record, known = Record(problem.v, np.zeros(discrete.model.n), problem.bridge), not self.learns
+
+        def value(factor: float) -> float:
+            gain = self.gains.settled(discrete, replace(noise, process=factor * noise.process))
+            return likelihood(discrete, gain, record, scale_known=known).value
+
+        return max(value(1.0 / FAR), value(FAR)) > value(1.0) + 0.5 * EVIDENCE
+
+    def _value(self, problem: Problem, fit: Fit, noise: Noise) -> float:
+        """Return the log likelihood of a record under a fit and the disturbances that it was made under."""
+        discrete, record = problem.sample(fit.theta), Record(problem.v, fit.x0, problem.bridge)
+        return likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=not self.learns).value
 
     def forces_in(self, problem: Problem, theta: FloatArray, noise: Noise) -> Noise | None:
-        """Return unknown forces that explain a longer record decisively better than what is assumed, else None."""
+        """Return disturbances that explain a longer record decisively better than what is assumed, else None."""
         if self.gains.disturbance is None:
             return None
         x0 = np.zeros(problem.sample(theta).model.n)
@@ -222,8 +240,12 @@ class Calibrator:
         fit = fit_window(problem, theta, x0, self._stages(noise)[1:])
         if not fit.converged:
             return None
+        without = None
+        if noise.forced and self.needs_no_force(problem, fit, noise):
+            without = noise = self._quiet(noise)
+            fit = fit_window(problem, fit.theta, fit.x0, self._stages(noise))
         discrete, record, known = problem.sample(fit.theta), Record(problem.v, fit.x0, problem.bridge), not self.learns
-        assumed = likelihood(discrete, self.gains.settled(discrete, noise), record, scale_known=known).value
+        assumed = self._value(problem, fit, noise)
         coloured = coloured_likelihood(fit.residual, noise.sigma) if not noise.forced else assumed
         bar = max(assumed, coloured)
         wrong = self._wrong_mass(problem, fit, noise, self._stages(noise)[1:], bar)
@@ -232,5 +254,5 @@ class Calibrator:
             discrete, self.gains.disturbance, noise.sigma, record, scale_known=known, unless_above=bar + 0.5 * EVIDENCE
         )
         if searched is None or searched[1] - bar <= EVIDENCE * np.count_nonzero(searched[0].process):
-            return None
+            return without
         return self._with_least(searched[0]) if self._share(problem, fit.theta, searched[0]) <= MOST_FORCED else None

@@ -11,6 +11,8 @@ from agent.types import Reason
 
 MOST_HEARD = 6
 """A sensor that stays at fault is heard after a window, then after twice as long each time, this often."""
+LONGEST_PAUSE = 8
+"""Windows between two fits of what has lasted for long without an explanation."""
 
 
 class Change:
@@ -48,9 +50,22 @@ class Change:
         # a sensor that stays at fault is heard ever more seldom; once it fits again that is seen at once
         self._heard = 0 if self.blamed is None else min(self._heard + 1, MOST_HEARD)
 
-    def pause(self, window: int) -> int:
-        """Samples from a hearing that blamed a sensor to the next."""
-        return window << (self._heard - 1)
+    @property
+    def named(self) -> bool:
+        """Whether some window of this change blamed a sensor."""
+        return bool(self._named)
+
+    def pause(self, index: int, window: int) -> int:
+        """Samples from the fit of a window to the next; `index` is the newest sample.
+
+        A sensor that is blamed is heard a window apart. What has long been without explanation need not be tried
+        often: where it ends, windows are seen to be like the past again without any fit.
+        """
+        if self.blamed is not None:
+            return window << (self._heard - 1)
+        if self.named:
+            return window // 4
+        return max(window // 4, min(self.lasting(index) // 8, LONGEST_PAUSE * window))
 
     def mark(self, rows: Rows, row: int, last_fit: int, window: int) -> bool:
         """Name the sensor in a row's columns where windows apart blame it; return whether they do.
@@ -74,9 +89,7 @@ def hear(point: WorkingPoint, memory: Memory, problem: Problem, fit: Fit) -> Ver
     if court is None:
         return None
     before = Before.of(past, point.scale, point.theta)
-    known = np.all(np.isfinite(fit.covariance))
-    q = len(point.theta)
-    if fit.converged and (not known or before.distance(fit.theta, fit.covariance) < q + 5 * np.sqrt(2 * q)):
+    if fit.converged and (not np.all(np.isfinite(fit.covariance)) or before.agrees(fit.theta, fit.covariance)):
         return None
     if not fit.converged and not np.diag(past.A).any():
         return None

@@ -18,6 +18,8 @@ from agent.numerics.working_point import WorkingPoint
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+FAR = 6.0
+"""Standard deviations from theta_r at which an estimate is elsewhere for certain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ def far(point: WorkingPoint, rows: Rows) -> BoolArray:
     """(N,) some estimate is so far from theta_r, and so surely, that the linearisation should move at once."""
     change = np.abs(rows.theta - point.theta)
     known = rows.sd < point.settings.enough_sd
-    return np.asarray(np.any(known & (change > 6 * rows.sd) & (change > point.negligible), axis=1))
+    return np.asarray(np.any(known & (change > FAR * rows.sd) & (change > point.negligible), axis=1))
 
 
 def quieter(point: WorkingPoint, rows: Rows) -> BoolArray:

@@ -7,7 +7,7 @@ section 16.5: among models that explain a record the simplest one).
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.colour import coloured_likelihood
-from agent.numerics.fit import Fit, Problem, fit_window
+from agent.numerics.fit import Fit, Problem, fit_window, linearise
 from agent.numerics.frozen import Frozen
 from agent.numerics.guarded import GuardedProblem
 from agent.numerics.observer import Gain
@@ -140,6 +140,39 @@ class Mistakes:
             if rest < EXPLAINED:
                 break
         return max(found, key=_worth, default=None)
+
+    def shows(self, problem: Problem, theta: FloatArray, gain: Gain) -> bool:
+        """Tell whether channels that are late, offset or mis-scaled, be it by little, show in what a gain leaves.
+
+        problem: a record, theta (q,) its estimate, gain that of the observer there.
+        """
+        outputs, late = range(self.outputs), tuple(Group((), (r,)) for r in range(self.outputs))
+        offsets = [r for r in outputs if not self._estimates("bias", r)]
+        scales = [r for r in range(self.outputs + self.inputs) if self.outputs > 1 and not self._estimates("gain", r)]
+        added = [Nuisance(f"bias {r}", "bias", "output", r) for r in offsets]
+        added += [Nuisance(f"gain {r}", "gain", *self._place(r)) for r in scales]
+        inner, known = (
+            (self.model.model, self.model.nuisances) if isinstance(self.model, SensedModel) else (self.model, ())
+        )
+        sensed = SensedModel(inner, (*known, *added))
+        right = np.concatenate([theta, np.zeros(len(offsets)), np.ones(len(scales))])
+        delayed = np.concatenate([theta, np.zeros(len(late))])
+        return self._in_what_is_left(sensed, right, replace(problem, v=self._with_constant(problem.v)), gain) or (
+            self._in_what_is_left(DelayedModel(self.model, late, 0), delayed, problem, gain)
+        )
+
+    def _in_what_is_left(self, model: Model, theta: FloatArray, problem: Problem, gain: Gain) -> bool:
+        """Tell whether the parameters of a model that the rig's own lacks, the last, explain some of what is left."""
+        sampled, own = discretise(model.continuous(theta), self.period_s, self.hold).model, len(self.model.parameters)
+        here = linearise(sampled, gain, problem.v, np.zeros(sampled.n), problem.bridge)
+        columns = here.psi / np.maximum(np.linalg.norm(here.psi, axis=0), 1e-300)
+        basis = np.linalg.qr(columns[:, :own])[0]
+        left, tested = here.e - basis @ (basis.T @ here.e), columns[:, own:]
+        tested = tested - basis @ (basis.T @ tested)
+        # a column that is nearly one of the model's own says nothing that is its own
+        more = np.linalg.qr(tested[:, np.linalg.norm(tested, axis=0) > 1e-3])[0]
+        explained, most = float(np.sum((more.T @ left) ** 2)), SURE**2 + 2.0 * more.shape[1]
+        return bool(explained * len(left) > most * float(left @ left))
 
     def _trials(self, record: "_Recorded", known: ChannelSuspect | None) -> Iterator[_Trial]:
         tried = {"bias": self._biased, "gain": self._gained, "input gain": self._gained, "delay": self._late}

@@ -12,7 +12,7 @@ from agent.numerics.hops import Segment
 from agent.numerics.lacking import Lacking
 from agent.numerics.masses import LEAST
 from agent.numerics.rows import Rows
-from agent.numerics.suspects import NOBODY, Accusation, mass_suspect
+from agent.numerics.suspects import NOBODY, Accusation, Suspects, mass_suspect
 from agent.numerics.working_point import WorkingPoint
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +35,7 @@ class Upkeep:
         accused: the Reason that was found for what the model lacks, 0 for none; accused_at its newest sample.
         channel: the channel (outputs, then inputs) that is at fault for it, -1 for none.
         distressed: it was found in a window that no parameters explain; where they do again, it is looked at anew.
+        proven: it was found by a calibration of a long record, and stands until then.
         frozen: what is known of channels that stand still; None where channels are believed.
         findings: (sample, accusation) of every look that found something, until they are taken away.
     """
@@ -43,7 +44,8 @@ class Upkeep:
         self.frozen = frozen
         self.coloured_at = self.accused_at = NEVER
         self.accused, self.channel = 0, NOBODY
-        self.distressed = False
+        self.distressed = self.proven = False
+        self._suspected: Accusation | None = None
         self.findings: list[tuple[int, Accusation]] = []
 
     def due(self, point: WorkingPoint, rows: Rows) -> BoolArray:
@@ -74,7 +76,7 @@ class Upkeep:
 
     def review(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Accuse where the residual is coloured; what a model lacks colours it, so a white one clears all suspects."""
-        self.distressed = False
+        self.distressed, self.proven, self._suspected = False, False, None
         if point.colour.share < 1.0 or point.wrong is not None:
             self.accuse(point, segment, lacking, rows, row)
         else:
@@ -84,8 +86,18 @@ class Upkeep:
     def accuse_in_distress(
         self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int
     ) -> None:  # fmt: skip
-        """Look for what the model lacks in a window that no parameters explain: it may be what it lacks for good."""
-        self.accuse(point, segment, lacking, rows, row)
+        """Look for what the model lacks in a window that no parameters explain: it may be what it lacks for good.
+
+        An unknown force may look like anything in one window; of a rig that was understood before, a suspect is
+        accused only where the look before found the same.
+        """
+        self.accused_at = int(rows.index[row])
+        if point.settings.suspects is None:
+            return
+        found, before = self._look(point.settings.suspects, point, segment, lacking, self.accused_at), self._suspected
+        alike = found is not None and before is not None and found.suspect == before.suspect
+        self._suspected = found
+        self._blame(found if alike or not point.settled else None, rows, row)
         self.distressed = bool(self.accused)
 
     def note(self, segment: Segment, window: int, index: IntArray) -> None:
@@ -106,34 +118,42 @@ class Upkeep:
 
     def accuse(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Look for what the model lacks in the window of a row; the finding stands until the next look."""
-        index, suspects = int(rows.index[row]), point.settings.suspects
-        self.accused_at = index
-        if suspects is None:
-            return
+        self.accused_at = int(rows.index[row])
+        if point.settings.suspects is not None:
+            self._blame(self._look(point.settings.suspects, point, segment, lacking, self.accused_at), rows, row)
+
+    @staticmethod
+    def _look(
+        suspects: Suspects, point: WorkingPoint, segment: Segment, lacking: Lacking, index: int
+    ) -> Accusation | None:  # fmt: skip
+        """Return the suspect that explains the window which ends with sample `index`; None where none does."""
         v = segment.samples(index + 1 - min(point.settings.plan.window, ACCUSED), index + 1)
         if not np.isfinite(v).all():
-            return
+            return None
         bridge, wrong = lacking.bridge(v, index + 1), point.wrong
         if wrong is not None:
             # what a calibration found is small in a residual that it learnt or that unknown forces explain, and
             # colours it: it stands as long as it explains more than others do
             found = suspects.accuse(point.theta, point.gain, v, point.dof, bridge, least=0.0)
             if found is not None and found.suspect == mass_suspect(wrong.name) and abs(found.change) >= LEAST:
-                self._blame(replace(found, change=wrong.change), rows, row)
-                return
+                return replace(found, change=wrong.change)
             point.wrong = None
-        self._blame(suspects.accuse(point.theta, point.gain, v, point.dof * point.colour.share, bridge), rows, row)
+        return suspects.accuse(point.theta, point.gain, v, point.dof * point.colour.share, bridge)
 
     def believe(self, point: WorkingPoint, v: FloatArray, rows: Rows, row: int) -> None:
         """Take what a calibration of a window v (W, c) that did not stand said of channels, or of a mass."""
-        mistake, wrong = point.mistake, point.wrong
-        found = None if self.frozen is None else self.frozen.find_unmoved(v)
-        if found is None and mistake is not None:
-            found = Accusation(mistake.suspect, mistake.share, sizes=mistake.sizes)
-        elif found is None and wrong is not None:
-            found = Accusation(mass_suspect(wrong.name), 1.0, wrong.change)
+        unmoved = None if self.frozen is None else self.frozen.find_unmoved(v)
+        found = _told(point) if unmoved is None else unmoved
         if found is not None:
             self.accused_at = int(rows.index[row])
+            self._blame(found, rows, row)
+
+    def believe_in_distress(self, point: WorkingPoint, rows: Rows, row: int) -> None:
+        """Take what a calibration of a long record, which no parameters explain, said of channels, or of a mass."""
+        found = _told(point)
+        self.proven = found is not None
+        if found is not None:
+            self.accused_at, self.distressed = int(rows.index[row]), True
             self._blame(found, rows, row)
 
     def _blame(self, found: Accusation | None, rows: Rows, row: int) -> None:
@@ -142,6 +162,14 @@ class Upkeep:
         rows.suspect[row:], rows.channel[row:] = self.accused, self.channel
         if found is not None:
             self.findings.append((int(rows.index[row]), found))
+
+
+def _told(point: WorkingPoint) -> Accusation | None:
+    """Return what a calibration that did not stand found wrong with channels, or with a mass; None for nothing."""
+    mistake, wrong = point.mistake, point.wrong
+    if mistake is not None:
+        return Accusation(mistake.suspect, mistake.share, sizes=mistake.sizes)
+    return None if wrong is None else Accusation(mass_suspect(wrong.name), 1.0, wrong.change)
 
 
 def _widen(rows: Rows, row: int, before: Colour, now: Colour) -> None:

@@ -74,6 +74,11 @@ class Before:
         off = theta - self.theta
         return float(off @ np.linalg.lstsq(self.covariance + covariance, off, rcond=1e-14)[0])
 
+    def agrees(self, theta: FloatArray, covariance: FloatArray) -> bool:
+        """Tell whether an estimate theta (q,) of known covariance (q, q) is off by no more than chance."""
+        q = len(theta)
+        return bool(np.all(np.isfinite(covariance))) and self.distance(theta, covariance) < q + 5 * np.sqrt(2 * q)
+
 
 @dataclass(frozen=True, slots=True)
 class Story:

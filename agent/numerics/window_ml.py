@@ -13,9 +13,11 @@ from agent.numerics.choice import choose, keep_each
 from agent.numerics.fit import Fit
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import MOST, Lacking
-from agent.numerics.memory import Memory, disjoint, far, quieter
+from agent.numerics.memory import FAR, Memory, disjoint, far, quieter
 from agent.numerics.moving import Moving
+from agent.numerics.observer import Noise
 from agent.numerics.placing import place
+from agent.numerics.relearning import Relearning
 from agent.numerics.rows import Rows
 from agent.numerics.sensors import with_constant
 from agent.numerics.solved import Solved, mend, solved
@@ -42,8 +44,6 @@ MOST_FAILED = 6
 """First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
 CALM = 4
 """Windows without a fit or a change after which a residual has its usual colour."""
-RECORD_WINDOWS, RECORD_SAMPLES = 10, 20_000
-"""The record on which unknown forces are searched again after a start: ten windows, but no more than this."""
 
 
 class WindowML:
@@ -65,7 +65,7 @@ class WindowML:
         self._segment: Segment | None = None
         self._units = UNITS_MIN
         self._anchored = self._adopted = False
-        self._searched = settings.gains.disturbance is None
+        self._relearning = Relearning(settings)
         self._failed = 0
         self._last_fit = self._steady_since = NEVER
         self._change = Change()
@@ -78,12 +78,13 @@ class WindowML:
     def calibrated(self) -> Calibrated | None:
         """Return what is known of the rig's disturbances; None while that is nothing to rely on."""
         sound = self.point.settled and self.point.wrong is None and not self._upkeep.accused
-        return self.point.calibrated(searched=self._searched) if sound else None
+        return self.point.calibrated(searched=self._relearning.searched) if sound else None
 
     def adopt(self, known: Calibrated) -> None:
         """Begin with what an earlier run knew; a first window that it does not explain ends that."""
         self._adopted = self.point.adopt(known)
-        self._searched = self._searched or (self._adopted and known.searched)
+        if self._adopted:
+            self._relearning.begin(searched=known.searched)
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
         """Return (sample, accusation) of what the model was found to lack since the last call."""
@@ -124,13 +125,9 @@ class WindowML:
         while self._segment.ready():
             pieces.append(self._advance(self._segment))
         longest = max(plan.window, *self.settings.longer, self.settings.drift or 0)
-        self._segment.trim(max(longest, 0 if self._searched else self._record()) + plan.hop)
+        self._segment.trim(max(longest, self._relearning.wants(self._segment.done - 1)) + plan.hop)
         self._lacking.trim(self._segment.first)
         return Rows.joined(pieces, q)
-
-    def _record(self) -> int:
-        """Samples of the record on which unknown forces are searched."""
-        return min(RECORD_WINDOWS * self.settings.plan.window, RECORD_SAMPLES)
 
     def _advance(self, segment: Segment) -> Rows:
         """Summarise what is ready, judge each row, act at the first that asks for it, return the rows settled."""
@@ -155,6 +152,7 @@ class WindowML:
             # rows after the one that moved theta_r belong to the old operators and are computed again
             self._units, rows = UNITS_MIN, rows.part(moved_at + 1)
             self._lacking.take_back(int(rows.index[-1]))
+        rows.mismatch[rows.full & self._relearning.restless(rows.index)] = True
         if self._moving is not None:
             self._moving.follow(point, segment, self._lacking, rows, moved=moved_at is not None)
         return rows
@@ -206,7 +204,7 @@ class WindowML:
         commission = np.zeros(len(rows.index), dtype=bool)
         if not self.point.commission.known:
             commission[disjoint(self.settings.plan, rows, rows.ratio <= self.point.gate)] = True
-        search = (not self._searched) & (rows.index - self._steady_since >= self._record())
+        search = self._relearning.due(rows.index, self._steady_since)
         return np.asarray(self._upkeep.due(self.point, rows) | search | commission)
 
     def _keep_house(self, segment: Segment, rows: Rows, row: int) -> bool:
@@ -216,6 +214,7 @@ class WindowML:
         if recoloured:
             self._upkeep.recolour(point, segment, self._lacking, rows, row)
             self._note_usual(int(rows.index[row]))
+            self._relearning.look(point, segment, self._lacking, rows, row)
         if point.commission.known or row not in disjoint(self.settings.plan, rows, rows.ratio <= point.gate):
             return recoloured
         if not point.commission.add(rows.theta[row : row + 1], rows.sd[row : row + 1]):
@@ -234,22 +233,26 @@ class WindowML:
         index, window = int(rows.index[row]), self.settings.plan.window
         if self._lacking.count(rows.index[row : row + 1], window)[0] > MOST * window:
             return False
-        pause = (window // 4) << self._failed if self._change.blamed is None else self._change.pause(window)
-        due = index - self._last_fit >= pause
+        due = index - self._last_fit >= max((window // 4) << self._failed, self._change.pause(index, window))
         if self._anchored and healthy:
             self._change.forget()
-            if not self._searched and index - self._steady_since >= self._record():
-                return self._search(segment, rows, row)
-            return wants and due and self._fit(segment, rows, row)
+            if self._relearning.due(index, self._steady_since):
+                found = self._relearning.search(self.point, segment, self._lacking, index + 1)
+                return found is not None and self._go_on_with(found, segment, rows, row)
+            return wants and due and (self._relearn(segment, rows, row) or self._fit(segment, rows, row))
+        self._relearning.suffer(index, self._memory.past.reference)
         starting = not self._anchored and (due or self._change.onset is None)
         self._change.begin(index)
         self._steady_since = index
         self.point.commission.restart()
         if self._anchored and self._upkeep.finds_frozen(segment, window, rows, row):
             return False
-        if (starting or self._is_free(segment, rows, row, due=due)) and self._fit(segment, rows, row):
+        fitted = (starting or self._is_free(segment, rows, row, due=due)) and self._fit(segment, rows, row)
+        if fitted or self._relearn(segment, rows, row):
             self._change.onset = None
             return True
+        if self._relearning.calibrated_at == index:
+            self._upkeep.believe_in_distress(self.point, rows, row)
         self._mark(segment, rows, row, healthy=healthy)
         return False
 
@@ -274,7 +277,8 @@ class WindowML:
             rows.changing[row], rows.mismatch[row] = not lasting, lasting
         if self._change.mark(rows, row, self._last_fit, window):
             return
-        looked = self._change.blamed is not None or index - self._upkeep.accused_at < window
+        known = self._change.blamed is not None or self._upkeep.proven
+        looked = known or index - self._upkeep.accused_at < window
         if since >= window and not looked and self._unsuspected():
             self._upkeep.accuse_in_distress(self.point, segment, self._lacking, rows, row)
 
@@ -293,18 +297,27 @@ class WindowML:
         told = Window(point.sampled, point.gain, v, point.scale, self.settings.lower)
         return is_clean(told, past * point.scale, rows.theta[row])
 
-    def _search(self, segment: Segment, rows: Rows, row: int) -> bool:
-        """Search a long undisturbed record for unknown forces; where there are some, go on with their gain."""
-        point, stop = self.point, int(rows.index[row]) + 1
-        self._searched = True
-        v = segment.samples(max(segment.first, stop - self._record()), stop)
-        found = point.calibrator.forces_in(point.problem(v, self._lacking.bridge(v, stop)), point.theta, point.noise)
-        if found is None:
+    def _relearn(self, segment: Segment, rows: Rows, row: int) -> bool:
+        """Look for forces in what has long been without an explanation; where there are some, go on with their gain."""
+        index = int(rows.index[row])
+        if self._change.named or not self._anchored:
             return False
-        before, point.noise = point.noise, found
+        due = index - self._last_fit >= self.settings.plan.window // 4
+        if self._relearning.due_in_trouble(index):
+            self._relearning.calibrate(self.point, segment, self._lacking, index + 1)
+            due = True
+        found = self._relearning.forces
+        if due and found is not None and self._go_on_with(found, segment, rows, row):
+            self._relearning.end_trouble()
+            return True
+        return False
+
+    def _go_on_with(self, found: Noise, segment: Segment, rows: Rows, row: int) -> bool:
+        """Assume other disturbances from a row on, where its window fits under them; return whether it does."""
+        before, self.point.noise = self.point.noise, found
         if self._fit(segment, rows, row):
             return True
-        point.noise = before
+        self.point.noise = before
         return False
 
     def _fit(self, segment: Segment, rows: Rows, row: int) -> bool:
@@ -344,16 +357,22 @@ class WindowML:
 
     def _disown(self) -> None:
         """Drop what an earlier run knew: the rig is not as it was."""
-        self._adopted, self._searched = False, self.settings.gains.disturbance is None
+        self._adopted = False
+        self._relearning.begin(searched=False)
         self.point.forget_adopted()
 
     def _move(self, segment: Segment, rows: Rows, row: int, fit: Fit, dof: float, *, whole: bool) -> bool:
         """Move theta_r to a fit and give its row what the fit says; return False where the fit does not stand."""
         point, index = self.point, int(rows.index[row])
-        start = index + 1 - self.settings.plan.window
+        start, before, least = index + 1 - self.settings.plan.window, point.theta, point.negligible
         placed = place(point, segment, self._memory.reference, fit, start, dof if whole else None)
         if placed is None:
             return False
+        step = placed.theta - before
+        gone = (np.abs(step) > FAR * placed.sd) & (np.abs(step) > least)
+        if self._anchored and gone.any():
+            self._relearning.suffer(index, self._memory.past.reference)
+            self._relearning.turn(step, gone)
         self._memory = self._memory.with_reference(placed.reference)
         self._upkeep.coloured_at, self._failed = index, 0
         if not self._anchored or self._change.onset is not None:

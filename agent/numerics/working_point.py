@@ -15,9 +15,11 @@ from agent.numerics.hops import HopOperators
 from agent.numerics.masses import MassError
 from agent.numerics.mistakes import Mistake
 from agent.numerics.observer import Gain, Noise
+from agent.numerics.reference import Reference
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, Model, discretise
 from agent.numerics.suspects import mass_suspect
+from agent.numerics.verdict import Before
 from agent.numerics.window_settings import WindowSettings
 from agent.types import Calibrated, Reason
 
@@ -195,6 +197,28 @@ class WorkingPoint:
         fit = fit_window(problem, theta, np.zeros(self.n), stages[1:] if near else stages)
         # from far away, or in a window that says little, the steps may not have sufficed
         return fit if fit.converged else fit_window(problem, fit.theta, fit.x0, stages[1:])
+
+    def recalibrated(self, problem: Problem, past: Reference) -> Noise | None:
+        """Calibrate a record that nothing explains as at a first start, the rig being what it was before.
+
+        past: what the windows before said. Returns the disturbances that explain the record, None where there are none
+        or where something else may as well: other parameters, wrong channels or masses, or what the model lacks.
+        """
+        calibration = self.calibrator.calibrate(problem, self.theta)
+        fit, noise = calibration.fit, calibration.noise
+        self.wrong, self.mistake = self._confirmed(calibration, problem), self._unrivalled(calibration, problem)
+        if not fit.converged or calibration.wrong is not None or calibration.mistake is not None:
+            return None
+        if not (noise.forced or self.calibrator.learns):
+            return None
+        if not Before.of(past, self.scale, self.theta).agrees(fit.theta, fit.covariance):
+            return None
+        gain, suspects = self.settings.gains.settled(self.sampled(fit.theta), noise), self.settings.suspects
+        samples = float(fit.residual.size)
+        if suspects is not None and suspects.accuse(fit.theta, gain, problem.v, samples, problem.bridge, least=0.0):
+            return None
+        mistakes = self.settings.mistakes
+        return None if mistakes is not None and mistakes.shows(problem, fit.theta, gain) else noise
 
     def _confirmed(self, calibration: Calibration, problem: Problem) -> MassError | None:
         """Return the wrong mass that a calibration found, unless the model lacks something that explains more."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.basin import fit_widely
 from agent.numerics.colour import coloured_likelihood
 from agent.numerics.fit import Fit, Problem, fit_window
 from agent.numerics.gains import Gains
@@ -107,14 +108,15 @@ class Calibrator:
     def _calibrated(self, problem: Problem, theta: FloatArray, known: ChannelSuspect | None) -> Calibration:
         noise = self.first_noise(problem.v)
         x0 = np.zeros(problem.sample(theta).model.n)
-        quiet = fit_window(problem, theta, x0, self._stages(noise))
+        quiet = fit_widely(problem, theta, x0, self._stages(noise))
         # a fit that found no maximum but leaves nothing to explain (standstill) is no reason to search either
         explained = float(np.mean(quiet.residual**2)) < QUIET
         if explained:
             return self._learnt(problem, quiet, noise)
         # coloured sensor noise and a wrong mass are other explanations: unknown forces must beat them
         coloured = coloured_likelihood(quiet.residual, noise.sigma) if quiet.converged else -np.inf
-        wrong = self._wrong_mass(problem, quiet, noise, self._stages(noise), coloured)
+        # beside a fit that found no maximum anything would seem to explain much
+        wrong = self._wrong_mass(problem, quiet, noise, self._stages(noise), coloured) if quiet.converged else None
         if self.gains.disturbance is None:
             return replace(self._learnt(problem, quiet, noise), wrong=wrong)
         bar = coloured if wrong is None else wrong.likelihood
@@ -125,7 +127,8 @@ class Calibrator:
         bar = bar if mistake is None else mistake.likelihood
         # the wide-basin gain alone: without correction a disturbed rig may not have converged at all
         wide = fit_window(problem, theta, x0, [self._start(noise)])
-        forced = self._alternate(problem, wide, noise, self.gains.disturbance, bar)
+        begin = wide if wide.converged or not quiet.converged else quiet
+        forced = self._alternate(problem, begin, noise, self.gains.disturbance, bar)
         if forced is not None:
             share = self._share(problem, forced.fit.theta, forced.noise)
             if share <= MOST_FORCED:

@@ -14,8 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.basin import fit_widely
 from agent.numerics.colour import coloured_likelihood
-from agent.numerics.fit import Fit, Problem, fit_window, linearise
+from agent.numerics.fit import Fit, Problem, linearise
 from agent.numerics.frozen import Frozen
 from agent.numerics.guarded import GuardedProblem
 from agent.numerics.observer import Gain
@@ -134,7 +135,8 @@ class Mistakes:
             return _stuck(record.v, still)
         for trial in self._trials(record, known):
             rest = float(np.mean(trial.fit.residual**2))
-            if (share := 1.0 - rest / left) >= (SHARE if rest >= EXPLAINED else LESS):
+            least = LESS if rest < EXPLAINED else SHARE if plain.converged else np.inf
+            if trial.fit.converged and (share := 1.0 - rest / left) >= least:
                 likelihood = _likelihood(trial.fit, sigma, len(problem.v))
                 found.append(Mistake(trial.suspect, trial.sizes, share, rest < EXPLAINED, likelihood))
             if rest < EXPLAINED:
@@ -212,7 +214,7 @@ class Mistakes:
         )
         with np.errstate(all="ignore"):  # what a wrong explanation does to a fit is its own affair
             try:
-                fit = fit_window(freed, theta, np.zeros(len(model.state_names)), record.stages, STEPS, 1e-3)
+                fit = fit_widely(freed, theta, np.zeros(len(model.state_names)), record.stages, STEPS, 1e-3)
             except (ValueError, np.linalg.LinAlgError):
                 return None
         return fit if np.all(np.isfinite(fit.residual)) and fit.residual.size else None

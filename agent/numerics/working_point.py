@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.basin import fit_widely
 from agent.numerics.bridge import Bridge
 from agent.numerics.calibrate import Calibration, Calibrator
 from agent.numerics.choice import gate
@@ -194,7 +195,8 @@ class WorkingPoint:
         self.mistake = None
         gains, noise = self.settings.gains, self.noise
         stages = [lambda discrete: gains.start(discrete, noise), lambda discrete: gains.settled(discrete, noise)]
-        fit = fit_window(problem, theta, np.zeros(self.n), stages[1:] if near else stages)
+        x0 = np.zeros(self.n)
+        fit = fit_window(problem, theta, x0, stages[1:]) if near else fit_widely(problem, theta, x0, stages)
         # from far away, or in a window that says little, the steps may not have sufficed
         return fit if fit.converged else fit_window(problem, fit.theta, fit.x0, stages[1:])
 

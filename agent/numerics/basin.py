@@ -23,16 +23,25 @@ def fit_widely(
     problem: Problem, theta: FloatArray, x0: FloatArray, stages: Sequence[Callable[[Discrete], Gain]],
     max_steps: int = 12, tolerance: float = 1e-5,
 ) -> Fit:  # fmt: skip
-    """Fit a window from (theta, x0) through all stages; where that fails straight by the last one: the better fit."""
-    wide = fit_window(problem, theta, x0, stages, max_steps, tolerance)
+    """Fit a window from (theta, x0) through all stages; where that fails straight by the last one: the better fit.
+
+    Raises ValueError where both ways leave the numbers.
+    """
+    ways: list[Sequence[Callable[[Discrete], Gain]]] = [stages]
     at = problem.sample(theta)
-    if explains(wide) or np.array_equal(stages[0](at).L, stages[-1](at).L):
-        return wide
-    try:
-        straight = fit_window(problem, theta, x0, stages[-1:], max_steps, tolerance)
-    except (ValueError, np.linalg.LinAlgError):
-        return wide  # without correction a model may outgrow the numbers
-    return min(wide, straight, key=lambda fit: (not fit.converged, _left(fit)))
+    if not np.array_equal(stages[0](at).L, stages[-1](at).L):
+        ways.append(stages[-1:])
+    fits: list[Fit] = []
+    for way in ways:
+        try:
+            fits.append(fit_window(problem, theta, x0, way, max_steps, tolerance))
+        except ValueError:
+            continue  # the other way may yet end at a maximum
+        if explains(fits[-1]):
+            return fits[-1]
+    if not fits:
+        raise ValueError("no fit stays among the numbers")
+    return min(fits, key=lambda fit: (not fit.converged, _left(fit)))
 
 
 def explains(fit: Fit) -> bool:

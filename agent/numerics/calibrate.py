@@ -126,9 +126,12 @@ class Calibrator:
         mistake = mistake if mistake is not None and mistake.likelihood > bar + EVIDENCE else None
         bar = bar if mistake is None else mistake.likelihood
         # the wide-basin gain alone: without correction a disturbed rig may not have converged at all
-        wide = fit_window(problem, theta, x0, [self._start(noise)])
-        begin = wide if wide.converged or not quiet.converged else quiet
-        forced = self._alternate(problem, begin, noise, self.gains.disturbance, bar)
+        try:
+            wide = fit_window(problem, theta, x0, [self._start(noise)])
+            begin = wide if wide.converged or not quiet.converged else quiet
+            forced = self._alternate(problem, begin, noise, self.gains.disturbance, bar)
+        except ValueError:
+            forced = None  # under those forces the fit left the numbers
         if forced is not None:
             share = self._share(problem, forced.fit.theta, forced.noise)
             if share <= MOST_FORCED:

@@ -218,6 +218,13 @@ def fit_window(
     return fit
 
 
+def nowhere(problem: Problem, theta: FloatArray, x0: FloatArray) -> Fit:
+    """Return what stands for a fit that failed from (theta, x0): it explains nothing and did not converge."""
+    model, q = problem.sample(theta).model, len(theta)
+    residual = problem.v[:, : model.p].copy()
+    return Fit(theta, x0, np.full((q, q), np.inf), residual, np.zeros((residual.size, q)), 0, False)
+
+
 def _stage(problem: Problem, start: Fit, gain: Gain, max_steps: int, tolerance: float) -> Fit:
     theta, x0, damping, converged = start.theta, start.x0, 0.0, False
     here = problem.at(theta, gain, x0)

@@ -32,10 +32,11 @@ class GuardedProblem(Problem):
         radius = float(np.abs(np.linalg.eigvals(model.A - gain.L @ model.C)).max(initial=0.0))
         if len(self.v) * np.log10(max(radius, 1.0)) > np.log10(GREATEST) / 2:
             raise ValueError("the observer grows beyond all bounds")
-        # named outright: a class with slots is made twice, and super() would mean the first one
-        here = Problem.at(self, theta, gain, x0)
-        if not (here.cost < GREATEST**2 and np.all(np.abs(here.psi) < GREATEST)):
-            raise ValueError("the window is no number")
+        with np.errstate(all="ignore"):  # what overflows is looked at below
+            # named outright: a class with slots is made twice, and super() would mean the first one
+            here = Problem.at(self, theta, gain, x0)
+            if not (here.cost < GREATEST**2 and np.all(np.abs(here.psi) < GREATEST)):
+                raise ValueError("the window is no number")
         return here
 
 

@@ -83,7 +83,10 @@ class Masses:
 
         lower = with_mass(problem.lower, 0.02 * value)
         freed = replace(problem, sample=sample, scale=with_mass(problem.scale, value), lower=lower)
-        fit = fit_window(freed, with_mass(start.theta, value), start.x0, stages)
+        try:
+            fit = fit_window(freed, with_mass(start.theta, value), start.x0, stages)
+        except ValueError:
+            return None  # with that mass free the fit left the numbers
         variance = fit.covariance[self.place, self.place]
         if not (fit.converged and np.isfinite(variance)):
             return None

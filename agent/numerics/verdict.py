@@ -188,7 +188,7 @@ class Court:
         for _ in range(STEPS):
             try:
                 here = told.at(z, gain, x0)
-            except np.linalg.LinAlgError:
+            except ValueError:
                 break  # a step went where the model outgrows the numbers
             squares = here.cost + float((z - mean) @ prior @ (z - mean))
             H = here.psi.T @ here.psi + prior

@@ -11,7 +11,8 @@ from agent.numerics.calibrate import Calibration, Calibrator
 from agent.numerics.choice import gate
 from agent.numerics.colour import Colour, InputNoise
 from agent.numerics.commission import Commission
-from agent.numerics.fit import Fit, Problem, fit_window
+from agent.numerics.fit import Fit, Problem, fit_window, nowhere
+from agent.numerics.guarded import GuardedProblem
 from agent.numerics.hops import HopOperators
 from agent.numerics.masses import MassError
 from agent.numerics.mistakes import Mistake
@@ -182,10 +183,20 @@ class WorkingPoint:
 
     def problem(self, v: FloatArray, bridge: Bridge | None) -> Problem:
         """Return the problem of fitting samples v (W, p+m), some of them perhaps missing."""
-        return Problem(self.sampled, v, self.scale, self.settings.lower, bridge)
+        return GuardedProblem(self.sampled, v, self.scale, self.settings.lower, bridge)
 
     def maximise(self, problem: Problem, theta: FloatArray, *, afresh: bool, near: bool) -> Fit:
-        """Fit a window from theta (q,); afresh also learns what disturbs it, near needs no wide basin."""
+        """Fit a window from theta (q,); afresh also learns what disturbs it, near needs no wide basin.
+
+        A fit that leaves the numbers, or finds no gain that keeps the observer among them, did not converge.
+        """
+        try:
+            return self._maximised(problem, theta, afresh=afresh, near=near)
+        except ValueError:
+            self.mistake = None
+            return nowhere(problem, theta, np.zeros(self.n))
+
+    def _maximised(self, problem: Problem, theta: FloatArray, *, afresh: bool, near: bool) -> Fit:
         if afresh:
             known = None if self.mistake is None else self.mistake.suspect
             calibration = self.calibrator.calibrate(problem, theta, known)

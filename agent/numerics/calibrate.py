@@ -21,8 +21,8 @@ from agent.numerics.statespace import Discrete
 from agent.numerics.suspects import ChannelSuspect
 
 FloatArray = NDArray[np.float64]
-ROUND_OFF = 1e-12
-"""Least noise that arithmetic can tell from zero, as a share of the signal."""
+ROUND_OFF = 1e-10
+"""Noise no larger than this share of the signal is taken for rounding, which a window's sums make the larger."""
 QUIET = 1.21
 """A residual variance up to this over what the sensors' noise explains needs no unknown force."""
 FAR = 3.0
@@ -82,8 +82,13 @@ class Calibrator:
         return Noise(np.where(np.isfinite(self.stated), self.stated, guess), np.zeros(count))
 
     def _least(self, v: FloatArray) -> FloatArray:
+        return np.asarray(np.maximum(self.floor, self.rounding(v)))
+
+    def rounding(self, v: FloatArray) -> FloatArray:
+        """Return what rounding may leave of each output (p,) in a record v (N, p+m)."""
         peak = np.abs(v[:, : len(self.stated)]).max(axis=0)
-        return np.asarray(np.maximum(self.floor, ROUND_OFF * peak + 1e-300))
+        # an output that is nothing at all is no finer than the others, or its weight would outgrow the numbers
+        return np.asarray(np.where(peak > 0, ROUND_OFF * peak, ROUND_OFF * max(float(peak.max()), 1e-100)))
 
     def calibrate(self, problem: Problem, theta: FloatArray, known: ChannelSuspect | None = None) -> Calibration:
         """Fit a record from theta (q,): without unknown forces where that explains it, else with those found.

@@ -77,7 +77,7 @@ class Upkeep:
     def review(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Accuse where the residual is coloured; what a model lacks colours it, so a white one clears all suspects."""
         self.distressed, self.proven, self._suspected = False, False, None
-        if point.colour.share < 1.0 or point.wrong is not None:
+        if (point.colour.share < 1.0 or point.wrong is not None) and not point.exact:
             self.accuse(point, segment, lacking, rows, row)
         else:
             self.accused_at = int(rows.index[row])

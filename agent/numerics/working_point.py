@@ -41,6 +41,7 @@ class WorkingPoint:
         wrong: a mass that explained a record better than unknown forces; None for none. It outlives a fit that failed.
         mistake: what is wrong with channels by the newest fit that learnt the noise; None for nothing.
         settled: noise and theta come from a fit, not from the configuration.
+        rounding: (p,) what rounding leaves of each output, by the record that the noise was learnt from.
         discrete, gain, operators: the sampled model, the observer and the lifted filters at theta_r.
         unknowns: of a window; dof: degrees of freedom that its residual has left.
     """
@@ -61,6 +62,7 @@ class WorkingPoint:
         self.wrong: MassError | None = None
         self.mistake: Mistake | None = None
         self.settled = False
+        self.rounding = np.zeros(len(settings.sigma))
         self.rebuild()
         self.unknowns = self.discrete.model.n + len(self.theta)
         self.dof = self.dof_of(settings.plan.window)
@@ -143,8 +145,14 @@ class WorkingPoint:
 
     @property
     def floor_ratio(self) -> float:
-        """Least residual variance that the wire allows, in units of the reference."""
-        return float(np.mean((self.settings.floor / self.noise.sigma) ** 2))
+        """Least residual variance that the wire and arithmetic allow, in units of the reference."""
+        rounding = self.rounding if self.calibrator.learns else 0.0
+        return float(np.mean((np.maximum(self.settings.floor, rounding) / self.noise.sigma) ** 2))
+
+    @property
+    def exact(self) -> bool:
+        """Whether what the model leaves is no more than rounding, which says nothing of what it may lack."""
+        return self.calibrator.learns and bool(np.all(self.noise.sigma <= 1.01 * self.rounding))
 
     @property
     def negligible(self) -> FloatArray:
@@ -201,6 +209,7 @@ class WorkingPoint:
             known = None if self.mistake is None else self.mistake.suspect
             calibration = self.calibrator.calibrate(problem, theta, known)
             self.noise, self.wrong = calibration.noise, self._confirmed(calibration, problem)
+            self.rounding = self.calibrator.rounding(problem.v)
             self.mistake = self._unrivalled(calibration, problem)
             return calibration.fit
         self.mistake = None

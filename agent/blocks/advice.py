@@ -74,13 +74,10 @@ def _stuck_words(named: Sequence[tuple[str, str]], stood: Sequence[float]) -> st
 
 def _channel_words(suspect: ChannelSuspect, sizes: Sequence[float], channels: Sequence[tuple[str, str]]) -> str:
     """Return how channels are wrong, and what to do about it."""
-    if suspect.kind == "forces":
-        return (
-            f"the readings ask for unknown forces that cause {number(100 * sizes[0], 2)} % of the motion, beside those "
-            "that are measured: check zero, sign, scale and delay of every channel, and whether another force acts"
-        )
     named = [channels[r] for r in suspect.channels]
     every = " and ".join(name for name, _ in named)
+    if suspect.kind == "forces":
+        return _force_words(sizes, every)
     if suspect.kind == "bias":
         reads = " and ".join(
             f"{name} reads {number(abs(size), 3)} {unit} too {'high' if size > 0 else 'low'}"
@@ -98,6 +95,19 @@ def _channel_words(suspect: ChannelSuspect, sizes: Sequence[float], channels: Se
     if suspect.kind == "sign" or abs(sizes[0] + 1.0) < 0.05:
         return f"{every} looks turned round: give its scale the other sign, or mount it the other way"
     return _scale_words(every, sizes[0], driving=suspect.kind == "input gain")
+
+
+def _force_words(shares: Sequence[float], resting: str) -> str:
+    """Return that unknown forces cause a share of the motion, beside measured ones that perhaps never move."""
+    part = f"{number(100 * shares[0], 2)} % of the motion" if shares else "the motion"
+    asked = f"the readings ask for unknown forces that cause {part}"
+    if resting:
+        never = f"while {resting} never moves: look at that sensor and its wiring, or measure the force that acts"
+        return f"{asked}, {never}"
+    return (
+        f"{asked}, beside those that are measured: check zero, sign, scale and delay of every channel, and whether "
+        "another force acts"
+    )
 
 
 def _scale_words(name: str, factor: float, *, driving: bool) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agent.numerics.basin import fit_widely
 from agent.numerics.colour import coloured_likelihood
 from agent.numerics.fit import Fit, Problem, fit_window
+from agent.numerics.frozen import standing
 from agent.numerics.gains import Gains
 from agent.numerics.masses import MassError, Masses
 from agent.numerics.mistakes import Mistake, Mistakes
@@ -141,7 +142,7 @@ class Calibrator:
             share = self._share(problem, forced.fit.theta, forced.noise)
             if share <= MOST_FORCED:
                 return forced
-            mistake = Mistake(ChannelSuspect("forces"), (share,), share, False, bar)
+            mistake = Mistake(ChannelSuspect("forces", self._resting(problem.v)), (share,), share, False, bar)
         wrong = wrong if mistake is None else None
         return replace(self._learnt(problem, quiet, noise), wrong=wrong, mistake=mistake)
 
@@ -160,6 +161,12 @@ class Calibrator:
         if directions is None or self.mistakes is None or not self.mistakes.inputs:
             return 0.0
         return share_of_motion(problem.sample(theta), directions, noise, problem.v)
+
+    def _resting(self, v: FloatArray) -> tuple[int, ...]:
+        """Return the measured inputs of a record v (N, p+m) where none of them ever moves; else none."""
+        p = len(self.stated)
+        rest = standing(v[:, p : p + (0 if self.mistakes is None else self.mistakes.inputs)])
+        return tuple(range(p, p + len(rest))) if rest.all() else ()
 
     def _wrong_mass(
         self, problem: Problem, fit: Fit, noise: Noise, stages: Sequence[Callable[[Discrete], Gain]], without: float

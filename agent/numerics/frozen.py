@@ -17,6 +17,11 @@ EQUAL = 1e-12
 """Readings that differ by this share of their size are the same: what was filled in may miss by a rounding error."""
 
 
+def standing(v: FloatArray) -> BoolArray:
+    """(c,) which channels read the same all through a window v (W, c)."""
+    return np.asarray(np.ptp(v, axis=0) <= EQUAL * np.abs(v[-1]))
+
+
 class Frozen:
     """Remembers how the measured channels, so many outputs, then so many inputs, stand still in health."""
 
@@ -44,15 +49,25 @@ class Frozen:
         return self._accusation(self._stands(v) & self._moved & ~rests, at)
 
     def find_unmoved(self, v: FloatArray) -> Accusation | None:
-        """Return the inputs that tell nothing in the first windows v (W, c), none of which was explained.
+        """Return the channels that tell nothing in the first windows v (W, c), none of which was explained.
 
-        An input that reads 0 is one that does nothing; where all of them stand elsewhere none of them was ever seen to
-        work.
+        An output that stands still while others move is stuck. An input that reads 0 is one that does nothing; where
+        all of them stand elsewhere none of them was ever seen to work.
         """
-        at = v[-1, : self._channels]
-        stands = self._stands(v) & (np.arange(self._channels) >= self._outputs)
-        unmoved = not self._moved.any() and bool(stands[self._outputs :].all())
-        return self._accusation(stands & (at != 0), at) if unmoved else None
+        if self._moved.any():
+            return None
+        at, stands = v[-1, : self._channels], self._stands(v)
+        outputs, inputs = stands[: self._outputs], stands[self._outputs :]
+        stuck = np.concatenate([outputs & ~outputs.all(), inputs & inputs.all() & (at[self._outputs :] != 0)])
+        return self._accusation(stuck, at)
+
+    def resting(self, v: FloatArray) -> Accusation | None:
+        """Return that no measured force explains the motion in the first windows v (W, c): all of them rest at 0."""
+        stands = self._stands(v)
+        outputs, inputs = stands[: self._outputs], stands[self._outputs :]
+        if self._moved.any() or outputs.all() or not len(inputs) or not inputs.all():
+            return None
+        return Accusation(ChannelSuspect("forces", tuple(range(self._outputs, self._channels))), 1.0)
 
     def _accusation(self, stuck: BoolArray, at: FloatArray) -> Accusation | None:
         channels = np.flatnonzero(stuck)
@@ -62,5 +77,4 @@ class Frozen:
 
     def _stands(self, v: FloatArray) -> BoolArray:
         """(channels,) which read the same all through a window."""
-        v = v[:, : self._channels]
-        return np.asarray(np.ptp(v, axis=0) <= EQUAL * np.abs(v[-1]))
+        return standing(v[:, : self._channels])

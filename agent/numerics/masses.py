@@ -92,7 +92,8 @@ class Masses:
             return None
         sd = float(np.sqrt(variance * np.mean(fit.residual**2))) / value
         change = float(fit.theta[self.place]) / value - 1.0
-        if abs(change) < max(LEAST, SURE * sd):
+        # a mass that might as well be infinite explains a rig that does not move, which is no size of a mass
+        if abs(change) < max(LEAST, SURE * sd) or 1.0 + change < SURE * sd:
             return None
         return MassError(self.names[i], change, sd, coloured_likelihood(fit.residual, sigma))
 

@@ -262,6 +262,8 @@ class Mistakes:
         if fit is None or not _surely(fit, 1, np.array([LEAST["gain"] * right]), right)[0]:
             return None
         rest = float(fit.theta[-1])
+        if not _is_size(fit):
+            return None
         suspect = ChannelSuspect("gain" if output else "input gain", channels)
         return _Trial(suspect, (asked * rest if output else asked / rest,), fit)
 
@@ -335,6 +337,12 @@ def _earlier(v: FloatArray, outputs: tuple[int, ...], samples: int) -> FloatArra
     shifted = v[kept : kept + count].copy()
     shifted[:, list(outputs)] = v[moved : moved + count, list(outputs)]
     return shifted
+
+
+def _is_size(fit: Fit) -> bool:
+    """Tell whether the gain that a fit ends with is known to be more than nothing: else the channel plays no part."""
+    sd = np.sqrt(fit.covariance[-1, -1] * float(np.mean(fit.residual**2)))
+    return bool(abs(float(fit.theta[-1])) > SURE * sd)
 
 
 def _surely(fit: Fit, count: int, least: FloatArray, right: float = 0.0) -> NDArray[np.bool_]:

@@ -51,7 +51,7 @@ class ChannelSuspect:
     Attributes:
         kind: "bias", "gain", "input gain", "sign", "swap", "delay" or "stuck"; "forces" for none of them: what only
             unknown forces as large as the measured ones would explain.
-        channels: those concerned.
+        channels: those concerned; with "forces" the measured inputs where none of them ever moves.
     """
 
     kind: str
@@ -83,7 +83,7 @@ class Accusation:
         share: of the residual's sum of squares that it explains.
         change: of a mass, over what the model has, less one; 0 for others.
         sizes: of each channel of a `ChannelSuspect`: offset (SI), gain, delay (s), where it is stuck (SI);
-            share of the motion of "forces".
+            share of the motion of "forces", where that is known.
     """
 
     suspect: Suspect | ChannelSuspect

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from agent.numerics.colour import Colour, colour_of
 from agent.numerics.fit import linearise
-from agent.numerics.frozen import Frozen
+from agent.numerics.frozen import Frozen, standing
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import Lacking
 from agent.numerics.masses import LEAST
 from agent.numerics.rows import Rows
-from agent.numerics.suspects import NOBODY, Accusation, Suspects, mass_suspect
+from agent.numerics.suspects import NOBODY, Accusation, ChannelSuspect, Suspects, mass_suspect
 from agent.numerics.working_point import WorkingPoint
 
 FloatArray = NDArray[np.float64]
@@ -106,6 +106,26 @@ class Upkeep:
             start = int(index[0]) + 1 - window
             self.frozen.note(segment.samples(start, int(index[-1]) + 1), index + 1 - start, window)
 
+    def finds_standing(self, point: WorkingPoint, segment: Segment, rows: Rows, row: int) -> bool:
+        """Tell whether nothing can be fitted to a row's window, as outputs never change in it; say what they are.
+
+        Where none of them moves the rig stands still; one that does not while others do is stuck, unless it is known
+        how fine it reads: then it may well move less than it shows.
+        """
+        index, settings = int(rows.index[row]), point.settings
+        y = segment.samples(index + 1 - settings.plan.window, index + 1)[:, : point.outputs]
+        still = standing(y)
+        if still.all():
+            rows.sd[row] = np.inf  # before the first fit it would be that of parameters nobody has seen
+            return True
+        stuck = np.flatnonzero(still & ~np.isfinite(settings.sigma) & (settings.floor == 0))
+        if not len(stuck):
+            return False
+        self.accused_at, self.distressed = index, True
+        suspect = ChannelSuspect("stuck", tuple(stuck.tolist()))
+        self._blame(Accusation(suspect, 1.0, sizes=tuple(y[-1, stuck])), rows, row)
+        return True
+
     def finds_frozen(self, segment: Segment, window: int, rows: Rows, row: int) -> bool:
         """Tell whether a channel froze for the whole of a row's window, which no parameters explain; accuse it."""
         index = int(rows.index[row])
@@ -144,6 +164,8 @@ class Upkeep:
         """Take what a calibration of a window v (W, c) that did not stand said of channels, or of a mass."""
         unmoved = None if self.frozen is None else self.frozen.find_unmoved(v)
         found = _told(point) if unmoved is None else unmoved
+        if found is None and self.frozen is not None:
+            found = self.frozen.resting(v)
         if found is not None:
             self.accused_at = int(rows.index[row])
             self._blame(found, rows, row)

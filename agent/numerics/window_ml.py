@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from agent.numerics.change import Change, hear
 from agent.numerics.choice import choose, keep_each
 from agent.numerics.fit import Fit
+from agent.numerics.frozen import standing
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import MOST, Lacking
 from agent.numerics.memory import FAR, Memory, disjoint, far, quieter
@@ -231,7 +232,8 @@ class WindowML:
     def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
         index, window = int(rows.index[row]), self.settings.plan.window
-        if self._lacking.count(rows.index[row : row + 1], window)[0] > MOST * window:
+        hollow = self._lacking.count(rows.index[row : row + 1], window)[0] > MOST * window
+        if hollow or (not self.point.settled and self._upkeep.finds_standing(self.point, segment, rows, row)):
             return False
         due = index - self._last_fit >= max((window // 4) << self._failed, self._change.pause(index, window))
         if self._anchored and healthy:
@@ -328,7 +330,9 @@ class WindowML:
         if not point.settled:
             point.take_sizes(v)
         restore, was_settled = point.kept(), point.settled
-        afresh = not (was_settled or self._adopted) or bool(quieter(point, rows)[row])
+        # what stands still shows no noise to learn anew
+        quiet = bool(quieter(point, rows)[row]) and not standing(v[:, : point.outputs]).any()
+        afresh = not (was_settled or self._adopted) or quiet
         most = CALIBRATION if afresh else LONG
         whole = len(v) <= most or self._lacking.count(rows.index[row : row + 1], len(v))[0] > 0
         v = v if whole else v[-LONG:]

@@ -101,7 +101,10 @@ class WorkingPoint:
         sd = np.sqrt(np.diag(fit.covariance) * s2)
         if not (fit.converged and self.noise.forced and np.any(sd < self.settings.enough_sd)):
             return False
-        return s2 < 2.0 - self.gate or self.calibrator.needs_no_force(problem, fit, self.noise)
+        try:
+            return s2 < 2.0 - self.gate or self.calibrator.needs_no_force(problem, fit, self.noise)
+        except ValueError:
+            return False  # without those forces the fit leaves the numbers
 
     def rebuild(self) -> None:
         """Make observer and operators about theta_r."""

@@ -79,3 +79,19 @@ def test_input_never_seen_to_work_is_found_where_it_does_not_rest_at_zero() -> N
 
 def test_input_seen_to_work_is_no_unmoved_one(frozen: Frozen) -> None:
     assert frozen.find_unmoved(window(0, force=3.5)) is None
+
+
+def test_output_that_never_moved_is_found_where_others_do() -> None:
+    found = Frozen(2, 1).find_unmoved(window(0, x1=0.0))
+    assert found is not None
+    assert (found.suspect.channels, found.sizes) == ((0,), (0.0,))
+    assert Frozen(2, 1).find_unmoved(window(0, x1=0.0, x2=0.0)) is None
+
+
+def test_forces_that_rest_while_something_moves_are_said_so(frozen: Frozen) -> None:
+    found = Frozen(2, 1).resting(window(0, force=0.0))
+    assert found is not None
+    assert (found.suspect.kind, found.suspect.channels) == ("forces", (2,))
+    assert Frozen(2, 1).resting(window(0)) is None
+    assert Frozen(2, 1).resting(window(0, x1=1.0, x2=0.0, force=0.0)) is None
+    assert frozen.resting(window(0, force=0.0)) is None

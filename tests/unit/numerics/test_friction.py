@@ -109,3 +109,14 @@ def test_acting_friction_slides_turns_round_sticks_and_breaks_loose(
     speed: float, free: float, mean: float, last: float
 ) -> None:
     assert acting(speed, free, 0.1) == pytest.approx((mean, last))
+
+
+def test_motion_filter_of_accelerations_is_made_without_a_warning() -> None:
+    """They do not show where the rig stands, so that the observer hardly forgets; warnings are errors here."""
+    springs = (Element("k1", ("ground", "m1"), 2500.0), Element("k2", ("m1", "m2"), 10000.0))
+    dampers = (Element("B1", ("ground", "m1"), 5.0), Element("B2", ("m1", "m2"), 5.0))
+    structure = Structure((Mass("m1", 5.0), Mass("m2", 3.0)), springs, dampers)
+    outputs = (Output("acceleration", "m1"), Output("acceleration", "m2"))
+    model = MassSpringDamper(structure, ("k1", "k2", "B1", "B2"), ("m2",), outputs)
+    noise = motion_filter(model, [("m1", "ground"), ("m2", "m1")], PERIOD_S, "first", np.full(2, 1e-2)).noise
+    assert np.all((noise > 0) & (noise < 1.0))

@@ -103,13 +103,19 @@ class Relearning:
         v = segment.samples(index + 1 - min(point.settings.plan.window, NEWEST), index + 1)
         theta = np.where(np.isfinite(rows.theta[row]), rows.theta[row], point.theta)
         problem = point.problem(v, lacking.bridge(v, index + 1))
-        self._in_doubt = not point.noise.forced or point.calibrator.doubts(problem, theta, point.noise)
+        try:
+            self._in_doubt = not point.noise.forced or point.calibrator.doubts(problem, theta, point.noise)
+        except ValueError:
+            self._in_doubt = True  # a fit left the numbers: the longer record may tell
 
     def search(self, point: WorkingPoint, segment: Segment, lacking: Lacking, stop: int) -> Noise | None:
         """Search the record that ends before sample `stop`; return the disturbances that explain it better, or None."""
         self.searched, self._in_doubt, self._looked = True, False, stop - 1
         v = self._samples(segment, stop)
-        return point.calibrator.forces_in(point.problem(v, lacking.bridge(v, stop)), point.theta, point.noise)
+        try:
+            return point.calibrator.forces_in(point.problem(v, lacking.bridge(v, stop)), point.theta, point.noise)
+        except ValueError:
+            return None  # a record that leads a fit out of the numbers says nothing of forces
 
     def suffer(self, index: int, past: Reference) -> None:
         """Take the newest sample of a window in trouble; past is what the windows before it said."""
@@ -155,7 +161,10 @@ class Relearning:
         v = self._samples(segment, stop)
         if lacking.count(np.array([stop - 1]), len(v))[0] > MOST * len(v) or not np.isfinite(v).all():
             return
-        trouble.forces = point.recalibrated(point.problem(v, lacking.bridge(v, stop)), trouble.past)
+        try:
+            trouble.forces = point.recalibrated(point.problem(v, lacking.bridge(v, stop)), trouble.past)
+        except ValueError:
+            trouble.forces = None
 
     def end_trouble(self) -> None:
         """Begin anew with disturbances that explain it."""

@@ -47,7 +47,7 @@ def test_window_ml_displacements_that_never_change_are_a_standstill(
 def test_window_ml_displacement_that_never_changed_while_the_other_moves_is_stuck(
     sigma: float, rng: np.random.Generator
 ) -> None:
-    samples = noisy(rng, 3000, 1e-6)
+    samples = noisy(rng, 800, 1e-6)
     samples.y[:, 0] = 0.0
     ml = estimator(sigma)
     rows = rows_of(ml, samples.y, samples.u)
@@ -60,16 +60,16 @@ def test_window_ml_displacement_that_never_changed_while_the_other_moves_is_stuc
 def test_window_ml_displacements_of_noise_alone_name_no_scale(sigma: float, rng: np.random.Generator) -> None:
     """The force moves nothing at all: how many times too large it reads is no number."""
     ml = estimator(sigma)
-    rows_of(ml, 1e-6 * rng.standard_normal((1500, 2)), 60.0 * rng.standard_normal((1500, 1)))
+    rows_of(ml, 1e-6 * rng.standard_normal((800, 2)), 60.0 * rng.standard_normal((800, 1)))
     named = {getattr(found.suspect, "kind", None) for _, found in ml.take_findings()}
     assert not named & {"gain", "input gain"}
 
 
 def test_window_ml_masses_that_move_while_the_force_reads_nothing_are_said_so(rng: np.random.Generator) -> None:
-    samples = noisy(rng, 1500, 7e-5)
+    samples = noisy(rng, 800, 7e-5)
     y = 12.0 * samples.y
     ml = estimator(7e-5)
-    rows_of(ml, y, np.zeros((1500, 1)))
+    rows_of(ml, y, np.zeros((800, 1)))
     assert next(found.suspect for _, found in ml.take_findings()) == ChannelSuspect("forces", (2,))
 
 

@@ -16,13 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.observer import Gain
-from agent.numerics.statespace import StateSpace
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-CHUNK = 32
-"""Samples of an impulse response computed by one product."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,68 +129,33 @@ def filled(signal: FloatArray, missing: BoolArray) -> FloatArray:
     return result
 
 
-def responses(model: StateSpace, gain: Gain, bridge: Bridge, samples: int) -> FloatArray:
-    """Return U (W p, c): what each missing reading, one unit off, does to the whitened innovations of a window."""
-    p, count = model.p, len(bridge.sample)
-    impulse = _impulse_response(model, gain, samples)
-    U = np.zeros((samples, p, count))
-    for i, (sample, channel) in enumerate(zip(bridge.sample.tolist(), bridge.channel.tolist(), strict=True)):
-        U[sample:, :, i] = impulse[: samples - sample, :, channel]
-    return U.reshape(samples * p, count)
-
-
-def _impulse_response(model: StateSpace, gain: Gain, samples: int) -> FloatArray:
-    """Return the innovations (W, p, p+m) that follow a unit in each channel at sample 0."""
-    Phi = model.A - gain.L @ model.C
-    X = np.hstack([gain.L, model.B - gain.L @ model.D])
-    rows = [-gain.whitening @ model.C]
-    for _ in range(min(CHUNK, samples) - 1):
-        rows.append(rows[-1] @ Phi)
-    lifted, over = np.stack(rows), np.linalg.matrix_power(Phi, CHUNK)
-    response = [(gain.whitening @ np.hstack([np.eye(model.p), -model.D]))[None]]
-    for _ in range(-(-(samples - 1) // CHUNK)):
-        response.append(lifted @ X)
-        X = over @ X
-    return np.concatenate(response)[:samples]
-
-
 @dataclass(frozen=True, slots=True)
 class Shrinkage:
-    """S with S S = I - U (U'U + R)^-1 U': what is left of a window's columns when its missing readings are unknown.
+    """What unknown readings with responses U take from a window's columns, by their products U'columns alone.
 
     Attributes:
-        basis: (W p, c) orthonormal.
-        share: (c,) how much of each direction of the basis goes.
-        unknowns: (c, W p) columns -> the unknowns that fit them best.
+        unknowns: (c, c) U'columns -> the unknowns that fit the columns best: (U'U + R)^-1.
+        taken: (c, c) with S = I - U taken U' the symmetric root of I - U (U'U + R)^-1 U'.
     """
 
-    basis: FloatArray
-    share: FloatArray
     unknowns: FloatArray
-
-    def left_of(self, columns: FloatArray) -> FloatArray:
-        """Return S columns, columns (W p, k)."""
-        return np.asarray(columns - self.basis @ (self.share[:, None] * (self.basis.T @ columns)))
+    taken: FloatArray
 
 
-def shrinkage(U: FloatArray, sd: FloatArray) -> Shrinkage:
-    """Return what unknowns with responses U (W p, c) and priors of standard deviation sd (c,) take away.
+def shrinkage(gram: FloatArray, sd: FloatArray) -> Shrinkage:
+    """Return what unknowns with gram = U'U (c, c) and priors of standard deviation sd (c,) take away.
 
     U must be free of other nuisances already (the initial state). An unknown that leaves no trace takes nothing away.
     """
-    norms = np.linalg.norm(U, axis=0)
     with np.errstate(divide="ignore"):
-        scale = 1.0 / np.maximum(np.hypot(norms, 1.0 / sd), 1e-300)
-    scaled = U * scale
-    precision = scaled.T @ scaled + np.diag((scale / sd) ** 2)
-    values, vectors = np.linalg.eigh(precision)
+        scale = 1.0 / np.maximum(np.hypot(np.sqrt(np.diag(gram)), 1.0 / sd), 1e-300)
+    scaled = gram * scale[:, None] * scale
+    values, vectors = np.linalg.eigh(scaled + np.diag((scale / sd) ** 2))
     kept = values > 1e-12 * max(float(values[-1]), 1e-300)
     root = vectors[:, kept] / np.sqrt(values[kept])
     # of I - B B' with B = U root the square root, by the eigenvectors of B'B, whose values are between 0 and 1
-    B = scaled @ root
-    taken, turn = np.linalg.eigh(B.T @ B)
-    taken = np.clip(taken, 0.0, 1.0)
-    lengths = np.sqrt(np.maximum(taken, 1e-30))
-    basis = (B @ turn) / lengths
-    unknowns = scale[:, None] * (root @ B.T)
-    return Shrinkage(np.asarray(basis), np.asarray(1.0 - np.sqrt(1.0 - taken)), np.asarray(unknowns))
+    share, turn = np.linalg.eigh(root.T @ scaled @ root)
+    share = np.clip(share, 0.0, 1.0)
+    root = scale[:, None] * root
+    lengthened = root @ (turn * np.sqrt((1.0 - np.sqrt(1.0 - share)) / np.maximum(share, 1e-30)))
+    return Shrinkage(np.asarray(root @ root.T), np.asarray(lengthened @ lengthened.T))

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.bridge import Bridge, Shrinkage, responses, shrinkage
-from agent.numerics.cells import cell_operators, propagate, run_cells
+from agent.numerics.bridge import Bridge
+from agent.numerics.eliminated import Unknowns
 from agent.numerics.observer import Gain
-from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, StateSpace
+from agent.numerics.window_filter import WindowFilter, without_parameters
 
 FloatArray = NDArray[np.float64]
-CELL = 32
-"""Samples a cell: long enough for the matrix products, short enough that their triangular half is not wasted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,117 +88,34 @@ class Problem:
         return linearise(self.sample(theta).model, gain, self.v, x0, self.bridge)
 
 
-def linearise(
-    model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge | None = None
-) -> Linearised:
+def linearise(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge | None = None) -> Linearised:
     """Run observer (from x0) and sensitivities over a window v (W, p+m) and project the initial state out.
 
     What the window lacks (bridge) is eliminated too, by its prior where it has one.
     """
-    o, G = _outputs(model, gain, v, x0)
-    n, width = model.n, 1 + model.q
-    U, sd = _lacking(model, gain, bridge, (o, G))
-    Gamma = G[:, :n]
-    unknowns = _unknowns(Gamma, U, sd)
-    e0 = unknowns.initial_state(o[:, 0])
-    moved = o.copy()
-    if bridge is not None and unknowns.lacking is not None:
-        # the sensitivities at the best missing readings, as at the best initial state: else this is no gradient
-        off = unknowns.lacking.unknowns @ o[:, 0]
-        moved[:, 1:] = _sensitivities(model, gain, _completed(v, bridge, gain, off), x0, bridge)
-    moved[:, 0] -= Gamma @ e0
-    moved[:, 1:] += G[:, n:].reshape(len(G), width - 1, n) @ e0
-    e0_by_theta = -unknowns.initial_state(moved[:, 1:])
-    moved = unknowns.left_of(moved)
-    return Linearised(moved[:, 0], moved[:, 1:], e0, e0_by_theta)
+    return linearised(WindowFilter(model, gain, len(v)), v, x0, bridge)
 
 
-def _completed(v: FloatArray, bridge: Bridge, gain: Gain, off: FloatArray) -> FloatArray:
-    """Return a window with its missing readings where they fit best, `off` (c,) from where they were filled in."""
-    unknown, _ = bridge.split(gain)
-    completed = v.copy()
-    completed[unknown.sample, unknown.channel] -= off
-    return completed
+def linearised(window: WindowFilter, v: FloatArray, x0: FloatArray, bridge: Bridge | None = None) -> Linearised:
+    """Linearise a window v (W, p+m), as `linearise` does, by filters that are there already."""
+    n, q = window.system.n, window.system.q
+    unknowns = Unknowns.of(window, bridge)
+    best = unknowns.solve(unknowns.emptied(window.innovations(v, x0)[:, None]))
+    e0 = best.state[:, 0]
+    # the sensitivities at the best missing readings, as at the best initial state: else this is no gradient
+    moved = unknowns.emptied(window.outputs(unknowns.completed(v, best.readings[:, 0]), x0))
+    moved[:, 0] = best.rest[:, 0]
+    moved[:, 1:] += unknowns.emptied(window.G[:, n:]).reshape(len(moved), q, n) @ e0
+    again = unknowns.solve(moved)
+    moved = unknowns.left_of(again)
+    return Linearised(moved[:, 0], moved[:, 1:], e0, -again.state[:, 1:])
 
 
-def _sensitivities(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge) -> FloatArray:
-    """Return psi (W p, q) alone, the rows of what lacks emptied."""
-    psi = _outputs(model, gain, v, x0)[0][:, 1:]
-    psi[bridge.split(gain)[1]] = 0.0
-    return psi
-
-
-@dataclass(frozen=True, slots=True)
-class _Unknowns:
-    """What is eliminated: the initial state (left, pinv of Gamma), and readings that lack, with responses U."""
-
-    left: FloatArray
-    pinv: FloatArray
-    U: FloatArray
-    lacking: Shrinkage | None
-
-    def initial_state(self, columns: FloatArray) -> FloatArray:
-        """Return the initial state that fits columns best, together with the other unknowns."""
-        if self.lacking is not None:
-            columns = columns - self.U @ (self.lacking.unknowns @ columns)
-        return np.asarray(self.pinv @ columns)
-
-    def left_of(self, columns: FloatArray) -> FloatArray:
-        """Return what the unknowns leave of columns (W p, k)."""
-        columns = columns - self.left @ (self.left.T @ columns)
-        return columns if self.lacking is None else self.lacking.left_of(columns)
-
-
-def _unknowns(Gamma: FloatArray, U: FloatArray, sd: FloatArray) -> _Unknowns:
-    left, pinv = orthogonal(Gamma)
-    return _Unknowns(left, pinv, U, shrinkage(U - left @ (left.T @ U), sd) if len(sd) else None)
-
-
-def _lacking(
-    model: StateSpace, gain: Gain, bridge: Bridge | None, filled: tuple[FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return responses U (W p, c) and priors (c,) of what lacks, having emptied the rows that can be left out."""
-    rows = len(filled[0])
-    if bridge is None:
-        return np.zeros((rows, 0)), np.zeros(0)
-    unknown, out = bridge.split(gain)
-    U = responses(model, gain, unknown, rows // model.p)
-    for columns in (*filled, U):
-        columns[out] = 0.0
-    return U, unknown.sd
-
-
-def _outputs(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return [e psi] (W p, 1+q) and G (W p, n(1+q)) over the window."""
-    system = sensitivity_filter(model, gain.L, gain.whitening)
-    whole, rest = divmod(len(v), CELL)
-    operators = cell_operators(system, [length for length in (CELL if whole else 0, rest) if length])
-    z = np.zeros(len(system.F))
-    z[: model.n] = x0
-    outputs, leverage, carried = [], [], np.eye(len(z))
-    if whole:
-        operator = operators[CELL]
-        inputs = v[: whole * CELL].reshape(whole, -1)
-        states, z = propagate(z, operator.state_from_state, inputs @ operator.state_from_inputs)
-        outputs.append(run_cells(operator, inputs, states).reshape(-1, 1 + model.q))
-        for _ in range(whole):
-            leverage.append(operator.G @ carried)
-            carried = operator.Pi @ carried
-    if rest:
-        operator = operators[rest]
-        outputs.append(run_cells(operator, v[whole * CELL :].reshape(1, -1), z[None]).reshape(-1, 1 + model.q))
-        leverage.append(operator.G @ carried)
-    return np.vstack(outputs), np.vstack(leverage)
-
-
-def orthogonal(Gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return an orthonormal basis of the columns of Gamma (N, n) and its pseudo-inverse, columns scaled first."""
-    norms = np.linalg.norm(Gamma, axis=0)
-    scale = np.where(norms > 0, 1.0 / np.where(norms > 0, norms, 1.0), 0.0)
-    left, values, right = np.linalg.svd(Gamma * scale, full_matrices=False)
-    kept = values > 1e-12 * values[0]
-    left, values, right = left[:, kept], values[kept], right[kept]
-    return left, scale[:, None] * ((right.T / values) @ left.T)
+def least_cost(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge | None) -> float:
+    """Return the sum of squares that a window v (W, p+m) leaves, its initial state and what it lacks eliminated."""
+    window = WindowFilter(without_parameters(model), gain, len(v))
+    unknowns = Unknowns.of(window, bridge)
+    return unknowns.least_cost(unknowns.emptied(window.innovations(v, x0)))
 
 
 def fit_window(

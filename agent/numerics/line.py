@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fit import Problem, orthogonal
+from agent.numerics.fit import Problem
 from agent.numerics.observer import Gain
 from agent.numerics.statespace import StateSpace
+from agent.numerics.window_filter import orthogonal
 
 FloatArray = NDArray[np.float64]
 NODES = np.array([-1.0, -0.5, 0.0])
@@ -118,9 +119,9 @@ def _at(problem: Problem, gain: Gain, line: FloatArray) -> _Here:
     forced = np.einsum("knm,km->kn", B - gain.L @ D, u) + y @ gain.L.T
     free, x = _run(Phi, forced[:, :, None])
     e = y - np.einsum("kpn,kn->kp", C, x[:, :, 0]) - np.einsum("kpm,km->kp", D, u)
-    left, pinv = orthogonal((gain.whitening @ (C @ free)).reshape(count * p, -1))
+    left, back = orthogonal((gain.whitening @ (C @ free)).reshape(count * p, -1))
     e = (e @ gain.whitening.T).ravel()
-    x = x[:, :, 0] + free @ (pinv @ e)
+    x = x[:, :, 0] + free @ (back @ (left.T @ e))
     into, seen = _driven(models, weights, gain, x, u)
     into = np.concatenate([into, place[:, None, None] * into], axis=2)
     seen = np.concatenate([seen, place[:, None, None] * seen], axis=2)

@@ -6,16 +6,16 @@ sections 7.4 and 10.5).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from agent.numerics.bridge import Bridge
-from agent.numerics.fit import linearise
+from agent.numerics.fit import least_cost
 from agent.numerics.observer import Gain, Noise, matched_gain
-from agent.numerics.statespace import Discrete, StateSpace
+from agent.numerics.statespace import Discrete
 
 FloatArray = NDArray[np.float64]
 
@@ -53,19 +53,15 @@ class Likelihood:
 
 def likelihood(discrete: Discrete, gain: Gain, record: Record, *, scale_known: bool) -> Likelihood:
     """Return the log likelihood of the innovations under a gain, the initial state projected out."""
-    model = _without_parameters(discrete.model)
-    e = linearise(model, gain, record.v, record.x0, record.bridge).e
+    model = discrete.model
+    squares = least_cost(model, gain, record.v, record.x0, record.bridge)
     free = 0 if record.bridge is None else record.bridge.free
-    count, squares = e.size - model.n - free, float(e @ e)
+    count = len(record.v) * model.p - model.n - free
     log_det = len(record.v) * np.log(np.linalg.det(gain.whitening))
     if scale_known:
         return Likelihood(float(log_det - 0.5 * squares), 1.0)
     scale2 = max(squares / count, 1e-300)
     return Likelihood(float(log_det - 0.5 * count * (np.log(scale2) + 1.0)), float(np.sqrt(scale2)))
-
-
-def _without_parameters(model: StateSpace) -> StateSpace:
-    return replace(model, dA=model.dA[:0], dB=model.dB[:0], dC=model.dC[:0], dD=model.dD[:0])
 
 
 def find_process(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.choice import Candidate, candidate
-from agent.numerics.fit import linearise
+from agent.numerics.fit import linearised
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import MOST, Answer, Lacking, answer
 from agent.numerics.rows import Rows
@@ -103,7 +103,7 @@ def _on_samples(point: WorkingPoint, segment: Segment, lacking: Lacking, stop: i
     if lacking.count(np.array([stop - 1]), window)[0] > MOST * window:
         return Answer(np.full(q, np.nan), np.full((q, q), np.inf), np.zeros((q, q)), np.inf, 0)
     bridge = lacking.bridge(v, stop)
-    here = linearise(point.discrete.model, point.gain, v, np.zeros(point.n), bridge)
+    here = linearised(point.filter(window), v, np.zeros(point.n), bridge)
     return answer(here, 0 if bridge is None else bridge.free)
 
 

@@ -22,6 +22,7 @@ from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, Model, discretise
 from agent.numerics.suspects import mass_suspect
 from agent.numerics.verdict import Before
+from agent.numerics.window_filter import WindowFilter
 from agent.numerics.window_settings import WindowSettings
 from agent.types import Calibrated, Reason
 
@@ -115,6 +116,13 @@ class WorkingPoint:
         self.operators = HopOperators(system, self.settings.plan)
         speed = float(np.max(np.abs(np.angle(np.linalg.eigvals(discrete.model.A)))))
         self._turned = self.settings.plan.window * speed
+        self._filters: dict[int, WindowFilter] = {}
+
+    def filter(self, samples: int) -> WindowFilter:
+        """Return the filters over whole windows of `samples` samples."""
+        if samples not in self._filters:
+            self._filters[samples] = WindowFilter(self.discrete.model, self.gain, samples)
+        return self._filters[samples]
 
     @property
     def n(self) -> int:

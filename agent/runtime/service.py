@@ -4,17 +4,17 @@ import logging
 import signal
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal
+from typing import Any
 
-from agent import __version__
 from agent.blocks.source_events import Signs, SourceEvents
 from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
-from agent.runtime.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
+from agent.runtime.clock import SampleLabels, monotonic_ns, wall_ns
+from agent.runtime.databases import RunKind, path_of, writers_of
 from agent.runtime.isolation import IsolatedPipeline
 from agent.runtime.pipeline import Conservation
 from agent.runtime.recording.event_writer import EventWriter
@@ -22,11 +22,9 @@ from agent.runtime.recording.events import EventKeeper
 from agent.runtime.recording.wiring import event_writer, recorder
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
+from agent.runtime.waiting import Waiting
 from agent.storage.alarms import AlarmRow
-from agent.storage.retention import Retention
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
-from agent.types import AlarmTransition, Calibrated, HealthEvent, Record, RunInfo
+from agent.types import AlarmTransition, Calibrated, HealthEvent, Record
 from drivers.port import DriverConfigError
 from drivers.reconnect import LinkEvent
 
@@ -34,7 +32,8 @@ HEALTH_PERIOD_NS = 10_000_000_000
 IDLE_S = 0.5
 ROUND_S = 0.05, 0.25
 """From one round of computing to the next, at least and, where more wait than that takes, at most."""
-RunKind = Literal["live", "demo"]
+FINISH_S = 2.0
+"""How long an agent that ends goes on with what waits; samples left then are dropped and counted."""
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +56,7 @@ class RigRuntime:
         self._lost: dict[str, bool] = {}
         self._begun_ns = 0
         self._taken: list[tuple[str, Arrival]] = []
+        self.waiting = Waiting()
 
     def restore(self, standing: Sequence[AlarmRow], calibrated: Calibrated | None = None) -> None:
         """Go on with the alarms that the run before left standing, and with what it knew of the disturbances."""
@@ -69,6 +69,21 @@ class RigRuntime:
         lost = [row.parameter for row in standing if row.kind == "source" and row.cleared_ns is None]
         self.pipeline.restore_failure(lost)
         self._lost |= dict.fromkeys(lost, True)
+
+    def work(self) -> None:
+        """Compute a part of what waits."""
+        for use, what in self.waiting.part():
+            if isinstance(what, LinkEvent):
+                self.compute()
+                self.link(use.source, what)
+            else:
+                self.take(use, what)
+        self.compute()
+
+    def give_up(self) -> None:
+        """Drop the samples that wait, and tell the events."""
+        for use, event in self.waiting.drop():
+            self.link(use.source, event)
 
     def take(self, use: Use, arrival: Arrival) -> None:
         """Take one block of one of the rig's sources; `compute` makes estimates of it."""
@@ -157,7 +172,7 @@ class RigRuntime:
         Before there is one its instant is that of the first ledger, so standstill is one row however long it lasts.
         """
         conservation = {
-            use.source: Conservation(connection.counts, connection.dropped)
+            use.source: Conservation(*self.waiting.counts(use.source, connection))
             for connection in connections
             for use in connection.uses
             if use.rig == self.config.rig.name
@@ -183,13 +198,13 @@ class Service:
         self._wake = threading.Event()
         self._stop = threading.Event()
         self.connections = connect(configs, self._wake)
-        self.writers = _writers(configs, db, kind)
+        self.writers = writers_of(configs, db, kind)
         self._record(configs, db)
-        self._writer_of = {c.rig.name: self.writers[_path(c, db)] for c in configs}
+        self._writer_of = {c.rig.name: self.writers[path_of(c, db)] for c in configs}
         self.rigs = {c.rig.name: RigRuntime(c, self._writer_of[c.rig.name].publish) for c in configs}
         self._event_writers = self._keep_events(configs, db) if kind == "live" else []
         for config in configs:
-            self.rigs[config.rig.name].summary.db = str(_path(config, db))
+            self.rigs[config.rig.name].summary.db = str(path_of(config, db))
 
     def _record(self, configs: Sequence[RigConfig], db: Path | None) -> None:
         """See that the sources with `record = true` are recorded, in a folder beside the database."""
@@ -198,7 +213,7 @@ class Service:
             for use in connection.uses:
                 config = wanted.get((use.rig, use.source))
                 if config is not None:
-                    path = _path(config, db)
+                    path = path_of(config, db)
                     connection.make_recorder = partial(recorder, config, path, use.source, self.writers[path].publish)
 
     def _keep_events(self, configs: Sequence[RigConfig], db: Path | None) -> list[EventWriter]:
@@ -206,7 +221,7 @@ class Service:
         found = []
         for config in configs:
             if config.store.events.max_count:
-                path, rig = _path(config, db), self.rigs[config.rig.name]
+                path, rig = path_of(config, db), self.rigs[config.rig.name]
                 publish = self.writers[path].publish
                 found.append(event_writer(config, path, publish))
                 rig.events = EventKeeper(config, found[-1], publish)
@@ -223,16 +238,21 @@ class Service:
         Raises StoreError where a database can never be opened, RuntimeError where a writer ended by a fault of its own.
         """
         started = monotonic_ns()
+
+        def ended() -> bool:
+            return self._stop.is_set() or not _patience(started, duration_s)
+
         try:
             self._start()
             ledger_due = started + HEALTH_PERIOD_NS
-            while not self._stop.is_set() and not _over(started, duration_s):
-                self._wake.wait(_patience(started, duration_s))
+            while not ended():
+                self._wake.wait(0.0 if self._behind() else _patience(started, duration_s))
                 self._wake.clear()
                 begun = monotonic_ns()
-                self.process()
+                self.process(ended)
                 self._need_writers()
-                self._stop.wait(min(_rest_s((monotonic_ns() - begun) / 1e9), _patience(started, duration_s)))
+                rest = 0.0 if self._behind() else _rest_s((monotonic_ns() - begun) / 1e9)
+                self._stop.wait(min(rest, _patience(started, duration_s)))
                 if monotonic_ns() >= ledger_due:
                     ledger_due += HEALTH_PERIOD_NS
                     self._ledgers()
@@ -251,22 +271,48 @@ class Service:
         for connection in self.connections:
             connection.start()
 
-    def process(self) -> None:
-        """Compute what has arrived, taken in the order of arrival over all sources, each rig's at once."""
-        taken = [(connection, *connection.take()) for connection in self.connections]
+    def process(self, ended: Callable[[], bool] = lambda: False) -> None:
+        """Compute what has arrived, of each rig a part at once, until it `ended`."""
+        self._take()
+        for rig in self.rigs.values():
+            if ended():
+                return
+            rig.work()
+        for rig in self.rigs.values():
+            rig.poll()
+
+    def _take(self) -> None:
+        """Hand out what has arrived, in the order of arrival over all sources, but for rigs that are behind.
+
+        What comes for those stays in the queues of its connections, which are bounded.
+        """
+        behind = {name for name, rig in self.rigs.items() if rig.waiting}
+        free = [connection for connection in self.connections if not behind & {use.rig for use in connection.uses}]
+        taken = [(connection, *connection.take()) for connection in free]
         arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
         for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
             for use in connection.uses:
-                self.rigs[use.rig].take(use, arrival)
-        for rig in self.rigs.values():
-            rig.compute()
+                self.rigs[use.rig].waiting.add(use, arrival)
         # samples first: those that came before a loss must not end it
         for connection, _, events in taken:
             for use in connection.uses:
                 for event in events:
-                    self.rigs[use.rig].link(use.source, event)
-        for rig in self.rigs.values():
-            rig.poll()
+                    self.rigs[use.rig].waiting.add(use, event)
+
+    def _behind(self) -> bool:
+        return any(rig.waiting for rig in self.rigs.values())
+
+    def _settle(self) -> None:
+        """Compute what still waits while there is time; what is left then is dropped."""
+        until = monotonic_ns() + round(FINISH_S * 1e9)
+        self._take()
+        while self._behind() and monotonic_ns() < until:
+            self.process(lambda: monotonic_ns() >= until)
+            self._take()
+        while self._behind():
+            for rig in self.rigs.values():
+                rig.give_up()
+            self._take()
 
     def _need_writers(self) -> None:
         """Raise where nothing is stored any more: an agent started anew stores again, one that went on would not."""
@@ -280,8 +326,10 @@ class Service:
 
     def _finish(self) -> None:
         for connection in self.connections:
+            connection.end()
+        for connection in self.connections:
             connection.stop()
-        self.process()
+        self._settle()
         for rig in self.rigs.values():
             rig.finish()
         self._ledgers()
@@ -336,35 +384,6 @@ def _stopper(service: Service) -> Callable[[int, FrameType | None], None]:
         threading.Thread(target=service.stop, name="stop", daemon=True).start()
 
     return stop
-
-
-def _path(config: RigConfig, db: Path | None) -> Path:
-    return db if db is not None else config.store.path
-
-
-def _writers(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> Mapping[Path, StoreWriter]:
-    """One writer a database."""
-    grouped: dict[Path, list[RigConfig]] = {}
-    for config in configs:
-        grouped.setdefault(_path(config, db), []).append(config)
-    return {path: _writer(path, members, kind) for path, members in grouped.items()}
-
-
-def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
-    runs = [RunInfo(c.rig.name, kind, wall_ns(), __version__, c.sha256, None, boot_id()) for c in members]
-    keep = _retention(members)
-    every_s = min(c.store.every_s for c in members)
-    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)
-
-
-def _retention(members: Sequence[RigConfig]) -> Retention:
-    """How long rows of a shared file are kept: as long as the most patient of its configurations asks."""
-    full, minute, hour = (max(getattr(c.store.keep, tier) for c in members) for tier in ("full", "minute", "hour"))
-    return Retention(full, minute, hour, max(c.store.max_mb for c in members) * 1e6)
-
-
-def _over(started: int, duration_s: float | None) -> bool:
-    return duration_s is not None and monotonic_ns() - started >= duration_s * 1e9
 
 
 def _rest_s(spent_s: float) -> float:

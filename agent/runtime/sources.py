@@ -77,6 +77,10 @@ class Connection:
             self._driver.keep_heard()
         self._thread.start()
 
+    def end(self) -> None:
+        """Ask the thread to end; `stop` waits for it."""
+        self._stop.set()
+
     def stop(self, timeout_s: float = 5.0) -> None:
         """End the thread and close the bus; what was read stays to be taken."""
         self._stop.set()

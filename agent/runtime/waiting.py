@@ -1,0 +1,64 @@
+"""What waits for a rig's turn to compute, and what became of it where the agent ended first."""
+
+from collections import Counter, deque
+from collections.abc import Iterator
+
+from agent.runtime.sources import Arrival, Connection, Use
+from drivers.port import Counts
+from drivers.reconnect import LinkEvent
+
+PART = 2_000
+"""Samples of one rig that are computed in its turn; where more wait, the other rigs come first."""
+STOPPED = "stopped"
+"""Reason of samples that were received and not computed any more when the agent ended."""
+
+
+class Waiting:
+    """Blocks and events of one rig's sources, in the order in which they are to be taken.
+
+    Attributes:
+        taken: the newest block of each source that had its turn.
+    """
+
+    def __init__(self) -> None:
+        self.taken: dict[str, Arrival] = {}
+        self._queue: deque[tuple[Use, Arrival | LinkEvent]] = deque()
+        self._dropped: dict[str, Counter[str]] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._queue)
+
+    def add(self, use: Use, what: Arrival | LinkEvent) -> None:
+        """Let a block or an event wait behind the others."""
+        self._queue.append((use, what))
+
+    def part(self) -> Iterator[tuple[Use, Arrival | LinkEvent]]:
+        """Take what comes first, until its samples are about PART."""
+        room = PART
+        while self._queue and room > 0:
+            use, what = self._queue.popleft()
+            if not isinstance(what, LinkEvent):
+                room -= len(what.block)
+                self.taken[use.source] = what
+            yield use, what
+
+    def drop(self) -> list[tuple[Use, LinkEvent]]:
+        """Drop and count the samples that wait; return the events."""
+        events = []
+        while self._queue:
+            use, what = self._queue.popleft()
+            if isinstance(what, LinkEvent):
+                events.append((use, what))
+            else:
+                self._dropped.setdefault(use.source, Counter())[STOPPED] += len(what.block)
+        return events
+
+    def counts(self, source: str, connection: Connection) -> tuple[Counts, Counter[str]]:
+        """Return what a source's driver counted up to the newest block that does not wait, and what was dropped since.
+
+        So the ledger balances at any time.
+        """
+        dropped = connection.dropped + self._dropped.get(source, Counter())
+        if not any(use.source == source and isinstance(what, Arrival) for use, what in self._queue):
+            return connection.counts, dropped
+        return self.taken[source].counts if source in self.taken else Counts(), dropped

@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.cells import Summary
+from agent.numerics.reach import STRAIN, strain
 from agent.numerics.rows import Rows
 from agent.numerics.window import solve_windows
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 SURE = 4.0
 """Standard deviations that are no chance: once in 32,000 windows."""
 FEWEST = 6.0
@@ -26,6 +28,8 @@ class Candidate:
         dof: degrees of freedom of its residual variance.
         theta, sd: (N, q) estimates and their sd under white noise.
         ratio: (N,) residual variance over the reference.
+        weight: (N,) how surely they differ from theta_r, and
+        strain: (N,) what a linear step over that distance leaves out, in sd (`reach`).
     """
 
     window: int
@@ -33,15 +37,37 @@ class Candidate:
     theta: FloatArray
     sd: FloatArray
     ratio: FloatArray
+    weight: FloatArray
+    strain: FloatArray
+
+    @property
+    def near(self) -> BoolArray:
+        """(N,) windows that are so near theta_r that their one linear step is right."""
+        return np.asarray(self.strain <= STRAIN)
+
+    def fits(self, doubt: float, share: FloatArray) -> BoolArray:
+        """(N,) windows that hold no disturbance and are near enough; share (N,) and doubt as of `gate`."""
+        return np.asarray((self.ratio <= gate(self.dof, doubt, share)) & self.near)
 
 
-def candidate(summary: Summary, window: int, theta_r: FloatArray, n: int, outputs: int, least: float) -> Candidate:
-    """Solve the windows of one length; theta_r (q,) is where they were linearised, least the smallest variance."""
-    solution = solve_windows(summary, n)
-    dof = max(float(window * outputs - n - len(theta_r)), 1.0)
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Of one longer window: its length in samples, theta_r (q,), and how far modes turn in it (q,) (`reach.turns`)."""
+
+    window: int
+    theta_r: FloatArray
+    turn: FloatArray
+
+
+def candidate(summary: Summary, asked: Asked, n: int, outputs: int, least: float) -> Candidate:
+    """Solve the windows of one length; least is the smallest variance."""
+    solution, theta_r = solve_windows(summary, n), asked.theta_r
+    dof = max(float(asked.window * outputs - n - len(theta_r)), 1.0)
     ratio = solution.residual / dof
     variance = np.einsum("nii->ni", solution.covariance) * np.maximum(ratio, least)[:, None]
-    return Candidate(window, dof, theta_r + solution.delta, np.sqrt(variance), ratio)
+    strained = strain(asked.turn, solution.delta, solution.explained)
+    theta, sd = theta_r + solution.delta, np.sqrt(variance)
+    return Candidate(asked.window, dof, theta, sd, ratio, solution.explained, strained)
 
 
 def gate(dof: float, doubt: float, share: FloatArray | float = 1.0) -> FloatArray:
@@ -63,7 +89,7 @@ def keep_each(
 ) -> None:
     """Note in rows what each window says, before one is chosen; longer names all further windows, samples.
 
-    Other arguments: see `choose`.
+    share (N,) is effective degrees of freedom over their count, doubt as of `gate`; other arguments: see `choose`.
     """
     rows.each_theta[:, 0], rows.each_sd[:, 0], rows.each_dof[:, 0] = rows.theta, rows.sd, rows.dof
     rows.each_fits[:, 0] = rows.full & ~rows.changing & ~rows.mismatch
@@ -71,27 +97,26 @@ def keep_each(
         place, new = 1 + list(longer).index(told.window), slice(len(rows.index) - len(told.ratio), None)
         rows.each_theta[new, place], rows.each_sd[new, place] = told.theta, told.sd * widening[new]
         rows.each_dof[new, place] = told.dof * share[new]
-        rows.each_fits[new, place] = told.ratio <= gate(told.dof, doubt, share[new])
+        rows.each_fits[new, place] = told.fits(doubt, share[new])
 
 
 def choose(
-    rows: Rows, widening: FloatArray, share: FloatArray, found: Sequence[Candidate], wanted_sd: FloatArray, doubt: float
+    rows: Rows, widening: FloatArray, found: Sequence[Candidate], longer: Sequence[int], wanted_sd: FloatArray
 ) -> None:
     """Replace estimates of rows in place by those of longer windows where the shorter ones are not sure enough.
 
     Args:
-        rows: judged rows of the shortest window, its length filled in.
+        rows: judged rows of the shortest window, its length filled in, with what each window says (`keep_each`).
         widening: (N, q) honest sd over the white one.
-        share: (N,) effective degrees of freedom over their count.
         found: longer windows, shortest first, for the newest of these rows.
+        longer: all further windows, samples.
         wanted_sd: (q,) an estimate this sure needs no longer window; the longest undisturbed one serves where none is.
-        doubt: see `gate`.
     """
     usable = rows.full & ~rows.changing & ~rows.mismatch
-    for longer in found:
-        new = slice(len(rows.index) - len(longer.ratio), None)
-        passes = usable[new] & (longer.ratio <= gate(longer.dof, doubt, share[new]))
-        take = passes[:, None] & ~(rows.sd[new] <= wanted_sd) & np.isfinite(longer.sd)
-        rows.theta[new] = np.where(take, longer.theta, rows.theta[new])
-        rows.sd[new] = np.where(take, longer.sd * widening[new], rows.sd[new])
-        rows.window[new] = np.where(take, longer.window, rows.window[new])
+    for told in found:
+        new = slice(len(rows.index) - len(told.ratio), None)
+        passes = usable[new] & rows.each_fits[new, 1 + list(longer).index(told.window)]
+        take = passes[:, None] & ~(rows.sd[new] <= wanted_sd) & np.isfinite(told.sd)
+        rows.theta[new] = np.where(take, told.theta, rows.theta[new])
+        rows.sd[new] = np.where(take, told.sd * widening[new], rows.sd[new])
+        rows.window[new] = np.where(take, told.window, rows.window[new])

@@ -5,7 +5,7 @@ last hop of a window is taken only that far) and a rest; a window is F whole hop
 are fixed pieces of heads and rests, so results do not depend on how the stream was cut on arrival.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,9 +103,9 @@ class Segment:
 
     def __init__(self, plan: HopPlan, index: int, width: int, more: Sequence[int] = ()) -> None:
         self.plan = plan
-        self._more = tuple(more)
-        self._kept_more = [Kept() for _ in self._more]
-        self.longer: list[Summary | None] = [None for _ in self._more]
+        self.more = tuple(more)
+        self._kept_more = [Kept() for _ in self.more]
+        self.longer: list[Summary | None] = [None for _ in self.more]
         self.first = -(-index // plan.hop) * plan.hop
         self.done = self.first
         self.v: FloatArray = np.zeros((0, width))
@@ -140,8 +140,17 @@ class Segment:
         """Begin again at sample `start` with filter state z (nz,): the summaries belong to other operators."""
         self.head = None
         self.kept = Kept()
-        self._kept_more = [Kept() for _ in self._more]
+        self._kept_more = [Kept() for _ in self.more]
         self.done, self.z = start, Course.at(z)
+
+    def kept_summaries(self) -> Callable[[], None]:
+        """Return what puts the summaries back as they are now."""
+        before = (self.done, self.z, self.kept, self.head, list(self._kept_more), list(self.longer))
+
+        def restore() -> None:
+            self.done, self.z, self.kept, self.head, self._kept_more, self.longer = before
+
+        return restore
 
     def advance(self, operators: HopOperators, units: int) -> tuple[IntArray, Summary | None]:
         """Summarise the next rows' samples; return the rows' indices and the windows that end there, if whole."""
@@ -158,7 +167,7 @@ class Segment:
         finished = joined(self.head, heads.part(slice(0, -1)))
         whole = finished if rest is None else merge(finished, rest)
         windows = self._windows(whole, heads)
-        for i, fulls in enumerate(self._more):
+        for i, fulls in enumerate(self.more):
             self._kept_more[i], slid = slide(self._kept_more[i], whole, fulls)
             self.longer[i] = None if slid is None else _with_heads(slid, heads)
         self.head = heads.part(slice(-1, None))
@@ -168,7 +177,7 @@ class Segment:
 
     def _first_head(self, operators: HopOperators) -> tuple[IntArray, Summary | None]:
         v = self.samples(self.done, self.done + self.plan.head)
-        self.longer = [None for _ in self._more]
+        self.longer = [None for _ in self.more]
         self.head, ends = operators.summarise(operators.head, v[None], self._course(operators).start[None])
         self.z = Course.at(ends[0])
         self.done += self.plan.head

@@ -71,14 +71,22 @@ def _centre(
     return total
 
 
-def _resummarise(point: WorkingPoint, segment: Segment, start: int, x0: FloatArray) -> Summary:
-    """Run the operators over the window that starts at `start` with observer state x0 (n,); return its summary."""
+def _resummarise(
+    point: WorkingPoint, segment: Segment, start: int, x0: FloatArray, longer: int | None = None
+) -> Summary:
+    """Run the operators over the window that starts at `start` with observer state x0 (n,); return its summary.
+
+    longer: number of the longer window that it is; None for the plan's own.
+    """
     z = np.zeros(point.operators.nz)
     z[: point.n] = x0
     segment.restart(start, z)
     _, windows = segment.advance(point.operators, 1)
-    if point.settings.plan.fulls:
-        _, windows = segment.advance(point.operators, point.settings.plan.fulls)
+    fulls = point.settings.plan.fulls if longer is None else segment.more[longer]
+    if fulls:
+        _, windows = segment.advance(point.operators, fulls)
+    if longer is not None:
+        windows = segment.longer[longer]
     if windows is None:
         raise ValueError("a window needs all of its samples")
     return windows
@@ -86,23 +94,70 @@ def _resummarise(point: WorkingPoint, segment: Segment, start: int, x0: FloatArr
 
 def _place_long(point: WorkingPoint, segment: Segment, reference: Reference, fit: Fit, start: int) -> Placed | None:
     """Carry a fit of the newest samples to the whole window by steps on its summaries."""
-    summaries = (segment.done, segment.z, segment.kept, segment.head)
-    built = (point.operators, point.gain, point.discrete)
-    point.theta, point.settled, x0 = fit.theta, True, np.zeros(point.n)
+    found = _carry(point, segment, (fit.theta, np.zeros(point.n)), start)
+    if found is None:
+        return None
+    theta, information = found.theta, found.information
+    total = _centre(point, segment, reference, theta, information, start, found.x0)
+    return Placed(theta, found.sd * point.widening, found.ratio, total)
+
+
+@dataclass(frozen=True, slots=True)
+class _Carried:
+    """A maximum found on summaries: theta, white sd (q,), scaled information (q, q), x0 (n,), the residual's ratio."""
+
+    theta: FloatArray
+    sd: FloatArray
+    information: FloatArray
+    x0: FloatArray
+    ratio: float
+
+
+def _carry(
+    point: WorkingPoint, segment: Segment, begin: tuple[FloatArray, FloatArray], start: int, longer: int | None = None
+) -> _Carried | None:
+    """Step from theta (q,) and x0 (n,) to the maximum of the window from sample `start`, on its summaries.
+
+    Returns None, and leaves everything as it was, where that does not converge or pass the gate.
+    """
+    restore, built = segment.kept_summaries(), (point.operators, point.gain, point.discrete, point.theta, point.settled)
+    window = point.settings.plan.window if longer is None else point.settings.longer[longer]
+    dof, highest = point.dof_of(window), point.gate_of(window)
+    point.theta, point.settled, x0 = begin[0], True, begin[1]
     for _ in range(STEPS):
         point.rebuild()
-        solution = solve_windows(_resummarise(point, segment, start, x0), point.n)
-        s2 = float(solution.residual[0]) / point.dof
+        windows = _resummarise(point, segment, start, x0, longer)
+        solution = solve_windows(windows.part(slice(-1, None)), point.n)
+        s2 = float(solution.residual[0]) / dof
         sd = np.sqrt(np.diag(solution.covariance[0]) * max(s2, point.floor_ratio))
         if not np.all(np.isfinite(sd)):
             break
         step = np.clip(solution.delta[0], -0.5 * point.scale, point.scale)
         x0 = x0 + solution.e0[0]
-        if np.all(np.abs(step) < 0.1 * sd) and s2 <= point.gate:
-            theta, information = point.theta + step, solution.information[0] * np.outer(point.scale, point.scale)
-            total = _centre(point, segment, reference, theta, information, start, x0)
-            return Placed(theta, sd * point.widening, s2, total)
+        if np.all(np.abs(step) < 0.1 * sd) and s2 <= highest:
+            information = solution.information[0] * np.outer(point.scale, point.scale)
+            return _Carried(point.theta + step, sd, information, x0, s2)
         point.theta = np.maximum(point.theta + step, point.settings.lower)
-    segment.done, segment.z, segment.kept, segment.head = summaries
-    point.operators, point.gain, point.discrete = built
+    restore()
+    point.operators, point.gain, point.discrete, point.theta, point.settled = built
     return None
+
+
+def place_longer(
+    point: WorkingPoint, segment: Segment, fit: Fit, stop: int, longer: int, *, whole: bool
+) -> Reference | None:
+    """Linearise about what the longer window of that number says which ends before sample `stop`; None where it fails.
+
+    fit: of its newest samples, or of the whole. What it says alone is the new reference: the windows that the old one
+    was made of are in it, less well linearised.
+    """
+    if not np.all(np.isfinite(fit.theta)):
+        return None
+    start = stop - point.settings.longer[longer]
+    found = _carry(point, segment, (fit.theta, fit.x0 if whole else np.zeros(point.n)), start, longer)
+    if found is None:
+        return None
+    point.theta = np.maximum(found.theta, point.settings.lower)
+    point.rebuild()
+    _resummarise(point, segment, start, found.x0, longer)
+    return Reference(found.information, found.information @ (point.theta / point.scale))

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.choice import Candidate, candidate
+from agent.numerics.choice import Asked, Candidate, candidate
 from agent.numerics.fit import linearised
 from agent.numerics.hops import Segment
 from agent.numerics.lacking import MOST, Answer, Lacking, answer
+from agent.numerics.reach import strain
 from agent.numerics.rows import Rows
 from agent.numerics.window import WindowSolution
 from agent.numerics.working_point import WorkingPoint
@@ -54,9 +55,9 @@ def solved(point: WorkingPoint, segment: Segment, index: IntArray, solution: Win
 
 def _candidates(point: WorkingPoint, segment: Segment) -> list[Candidate]:
     """What the longer windows that are whole say at the newest rows."""
-    pairs = zip(point.settings.longer, segment.longer, strict=True)
-    least = point.floor_ratio
-    return [candidate(s, window, point.theta, point.n, point.outputs, least) for window, s in pairs if s is not None]
+    asked = [Asked(w, point.theta, turn) for w, turn in zip(point.settings.longer, point.turns, strict=True)]
+    pairs, least = zip(asked, segment.longer, strict=True), point.floor_ratio
+    return [candidate(s, one, point.n, point.outputs, least) for one, s in pairs if s is not None]
 
 
 def mend(found: Solved, point: WorkingPoint, segment: Segment, lacking: Lacking) -> None:
@@ -86,6 +87,9 @@ def mend(found: Solved, point: WorkingPoint, segment: Segment, lacking: Lacking)
             told = _on_samples(point, segment, lacking, int(newest[i]) + 1, longer.window)
             _, longer.ratio[i], longer.sd[i] = _judged(point, told, longer.window)
             longer.theta[i] = point.theta + told.delta
+            turn = point.turns[point.settings.longer.index(longer.window)]
+            longer.weight[i] = told.delta @ told.information @ told.delta
+            longer.strain[i] = strain(turn, told.delta, longer.weight[i])
 
 
 def _put(found: Solved, point: WorkingPoint, row: int, told: Answer) -> None:

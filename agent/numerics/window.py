@@ -27,6 +27,7 @@ class WindowSolution:
         delta: (N, q) estimated theta - theta_r; NaN where the window says nothing.
         covariance: (N, q, q) for unit noise variance: multiply by s2.
         residual: (N,) sum of squares left, noise units.
+        explained: (N,) sum of squares that delta takes away: its chi-square.
         e0: (N, n) error of the observer's state at the start of the window.
         information: (N, q, q) H, the inverse of the covariance.
     """
@@ -34,6 +35,7 @@ class WindowSolution:
     delta: FloatArray
     covariance: FloatArray
     residual: FloatArray
+    explained: FloatArray
     e0: FloatArray
     information: FloatArray
 
@@ -62,9 +64,10 @@ def solve_windows(window: Summary, n: int, prior: FloatArray | None = None) -> W
     covariance, solvable = _inverse(H)
     # what a window cannot tell explains nothing of its residual either
     delta = np.einsum("nij,nj->ni", np.where(np.isfinite(covariance), covariance, 0.0), g)
-    residual = np.maximum(reduced[:, 0, 0] - np.einsum("ni,ni->n", g, np.where(solvable, delta, 0.0)), 0.0)
+    explained = np.einsum("ni,ni->n", g, np.where(solvable, delta, 0.0))
+    residual = np.maximum(reduced[:, 0, 0] - explained, 0.0)
     delta = np.where(solvable, delta, np.nan)
-    return WindowSolution(delta, covariance, residual, e0, H)
+    return WindowSolution(delta, covariance, residual, explained, e0, H)
 
 
 def _project(window: Summary, n: int) -> tuple[FloatArray, FloatArray]:

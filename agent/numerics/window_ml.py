@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.change import Change, hear
 from agent.numerics.choice import choose, keep_each
+from agent.numerics.farther import NONE, Farther
 from agent.numerics.fit import Fit
 from agent.numerics.frozen import standing
 from agent.numerics.hops import Segment
@@ -70,6 +71,7 @@ class WindowML:
         self._failed = 0
         self._last_fit = self._steady_since = NEVER
         self._change = Change()
+        self._farther = Farther(settings)
 
     @property
     def spikes(self) -> int:
@@ -140,12 +142,12 @@ class WindowML:
         mend(found, point, segment, self._lacking)
         white_sd = rows.sd / point.widening
         moved_at = self._judge(segment, found)
-        if found.candidates and self.settings.wanted_sd is not None:
+        if self.settings.longer and self.settings.wanted_sd is not None:
             with np.errstate(invalid="ignore"):
                 widening = np.where(white_sd > 0, rows.sd / white_sd, 1.0)
             share, longer = rows.dof / point.dof, self.settings.longer
             keep_each(rows, widening, share, found.candidates, longer, point.doubt)
-            choose(rows, widening, share, found.candidates, self.settings.wanted_sd, point.doubt)
+            choose(rows, widening, found.candidates, longer, self.settings.wanted_sd)
         rows.still[:] = still(point, segment, rows)
         if moved_at is None:
             self._units = min(2 * self._units, max(UNITS_MAX, 2 * self.settings.plan.fulls))
@@ -163,9 +165,10 @@ class WindowML:
         rows = found.rows
         trusted = self._anchored  # rows about a theta_r that was never fitted say nothing to remember
         healthy, wanting = self._first_looks(found)
+        asking = self._farther.asks(self.point, found)
         position, count = 0, len(rows.index)
         while position < count:
-            events = (~healthy | wanting | self._chores(rows))[position:] & rows.full[position:]
+            events = (~healthy | wanting | (asking != NONE) | self._chores(rows))[position:] & rows.full[position:]
             events = events if self._anchored else rows.full[position:]
             ahead = int(np.argmax(events)) if events.any() else count - position
             if ahead:
@@ -180,6 +183,10 @@ class WindowML:
             self._remember(segment, found, healthy & trusted, position)
             if self._act(segment, rows, position, healthy=bool(healthy[position]), wants=bool(wanting[position])):
                 return position
+            if healthy[position] and (number := int(asking[position])) != NONE:
+                if self._go_farther(segment, int(rows.index[position]), number):
+                    return position
+                asking = self._farther.asks(self.point, found)
             self._memory = before
             position += 1
         self._remember(segment, found, healthy & trusted, count)
@@ -257,6 +264,15 @@ class WindowML:
             self._upkeep.believe_in_distress(self.point, rows, row)
         self._mark(segment, rows, row, healthy=healthy)
         return False
+
+    def _go_farther(self, segment: Segment, index: int, number: int) -> bool:
+        """Move theta_r to what a longer window of nothing but what is now says, if it can; return whether it was."""
+        first = self._steady_since - self.settings.plan.window + self.settings.plan.hop
+        known = self._anchored and index - self.settings.longer[number] >= first
+        reference = self._farther.move(self.point, segment, self._lacking, index, number) if known else None
+        if reference is not None:
+            self._memory, self.recentred = self._memory.with_reference(reference), self.recentred + 1
+        return reference is not None
 
     def _is_free(self, segment: Segment, rows: Rows, row: int, *, due: bool) -> bool:
         """Tell whether a window after the onset of a change may be fitted: it holds none of what was before."""

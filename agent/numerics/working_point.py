@@ -17,6 +17,7 @@ from agent.numerics.hops import HopOperators
 from agent.numerics.masses import MassError
 from agent.numerics.mistakes import Mistake
 from agent.numerics.observer import Gain, Noise
+from agent.numerics.reach import turns
 from agent.numerics.reference import Reference
 from agent.numerics.sensitivity import sensitivity_filter
 from agent.numerics.statespace import Discrete, Model, discretise
@@ -44,6 +45,7 @@ class WorkingPoint:
         settled: noise and theta come from a fit, not from the configuration.
         rounding: (p,) what rounding leaves of each output, by the record that the noise was learnt from.
         discrete, gain, operators: the sampled model, the observer and the lifted filters at theta_r.
+        turns: of each longer window the angles (q,) by which parameters turn modes in it (`reach`).
         unknowns: of a window; dof: degrees of freedom that its residual has left.
     """
 
@@ -114,6 +116,7 @@ class WorkingPoint:
         self.gain: Gain = (gains.settled if self.settled else gains.start)(discrete, self.noise)
         system = sensitivity_filter(discrete.model, self.gain.L, self.gain.whitening)
         self.operators = HopOperators(system, self.settings.plan)
+        self.turns = [turns(discrete.model, self.gain.L, window) for window in self.settings.longer]
         speed = float(np.max(np.abs(np.angle(np.linalg.eigvals(discrete.model.A)))))
         self._turned = self.settings.plan.window * speed
         self._filters: dict[int, WindowFilter] = {}
@@ -143,6 +146,10 @@ class WorkingPoint:
     def gate(self) -> float:
         """Largest residual variance, in units of the reference, of an undisturbed window."""
         return float(gate(self.dof, self.doubt, self.colour.share))
+
+    def gate_of(self, window: int) -> float:
+        """Largest residual variance, in units of the reference, of an undisturbed window of that many samples."""
+        return float(gate(self.dof_of(window), self.doubt, self.colour.share))
 
     @property
     def usual_gate(self) -> float:

@@ -1,5 +1,6 @@
 """The estimator's stream: hop grid, cutting, segments, policy of change, noise learnt, silence."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,11 +19,16 @@ WORN = NOMINAL * [1.0, 0.7, 1.0, 1.0]
 def run(ml: WindowML, samples: Record, cuts: list[int], start: int = 0) -> Rows:
     edges = [0, *cuts, len(samples.y)]
     pieces = [ml.step(start + a, samples.y[a:b], samples.u[a:b]) for a, b in pairwise(edges) if b > a]
-    return Rows.joined(pieces, 4)
+    return Rows.joined([rows for rows in pieces if len(rows.index)], 4)
 
 
 def estimator(window: int = 500, hop: int = 50, **options: object) -> WindowML:
     return WindowML(rig(), settings(window, hop, **options))  # type: ignore[arg-type]
+
+
+def several(window: int, longer: tuple[int, ...]) -> WindowML:
+    plain = settings(window, 50, 5e-6)
+    return WindowML(rig(), replace(plain, longer=longer, wanted_sd=0.01 * NOMINAL))
 
 
 def worn_at(rng: np.random.Generator, change: int, samples: int, sigma: float = SIGMA) -> Record:
@@ -80,6 +86,42 @@ def test_window_ml_any_cutting_of_the_stream_gives_the_same_rows(
         assert apart[believed[first.full]].max() < tolerance
         assert apart.max() < 100 * tolerance
         np.testing.assert_allclose(other.sd, first.sd, rtol=max(1e-9, tolerance))
+
+
+@pytest.mark.parametrize("longer", [(1000, 2000), (5000,)])
+def test_window_ml_any_cutting_gives_the_same_rows_of_several_windows(
+    longer: tuple[int, ...], rng: np.random.Generator
+) -> None:
+    samples = worn_at(rng, 9210, 16_000, sigma=5e-6)
+    cuttings = [[], list(range(1, 16_000, 197)), np.unique(rng.integers(1, 16_000, 40)).tolist()]
+    first, *others = (run(several(500, longer), samples, cuts) for cuts in cuttings)
+    assert first.each_fits[:, 1:].any(axis=0).all()
+    for other in others:
+        for name in ("index", "full", "changing", "mismatch", "window", "each_fits"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(first, name), err_msg=name)
+        told = first.each_fits & ~(first.changing | first.mismatch)[:, None]
+        apart = np.abs(other.each_theta - first.each_theta)[told] / first.each_sd[told]
+        assert apart.max() < 1e-3
+        np.testing.assert_allclose(other.each_sd[told], first.each_sd[told], rtol=1e-3)
+
+
+def test_window_ml_step_is_found_with_longer_windows_as_fast_as_with_the_short_one(rng: np.random.Generator) -> None:
+    samples = worn_at(rng, 12_210, 20_000, sigma=5e-6)
+    alone, among = (run(ml, samples, []) for ml in (several(500, ()), several(500, (1000, 2000, 5000))))
+    begins, ends = (
+        [rows.index[rows.changing & (rows.index > 12_000)][which] for rows in (alone, among)] for which in (0, -1)
+    )
+    assert begins[1] <= begins[0]
+    assert ends[1] <= ends[0] + 50
+
+
+def test_window_ml_window_too_long_for_one_step_from_theta_r_is_none_to_choose_from(rng: np.random.Generator) -> None:
+    samples = noisy(rng, 10_000, 5e-6, 1.08 * NOMINAL)
+    rows = run(several(250, (5000,)), samples, [4999])
+    whole = rows.index >= 4999
+    off = np.abs(rows.each_theta[whole, 1] - 1.08 * NOMINAL) / rows.each_sd[whole, 1]
+    assert rows.each_fits[whole, 1].mean() > 0.8
+    assert off[rows.each_fits[whole, 1]].max() < 4.5
 
 
 def test_window_ml_two_runs_are_equal_to_the_last_bit(rng: np.random.Generator) -> None:

@@ -1,8 +1,10 @@
 """Channels at the end of their range: flat tops that readings run into faster than a rounded peak could.
 
-At the extreme of all readings one such top of an output is enough; below it the same value must stop it twice, with
-nothing beyond in between. A force may rest at an end of its range between blows, which it also runs into: an input is
-named the second time only, and never where it rests, which is at 0 or where it is most of the time.
+At the extreme of all readings one such top of an output is enough where it is long for the speed at which it was
+entered: under a force that changes from sample to sample a channel may halt for a few of them. Shorter, or below the
+extreme, the same value must stop it twice, with nothing beyond in between. A force may rest at an end of its range
+between blows, which it also runs into: an input is named the second time only, and never where it rests, which is at 0
+or where it is most of the time.
 """
 
 from typing import NamedTuple
@@ -18,6 +20,8 @@ PLATEAU = 4
 """Equal readings that may be a clipped peak ..."""
 OVERSHOOT = 16.0
 """... if the motion before would have gone this many steps (or noise) beyond it: a rounded peak goes about four."""
+SURE = 2 * OVERSHOOT
+"""The same where no second such peak is waited for: healthy channels of 16 bits reached 25 in an hour and a half."""
 ENTRY = PLATEAU + 2
 """Readings before a block that a top in it may begin with, and the two that tell how fast it was entered."""
 REST = 0.5
@@ -25,10 +29,11 @@ REST = 0.5
 
 
 class Top(NamedTuple):
-    """A flat top (side 1) or bottom (side 0): its value."""
+    """A flat top (side 1) or bottom (side 0): its value, and how far the motion before would have gone beyond it."""
 
     side: int
     value: float
+    beyond: float
 
 
 class Rails:
@@ -75,6 +80,7 @@ class Rails:
             self._times[top.side, channel] += 1
             again = self._times[top.side, channel] > 1
             extreme = abs(top.value - ends[top.side]) <= 0.5 * grain and not self._inputs[channel]
+            extreme &= top.beyond > SURE * grain
             found |= (again or extreme) and not self.rests(channel, top.value, grain)
         for side in (0, 1):
             rail = float(self._value[side, channel])
@@ -98,5 +104,5 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
         side = int(x[start] > x[start - 1])
         speed = (1 if side else -1) * (x[start - 1] - x[start - 2])
         if speed * count > OVERSHOOT * grain:
-            found.append(Top(side, float(x[start])))
+            found.append(Top(side, float(x[start]), float(speed * count)))
     return found

@@ -43,6 +43,22 @@ def test_watch_of_healthy_channels_finds_nothing(play, step: float, seed: int) -
     assert watch(*(on_wire(v, step) if step else (v,))) == []
 
 
+def of_16_bits(seed: int) -> list[Finding]:
+    """What is found in a rig whose displacements and force are the steps of 16 bits, without other noise."""
+    v, steps = noisy(np.random.default_rng(seed), 12_000, 0.0).v, np.array([0.05, 0.05, 50.0]) / 2**15
+    return watch(np.round(v / steps) * steps, steps, cut=2000)
+
+
+@pytest.mark.parametrize("seed", [45, 60, 75, 94])
+def test_watch_of_a_channel_of_16_bits_that_halts_at_a_peak_finds_nothing(seed: int) -> None:
+    assert of_16_bits(seed) == []
+
+
+@pytest.mark.soak
+def test_watch_of_channels_of_16_bits_finds_nothing_in_200_runs() -> None:
+    assert [seed for seed in range(200) if of_16_bits(seed)] == []
+
+
 @pytest.mark.parametrize("play", [smooth, white])
 @pytest.mark.parametrize("step", [0.0, 2e-6])
 @pytest.mark.parametrize("channel", [0, 1])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.change import Change, hear
 from agent.numerics.choice import choose, keep_each
-from agent.numerics.farther import NONE, Farther
+from agent.numerics.farther import LONG, NONE, Farther
 from agent.numerics.fit import Fit
 from agent.numerics.frozen import standing
 from agent.numerics.hops import Segment
@@ -38,8 +38,6 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 UNITS_MIN, UNITS_MAX = 32, 1024
 """Hops computed at once: few after a re-centring (which throws the rest of them away), more while nothing happens."""
-LONG = 4096
-"""Samples beyond which a fit iterates on summaries instead of samples."""
 CALIBRATION = 32_768
 """The same for a fit that learns the noise: what the newest samples leave says little of a whole long window."""
 MOST_FAILED = 6

@@ -10,15 +10,12 @@ from pydantic import Field
 
 from drivers.csv_file import CsvFile
 from drivers.csv_text import NO_TIME
+from drivers.grid import grid_step
 from drivers.npz_file import NpzFile
 from drivers.port import Driver, DriverIOError, DriverSettings, FloatArray, IntArray, SampleBlock
 from drivers.recorded import RecordedFile, Rows, Wanted
 
 TIME = "t"
-RESOLVED = 1e-9
-"""Of the largest reading: below this a step cannot be told from the rounding of decimal text."""
-ON_GRID, MOST = 0.01, 0.99
-"""Readings are multiples of a step if nearly all of them are within this share of it."""
 LEVELS, HELD = 8, 10
 """Something is commanded if it has fewer levels than this, and stays at each for so many samples on average."""
 
@@ -82,12 +79,12 @@ class RecordingDriver(Driver):
         self._file = None
 
     def resolution(self) -> tuple[float, ...]:
-        """Return the step that all readings of the recording's first block are multiples of; 0.0 where none is."""
+        """Return the step that all readings of the recording's first block are whole numbers of; 0.0 where none is."""
         if self._file is not None and self._ahead is None:
             self._ahead = next(self._rows, None)
         if self._ahead is None:
             return (0.0,) * len(self.request.fields)
-        return tuple(_step(column) for column in self._ahead[1].T)
+        return tuple(grid_step(column) for column in self._ahead[1].T)
 
     def switched(self) -> tuple[bool, ...]:
         """Tell of each field whether it is held at a few levels: the step between two of them is no resolution.
@@ -130,14 +127,3 @@ def _is_switched(values: FloatArray) -> bool:
     finite = values[np.isfinite(values)]
     jumps = int(np.count_nonzero(np.diff(finite)))
     return HELD * jumps < len(finite) and len(np.unique(finite)) < LEVELS
-
-
-def _step(values: FloatArray) -> float:
-    """Return the least difference of neighbouring readings (n,) if nearly all readings are multiples of it, else 0."""
-    finite = values[np.isfinite(values)]
-    moved = np.abs(np.diff(finite))
-    step = float(np.min(moved[moved > 0], initial=np.inf))
-    if not np.isfinite(step) or step < RESOLVED * float(np.abs(finite).max()):
-        return 0.0
-    multiples = finite / step
-    return step if float(np.mean(np.abs(multiples - np.rint(multiples)) < ON_GRID)) > MOST else 0.0

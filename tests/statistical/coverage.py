@@ -6,6 +6,8 @@ Every disjoint window of a run counts; one of a status other than valid counts a
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.signal import butter, lfilter
@@ -13,7 +15,8 @@ from scipy.signal import butter, lfilter
 from agent.blocks.estimation import Estimation
 from agent.numerics.commission import WINDOWS
 from agent.runtime.methods import make_estimation
-from agent.types import FloatArray, Samples, Status
+from agent.runtime.replay import SOURCE, Track, make_pipeline, opened
+from agent.types import EstimateBatch, FloatArray, Samples, Status
 from tests.statistical.machine import NAMES, SECOND, Machine, configuration, each, fresh, on_second
 
 TRUTH = np.array([27.0, 95.0, 5.4, 4.7])
@@ -44,6 +47,7 @@ class Case:
         skip: windows at the start that do not count.
         windows: that count.
         steps: of the wire, (force, displacement).
+        recorded: read from a recording without a source instead, which has to show its steps by itself.
     """
 
     readings: Callable[[np.random.Generator, int], Readings]
@@ -53,6 +57,7 @@ class Case:
     skip: int = 0
     windows: int = 6
     steps: tuple[float, float] = (0.0, 0.0)
+    recorded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +124,7 @@ CASES: Mapping[str, Case] = {
     "force on m1": Case(partial(pushed, unknown=(0.5, 0.0)), window_s=4.0, limits=PAPER_LIMITS, windows=4),
     "force on m2": Case(partial(pushed, unknown=(0.0, 0.5)), window_s=4.0, limits=PAPER_LIMITS, windows=4),
     "16 bits": Case(quantised, steps=(STEP_N, STEP_M)),
+    "16 bits, recorded": Case(quantised, recorded=True),
     "200 us of jitter": Case(partial(jittered, sigma=40e-6), limits=PAPER_LIMITS),
 }
 
@@ -136,17 +142,34 @@ def _run(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     width = round(case.window_s * SECOND)
     samples = (case.skip + case.windows) * width
     read = case.readings(np.random.default_rng([seed, *name.encode()]), samples)
-    block = fresh(name, partial(_estimation, case))
-    index = np.arange(samples, dtype=np.int64)
-    parts = np.split(index, range(10_000, samples, 10_000))
-    batches = [block.step(Samples(i, i * 1_000_000, read.force[i, None], read.y[i], 0)) for i in parts]
+    batches = _replayed(case, read) if case.recorded else _estimated(name, case, read)
     rows, lower, upper, status = (
-        np.concatenate([getattr(batch, part) for batch in batches if batch is not None])
-        for part in ("index", "lower", "upper", "status")
+        np.concatenate([getattr(batch, part) for batch in batches]) for part in ("index", "lower", "upper", "status")
     )
     ends = np.searchsorted(rows, (np.arange(case.skip, case.skip + case.windows) + 1) * width - 1)
     valid = status[ends] == Status.VALID
     return valid.astype(float), (valid & (lower[ends] <= TRUTH) & (upper[ends] >= TRUTH)).astype(float)
+
+
+def _estimated(name: str, case: Case, read: Readings) -> list[EstimateBatch]:
+    block = fresh(name, partial(_estimation, case))
+    index = np.arange(len(read.force), dtype=np.int64)
+    parts = np.split(index, range(10_000, len(index), 10_000))
+    found = [block.step(Samples(i, i * 1_000_000, read.force[i, None], read.y[i], 0)) for i in parts]
+    return [batch for batch in found if batch is not None]
+
+
+def _replayed(case: Case, read: Readings) -> list[EstimateBatch]:
+    config = configuration(case.noise_sd, case.window_s, case.limits)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.npz"
+        x1, x2 = read.y.T
+        np.savez(path, t=np.arange(len(read.force)) / SECOND, force=read.force, x1=x1, x2=x2)
+        driver = opened(config, path)
+        pipeline = make_pipeline(config, [Track(SOURCE, driver)])
+        records = pipeline.step(SOURCE, driver.read(1.0), None, None) + pipeline.finish()
+        driver.close()
+    return [record for record in records if isinstance(record, EstimateBatch)]
 
 
 def _estimation(case: Case) -> Estimation:

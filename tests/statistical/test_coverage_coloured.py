@@ -13,13 +13,15 @@ QUICK = {
     "AR(1) 0.9": 15,
     "force on m1": 12,
     "16 bits": 30,
+    "16 bits, recorded": 30,
     "200 us of jitter": 30,
 }
 """Runs of each case where time is short."""
 
 
 def hold(name: str, found: Coverage) -> None:
-    assert found.valid.min() >= 0.99
+    # where the readings pass the whole pipeline, a steep peak of a coarse channel is called saturated now and then
+    assert found.valid.min() >= (0.95 if CASES[name].recorded else 0.99)
     assert found.covered.min() >= (0.92 if name.startswith("white") else 0.90)
     if name.startswith("white"):
         assert found.covered.max() <= 0.98

@@ -123,8 +123,9 @@ def _unbiased(a: FloatArray, count: int, lost: float) -> FloatArray:
 
 
 def colour_of(
-    psi: FloatArray, residual: FloatArray, covariance: FloatArray, unknowns: int, inputs: InputNoise | None = None
-) -> Colour:
+    psi: FloatArray, residual: FloatArray, covariance: FloatArray, unknowns: int, inputs: InputNoise | None = None,
+    varying: FloatArray | None = None,
+) -> Colour:  # fmt: skip
     """Return the colour of a window.
 
     Args:
@@ -134,7 +135,10 @@ def colour_of(
         unknowns: parameters and initial states that the fit took from the window.
         inputs: noise of the measured inputs; too weak beside the outputs' to be seen in the residual, it moves the
             estimates more, since it comes through the mechanics as slowly as what is estimated.
+        varying: (W, p) how the noise's variance goes from sample to sample; None where it stays.
     """
+    if varying is not None:
+        return _varying(psi, residual, covariance, unknowns, inputs, varying)
     count, p = residual.shape
     q = psi.shape[1]
     middle, correlation, white = np.zeros((q, q)), 0.0, True
@@ -158,6 +162,26 @@ def colour_of(
     honest = np.diag(covariance @ middle @ covariance)
     inflation = np.sqrt(np.maximum(honest, 0.0) / np.maximum(np.diag(covariance) * s2, 1e-300))
     return Colour(np.clip(inflation, 0.3, 30.0), 1.0 if white else 1.0 / correlation)
+
+
+def _varying(
+    psi: FloatArray, residual: FloatArray, covariance: FloatArray, unknowns: int, inputs: InputNoise | None,
+    varying: FloatArray,
+) -> Colour:  # fmt: skip
+    """Return what noise of changing variance, perhaps common to all channels, adds: each sample speaks for itself.
+
+    The middle is the sum over samples of psi' e e' psi (White, Econometrica 48 (1980) 817); the share is that of noise
+    common to all channels, the least that there may be.
+    """
+    count, p = residual.shape
+    pushed = np.einsum("kpq,kp->kq", psi.reshape(count, p, -1), residual)
+    middle = pushed.T @ pushed * (count * p / max(count * p - unknowns, 1))
+    middle = middle if inputs is None else middle + inputs.middle(psi.reshape(count, p, -1))
+    honest = np.diag(covariance @ middle @ covariance)
+    white = np.maximum(np.diag(covariance) * float(np.mean(residual**2)), 1e-300)
+    total = varying.sum(axis=1)
+    share = float(total.sum() ** 2 / (count * p * np.sum(total**2)))
+    return Colour(np.clip(np.sqrt(np.maximum(honest, 0.0) / white), 0.3, 30.0), share)
 
 
 def _spectrum(a: FloatArray, variance: float, size: int) -> tuple[FloatArray, float]:

@@ -43,19 +43,33 @@ def place(
     """
     if not np.all(np.isfinite(fit.covariance)):
         return None
-    discrete = point.sampled(fit.theta)
-    inputs = point.input_noise(discrete, point.settings.gains.settled(discrete, point.noise), len(fit.residual))
-    point.colour = colour_of(fit.psi, fit.residual, fit.covariance, point.unknowns, inputs)
+    v = segment.samples(start, start + point.settings.plan.window)[-len(fit.residual) :]
+    point.learn_jitter(fit.residual, v)
+    _colour(point, fit, v)
     if dof is None:
         return _place_long(point, segment, reference, fit, start)
     s2 = float(np.sum(fit.residual**2)) / dof
     variance = np.diag(fit.covariance) * max(s2, point.floor_ratio)
-    if not (s2 <= point.gate and np.all(np.isfinite(variance))):
+    ratio = _ratio(point, segment, start, point.settings.plan.window, s2)
+    if not (ratio <= point.gate and np.all(np.isfinite(variance))):
         return None
     scaled = fit.covariance / np.outer(point.scale, point.scale)
     information = np.asarray(np.linalg.pinv(scaled, hermitian=True), dtype=np.float64)
     total = _centre(point, segment, reference, fit.theta, information, start, fit.x0)
-    return Placed(fit.theta, np.sqrt(variance) * point.widening, s2, total)
+    return Placed(fit.theta, np.sqrt(variance) * point.widening, ratio, total)
+
+
+def _colour(point: WorkingPoint, fit: Fit, v: FloatArray) -> None:
+    """Take the colour of a fit of samples v (W, p+m)."""
+    discrete = point.sampled(fit.theta)
+    inputs = point.input_noise(discrete, point.settings.gains.settled(discrete, point.noise), len(fit.residual))
+    varying = point.varying(fit.residual, v)
+    point.colour = colour_of(fit.psi, fit.residual, fit.covariance, point.unknowns, inputs, varying)
+
+
+def _ratio(point: WorkingPoint, segment: Segment, start: int, window: int, s2: float) -> float:
+    """Return the residual variance s2 of `window` samples from `start` on over what their speed leads to expect."""
+    return float(point.ratio(np.array([s2]), segment, np.array([start + window - 1]), window)[0])
 
 
 def _centre(
@@ -134,9 +148,10 @@ def _carry(
             break
         step = np.clip(solution.delta[0], -0.5 * point.scale, point.scale)
         x0 = x0 + solution.e0[0]
-        if np.all(np.abs(step) < 0.1 * sd) and s2 <= highest:
+        ratio = _ratio(point, segment, start, window, s2)
+        if np.all(np.abs(step) < 0.1 * sd) and ratio <= highest:
             information = solution.information[0] * np.outer(point.scale, point.scale)
-            return _Carried(point.theta + step, sd, information, x0, s2)
+            return _Carried(point.theta + step, sd, information, x0, ratio)
         point.theta = np.maximum(point.theta + step, point.settings.lower)
     restore()
     point.operators, point.gain, point.discrete, point.theta, point.settled = built

@@ -47,17 +47,21 @@ def solved(point: WorkingPoint, segment: Segment, index: IntArray, solution: Win
     new = slice(len(index) - len(s2), None)
     rows.theta[new] = point.theta + solution.delta
     rows.sd[new] = np.sqrt(variance) * point.widening
-    rows.dof[new], rows.full[new], rows.ratio[new] = point.dof * point.colour.share, True, s2
+    rows.dof[new], rows.full[new] = point.dof * point.colour.share, True
+    rows.ratio[new] = point.ratio(s2, segment, index[new], point.settings.plan.window)
     rows.window[new] = point.settings.plan.window
     information[new] = solution.information * np.outer(point.scale, point.scale)
-    return Solved(rows, information, _candidates(point, segment))
+    return Solved(rows, information, _candidates(point, segment, index))
 
 
-def _candidates(point: WorkingPoint, segment: Segment) -> list[Candidate]:
-    """What the longer windows that are whole say at the newest rows."""
+def _candidates(point: WorkingPoint, segment: Segment, index: IntArray) -> list[Candidate]:
+    """What the longer windows that are whole say at the newest of the rows index (N,)."""
     asked = [Asked(w, point.theta, turn) for w, turn in zip(point.settings.longer, point.turns, strict=True)]
     pairs, least = zip(asked, segment.longer, strict=True), point.floor_ratio
-    return [candidate(s, one, point.n, point.outputs, least) for one, s in pairs if s is not None]
+    found = [candidate(s, one, point.n, point.outputs, least) for one, s in pairs if s is not None]
+    for told in found:
+        told.ratio[:] = point.ratio(told.ratio, segment, index[len(index) - len(told.ratio) :], told.window)
+    return found
 
 
 def mend(found: Solved, point: WorkingPoint, segment: Segment, lacking: Lacking) -> None:
@@ -72,30 +76,31 @@ def mend(found: Solved, point: WorkingPoint, segment: Segment, lacking: Lacking)
     for row in np.flatnonzero(rows.full).tolist():
         stop = int(rows.index[row]) + 1
         if counts[row]:
-            _put(found, point, row, _on_samples(point, segment, lacking, stop, window))
+            _put(found, point, segment, row, _on_samples(point, segment, lacking, stop, window))
         if not rows.ratio[row] <= gate and lacking.doubts(stop, window):
             lacking.take_for_spikes(stop, window)
             told = _on_samples(point, segment, lacking, stop, window)
-            if _judged(point, told, window)[1] <= gate:
-                _put(found, point, row, told)
+            if _judged(point, segment, stop, told, window)[1] <= gate:
+                _put(found, point, segment, row, told)
                 counts = lacking.count(rows.index, window)
             else:
                 lacking.take_back(stop - 2)
     for longer in found.candidates:
         newest = rows.index[len(rows.index) - len(longer.ratio) :]
         for i in np.flatnonzero(lacking.count(newest, longer.window) > 0).tolist():
-            told = _on_samples(point, segment, lacking, int(newest[i]) + 1, longer.window)
-            _, longer.ratio[i], longer.sd[i] = _judged(point, told, longer.window)
+            stop = int(newest[i]) + 1
+            told = _on_samples(point, segment, lacking, stop, longer.window)
+            _, longer.ratio[i], longer.sd[i] = _judged(point, segment, stop, told, longer.window)
             longer.theta[i] = point.theta + told.delta
             turn = point.turns[point.settings.longer.index(longer.window)]
             longer.weight[i] = told.delta @ told.information @ told.delta
             longer.strain[i] = strain(turn, told.delta, longer.weight[i])
 
 
-def _put(found: Solved, point: WorkingPoint, row: int, told: Answer) -> None:
+def _put(found: Solved, point: WorkingPoint, segment: Segment, row: int, told: Answer) -> None:
     """Put an answer in the place of a row."""
     rows, window = found.rows, point.settings.plan.window
-    dof, rows.ratio[row], sd = _judged(point, told, window)
+    dof, rows.ratio[row], sd = _judged(point, segment, int(rows.index[row]) + 1, told, window)
     rows.theta[row], rows.sd[row] = point.theta + told.delta, sd * point.widening
     rows.dof[row] = dof * point.colour.share
     found.information[row] = told.information * np.outer(point.scale, point.scale)
@@ -111,9 +116,12 @@ def _on_samples(point: WorkingPoint, segment: Segment, lacking: Lacking, stop: i
     return answer(here, 0 if bridge is None else bridge.free)
 
 
-def _judged(point: WorkingPoint, found: Answer, window: int) -> tuple[float, float, FloatArray]:
-    """Return degrees of freedom, residual variance and white sd (q,) of an answer."""
+def _judged(
+    point: WorkingPoint, segment: Segment, stop: int, found: Answer, window: int
+) -> tuple[float, float, FloatArray]:
+    """Return degrees of freedom, residual variance over what is expected, and white sd (q,) of an answer."""
     dof = point.dof_of(window, found.free)
     ratio = found.residual / dof
     variance = np.diag(found.covariance) * max(ratio, point.floor_ratio, 1e-300)
-    return dof, ratio, np.sqrt(variance)
+    explained = point.ratio(np.array([ratio]), segment, np.array([stop - 1]), window)
+    return dof, float(explained[0]), np.sqrt(variance)

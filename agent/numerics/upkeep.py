@@ -69,7 +69,8 @@ class Upkeep:
         delta = covariance @ (here.psi.T @ here.e)
         residual = (here.e - here.psi @ delta).reshape(-1, point.outputs)
         inputs = point.input_noise(point.discrete, point.gain, window)
-        point.colour = colour_of(here.psi, residual, np.asarray(covariance), point.unknowns, inputs)
+        varying = None if bridge is not None else point.varying(residual, v)
+        point.colour = colour_of(here.psi, residual, np.asarray(covariance), point.unknowns, inputs, varying)
         self.coloured_at = index
         _widen(rows, row, before, point.colour)
         self.review(point, segment, lacking, rows, row)

@@ -13,7 +13,8 @@ from agent.numerics.colour import Colour, InputNoise
 from agent.numerics.commission import Commission
 from agent.numerics.fit import Fit, Problem, fit_window, nowhere
 from agent.numerics.guarded import GuardedProblem
-from agent.numerics.hops import HopOperators
+from agent.numerics.hops import HopOperators, Segment
+from agent.numerics.jitter import Jitter, find_jitter
 from agent.numerics.masses import MassError
 from agent.numerics.mistakes import Mistake
 from agent.numerics.observer import Gain, Noise
@@ -28,6 +29,7 @@ from agent.numerics.window_settings import WindowSettings
 from agent.types import Calibrated, Reason
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 class WorkingPoint:
@@ -42,6 +44,7 @@ class WorkingPoint:
             window that holds a movement may have little of it.
         wrong: a mass that explained a record better than unknown forces; None for none. It outlives a fit that failed.
         mistake: what is wrong with channels by the newest fit that learnt the noise; None for nothing.
+        jitter: how the noise goes with the speed of the motion; None where nothing shows that.
         settled: noise and theta come from a fit, not from the configuration.
         rounding: (p,) what rounding leaves of each output, by the record that the noise was learnt from.
         discrete, gain, operators: the sampled model, the observer and the lifted filters at theta_r.
@@ -61,6 +64,7 @@ class WorkingPoint:
         self.noise = Noise(np.where(np.isfinite(settings.sigma), settings.sigma, 1.0), unforced)
         self.colour = Colour.white(len(self.theta))
         self.usual_share = 1.0
+        self.jitter: Jitter | None = None
         self.commission = Commission(np.ones(len(self.theta)))
         self.wrong: MassError | None = None
         self.mistake: Mistake | None = None
@@ -92,6 +96,7 @@ class WorkingPoint:
         stated = self.settings.sigma
         self.noise = Noise(np.where(np.isfinite(stated), stated, 1.0), np.zeros_like(self.noise.process))
         self.commission = Commission(np.ones(len(self.theta)))
+        self.jitter = None
         self.rebuild()
 
     def refutes_adopted(self, problem: Problem, fit: Fit) -> bool:
@@ -183,6 +188,30 @@ class WorkingPoint:
             return np.asarray(0.02 * size)
         return np.asarray(0.02 * float(np.clip(2.0 / max(self._turned, 1e-9), 0.25, 1.0)) * size)
 
+    def ratio(self, s2: FloatArray, segment: Segment, index: IntArray, window: int) -> FloatArray:
+        """Residual variance s2 (N,) of windows whose newest samples are index (N,), over what their speed explains."""
+        jitter = self._jitter()
+        if jitter is None:
+            return s2
+        return jitter.ratio(s2, segment.v, index - segment.first, window)
+
+    def _jitter(self) -> Jitter | None:
+        """What is known of jitter beside the noise that is assumed now; None where that is another than it was."""
+        same = self.jitter is not None and np.array_equal(self.jitter.sigma, self.noise.sigma)
+        return self.jitter if same and not self.noise.forced else None
+
+    def learn_jitter(self, residual: FloatArray, v: FloatArray) -> None:
+        """Learn from what a fit of samples v (W, p+m) left (W, p) how the noise goes with the speed."""
+        if not self.noise.forced:
+            sigma, stated = self.noise.sigma, np.isfinite(self.settings.sigma)
+            y, period = v[:, : self.outputs], self.settings.period_s
+            self.jitter = find_jitter(residual, y, sigma, stated, period, self._jitter())
+
+    def varying(self, residual: FloatArray, v: FloatArray) -> FloatArray | None:
+        """Variance (W, p) of the readings of a window v (W, p+m) that left residual (W, p); None where it stays."""
+        jitter = self._jitter()
+        return None if jitter is None else jitter.variances(residual, v[:, : self.outputs])
+
     def dof_of(self, window: int, free: int = 0) -> float:
         """Degrees of freedom of the residual of `window` samples, `free` of them spent on missing readings."""
         return max(float(window * self.outputs - self.unknowns - free), 1.0)
@@ -193,10 +222,10 @@ class WorkingPoint:
 
     def kept(self) -> Callable[[], None]:
         """Return what puts parameters and disturbances back as they are now; observer and operators stay."""
-        before = (self.theta, self.noise, self.settled, self.colour)
+        before = (self.theta, self.noise, self.settled, self.colour, self.jitter)
 
         def restore() -> None:
-            self.theta, self.noise, self.settled, self.colour = before
+            self.theta, self.noise, self.settled, self.colour, self.jitter = before
 
         return restore
 
@@ -228,6 +257,7 @@ class WorkingPoint:
             calibration = self.calibrator.calibrate(problem, theta, known)
             self.noise, self.wrong = calibration.noise, self._confirmed(calibration, problem)
             self.rounding = self.calibrator.rounding(problem.v)
+            self.jitter = None
             self.mistake = self._unrivalled(calibration, problem)
             return calibration.fit
         self.mistake = None

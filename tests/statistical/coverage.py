@@ -126,6 +126,8 @@ CASES: Mapping[str, Case] = {
     "16 bits": Case(quantised, steps=(STEP_N, STEP_M)),
     "16 bits, recorded": Case(quantised, recorded=True),
     "200 us of jitter": Case(partial(jittered, sigma=40e-6), limits=PAPER_LIMITS),
+    "200 us of jitter above all": Case(partial(jittered, sigma=1e-6), limits=PAPER_LIMITS),
+    "200 us of jitter beside a stated noise": Case(partial(jittered, sigma=5e-6), noise_sd=5e-6, limits=PAPER_LIMITS),
 }
 
 

@@ -15,6 +15,8 @@ QUICK = {
     "16 bits": 30,
     "16 bits, recorded": 30,
     "200 us of jitter": 30,
+    "200 us of jitter above all": 15,
+    "200 us of jitter beside a stated noise": 15,
 }
 """Runs of each case where time is short."""
 

@@ -123,8 +123,12 @@ class Relearning:
             self._trouble = Trouble(index, index, past, np.zeros(len(past.b)))
         self._trouble.newest = index
 
-    def turn(self, step: FloatArray, far: BoolArray) -> None:
-        """Take a step (q,) of the parameters at the newest trouble; far (q,): those that went by far."""
+    def move(self, index: int, step: FloatArray, least: FloatArray, past: Reference) -> None:
+        """Take a step (q,) of the parameters at sample `index`: trouble where some went by more than `least` (q,)."""
+        far = np.abs(step) > least
+        if not far.any():
+            return
+        self.suffer(index, past)
         trouble = self._trouble
         went = far & (np.abs(step) >= BACK * np.abs(trouble.steps))
         trouble.turns += bool(np.any(went & (step * trouble.steps < 0)))

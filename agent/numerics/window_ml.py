@@ -293,8 +293,7 @@ class WindowML:
             rows.changing[row], rows.mismatch[row] = not lasting, lasting
         if self._change.mark(rows, row, self._last_fit, window):
             return
-        known = self._change.blamed is not None or self._upkeep.proven
-        looked = known or index - self._upkeep.accused_at < window
+        looked = self._change.blamed is not None or self._upkeep.proven or index - self._upkeep.accused_at < window
         if since >= window and not looked and self._unsuspected():
             self._upkeep.accuse_in_distress(self.point, segment, self._lacking, rows, row)
 
@@ -331,10 +330,9 @@ class WindowML:
     def _go_on_with(self, found: Noise, segment: Segment, rows: Rows, row: int) -> bool:
         """Assume other disturbances from a row on, where its window fits under them; return whether it does."""
         before, self.point.noise = self.point.noise, found
-        if self._fit(segment, rows, row):
-            return True
-        self.point.noise = before
-        return False
+        moved = self._fit(segment, rows, row)
+        self.point.noise = self.point.noise if moved else before
+        return moved
 
     def _fit(self, segment: Segment, rows: Rows, row: int) -> bool:
         """Fit the window of a row; if the fit passes the gate move theta_r and redo the summaries."""
@@ -386,11 +384,9 @@ class WindowML:
         placed = place(point, segment, self._memory.reference, fit, start, dof if whole else None)
         if placed is None:
             return False
-        step = placed.theta - before
-        gone = (np.abs(step) > FAR * placed.sd) & (np.abs(step) > least)
-        if self._anchored and gone.any():
-            self._relearning.suffer(index, self._memory.past.reference)
-            self._relearning.turn(step, gone)
+        if self._anchored:
+            least = np.maximum(FAR * placed.sd, least)
+            self._relearning.move(index, placed.theta - before, least, self._memory.past.reference)
         self._memory = self._memory.with_reference(placed.reference)
         self._upkeep.coloured_at, self._failed = index, 0
         if not self._anchored or self._change.onset is not None:

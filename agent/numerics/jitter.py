@@ -25,6 +25,8 @@ DOUBT = 3.0
 """Standard deviations of the jitter within which a window leaves no more and no less than it should."""
 LOOKS = 512
 """Samples of a window, evenly spread, at which its rates are looked at."""
+GREATEST = 1e100
+"""Squares beyond this, or below its inverse, are of no noise; theirs would leave the numbers."""
 ROUNDS = 4
 """Times that the regression is weighted anew by what the one before found."""
 
@@ -104,7 +106,7 @@ def find_jitter(
     rate2 = (rates(y - residual * sigma, period_s) / sigma) ** 2
     squares = residual[1:-1] ** 2
     mean = squares.mean(axis=0)
-    if not (np.all(mean > 0) and np.all(np.isfinite(mean)) and rate2.any()):
+    if not (np.all((mean > 1.0 / GREATEST) & (mean < GREATEST)) and 0 < rate2.max() < GREATEST):
         return known
     delay2, rest, precision = _line(squares, rate2, np.broadcast_to(mean, squares.shape))
     sure = delay2 * np.sqrt(precision) > SURE

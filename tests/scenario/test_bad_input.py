@@ -74,7 +74,7 @@ EXPECTED: dict[Spoil, set[str]] = {
     force_zero: {"unexcited", "invalid"},
     force_zero_and_at_rest: {"unexcited"},
     one_constant: {"invalid stuck"},
-    both_constant: {"invalid"},
+    both_constant: {"unexcited standstill"},
     all_constant: {"unexcited", "invalid"},
     huge: {"invalid"},
     square: {"invalid", "unexcited"},

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from agent.numerics.mechanics import GROUND
-from agent.numerics.suspects import Accusation, ChannelSuspect, Suspect
+from agent.numerics.faults.suspects import Accusation, ChannelSuspect, Suspect
+from agent.numerics.model.mechanics import GROUND
 from agent.text import number, percent
 from agent.types import EstimateBatch, HealthEvent, Reason
 

@@ -16,7 +16,7 @@ from agent.blocks.clock_map import SETTLE_S, ClockMap
 from agent.blocks.indexing import BoolArray, Clock, Indexer, Origin
 from agent.blocks.skew_watch import SkewEvent, SkewWatch
 from agent.blocks.tally import Tally
-from agent.numerics.resample import AFTER, interpolated, split
+from agent.numerics.readings.resample import AFTER, interpolated, split
 from agent.types import FloatArray, IntArray, Samples
 from drivers.port import SampleBlock
 

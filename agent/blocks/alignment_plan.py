@@ -12,8 +12,8 @@ from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_mo
 from agent.blocks.skew_watch import SkewGroup, SkewWatch
 from agent.config import RigConfig
 from agent.config.tables import Channel, Source
-from agent.numerics.sensors import with_constant
-from agent.numerics.skew import Group, SkewMeter
+from agent.numerics.faults.skew import Group, SkewMeter
+from agent.numerics.model.sensors import with_constant
 from agent.types import FloatArray
 
 SHORTEST_S, LONGEST_S = 0.5, 4.0

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.numerics.drift import ClockFit
+from agent.numerics.readings.drift import ClockFit
 from agent.types import FloatArray
 
 SETTLE_S = 2.0

@@ -10,10 +10,10 @@ from scipy.special import stdtrit
 from agent.blocks import calibration_words
 from agent.blocks.advice import ModelAdvice
 from agent.blocks.sensor_labels import SensorEvent
-from agent.numerics.hops import HopPlan
-from agent.numerics.lacking import MOST, Lacking
-from agent.numerics.rows import Rows
-from agent.numerics.suspects import Accusation
+from agent.numerics.estimator.lacking import MOST, Lacking
+from agent.numerics.faults.suspects import Accusation
+from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.rows import Rows
 from agent.types import (
     Calibrated,
     CalibrationRecord,

@@ -6,10 +6,10 @@ from agent.blocks.acquisition import Aligned
 from agent.blocks.rig_model import known_noise, rig_model
 from agent.config import RigConfig
 from agent.config.tables import MechanicsModel
-from agent.numerics.mechanics import MassSpringDamper
-from agent.numerics.sensors import SensedModel
-from agent.numerics.statespace import Model
-from agent.numerics.stick_slip import FrictionInputs, friction_observer
+from agent.numerics.model.mechanics import MassSpringDamper
+from agent.numerics.model.sensors import SensedModel
+from agent.numerics.model.statespace import Model
+from agent.numerics.model.stick_slip import FrictionInputs, friction_observer
 from agent.types import FloatArray, Samples
 
 

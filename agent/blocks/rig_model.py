@@ -6,17 +6,17 @@ import numpy as np
 
 from agent.config import RigConfig
 from agent.config.tables import LinearModel, MechanicsModel, Parameter
-from agent.numerics.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
-from agent.numerics.hops import HopPlan
-from agent.numerics.masses import masses_of
-from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.mistakes import Mistakes
-from agent.numerics.sensors import Nuisance, SensedModel
-from agent.numerics.statespace import AffineModel, Model, affine_model
-from agent.numerics.stick_slip import least_force
-from agent.numerics.suspects import suspects_of
-from agent.numerics.verdict import Court
-from agent.numerics.window_settings import WindowSettings
+from agent.numerics.estimator.window_settings import WindowSettings
+from agent.numerics.faults.masses import masses_of
+from agent.numerics.faults.mistakes import Mistakes
+from agent.numerics.faults.suspects import suspects_of
+from agent.numerics.faults.verdict import Court
+from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
+from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.sensors import Nuisance, SensedModel
+from agent.numerics.model.statespace import AffineModel, Model, affine_model
+from agent.numerics.model.stick_slip import least_force
+from agent.numerics.window.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
 SENSOR_KINDS = ("bias", "gain")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.numerics.skew import Delays, Skew, SkewMeter, combined
+from agent.numerics.faults.skew import Delays, Skew, SkewMeter, combined
 from agent.types import FloatArray, IntArray
 
 Reader = Callable[[IntArray, FloatArray], FloatArray]

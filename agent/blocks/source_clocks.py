@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from agent.blocks.acquisition import SourceState
-from agent.numerics.drift import ClockFit, Drift
+from agent.numerics.readings.drift import ClockFit, Drift
 from agent.types import SourceClock
 
 

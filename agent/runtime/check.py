@@ -9,10 +9,10 @@ import numpy as np
 from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, rig_model, window_settings
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
-from agent.numerics.margins import condition_3, condition_8, worst_perturbation_norm
-from agent.numerics.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
-from agent.numerics.observer import Noise
-from agent.numerics.statespace import Discrete, discretise
+from agent.numerics.model.margins import condition_3, condition_8, worst_perturbation_norm
+from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
+from agent.numerics.model.observer import Noise
+from agent.numerics.model.statespace import Discrete, discretise
 from agent.runtime.check_advice import warnings
 from agent.runtime.check_evidence import Evidence, Gathered
 from agent.runtime.check_model import hidden_states, model_faults

@@ -10,11 +10,11 @@ from agent.blocks.rig_model import SENSOR_KINDS, RigModel
 from agent.config import RigConfig
 from agent.config.tables import Parameter
 from agent.errors import Fault, ModelError
-from agent.numerics.identifiability import Identifiability, identifiability
-from agent.numerics.mechanics import MassSpringDamper, Output
-from agent.numerics.observer import unobservable_states
-from agent.numerics.sensors import SensedModel
-from agent.numerics.statespace import Model
+from agent.numerics.model.identifiability import Identifiability, identifiability
+from agent.numerics.model.mechanics import MassSpringDamper, Output
+from agent.numerics.model.observer import unobservable_states
+from agent.numerics.model.sensors import SensedModel
+from agent.numerics.model.statespace import Model
 from agent.types import FloatArray
 
 ESTIMATE = "estimator.estimate"

@@ -8,9 +8,9 @@ import numpy as np
 
 from agent.blocks.alignment_plan import channels_of
 from agent.config import RigConfig
-from agent.numerics.calibrate import ROUND_OFF
-from agent.numerics.noise import sensor_noise
-from agent.numerics.suspicion import STILL
+from agent.numerics.estimator.calibrate import ROUND_OFF
+from agent.numerics.faults.suspicion import STILL
+from agent.numerics.fitting.noise import sensor_noise
 from agent.text import number
 from agent.types import FloatArray
 

@@ -9,10 +9,10 @@ import numpy as np
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, output_noise
 from agent.config import RigConfig
-from agent.numerics.guarded import GREATEST
-from agent.numerics.information import bound_sd, window_information
-from agent.numerics.sensors import with_constant
-from agent.numerics.statespace import Discrete, discretise, simulate
+from agent.numerics.fitting.guarded import GREATEST
+from agent.numerics.fitting.information import bound_sd, window_information
+from agent.numerics.model.sensors import with_constant
+from agent.numerics.model.statespace import Discrete, discretise, simulate
 from agent.runtime.readings import Recorded
 from agent.types import FloatArray
 

@@ -11,15 +11,15 @@ from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_mo
 from agent.config import RigConfig
 from agent.config.tables import Channel
 from agent.errors import Fault
-from agent.numerics.calibrate import ROUND_OFF
-from agent.numerics.fit import Problem
-from agent.numerics.guarded import sized
-from agent.numerics.noise import sensor_noise
-from agent.numerics.observer import Noise
-from agent.numerics.statespace import Discrete, Model, discretise
-from agent.numerics.suspects import Accusation
-from agent.numerics.suspicion import Examiner, Finding, Hypothesis
-from agent.numerics.window_settings import WindowSettings
+from agent.numerics.estimator.calibrate import ROUND_OFF
+from agent.numerics.estimator.window_settings import WindowSettings
+from agent.numerics.faults.suspects import Accusation
+from agent.numerics.faults.suspicion import Examiner, Finding, Hypothesis
+from agent.numerics.fitting.fit import Problem
+from agent.numerics.fitting.guarded import sized
+from agent.numerics.fitting.noise import sensor_noise
+from agent.numerics.model.observer import Noise
+from agent.numerics.model.statespace import Discrete, Model, discretise
 from agent.runtime.check_plain import plain_suspicions, suspicion
 from agent.text import number
 from agent.types import FloatArray

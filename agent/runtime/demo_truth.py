@@ -11,8 +11,8 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel, hop_plan, rig_model
 from agent.config import RigConfig
-from agent.numerics.information import bound_sd, window_information
-from agent.numerics.statespace import discretise
+from agent.numerics.fitting.information import bound_sd, window_information
+from agent.numerics.model.statespace import discretise
 from agent.runtime.sources import wire_steps
 from agent.types import FloatArray
 

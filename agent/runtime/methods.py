@@ -7,10 +7,10 @@ from agent.blocks.friction import signals
 from agent.blocks.rig_model import RigModel, pushed, rig_model, window_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
-from agent.numerics.observer import Noise
-from agent.numerics.statespace import discretise
-from agent.numerics.window_ml import WindowML
-from agent.numerics.window_settings import WindowSettings
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.estimator.window_settings import WindowSettings
+from agent.numerics.model.observer import Noise
+from agent.numerics.model.statespace import discretise
 from agent.runtime.check_model import require_observable
 from agent.types import FloatArray
 
@@ -66,7 +66,7 @@ def make_estimation(
 def _estimator(config: RigConfig, rig: RigModel, settings: WindowSettings) -> Estimator:
     if config.estimator.method == "window-ml":
         return WindowML(rig.model, settings)
-    from agent.numerics.seed_window import SeedSettings, SeedWindow
+    from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
 
     sampled = discretise(rig.model.continuous(rig.model.nominal), settings.period_s, settings.hold)
     sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from agent.errors import Fault, UsageError
-from agent.numerics.gains import AutomaticGains
-from agent.numerics.hops import HopPlan
-from agent.numerics.margins import condition_3, condition_8
-from agent.numerics.rows import Rows
-from agent.numerics.seed import read_off
-from agent.numerics.seed_window import SeedFit, SeedSettings, fit_passes
-from agent.numerics.statespace import discretise
-from agent.numerics.window_ml import WindowML
-from agent.numerics.window_settings import WindowSettings
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.estimator.window_settings import WindowSettings
+from agent.numerics.model.gains import AutomaticGains
+from agent.numerics.model.margins import condition_3, condition_8
+from agent.numerics.model.statespace import discretise
+from agent.numerics.paper.seed import read_off
+from agent.numerics.paper.seed_window import SeedFit, SeedSettings, fit_passes
+from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.rows import Rows
 from agent.runtime import paper_cases as cases
 from agent.runtime.paper_table import table
 from agent.types import FloatArray

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.statespace import Hold, discretise
+from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.statespace import Hold, discretise
 from agent.types import FloatArray
 
 PERIOD_S = 1e-3

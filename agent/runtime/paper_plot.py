@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.errors import Fault, UsageError
-from agent.numerics.seed import Stopping, observe
-from agent.numerics.seed_window import fit_passes
-from agent.numerics.statespace import discretise
+from agent.numerics.model.statespace import discretise
+from agent.numerics.paper.seed import Stopping, observe
+from agent.numerics.paper.seed_window import fit_passes
 from agent.runtime import paper_cases as cases
 from agent.runtime.paper import product_rows, seed_settings, valid_changes
 from agent.types import FloatArray, IntArray

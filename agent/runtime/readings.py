@@ -13,8 +13,8 @@ from agent.blocks.alignment_plan import Maps, channels_of, make_acquisition
 from agent.blocks.friction import dry_friction
 from agent.blocks.source_clocks import SourceClocks
 from agent.config import RigConfig
-from agent.numerics.sensors import with_constant
-from agent.numerics.statespace import Discrete, simulate
+from agent.numerics.model.sensors import with_constant
+from agent.numerics.model.statespace import Discrete, simulate
 from agent.types import FloatArray
 from drivers.port import Counts, SampleBlock
 

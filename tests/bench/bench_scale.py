@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from agent.blocks.estimation import Estimation
 from agent.config import RigConfig, load
-from agent.numerics.hops import HopOperators
-from agent.numerics.window_ml import WindowML
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.window.hops import HopOperators
 from agent.runtime.methods import make_estimation
 from agent.types import Samples
 from sim_bus.plant import Graph, Link, equations, propagate, step

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from agent.config import load
-from agent.numerics.hops import HopPlan
-from agent.numerics.observer import poles_gain
-from agent.numerics.seed_window import SeedSettings, SeedWindow
-from agent.numerics.statespace import discretise
+from agent.numerics.model.observer import poles_gain
+from agent.numerics.model.statespace import discretise
+from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
+from agent.numerics.window.hops import HopPlan
 from agent.runtime.methods import make_estimation
 from agent.types import Samples, Status
 from tests.bench import rivals

@@ -1,7 +1,7 @@
 """The estimators that the paper argues against, built from public parts: joint EKF and UKF (filterpy), recursive LS.
 
 EKF and UKF carry the parameters as extra states with a random walk; recursive least squares with forgetting runs on
-the regression of `agent.numerics.seed`. All three know the model, the measured force and the noise of the sensors.
+the regression of `agent.numerics.paper.seed`. All three know the model, the force and the noise of the sensors.
 Each runs over y (N, p), u (N, m) and returns estimates and standard deviations after every sample, (N, q) each.
 
 The sampled model as a function of theta is a second-order Taylor polynomial about nominal, exact to 1e-9 over the
@@ -14,8 +14,8 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from agent.numerics.seed import observe
-from agent.numerics.statespace import Model, discretise
+from agent.numerics.model.statespace import Model, discretise
+from agent.numerics.paper.seed import observe
 
 FloatArray = NDArray[np.float64]
 Track = tuple[FloatArray, FloatArray]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 
 FloatArray = NDArray[np.float64]
 PERIOD = 1e-3

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
-from agent.numerics.bridge import filled
-from agent.numerics.lacking import BoolArray
-from agent.numerics.window_ml import WindowML
+from agent.numerics.estimator.lacking import BoolArray
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.readings.bridge import filled
 from tests.bench import rivals
 from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
 from tests.unit.numerics.rigs import Record, noisy, settings

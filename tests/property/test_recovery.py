@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agent.numerics.fit import Problem, fit_window
-from agent.numerics.gains import AutomaticGains
-from agent.numerics.observer import Noise
-from agent.numerics.statespace import Discrete, discretise
+from agent.numerics.fitting.fit import Problem, fit_window
+from agent.numerics.model.gains import AutomaticGains
+from agent.numerics.model.observer import Noise
+from agent.numerics.model.statespace import Discrete, discretise
 from tests.unit.numerics.rigs import FloatArray, disturbance, measured_model, random_structure, record
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from agent.blocks.rig_model import rig_model
 from agent.config import load
-from agent.numerics.statespace import discretise, simulate
+from agent.numerics.model.statespace import discretise, simulate
 from agent.runtime.replay import replay
 from tests.peers import ROOT
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from agent.blocks.rig_model import rig_model
 from agent.config import RigConfig, load
-from agent.numerics.information import bound_sd, window_information
-from agent.numerics.statespace import discretise
+from agent.numerics.fitting.information import bound_sd, window_information
+from agent.numerics.model.statespace import discretise
 from agent.runtime.demo_bus import COARSE, FINE, Wire, write_config
 from agent.runtime.pipeline import Pipeline
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, Record, Status

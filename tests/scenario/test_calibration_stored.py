@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from agent.config import load
-from agent.numerics.calibrate import Calibrator
-from agent.numerics.commission import WINDOWS
-from agent.numerics.window_ml import WindowML
+from agent.numerics.estimator.calibrate import Calibrator
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.window.commission import WINDOWS
 from agent.runtime.replay import replay
 from agent.runtime.service import RigRuntime
 from agent.storage.store import Store

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from agent.config.units import conversion
-from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.statespace import discretise, simulate
+from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.statespace import discretise, simulate
 from sim_bus.plant import Graph, Link, equations, propagate, step
 from sim_bus.units import SI_FACTORS, si_factor
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import butter, lfilter
 
 from agent.blocks.estimation import Estimation
-from agent.numerics.commission import WINDOWS
+from agent.numerics.window.commission import WINDOWS
 from agent.runtime.methods import make_estimation
 from agent.runtime.replay import SOURCE, Track, make_pipeline, opened
 from agent.types import EstimateBatch, FloatArray, Samples, Status

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agent.blocks.alarm import LevelAlarms
-from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.types import EstimateBatch, FloatArray, Status
 from tests.bench import rivals
 from tests.statistical.detection import WITHIN, Verdict, judged, played, raised, verdict

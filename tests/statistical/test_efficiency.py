@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from agent.numerics.information import bound_sd, window_information
-from agent.numerics.statespace import discretise
-from agent.numerics.window_ml import WindowML
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.fitting.information import bound_sd, window_information
+from agent.numerics.model.statespace import discretise
 from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
 from tests.unit.numerics.rigs import Record, record, settings
 

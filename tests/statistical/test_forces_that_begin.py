@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from agent.numerics import relearning, upkeep
+from agent.numerics.estimator import relearning, upkeep
 from agent.types import AlarmTransition, CalibrationRecord, EstimateBatch, FloatArray, HealthEvent, Record, Status
 from tests.statistical.detection import pipeline, records
 from tests.statistical.machine import NOMINAL, SECOND, Machine, each, on_second, say

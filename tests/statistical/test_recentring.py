@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.numerics.gains import Gains, KalmanGains
-from agent.numerics.statespace import simulate
-from agent.numerics.window_ml import WindowML
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.model.gains import Gains, KalmanGains
+from agent.numerics.model.statespace import simulate
 from agent.types import FloatArray
 from tests.statistical.machine import each, say
 from tests.unit.numerics.paper_rig import NOMINAL, rig

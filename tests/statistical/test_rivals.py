@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.numerics.statespace import discretise
+from agent.numerics.model.statespace import discretise
 from tests.bench import rivals
 from tests.bench.contenders import gain
 from tests.bench.scene import NOMINAL, PERIOD, Record, play, rig, two_pasts

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from agent.numerics.rows import Rows
-from agent.numerics.window_ml import WindowML
+from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.window.rows import Rows
 from agent.types import FloatArray
 from tests.statistical.machine import each
 from tests.unit.numerics.paper_rig import NOMINAL, rig

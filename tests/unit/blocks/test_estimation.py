@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from agent.blocks.estimation import Estimation, Labels
-from agent.numerics.rows import Rows
-from agent.numerics.suspects import Accusation, Suspect, mass_suspect
+from agent.numerics.faults.suspects import Accusation, Suspect, mass_suspect
+from agent.numerics.window.rows import Rows
 from agent.types import Calibrated, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
 BoolArray = NDArray[np.bool_]

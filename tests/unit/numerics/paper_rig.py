@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 
 FloatArray = NDArray[np.float64]
 PERIOD = 1e-3

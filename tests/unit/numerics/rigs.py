@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.gains import AutomaticGains, Gains
-from agent.numerics.hops import HopPlan
-from agent.numerics.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.observer import Gain, Noise, matched_gain, plain_gain, poles_gain
-from agent.numerics.sensitivity import SensitivityFilter, sensitivity_filter
-from agent.numerics.statespace import Discrete, discretise, simulate
-from agent.numerics.window_settings import WindowSettings
+from agent.numerics.estimator.window_settings import WindowSettings
+from agent.numerics.model.gains import AutomaticGains, Gains
+from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.observer import Gain, Noise, matched_gain, plain_gain, poles_gain
+from agent.numerics.model.sensitivity import SensitivityFilter, sensitivity_filter
+from agent.numerics.model.statespace import Discrete, discretise, simulate
+from agent.numerics.window.hops import HopPlan
 from tests.unit.numerics.paper_rig import rig
 
 FloatArray = NDArray[np.float64]

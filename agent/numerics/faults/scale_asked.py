@@ -1,0 +1,47 @@
+"""How many times too large a channel reads if the nominal model is right, roughly: a first guess for a search."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.model.statespace import Discrete, simulate
+
+FloatArray = NDArray[np.float64]
+LEAST, MOST = 1e-9, 1e9
+"""Factors beyond these are no channel's scale."""
+
+
+def factor_of_output(sampled: Discrete, y: FloatArray, u: FloatArray, output: int) -> float | None:
+    """Return the factor of one of the outputs y (N, p) under all of the model's inputs u (N, m); None if unclear.
+
+    The initial state and 1 / factor are fitted by linear least squares, the parameters as they are.
+    """
+    target, column = y - _forced(sampled, u), np.zeros_like(y)
+    target[:, output], column[:, output] = -(y - target)[:, output], -y[:, output]
+    return _factor(sampled, y, target, column)
+
+
+def factor_of_input(sampled: Discrete, y: FloatArray, u: FloatArray, without: FloatArray) -> float | None:
+    """Return the factor of an input that is zero in `without` (N, m) and is not in u; else as `factor_of_output`."""
+    rest = _forced(sampled, without)
+    return _factor(sampled, y, y - rest, _forced(sampled, u) - rest)
+
+
+def _factor(sampled: Discrete, y: FloatArray, target: FloatArray, column: FloatArray) -> float | None:
+    weight = 1.0 / np.maximum(np.sqrt(np.mean(y**2, axis=0)), 1e-300)
+    design = np.concatenate([_free(sampled, len(y)), column[:, :, None]], axis=2) * weight[:, None]
+    found = np.linalg.lstsq(design.reshape(-1, design.shape[2]), (target * weight).ravel(), rcond=1e-10)[0]
+    gain = abs(float(found[-1]))
+    return 1.0 / gain if LEAST < gain < MOST else None
+
+
+def _forced(sampled: Discrete, u: FloatArray) -> FloatArray:
+    """Return the outputs (N, p) of a model that inputs move from rest."""
+    return simulate(sampled, np.asarray(sampled.B1 @ u[0]), u)[1]
+
+
+def _free(sampled: Discrete, count: int) -> FloatArray:
+    """Return how outputs (N, p) follow from each of the initial states, (N, p, n)."""
+    free, row = np.empty((count, sampled.model.p, sampled.model.n)), sampled.model.C
+    for k in range(count):
+        free[k], row = row, row @ sampled.model.A
+    return free

@@ -1,0 +1,1 @@
+"""One record at a time: maximum-likelihood fits, likelihoods of disturbances, colour and information."""

@@ -1,0 +1,218 @@
+"""Dry friction as an input of the model: how much of it acted in each sample, from an observer that slides and sticks.
+
+The sign of a velocity is not enough. A reversal falls between two samples, and to have the whole friction wrong for a
+part of one sample is far more than a good displacement sensor's noise; and a mass that sticks is held by whatever
+balances it. So a Kalman filter of the nominal model runs beside the estimator, with the nominal friction in it and one
+slowly varying unknown force along each friction element, which takes what nominal values get wrong (without it the
+velocity lags, and a reversal is seen samples too late). Over a sample it lets each element slide, reverse where the
+straight line of its velocity crosses zero, or stick where the friction can hold it, and gives the mean of that: 1 or
+-1 while it slides, between them in a sample with a reversal, the share of the friction that holds it while it sticks.
+
+It is causal, and the nominal values matter only where it sticks: there the share is what they would need. Windows that
+hold much sticking tell little and are said to (`Sticking`). The means are put into the model's inputs so that their
+integral is right under the model's hold. (Karnopp, ASME J. Dyn. Sys. 107 (1985) 100, for sticking as a state of its
+own; Armstrong-Helouvry et al., Automatica 30 (1994) 1083.)
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.model.friction import FASTEST, SLOWEST, differences
+from agent.numerics.model.mechanics import MassSpringDamper
+from agent.numerics.model.observer import start_gain, unobservable_states
+from agent.numerics.model.statespace import Discrete, Hold, StateSpace, discretise
+
+FloatArray = NDArray[np.float64]
+SPEED = 50.0
+"""Slowest pole of the observer, 1/s: with 100 the noise of a sensor of 0.1 mm at 1 kHz reverses the velocity."""
+LEAST, BY_NOISE, MOST = 0.003, 0.04, 0.1
+"""Rms share of a friction that is not known of a sample: at least, for each share of what it takes in a sample that
+is the velocity's noise, and at most. A reversal every few hundred samples is known to that noise over the change of
+velocity in a sample, which is a few times what the friction takes. A model that took the friction for exact would have
+windows contradict each other, and intervals a few times too narrow."""
+DEVIATIONS, REST = 3.0, 2.0
+"""A velocity that stays within so many deviations of its noise for REST over SPEED rests, and where friction takes less
+than that in a sample, no share of it can be told: it is 0."""
+STILL = 1e-9
+"""A velocity below this share of what friction takes away in a sample is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionObserver:
+    """A sample of the observer: free motion z' = M (z, w, y, u, u'), and z' + G w' with the friction.
+
+    Attributes:
+        M: (n, n + r + p + 2 m) of the state, of friction and readings before, and of the forces before and now.
+        W: (r, n + m) relative velocities of the state and of the forces now.
+        G: (n, r) what the whole friction of each element does in a sample.
+        first: (n, p + m) the state to begin with from the first sample.
+        straight: the model runs its inputs on straight lines between samples.
+        noise: (r,) standard deviation that the sensors' noise leaves in the relative velocities.
+        rest: samples of little velocity after which it rests.
+    """
+
+    M: FloatArray
+    W: FloatArray
+    G: FloatArray
+    first: FloatArray
+    straight: bool
+    noise: FloatArray
+    rest: int
+
+    @property
+    def takes(self) -> FloatArray:
+        """(r,) the relative velocity that the whole friction of each element takes in a sample."""
+        return np.asarray(-np.einsum("rn,nr->r", self.W[:, : len(self.G)], self.G))
+
+
+def friction_observer(model: MassSpringDamper, period_s: float, hold: Hold, sigma: FloatArray) -> FrictionObserver:
+    """Build the observer of a rig with dry friction from its nominal values.
+
+    sigma (p,) is the standard deviation of each output's noise, NaN where it is not known.
+
+    Raises ValueError when no gain gives a stable observer.
+    """
+    plain = replace(model, parameters=())
+    rubbing = model.structure.frictions
+    m = len(model.forces)
+    continuous = plain.continuous(plain.nominal)
+    held = continuous.n
+    difference = differences(plain, [element.between for element in rubbing])
+    continuous = _drifting(continuous, model)
+    discrete = discretise(continuous, period_s, hold)
+    d, B1 = discrete.model, discrete.B1
+    B0, D = d.B - d.A @ B1, d.D - d.C @ B1
+    L = _correction(discrete, held, sigma, period_s)
+    W = np.hstack([difference @ continuous.A[:held], difference @ continuous.B[:held, :m]])
+    M = np.hstack([d.A - L @ d.C, -L @ D[:, m:], L, (B0 - L @ D)[:, :m], B1[:, :m]])
+    seen = np.linalg.pinv(continuous.C[:, :held])
+    first = np.zeros((d.n, d.p + m))
+    first[:held] = np.hstack([seen, -seen @ D[:, :m]])
+    known = np.where(np.isfinite(sigma), sigma, 0.0)
+    noise = _noise(d.A - L @ d.C, L * known, W[:, : d.n])
+    return FrictionObserver(M, W, (B0 + B1)[:, m:], first, hold == "first", noise, round(REST / (SPEED * period_s)))
+
+
+def _noise(Phi: FloatArray, push: FloatArray, W: FloatArray) -> FloatArray:
+    """Return the sd (r,) that white noise pushing by push (n, p) leaves in W z."""
+    total = np.zeros(len(W))
+    for _ in range(round(12.0 / SLOWEST)):
+        total += np.sum((W @ push) ** 2, axis=1)
+        push = Phi @ push
+    return np.asarray(np.sqrt(total))
+
+
+def least_force(model: MassSpringDamper, period_s: float, hold: Hold, sigma: FloatArray) -> FloatArray | None:
+    """Return the unknown force (d,) on each mass that friction brings in any case, N; None where there is none.
+
+    sigma as in `friction_observer`; where it is not known, what friction brings is learnt with it.
+    """
+    rubbing = model.structure.frictions
+    masses = [mass.name for mass in model.structure.masses if mass.value > 0]
+    if not rubbing or not masses or not np.all(np.isfinite(sigma)):
+        return None
+    observer = friction_observer(model, period_s, hold, sigma)
+    share = np.clip(np.hypot(LEAST, BY_NOISE * observer.noise / np.maximum(observer.takes, 1e-300)), LEAST, MOST)
+    force = share * np.array([abs(element.nominal) for element in rubbing])
+    touched = np.array([[name in element.between for element in rubbing] for name in masses])
+    return np.asarray(touched @ force)
+
+
+def _drifting(continuous: StateSpace, model: MassSpringDamper) -> StateSpace:
+    """Put a force that stays along each friction element behind the states, where the outputs show them all."""
+    n, r = continuous.n, len(model.structure.frictions)
+    nominal = np.array([element.nominal or 1.0 for element in model.structure.frictions])
+    m = continuous.m - r
+    A = np.zeros((n + r, n + r))
+    A[:n] = np.hstack([continuous.A, continuous.B[:, m:] / nominal])
+    B = np.vstack([continuous.B, np.zeros((r, continuous.m))])
+    C = np.hstack([continuous.C, continuous.D[:, m:] / nominal])
+    none = [np.zeros((0, *part.shape)) for part in (A, B, C, continuous.D)]
+    drifting = StateSpace(A, B, C, continuous.D, *none)
+    names = [str(i) for i in range(n + r)]
+    return continuous if unobservable_states(drifting, names) else drifting
+
+
+def _correction(discrete: Discrete, held: int, sigma: FloatArray, period_s: float) -> FloatArray:
+    """Return the gain (n, p) whose slowest pole is at SPEED; what drifts, drifts as fast as that asks for."""
+    n = discrete.model.n
+    pushes = np.eye(n)[:, held:] if n > held else np.eye(n)
+    weights = np.where(np.isfinite(sigma), sigma, np.nanmean(sigma) if np.isfinite(sigma).any() else 1.0)
+    window = max(1, round(6.0 / min(max(SPEED * period_s, SLOWEST), FASTEST)))
+    return start_gain(discrete, pushes, weights, window)
+
+
+@dataclass(slots=True)
+class FrictionInputs:
+    """Puts the share of each friction that acts beside the inputs of a stream, sample by sample.
+
+    Deterministic to the last bit however the stream is cut.
+    """
+
+    observer: FrictionObserver
+    _z: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _calm: list[int] = field(default_factory=list)
+
+    def start_segment(self) -> None:
+        """Forget the samples before a gap."""
+        self._z = np.zeros(0)
+
+    def beside(self, y: FloatArray, u: FloatArray) -> FloatArray:
+        """Return inputs (N, m + r): u (N, m), then of each friction the share that acts, seen in y (N, p)."""
+        M, W, G = self.observer.M, self.observer.W, self.observer.G
+        n, r = G.shape
+        behind, now = n + r + y.shape[1], M.shape[1] - u.shape[1]
+        takes, least = self.observer.takes.tolist(), (DEVIATIONS * self.observer.noise).tolist()
+        begun, z = bool(self._z.size), self._z if self._z.size else np.zeros(M.shape[1])
+        found = np.zeros((len(y), r))
+        if not begun:
+            z[:n] = self.observer.first @ np.concatenate([y[0], u[0]])
+            self._calm = [0] * r
+        for k in range(len(y)):
+            z[now:] = u[k]
+            if begun or k:
+                seen = np.concatenate([z[:n], z[behind:now]])
+                speeds, before = (W @ seen).tolist(), z[n : n + r].tolist()
+                z[:n] = M @ z
+                free = (W @ np.concatenate([z[:n], u[k]])).tolist()
+                for j in range(r):
+                    mean, last = acting(speeds[j], free[j], takes[j])
+                    self._calm[j] = self._calm[j] + 1 if abs(speeds[j]) < least[j] else 0
+                    if takes[j] < least[j] and self._calm[j] > self.observer.rest:
+                        mean = last = 0.0
+                    z[:n] += mean * G[:, j]
+                    z[n + j] = last
+                    # what the hold makes of the values at both ends, and what is missing to the mean
+                    made = 0.5 * (before[j] + last) if self.observer.straight else before[j]
+                    found[k, j] = last + mean - made
+                    if r > 1:
+                        free = (W @ np.concatenate([z[:n], u[k]])).tolist()
+            z[n + r : behind], z[behind:now] = y[k], u[k]
+        self._z = z
+        return np.hstack([u, found])
+
+
+def acting(speed: float, free: float, takes: float) -> tuple[float, float]:
+    """Return the share of a friction that acts over a sample, its mean and what it is at the end.
+
+    Args:
+        speed: relative velocity at the sample before.
+        free: at the end, without this friction.
+        takes: what the whole of it takes in a sample.
+    """
+    needed = max(-1.0, min(1.0, (free - speed) / takes)) if takes > 0 else (1.0 if free > speed else -1.0)
+    still = STILL * takes
+    if abs(speed) <= still:
+        mean = needed
+    else:
+        way = 1.0 if speed > 0 else -1.0
+        end = free - way * takes
+        if end * way > 0:
+            return way, way
+        # it stops within the sample, where a straight line crosses zero, and then sticks or turns round
+        part = abs(speed) / (abs(speed) + abs(end))
+        mean = part * way + (1.0 - part) * needed
+    end = free - mean * takes
+    return mean, (1.0 if end > 0 else -1.0) if abs(end) > still else needed

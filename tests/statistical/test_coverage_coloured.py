@@ -14,9 +14,9 @@ QUICK = {
     "force on m1": 12,
     "16 bits": 30,
     "16 bits, recorded": 30,
-    "200 us of jitter": 30,
-    "200 us of jitter above all": 15,
-    "200 us of jitter beside a stated noise": 15,
+    "200 us of jitter": 20,
+    "200 us of jitter above all": 8,
+    "200 us of jitter beside a stated noise": 8,
 }
 """Runs of each case where time is short."""
 

@@ -131,18 +131,21 @@ def test_window_ml_two_runs_are_equal_to_the_last_bit(rng: np.random.Generator) 
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_window_ml_step_change_is_changing_for_a_window_and_then_right(rng: np.random.Generator) -> None:
+def test_window_ml_step_change_is_changing_until_windows_are_free_of_it_and_then_right(
+    rng: np.random.Generator,
+) -> None:
     window, hop, change = 500, 50, 4020
     rows = run(estimator(window, hop), worn_at(rng, change, 8000), [])
-    assert not (rows.changing | rows.mismatch)[rows.index < change].any()
-    straddling = (rows.index > change + hop) & (rows.index < change + window - 1)
-    assert rows.changing[straddling].all()
-    # the first window with new samples only: on the grid, at or after change + window - 1
-    clean = int(np.flatnonzero(rows.index >= change + window - 1)[0])
-    assert rows.index[clean] < change + window - 1 + hop
-    assert not (rows.changing | rows.mismatch)[clean:].any()
-    assert np.all(np.abs(rows.theta[clean] - WORN) < 4.5 * rows.sd[clean])
-    assert abs(rows.theta[clean, 1] - WORN[1]) < 2.0
+    changing = rows.changing | rows.mismatch
+    assert not changing[rows.index < change].any()
+    # a window of which at least half is new may already be found clean: then it is right as well
+    seen = (rows.index > change + 2 * hop) & (rows.index < change + window // 2)
+    assert rows.changing[seen].all()
+    right = np.all(np.abs(rows.theta - WORN) < 5 * rows.sd, axis=1)
+    assert (changing | right)[rows.index > change + 2 * hop].all()
+    # the change is seen a few hops after it began, and a window that begins then is free of it for certain
+    assert not changing[rows.index >= change + window + 3 * hop].any()
+    assert abs(rows.theta[-1, 1] - WORN[1]) < 2.0
 
 
 def test_window_ml_lasting_mismatch_is_said_after_a_window(rng: np.random.Generator) -> None:

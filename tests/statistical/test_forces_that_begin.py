@@ -132,7 +132,7 @@ SPOILT: dict[str, tuple[Callable[[FloatArray], None], str]] = {
 def test_channel_that_goes_wrong_for_long_is_not_taken_for_forces(kind: str) -> None:
     spoil, words = SPOILT[kind]
     rng = np.random.default_rng(8)
-    v = pushed(rng, (0.0, 0.0))
+    v = pushed(rng, (0.0, 0.0))[: BEFORE + 17 * SECOND]
     spoil(v)
     found = records(pipeline(), v)
     rows = Rows.of(found)

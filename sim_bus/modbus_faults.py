@@ -10,7 +10,7 @@ from sim_bus.fault_names import EXCEPTIONS
 
 Framing = Literal["tcp", "rtu"]
 Deliveries = list[tuple[float, bytes | None]]
-"""When, s from now, which bytes go out; None: the connection is reset."""
+"""When, s from now, which bytes go out; None: the connection is reset, no bytes: it is closed."""
 
 _CRC = crc.by_name("CRC-16/MODBUS")
 _MUTE = frozenset({"silent", "half-open", "black-hole", "restart"})
@@ -87,6 +87,8 @@ class ReplyFaults:
             return [(0.0, adu[: len(adu) // 2]), (_BYTE_S, None)]
         if "dribble" in names:
             return [(number * _BYTE_S, adu[number : number + 1]) for number in range(len(adu))]
+        if "hang-up" in names:
+            return [(0.0, adu), (0.0, b"")]
         share = _LATE_SHARE if "late" in names else _ANSWER_SHARE if "slow" in names else 0.0
         return [(share * self._timeout_s, adu)]
 

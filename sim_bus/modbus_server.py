@@ -41,7 +41,7 @@ class _Handler(ServerRequestHandler):
 
     def send(self, data: bytes, addr: tuple[Any, ...] | None = None) -> None:
         for delay_s, piece in self.manners.deliveries(data, self.opened):
-            if delay_s or piece is None:
+            if delay_s or not piece:
                 self.loop.call_later(delay_s, self._send_later, piece)
             else:
                 super().send(piece, addr)
@@ -49,6 +49,8 @@ class _Handler(ServerRequestHandler):
     def _send_later(self, piece: bytes | None) -> None:
         if piece is None:
             self._reset()
+        elif not piece:
+            self.close()
         elif self.transport is not None:
             super().send(piece)
 

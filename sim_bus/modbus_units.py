@@ -31,7 +31,7 @@ def registers(data: bytes) -> list[int]:
     return numbers
 
 
-_ANSWERED = frozenset({"slow", "dribble", "hang", "half-open", "nan", "range"})
+_ANSWERED = frozenset({"slow", "dribble", "hang", "hang-up", "half-open", "nan", "range"})
 """Faults during which answers still come; after any other the reader asks again for what it missed."""
 
 
@@ -247,7 +247,7 @@ class FifoUnit(Unit):
 
 UNFIT = {
     "tcp": ("corrupt",),
-    "rtu": ("wrong-transaction", "wrong-protocol", "half-open", "black-hole", "reset", "accept-close"),
+    "rtu": ("wrong-transaction", "wrong-protocol", "half-open", "black-hole", "reset", "hang-up", "accept-close"),
 }
 """Faults that a transport cannot have: TCP mends wrong bits, a serial line has no connections."""
 UNITS: dict[str, type[Unit]] = {"ring": RingUnit, "poll": PollUnit, "fifo": FifoUnit}

@@ -213,11 +213,13 @@ class ModbusLine(Line):
             raise DriverIOError("the device closed the connection")
         data = b""
         while self._coming and self._coming[0][0] <= self._time.now_ns:
-            if data and self._coming[0][2] is None:
+            if data and not self._coming[0][2]:
                 break
             piece = heapq.heappop(self._coming)[2]
             if piece is None:
                 raise DriverIOError("Connection reset by peer")
+            if not piece:
+                raise DriverIOError("the device closed the connection")
             data += piece
         return data
 

@@ -48,6 +48,7 @@ CAUSES = {
     "modbus.exception-85": "exception 85 (not a code of the standard)", "modbus.busy": "exception 6 (device busy)",
     "modbus.hang": "", "modbus.silent": "timeout", "modbus.late": "timeout", "modbus.slow": "", "modbus.dribble": "",
     "modbus.disconnect": "lost", "modbus.accept-close": "lost", "modbus.half-open": "timeout",
+    "modbus.hang-up": "",
     "modbus.wrong-unit": "unit", "modbus.wrong-transaction": "transaction", "modbus.wrong-protocol": "reply",
     "modbus.wrong-function": "reply", "modbus.wrong-count": "reply", "modbus.short": "reply", "modbus.long": "reply",
     "modbus.corrupt": "timeout", "modbus.truncate": "timeout", "modbus.garbage": "reply", "modbus.duplicate": "reply",

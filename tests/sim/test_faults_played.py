@@ -222,9 +222,12 @@ def ask_on(line: socket.socket) -> None:
         pass
 
 
-def test_modbus_connection_is_reset_in_the_middle_of_an_answer_and_can_be_made_anew(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("fault", "end"), [("reset", "ConnectionResetError"), ("hang-up", "ConnectionError")])
+def test_modbus_connection_ends_in_or_after_an_answer_and_can_be_made_anew(
+    fault: str, end: str, tmp_path: Path
+) -> None:
     port = free_port()
-    with simulator(tmp_path, ring_config(port), "--fault", "modbus.reset@0.1+0.2") as sim:
+    with simulator(tmp_path, ring_config(port), "--fault", f"modbus.{fault}@0.1+0.2") as sim:
         ends: list[str] = []
         while not ends or ends[-1] != "whole":
             with socket.create_connection(("127.0.0.1", port), LIMIT_S) as line:
@@ -236,7 +239,7 @@ def test_modbus_connection_is_reset_in_the_middle_of_an_answer_and_can_be_made_a
                 except OSError as error:
                     ends.append(type(error).__name__)
         assert sim.stop() == 0
-    assert set(ends[:-1]) == {"ConnectionResetError"}
+    assert set(ends[:-1]) == {end}
 
 
 def test_modbus_black_hole_answers_nobody_and_lets_nobody_in(tmp_path: Path) -> None:

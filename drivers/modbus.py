@@ -6,7 +6,7 @@ from typing import ClassVar
 from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus_fifo import FifoReader
-from drivers.modbus_frames import BUSY, ReplyError, Request, RtuFrames, TcpFrames
+from drivers.modbus_frames import BUSY, REFUSED, ReplyError, Request, RtuFrames, TcpFrames
 from drivers.modbus_line import ModbusLine, let_go, shared_line
 from drivers.modbus_modes import Reader, RefusedError
 from drivers.modbus_poll import PollReader
@@ -27,9 +27,9 @@ class ModbusDriver(Driver):
     """Samples of a device that speaks Modbus: a ring of slots, polled registers or a queue.
 
     Sources on one serial line or one TCP address share its connection. Raises DriverConfigError when made with fields
-    that the settings do not have. Replies that fail a check, exceptions, a broken line and several requests in a row
-    without an answer raise DriverIOError; opened again, the driver goes on where it stopped. A device that says it is
-    busy, and one that missed a request, are asked again later.
+    that the settings do not have. A request that the device refuses, a broken line and several requests in a row
+    without a good answer raise DriverIOError; opened again, the driver goes on where it stopped. After a bad reply the
+    device is asked again at once; one that says it is busy, and one that missed a request, are asked again later.
     """
 
     settings_model: ClassVar[type[DriverSettings]] = ModbusSettings
@@ -125,30 +125,44 @@ class ModbusDriver(Driver):
         return ModbusLine(lambda: serial_pipe(keys, self._device()), RtuFrames(), pause_s)
 
     def _ask(self, request: Request) -> ByteArray:
-        """Return the register bytes that answer a request, by a deadline of its own."""
+        """Return the register bytes that answer a request, by a deadline of its own.
+
+        A bad reply is no answer, and what came too soon to be worth waiting for is asked for again at once.
+        """
         if self._line is None or not self._is_open:
             raise DriverIOError(f"{self.request.name}: read before open")
-        timeout_s, spare = self._settings.timeout_s, self._settings.gap
-        try:
-            answer = self._line.ask(request, timeout_s, self._reader.urgent_at, self.counts.faults, spare)
-        except ReplyError as error:
-            self.counts.faults[error.kind] += 1
-            verdict = self._verdict(error)
-            if isinstance(verdict, DriverIOError):
-                verdict.kind = error.kind
-            raise verdict from error
-        self._unanswered, self._busy_s = 0, _BUSY_FIRST_S
-        return answer
+        while True:
+            begun = clock.monotonic()
+            try:
+                answer = self._answer(self._line, request)
+            except ReplyError as error:
+                self._reader.lost_s += clock.monotonic() - begun
+                self.counts.faults[error.kind] += 1
+                self._bear(error)
+            else:
+                self._unanswered, self._busy_s = 0, _BUSY_FIRST_S
+                return answer
 
-    def _verdict(self, error: ReplyError) -> LaterError | DriverIOError:
-        """Return whether a failure is worth waiting for, or costs the source."""
+    def _answer(self, line: ModbusLine, request: Request) -> ByteArray:
+        timeout_s, spare = self._settings.timeout_s, self._settings.gap
+        return line.ask(request, timeout_s, self._reader.urgent_at, self.counts.faults, spare)
+
+    def _bear(self, error: ReplyError) -> None:
+        """Return where the request is to be repeated at once; else raise what the failure comes to."""
         words = f"{self._address()}: {error}"
         if error.code in BUSY:
             until, self._busy_s = clock.monotonic() + self._busy_s, min(2 * self._busy_s, _BUSY_MOST_S)
-            return LaterError(until, asked=True)
+            raise LaterError(until, asked=True)
+        if error.code in REFUSED:
+            raise _of_kind(RefusedError(words, error.code), error)
+        self._unanswered += 1
+        if self._unanswered >= PATIENCE:
+            raise _of_kind(DriverIOError(f"{words} ({self._unanswered} in a row)"), error)
         if error.silent:
-            self._unanswered += 1
-            if self._unanswered < PATIENCE:
-                return LaterError(clock.monotonic(), asked=True)
-            return DriverIOError(f"{words} ({self._unanswered} in a row)")
-        return RefusedError(words, error.code) if error.code else DriverIOError(words)
+            raise LaterError(clock.monotonic(), asked=True)
+
+
+def _of_kind(failure: DriverIOError, error: ReplyError) -> DriverIOError:
+    failure.kind = error.kind
+    failure.__cause__ = error
+    return failure

@@ -28,6 +28,8 @@ BUSY = frozenset({5, 6})
 GATEWAY = frozenset({10, 11})
 """Exceptions by which a gateway says that a unit behind it is silent."""
 ADDRESS, VALUE = 2, 3
+REFUSED = frozenset({1, ADDRESS, VALUE})
+"""Exceptions by which a device says that it will never answer such a request."""
 _LONGEST_TCP = 260
 REMEMBERED = 64
 """Requests given up whose replies are still known for what they are."""

@@ -44,6 +44,8 @@ class Reader(ABC):
         self.note = note
         self.report: Callable[[str, str], None] = _untold
         """The driver's own: tells of a state of the line by a cause and words."""
+        self.lost_s = 0.0
+        """Seconds that requests without a good answer took; the driver counts them."""
         self.due = 0.0
         self.epoch = 0
 

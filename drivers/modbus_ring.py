@@ -1,6 +1,8 @@
 """A Modbus device that keeps its newest samples in a ring of slots, and counts them in an index register."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +22,32 @@ _SHARE = 4
 INDEX = "index"
 
 
+@dataclass
+class _Part:
+    """Slots that are read and not delivered yet, because the index was not read behind them.
+
+    Attributes:
+        first, end: the samples in them: first .. end - 1.
+        head: what the index showed before.
+        begun: when that was (clock.monotonic).
+        good_s: how long good answers took, without what bad, late and missing ones cost.
+        broken: whether there were such.
+        pieces: the slots' bytes.
+    """
+
+    first: int
+    head: int
+    begun: float
+    end: int
+    good_s: float = 0.0
+    broken: bool = False
+    pieces: list[ByteArray] = field(default_factory=list)
+
+
 class RingReader(Reader):
     """Reads a ring: the index, the slots up to it, the index again.
+
+    Slots that were read before a request failed are kept over that and over a re-open; the index is read behind them.
 
     After a stall reading goes on with the oldest sample that is left; on a link that is too slow for the device, near
     the newest (see `modbus_pace`).
@@ -44,12 +70,15 @@ class RingReader(Reader):
         self._pause_s = 0.0
         self._asked: tuple[int, float] | None = None
         self._pace = Pace(self._ring)
+        self._part: _Part | None = None
 
     @property
     def most_registers(self) -> int:
         return self._ring.samples_a_request * self._ring.registers
 
     def read(self, ask: Ask, deadline: float) -> SampleBlock:
+        if self._part is not None and self._part.pieces:
+            return self._finish(ask, self._part)
         while self._seen is None or self._seen == self._next:
             if not self.wait_until_due(deadline):
                 return self.empty()
@@ -60,6 +89,8 @@ class RingReader(Reader):
     def reopened(self) -> None:
         """Ask for the index anew before the next read."""
         self._seen = self._asked = None
+        if self._part is not None and not self._part.pieces:
+            self._part = None
 
     @property
     def urgent_at(self) -> float:
@@ -108,32 +139,53 @@ class RingReader(Reader):
         return raw
 
     def _fetch(self, ask: Ask, head: int, deadline: float) -> SampleBlock:
-        first = end = self._next or 0
-        begun = clock.monotonic()
-        pieces: list[ByteArray] = []
-        for span in self._ring.spans(first, head):
-            pieces.append(ask(self._request(span.address, span.count)))
-            end = span.first + span.samples
-            if clock.monotonic() > deadline:
-                break
-        raw = self._index(ask)
-        after = self._ring.unwrap(raw, head)
-        if after < head:
+        first = self._next or 0
+        part = self._part = self._part or _Part(first, head, clock.monotonic(), first)
+        with self._timed(part):
+            for span in self._ring.spans(first, head):
+                part.pieces.append(ask(self._request(span.address, span.count)))
+                part.end = span.first + span.samples
+                if clock.monotonic() > deadline:
+                    break
+        return self._finish(ask, part)
+
+    @contextmanager
+    def _timed(self, part: _Part) -> Iterator[None]:
+        """Add to a part's good seconds, whether or not a request fails."""
+        begun, lost_before = clock.monotonic(), self.lost_s
+        try:
+            yield
+        finally:
+            lost_s = self.lost_s - lost_before
+            part.good_s += max(0.0, clock.monotonic() - begun - lost_s)
+            part.broken |= lost_s > 0
+
+    def _finish(self, ask: Ask, part: _Part) -> SampleBlock:
+        """Read the index behind a part, and deliver what was not overwritten by then."""
+        with self._timed(part):
+            raw = self._index(ask)
+        self._part = None
+        after = self._ring.unwrap(raw, part.head)
+        if after < part.head:
             self._seen = self._follow(raw)
             return self.empty()
-        late = self._ring.overtaken(first, end - first, after)
-        block = self._deliver(first, np.concatenate(pieces), late)
-        self._next = end
-        if self._pace.behind(late):
-            self._fall_back(after, Carried(end - first, after - head, clock.monotonic() - begun))
+        late = self._ring.overtaken(part.first, part.end - part.first, after)
+        block = self._deliver(part.first, np.concatenate(part.pieces), late)
+        self._next = part.end
+        if self._pace.behind(late, self._carried(part, after - part.head)):
+            self._fall_back(after)
         backlog = after - self._next
         self._seen = self._follow(after % self._ring.modulus) if backlog >= self._ring.samples_a_request else None
         return block
 
-    def _fall_back(self, head: int, carried: Carried) -> None:
+    def _carried(self, part: _Part, written: int) -> Carried:
+        seconds = clock.monotonic() - part.begun
+        return Carried(part.end - part.first, written, seconds, part.good_s, part.broken)
+
+    def _fall_back(self, head: int) -> None:
         """Leave out what the link is too slow for, and say so."""
-        if self._pace.fell_behind(carried):
-            self.report("too slow", f"{self.source.name}: {carried.words}")
+        if self._pace.fell_behind():
+            self.report("too slow", f"{self.source.name}: {self._pace.carried.words}")
         self._skip_to(self._pace.resume(head))
 
     def _deliver(self, first: int, data: ByteArray, late: NDArray[np.bool_]) -> SampleBlock:

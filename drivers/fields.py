@@ -64,16 +64,20 @@ class Layout:
     Attributes:
         fields: the fields in order.
         byte_order: order of the bytes in a number ("little" for most serial devices, "big" in Modbus registers).
-        word_order: order of the 16-bit words in a number; "little" swaps them, with byte_order "big" only.
+        word_order: "little" turns the order of the 16-bit words in a number round. Instruments call the four pairs
+            of byte_order and word_order ABCD (big, big), CDAB (big, little), BADC (little, little), DCBA (little, big).
+        apart: each field fills registers of its own, so that none can straddle them.
     """
 
     fields: tuple[FieldSpec, ...]
     byte_order: Order = "big"
     word_order: Order = "big"
+    apart: bool = False
 
     def __post_init__(self) -> None:
-        if self.word_order == "little" and any(self.offsets[f.name] % 2 for f in self.fields if f.size > 1):
-            raise DriverConfigError("with word_order little every field of two bytes or more begins on a register")
+        swapped = self.word_order == "little" and not self.apart
+        if swapped and any(self.offsets[f.name] % 2 for f in self.fields if f.size > 1):
+            raise DriverConfigError("with words swapped every field of two bytes or more begins on a register")
 
     @cached_property
     def offsets(self) -> Mapping[str, int]:
@@ -116,7 +120,8 @@ class Layout:
         out = np.empty((len(slots), len(names)))
         for column, name in enumerate(names):
             field = self.field(name)
-            np.multiply(self.raw(slots, name), field.scale, out=out[:, column])
+            with np.errstate(invalid="ignore"):  # any bits may be a float: NaN is judged later
+                np.multiply(self.raw(slots, name), field.scale, out=out[:, column], dtype=np.float64)
             if field.offset:
                 out[:, column] += field.offset
         return out

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.fields import ByteArray, FieldSpec, Layout
+from drivers.fields import ByteArray, FieldSpec, Layout, Order
 from drivers.modbus_frames import MAX_REGISTERS
 from drivers.port import DriverConfigError, IntArray
 
@@ -97,9 +97,9 @@ class Ring:
         return np.arange(first, first + samples, dtype=np.int64) % self.modulus
 
 
-def slot_layout(fields: Sequence[FieldSpec], word_order: str) -> Layout:
-    """Return the layout of one slot; DriverConfigError unless it fills whole registers."""
-    layout = Layout(tuple(fields), "big", "little" if word_order == "little" else "big")
+def slot_layout(fields: Sequence[FieldSpec], orders: tuple[Order, Order]) -> Layout:
+    """Return the layout of one slot, in an order of bytes and of words; DriverConfigError unless it fills registers."""
+    layout = Layout(tuple(fields), *orders)
     if layout.size % 2:
         raise DriverConfigError(f"fields: a slot takes {layout.size} bytes; registers have two, so it must be even")
     return layout

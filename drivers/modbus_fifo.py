@@ -23,7 +23,7 @@ class FifoReader(Reader):
 
     def __init__(self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]):
         super().__init__(source, settings, counts, note)
-        self.layout = slot_layout(settings.fields, settings.word_order)
+        self.layout = slot_layout(settings.fields, settings.orders)
         self._request = Request(settings.device_id, FIFO, settings.address or 0)
         self._full = FIFO_REGISTERS // (self.layout.size // 2)
         self.modulus = self.layout.counter_field(source.counter).modulus if source.counter else None

@@ -66,8 +66,8 @@ class Carried(NamedTuple):
         """What is wrong, in words."""
         return (
             f"the link is too slow for the device: it carries about {self.carries:.0f} of the {self.needed:.0f} "
-            "samples a second that are written; those that come too late are left out, with gaps (a faster line, a nearer "
-            "gateway, shorter slots or a lower sample rate would help)"
+            "samples a second that are written; those that come too late are left out, with gaps (a faster line, a "
+            "nearer gateway, shorter slots or a lower sample rate would help)"
         )
 
 

@@ -57,7 +57,9 @@ def poll_plan(fields: Sequence[ModbusField], settings: ModbusSettings, apart: fr
         run.gaps |= {address} if address > run.end else set()
         run.end = max(run.end, end)
         last = 2 * (done + end - run.start)
-        places.extend(range(last - field.size, last))
+        # a byte alone is the low one of its register, which comes first where bytes are swapped
+        spare = field.size % 2 if settings.orders[0] == "little" else 0
+        places.extend(range(last - field.size - spare, last - spare))
     requests = (Request(settings.device_id, settings.function, run.start, run.end - run.start) for run in runs)
     return Plan(tuple(requests), tuple(run.gaps for run in runs), tuple(places))
 
@@ -78,7 +80,7 @@ class PollReader(Reader):
         self._apart: frozenset[int] = frozenset()
         self._plan = poll_plan(self._fields, settings)
         self._failure: LaterError | DriverIOError | None = None
-        self.layout = Layout(tuple(self._fields), "big", settings.word_order)
+        self.layout = Layout(tuple(self._fields), *settings.orders, apart=True)
         self.modulus = self.layout.counter_field(source.counter).modulus if source.counter else None
 
     @property

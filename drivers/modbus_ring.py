@@ -57,9 +57,9 @@ class RingReader(Reader):
         super().__init__(source, settings, counts, note)
         if settings.ring is None or settings.index is None:
             raise DriverConfigError(f'{source.name}: mode "ring" needs index and ring')
-        self.layout = slot_layout(settings.fields, settings.word_order)
+        self.layout = slot_layout(settings.fields, settings.orders)
         index = FieldSpec(name=INDEX, type=settings.index.type)
-        self._index_layout = Layout((index,), "big", settings.word_order)
+        self._index_layout = Layout((index,), *settings.orders)
         self._index_address = settings.index.address
         self._ring = Ring(settings.ring.address, settings.ring.slots, self.layout.size // 2, index.modulus)
         counted_by_index = source.counter in (None, INDEX)

@@ -1,15 +1,23 @@
 """The configuration keys of a Modbus source and what must hold among them."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from drivers.fields import FieldSpec, unique_names
+from drivers.fields import FieldSpec, Order, unique_names
 from drivers.modbus_frames import FIFO_REGISTERS
 from drivers.port import DriverSettings
 
 RING_S, POLL_S = 0.1, 0.02
 """Default periods: a ring remembers what it is not asked for, and many samples cost hardly more than one."""
+BYTE_ORDERS: Mapping[str, tuple[Order, Order]] = {
+    "ABCD": ("big", "big"),
+    "CDAB": ("big", "little"),
+    "BADC": ("little", "little"),
+    "DCBA": ("little", "big"),
+}
+"""Byte and word order of a layout, by what instruments call it."""
 Address = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -44,7 +52,8 @@ class ModbusSettings(DriverSettings):
     stopbits: int = Field(default=1, ge=1, le=2)
     device_id: int = Field(default=1, ge=0, le=255)
     function: Literal[3, 4] = 4
-    word_order: Literal["big", "little"] = "big"
+    word_order: Order = "big"
+    byte_order: Literal["ABCD", "CDAB", "BADC", "DCBA"] | None = None
     timeout_s: float = Field(default=0.5, gt=0, le=60)
     mode: Literal["ring", "poll", "fifo"]
     index: IndexKeys | None = None
@@ -54,6 +63,17 @@ class ModbusSettings(DriverSettings):
     gap: int = Field(default=8, ge=0, le=120)
     share: bool = True
     fields: Annotated[tuple[ModbusField, ...], AfterValidator(unique_names), Field(min_length=1)]
+
+    @property
+    def orders(self) -> tuple[Order, Order]:
+        """The byte and the word order of a layout."""
+        return BYTE_ORDERS[self.byte_order] if self.byte_order is not None else ("big", self.word_order)
+
+    @model_validator(mode="after")
+    def _one_key_says_the_order(self) -> Self:
+        if self.byte_order is not None and "word_order" in self.model_fields_set:
+            raise ValueError("byte_order says the order of words too; leave word_order out")
+        return self
 
     @model_validator(mode="after")
     def _transport_has_its_port(self) -> Self:

@@ -128,9 +128,9 @@ class RingUnit(Unit):
         if settings.ring is None or settings.index is None:
             raise SimUsageError(f'source "{source}": mode "ring" needs index and ring')
         index = FieldSpec(name="index", type=settings.index.type)
-        self._index = Layout((index,), "big", settings.word_order)
+        self._index = Layout((index,), *settings.orders)
         self._index_address = settings.index.address
-        layout = slot_layout(settings.fields, settings.word_order)
+        layout = slot_layout(settings.fields, settings.orders)
         self._ring = Ring(settings.ring.address, settings.ring.slots, layout.size // 2, index.modulus)
         self._room = (settings.ring.slots - 1) // 2
         if clock.fast and self._room < 1:
@@ -219,7 +219,7 @@ class FifoUnit(Unit):
 
     def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
         super().__init__(source, settings, feed, clock, faults)
-        self._batch = FIFO_REGISTERS // (slot_layout(settings.fields, settings.word_order).size // 2)
+        self._batch = FIFO_REGISTERS // (slot_layout(settings.fields, settings.orders).size // 2)
         self._next = 0
 
     def areas(self) -> Iterable[tuple[int, int]]:
@@ -267,12 +267,15 @@ def make_unit(bench: Bench, number: int, settings: ModbusSettings) -> Unit:
 
 def _packer(settings: ModbusSettings) -> "_Packer":
     if settings.mode == "poll":
-        return _Packer([Layout((field,), "big", settings.word_order) for field in settings.fields])
-    return _Packer([slot_layout(settings.fields, settings.word_order)])
+        return _Packer([Layout((field,), *settings.orders) for field in settings.fields])
+    return _Packer([slot_layout(settings.fields, settings.orders)])
 
 
 class _Packer:
-    """Rows of bytes from raw numbers: the layouts one after another, each padded in front to whole registers."""
+    """Rows of bytes from raw numbers: the layouts one after another, each padded to whole registers.
+
+    A byte alone is the low one of its register.
+    """
 
     def __init__(self, layouts: list[Layout]) -> None:
         self._layouts = layouts
@@ -281,6 +284,8 @@ class _Packer:
         parts = []
         for layout in self._layouts:
             slots = layout.pack(raw)
-            parts.append(np.pad(slots, ((0, 0), (slots.shape[1] % 2, 0))))
+            spare = slots.shape[1] % 2
+            front = 0 if layout.byte_order == "little" else spare
+            parts.append(np.pad(slots, ((0, 0), (front, spare - front))))
         data = np.hstack(parts)
         return split(data.tobytes(), data.shape[1])

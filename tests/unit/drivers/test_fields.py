@@ -47,7 +47,7 @@ def test_word_order_little_swaps_registers_and_keeps_their_bytes() -> None:
     )
 
 
-def test_word_order_little_with_a_field_across_registers_is_refused() -> None:
+def test_words_swapped_with_a_field_across_registers_is_refused() -> None:
     with pytest.raises(DriverConfigError, match="begins on a register"):
         Layout((FieldSpec(name="a", type="uint8"), FieldSpec(name="b", type="uint32")), "big", "little")
 
@@ -58,6 +58,35 @@ def test_no_slots_give_no_values(words: str) -> None:
     assert layout.values(np.empty((0, 12), np.uint8), ["b", "a"]).shape == (0, 2)
     assert layout.counter(np.empty((0, 12), np.uint8), "a").shape == (0,)
     assert layout.pack({"a": np.empty(0), "b": np.empty(0)}).shape == (0, 12)
+
+
+BYTES = bytes.fromhex("0102030405060708")
+ORDERS = {
+    ("big", "big"): ("0102", "01020304", "0102030405060708"),
+    ("big", "little"): ("0102", "03040102", "0708050603040102"),
+    ("little", "little"): ("0201", "02010403", "0201040306050807"),
+    ("little", "big"): ("0201", "04030201", "0807060504030201"),
+}
+"""As instruments call them: ABCD, CDAB, BADC, DCBA."""
+
+
+@pytest.mark.parametrize("orders", sorted(ORDERS))
+@pytest.mark.parametrize("bits", [16, 32, 64])
+def test_number_in_each_order_of_bytes_and_words_is_read_and_written(bits: int, orders: tuple[str, str]) -> None:
+    layout = Layout((FieldSpec(name="a", type=f"uint{bits}"),), *orders)
+    wire = bytes.fromhex(dict(zip((16, 32, 64), ORDERS[orders], strict=True))[bits])
+    slots = np.frombuffer(wire, np.uint8)[None]
+    number = int.from_bytes(BYTES[: bits // 8], "big")
+    assert int(layout.raw(slots, "a")[0]) == number
+    np.testing.assert_array_equal(layout.pack({"a": np.array([number], np.uint64)}), slots)
+
+
+def test_float32_is_scaled_as_a_float64_whatever_its_value() -> None:
+    rng = np.random.default_rng(1)
+    numbers = (rng.uniform(-10.0, 10.0, 4655) * 10.0 ** rng.integers(-6, 6, 4655)).astype(np.float32)
+    layout = Layout((FieldSpec(name="a", type="float32", scale=0.01, offset=0.25),))
+    got = layout.values(numbers.astype(">f4").view(np.uint8).reshape(-1, 4), ["a"])[:, 0]
+    assert got.tolist() == [float(number) * 0.01 + 0.25 for number in numbers]
 
 
 def test_values_apply_scale_then_offset() -> None:

@@ -227,9 +227,63 @@ def test_poll_asks_neighbouring_registers_at_once_and_puts_fields_in_order(devic
     assert driver.counts.received == len(block)
 
 
+ORDERS = {
+    "ABCD": (struct.pack(">i", -70000), struct.pack(">h", -300)),
+    "CDAB": (struct.pack(">i", -70000)[2:] + struct.pack(">i", -70000)[:2], struct.pack(">h", -300)),
+    "BADC": (struct.pack("<i", -70000)[2:] + struct.pack("<i", -70000)[:2], struct.pack("<h", -300)),
+    "DCBA": (struct.pack("<i", -70000), struct.pack("<h", -300)),
+}
+
+
+def put(device: TcpDevice, address: int, data: bytes) -> None:
+    device.registers.words[address : address + len(data) // 2] = np.frombuffer(data, ">u2")
+
+
+@pytest.mark.parametrize("order", sorted(ORDERS))
+def test_poll_of_each_byte_order_reads_numbers_of_one_two_and_four_bytes(device: TcpDevice, order: str) -> None:
+    long, short = ORDERS[order]
+    put(device, 40, long)
+    put(device, 50, short)
+    put(device, 52, b"\x00\xfe" if order in {"ABCD", "CDAB"} else b"\xfe\x00")
+    kinds = {"byte": ("int8", 52), "long": ("int32", 40), "short": ("int16", 50)}
+    fields = [{"name": name, "type": kind, "address": address} for name, (kind, address) in kinds.items()]
+    keys = {"mode": "poll", "host": "127.0.0.1", "port": device.port, "period_s": 0.001, "byte_order": order}
+    settings = ModbusSettings.model_validate({**keys, "fields": fields})
+    driver = ModbusDriver(SourceRequest("line", settings, ("byte", "long", "short")))
+    OPENED.append(driver)
+    driver.open()
+    assert driver.read(1.0).values[0].tolist() == [-2, -70000, -300]
+
+
+def test_poll_of_a_byte_and_longer_fields_in_any_order_works_with_words_swapped(device: TcpDevice) -> None:
+    put(device, 40, b"\x00\x11")
+    put(device, 41, ORDERS["CDAB"][0])
+    fields = [{"name": "a", "type": "uint8", "address": 40}, {"name": "b", "type": "int32", "address": 41}]
+    keys = {"mode": "poll", "host": "127.0.0.1", "port": device.port, "period_s": 0.001, "word_order": "little"}
+    settings = ModbusSettings.model_validate({**keys, "fields": fields})
+    driver = ModbusDriver(SourceRequest("line", settings, ("a", "b")))
+    OPENED.append(driver)
+    driver.open()
+    assert driver.read(1.0).values[0].tolist() == [17, -70000]
+
+
+@pytest.mark.parametrize("order", sorted(ORDERS))
+def test_ring_of_each_byte_order_reads_its_index_and_its_slots_so(device: TcpDevice, order: str) -> None:
+    settings = {**RING, "fields": [{"name": "a", "type": "int32"}], "byte_order": order}
+    put(device, 16, ORDERS[order][0])
+    one = {"ABCD": b"\0\0\0\1", "CDAB": b"\0\1\0\0", "BADC": b"\0\0\1\0", "DCBA": b"\1\0\0\0"}
+    driver = driver_of(device, **settings)
+    driver.open()
+    put(device, 0, one[order])
+    block = driver.read(0.05)
+    assert block.values.tolist() == [[-70000.0]]
+
+
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
+        ({**RING, "byte_order": "ABDC"}, "'ABCD', 'CDAB', 'BADC' or 'DCBA'"),
+        ({**RING, "byte_order": "CDAB", "word_order": "big"}, "byte_order says the order of words too"),
         ({"mode": "ring"}, 'mode "ring" needs index and ring'),
         ({**RING, "address": 3}, 'mode "ring" has no address'),
         ({**RING, "fields": [{"name": "a", "type": "uint16", "address": 1}]}, "must not have an address"),

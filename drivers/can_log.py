@@ -2,7 +2,7 @@
 
 import gzip
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, ClassVar, cast
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers.can import DbcDriver
 from drivers.can_bus import message_row
+from drivers.can_channels import channel_of, shown
 from drivers.can_frames import Frames, frames_of
 from drivers.can_heard import interface_name
 from drivers.can_keys import FrameKeys
@@ -31,10 +32,11 @@ class CanLogSettings(FrameKeys):
     """A log, the DBC file that describes its frames, and how samples lie in them.
 
     Attributes:
-        channel: the interface that the source listens to; read alone where a candump log names it beside others.
+        interface, channel: what the source listens to; read alone where a log names it beside others.
     """
 
     path: Path
+    interface: str = "socketcan"
     channel: str | None = None
 
 
@@ -122,12 +124,14 @@ class CanLogDriver(DbcDriver):
     def _library(self, path: Path) -> Iterator[Frames]:
         begun = False
         try:
-            # the library leaves the file open when it cannot read it: it is opened, and so closed, here
-            with _open_file(path) as file, _reader(path)(file) as reader:
-                messages = iter(reader)
-                while batch := list(itertools.islice(messages, _BLOCK)):
-                    begun = True
-                    yield _packed(batch)
+            channel = self._channel(path)
+            messages = _messages(path)
+            while batch := list(itertools.islice(messages, _BLOCK)):
+                begun = True
+                if kept := self._of_channel(batch, channel, path):
+                    yield _packed(kept)
+        except DriverConfigError as error:
+            raise DriverConfigError(f"{path}: {error}") from error
         except Exception as error:
             if isinstance(error, ImportError):
                 words = "needs a library that is not installed: pip install 'deltak[mf4]'"
@@ -138,6 +142,47 @@ class CanLogDriver(DbcDriver):
                 raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error
             self.counts.faults["log"] += 1
             self.note(f"{path}: is damaged, its end is not read: {error!r}")
+
+
+    def _channel(self, path: Path) -> str | None:
+        """Return the channel whose frames are to be read, None where all are."""
+        settings: CanLogSettings = self.request.settings
+        if settings.channel is None:
+            return None
+        kind = _kind(path)
+        wanted = interface_name(settings.channel)
+        return channel_of(_channels(path, kind), wanted, settings.interface, kind)
+
+    def _of_channel(self, batch: "list[can.Message]", channel: str | None, path: Path) -> "list[can.Message]":
+        """Return the messages of a channel, and note that there are others."""
+        if channel is None:
+            return batch
+        kind = _kind(path)
+        kept = [message for message in batch if shown(message.channel, kind) == channel]
+        if len(kept) < len(batch):
+            wanted = self.request.settings.channel
+            self.note(f"{path}: channel {channel} is read for {wanted}, frames of others are passed over")
+        return kept
+
+
+def _messages(path: Path) -> "Generator[can.Message]":
+    # the library leaves the file open when it cannot read it: it is opened, and so closed, here
+    with _open_file(path) as file, _reader(path)(file) as reader:
+        yield from reader
+
+
+def _channels(path: Path, kind: str) -> Iterator[str]:
+    """Yield the channel of each frame, as far as a log can be read; what it is damaged by is said when it is read."""
+    messages, some = _messages(path), False
+    try:
+        for message in messages:
+            some = True
+            yield shown(message.channel, kind)
+    except Exception:
+        if not some:
+            raise
+    finally:
+        messages.close()
 
 
 def _whole_lines(file: IO[bytes]) -> Iterator[bytes]:

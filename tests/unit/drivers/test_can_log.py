@@ -1,4 +1,5 @@
 import importlib.util
+import re
 from pathlib import Path
 from typing import Any
 
@@ -196,3 +197,125 @@ def test_interface_that_is_named_late_in_a_log_counts_from_its_beginning(tmp_pat
 
 def test_interface_of_an_adapter_is_the_name_that_its_recording_has(tmp_path: Path, dbc: Path) -> None:
     assert heard(two_buses(tmp_path, "can1", "ttyACM0"), dbc, "/dev/ttyACM0") == list(range(1, 200, 2))
+
+
+BUSES = 3
+
+
+def three_buses(path: Path) -> Path:
+    """Write 90 frames, a third of each bus: the frames of bus b have the counters b, b + 3 ..."""
+    first = 1 if path.suffix == ".mf4" and "vehicle" in path.stem else 0
+    writer: Any = can.MF4Writer if path.suffix == ".mf4" else can.Logger
+    with writer(path) as log:
+        for i in range(90):
+            data = bytes([i, 0, 0, 0, 0, 0, 0, 0])
+            log(can.Message(1.5 + i / 1000, 9, is_extended_id=False, data=data, channel=first + i % BUSES))
+    return path
+
+
+def counters(log: Path, dbc: Path, channel: str) -> list[int]:
+    settings = CanLogSettings(path=log, dbc=dbc, channel=channel)
+    reader = CanLogDriver(SourceRequest("log", settings, ("TRUCK.a",), "TRUCK.n"))
+    got = [block.counter for block in blocks_of(reader) if block.counter is not None]
+    return np.concatenate(got).tolist()
+
+
+def of_bus(number: int) -> list[int]:
+    return list(range(number, 90, BUSES))
+
+
+SUFFIXES = ["asc", "blf", "trc", "mf4", "log"]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_log_of_several_buses_is_read_of_the_one_that_the_source_names(suffix: str, tmp_path: Path, dbc: Path) -> None:
+    if suffix == "mf4":
+        need_mf4()
+    path = three_buses(tmp_path / f"buses.{suffix}")
+    if suffix == "log":
+        path.write_text(re.sub(r"\) (\d) ", r") can\1 ", path.read_text()))
+    for number in range(BUSES):
+        assert counters(path, dbc, f"can{number}") == of_bus(number)
+
+
+@pytest.mark.parametrize(("suffix", "first"), [("asc", 1), ("blf", 1), ("trc", 1), ("mf4", 0)])
+def test_log_of_several_buses_is_read_of_a_number_as_other_tools_show_it(
+    suffix: str, first: int, tmp_path: Path, dbc: Path
+) -> None:
+    if suffix == "mf4":
+        need_mf4()
+    path = three_buses(tmp_path / f"buses.{suffix}")
+    for number in range(BUSES):
+        assert counters(path, dbc, str(first + number)) == of_bus(number)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "channel", "names"),
+    [
+        ("asc", "can7", "1, 2, 3"), ("blf", "can3", "1, 2, 3"), ("trc", "4", "1, 2, 3"), ("mf4", "can7", "0, 1, 2"),
+        ("asc", "/dev/ttyACM", "1, 2, 3"),
+    ],
+)  # fmt: skip
+def test_log_of_several_buses_without_the_sources_is_refused_with_what_it_holds(
+    suffix: str, channel: str, names: str, tmp_path: Path, dbc: Path
+) -> None:
+    if suffix == "mf4":
+        need_mf4()
+    path = three_buses(tmp_path / f"buses.{suffix}")
+    with pytest.raises(DriverConfigError, match=rf"buses.{suffix}: holds frames of channels {names} and none of "):
+        counters(path, dbc, channel)
+
+
+def test_mf4_log_that_numbers_its_buses_from_1_is_not_guessed_at(tmp_path: Path, dbc: Path) -> None:
+    """Python-can writes 0 for can0, vehicle loggers 1: can1 may be either."""
+    need_mf4()
+    path = three_buses(tmp_path / "vehicle.mf4")
+    with pytest.raises(DriverConfigError, match=r"holds frames of channels 1, 2, 3 and none of can1; name one"):
+        counters(path, dbc, "can1")
+    assert counters(path, dbc, "1") == of_bus(0)
+
+
+def test_log_of_several_buses_is_not_searched_for_a_number_that_another_interface_gives(
+    tmp_path: Path, dbc: Path
+) -> None:
+    settings = CanLogSettings(path=three_buses(tmp_path / "a.asc"), dbc=dbc, interface="kvaser", channel="1")
+    with pytest.raises(DriverConfigError, match=r"channels 1, 2, 3 and none of 1; .* other interfaces number theirs"):
+        CanLogDriver(SourceRequest("log", settings, ("TRUCK.a",), "TRUCK.n")).open()
+
+
+@pytest.mark.parametrize("suffix", ["asc", "blf", "trc"])
+def test_log_of_one_bus_of_another_number_is_read(suffix: str, tmp_path: Path, dbc: Path) -> None:
+    path = tmp_path / f"one.{suffix}"
+    with can.Logger(path) as log:
+        for i in range(9):
+            log(can.Message(1.5 + i / 1000, 9, is_extended_id=False, data=bytes([i] * 8), channel=4))
+    assert counters(path, dbc, "can0") == list(range(9))
+
+
+def test_frames_of_other_buses_that_are_passed_over_are_said(tmp_path: Path, dbc: Path) -> None:
+    path = three_buses(tmp_path / "buses.asc")
+    settings = CanLogSettings(path=path, dbc=dbc, channel="can1")
+    reader = CanLogDriver(SourceRequest("log", settings, ("TRUCK.a",), "TRUCK.n"))
+    blocks_of(reader)
+    assert f"{path}: channel 2 is read for can1, frames of others are passed over" in reader.take_notes()
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "frames"),
+    [
+        ("logfile.asc", "can0", 8), ("logfile.asc", "2", 7), ("logfile.asc", "can4", 1),
+        ("test_CanMessage.trc", "1", 1), ("test_CanMessage.asc.gz", "can1", 1), ("j1939_2F6913DB.MF4", "1", 221),
+        ("j1939_2F6913DB.MF4", "2", 5367), ("issue_1905.blf", "can0", 22),
+    ],
+)  # fmt: skip
+def test_real_log_of_several_buses_is_read_of_one(
+    name: str, channel: str, frames: int, dbc: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name.endswith("MF4"):
+        need_mf4()
+    settings = CanLogSettings(path=peers.data(f"can/{name}"), dbc=dbc, channel=channel)
+    log = CanLogDriver(SourceRequest("log", settings, ("TRUCK.a",), "TRUCK.n"))
+    tables = []
+    monkeypatch.setattr(log, "decoded", lambda batch: tables.append(batch.table) or SampleBlock(np.empty((0, 1)), 0))
+    blocks_of(log)
+    assert sum(map(len, tables)) == frames

@@ -1,8 +1,8 @@
 """Which channel's frames to read of a log that numbers its channels: ASC, BLF, TRC and MF4. Pure: no I/O.
 
 Channels are named here as the tools that write such logs show them. Python-can counts from 0 what ASC and BLF files
-count from 1. A source's `canN`, `vcanN` and `slcanN` is the channel N + 1 of ASC, BLF and TRC logs, where python-can's own
-loggers put it. MF4 logs have no such custom: python-can's begin with 0, those of vehicle loggers with 1.
+from 1. The `canN`, `vcanN` and `slcanN` of a source is the channel N + 1 of ASC, BLF and TRC logs, where the loggers
+of python-can put it. MF4 logs have no such custom: python-can's begin with 0, those of vehicle loggers with 1.
 """
 
 import re

@@ -143,7 +143,6 @@ class CanLogDriver(DbcDriver):
             self.counts.faults["log"] += 1
             self.note(f"{path}: is damaged, its end is not read: {error!r}")
 
-
     def _channel(self, path: Path) -> str | None:
         """Return the channel whose frames are to be read, None where all are."""
         settings: CanLogSettings = self.request.settings

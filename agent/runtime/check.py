@@ -18,6 +18,7 @@ from agent.runtime.check_evidence import Evidence, Gathered
 from agent.runtime.check_model import hidden_states, model_faults
 from agent.runtime.check_predict import predictions, rows, sampled
 from agent.runtime.progress import Progress, on_terminal
+from agent.runtime.source_faults import source_error
 from agent.runtime.sources import wire_steps
 from agent.storage.retention import Retention, bytes_per_rig_year
 from agent.types import FloatArray
@@ -58,7 +59,7 @@ def _resolution(config: RigConfig) -> FloatArray:
     try:
         steps = wire_steps(config)
     except DriverConfigError as error:
-        raise ConfigError([Fault("source", str(error), "mend it and check again")]) from error
+        raise source_error([config], error) from error
     return np.array([steps.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in config.outputs])
 
 

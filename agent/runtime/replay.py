@@ -18,11 +18,12 @@ from agent.runtime.clock import SampleLabels, boot_id, wall_ns
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
 from agent.runtime.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.results import RunSummary
+from agent.runtime.source_faults import source_error
 from agent.runtime.unusable import Evidence, judge
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
 from agent.types import Record, RunInfo
-from drivers.port import Counts, Driver, DriverError, SampleBlock, SourceRequest
+from drivers.port import Counts, Driver, DriverConfigError, DriverError, SampleBlock, SourceRequest
 
 SOURCE = "recording"
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
@@ -90,12 +91,15 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
 def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
     """Build the pipeline that replays a rig's recordings, with the resolution of its sources' wires, else of the first.
 
-    Raises RecordingError.
+    Raises ConfigError, RecordingError.
     """
     steps = []
     for source in rig.source:
         request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, rig.folder)
-        steps.append(driver_class(source.driver)(request).resolution())
+        try:
+            steps.append(driver_class(source.driver)(request).resolution())
+        except DriverConfigError as error:
+            raise source_error([rig], error) from error
     names = {channel.name: channel.name for channel in (*rig.inputs, *rig.outputs)}
     known = resolutions([source.map for source in rig.source], steps)
     if tracks and not rig.source:
@@ -132,7 +136,8 @@ def _open(driver: Driver) -> Driver:
     try:
         driver.open()
     except DriverError as error:
-        raise RecordingError.at("", str(error), "give one with a column for each channel") from error
+        what, _, advice = str(error).partition("; ")
+        raise RecordingError.at("", what, advice or "give one with a column for each channel") from error
     for note in driver.take_notes():
         log.info("%s", note)
     return driver

@@ -21,6 +21,7 @@ from agent.runtime.recording.event_writer import EventWriter
 from agent.runtime.recording.events import EventKeeper
 from agent.runtime.recording.wiring import event_writer, recorder
 from agent.runtime.results import RunSummary
+from agent.runtime.source_faults import source_error
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
 from agent.runtime.waiting import Waiting
 from agent.storage.alarms import AlarmRow
@@ -354,7 +355,7 @@ def run(
     try:
         service = Service(rigs, db, kind)
     except DriverConfigError as error:
-        raise ConfigError([Fault("source", str(error), "mend it and start again")]) from error
+        raise source_error(rigs, error) from error
     previous = {number: signal.signal(number, _stopper(service)) for number in (signal.SIGTERM,)}
     try:
         service.run(duration_s)

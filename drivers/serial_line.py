@@ -26,6 +26,8 @@ from drivers.serial_text import TextDecoder
 _GATHER_S = 0.05
 """A line that flows is read so often, unless there was much to be read: a read costs what hundreds of bytes do."""
 _FEW_BYTES = 1024
+_DOLLAR_FIRST = re.compile(r"\^?\(?(?:\\\$|\[\$\]|\$)")
+_NMEA = 'with checksum = "nmea" a line is $ADDRESS,cells*HH,'
 
 
 def _known_crc(name: str | None) -> str | None:
@@ -87,6 +89,16 @@ class SerialSettings(SerialKeys):
             raise ValueError('format "text" has no framing, sync, fields or crc; its check is "checksum"')
         return self
 
+    @model_validator(mode="after")
+    def _nmea_leaves_out_its_dollar(self) -> Self:
+        if self.checksum != "nmea":
+            return self
+        if any("$" in column for column in self.columns):
+            raise ValueError(f"columns: {_NMEA} and columns are the cells behind the address; leave the address out")
+        if self.pattern and _DOLLAR_FIRST.match(self.pattern):
+            raise ValueError(f"pattern: {_NMEA} and it is held against ADDRESS,cells; leave the dollar sign out")
+        return self
+
 
 class SerialDriver(Driver):
     """Samples on a serial line, in binary frames or lines of text."""
@@ -125,7 +137,11 @@ class SerialDriver(Driver):
             self.request.fields,
             self.request.counter,
             self.counts,
+            self._note_line,
         )
+
+    def _note_line(self, words: str) -> None:
+        self.note(f"{self.request.name}: a line is {words}")
 
     @property
     def retry_s(self) -> float:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,13 +13,17 @@ from drivers.serial_codec import Samples, SerialDecoder
 _NUMBER = re.compile(r"[ \t]*(?:(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|NaN|NAN)[ \t]*)?", re.ASCII)
 
 
+_SHOWN = 60
+"""Characters of a rejected line that a note shows."""
+
+
 class TextDecoder(SerialDecoder):
     """Lines of delimited text, or lines that a pattern with named groups matches whole.
 
     With checksum "nmea" a line is `$ADDRESS,cells*HH`: the address is passed over, HH is the exclusive or of what
     lies between $ and *. Rejects by "length", "checksum", "columns", "pattern" and "text" (a cell that is no number);
     an empty cell is a missing value. Without a checksum the piece of a line amid which the port was opened is passed
-    over.
+    over. The first line that is rejected for a reason is noted.
     """
 
     def __init__(
@@ -31,7 +35,10 @@ class TextDecoder(SerialDecoder):
         names: Sequence[str],
         counter: str | None,
         counts: Counts,
+        note: Callable[[str], None] = lambda _: None,
     ) -> None:
+        self._note = note
+        self._noted: set[str] = set()
         self._columns = tuple(columns)
         self._delimiter = delimiter
         self._pattern = pattern
@@ -70,11 +77,34 @@ class TextDecoder(SerialDecoder):
     def _row(self, line: bytes) -> list[float] | None:
         """Return the numbers of a line, or None with the reason counted."""
         self._counts.received += 1
-        row = self._cells(line.decode("latin-1").strip("\r\n \0"))
+        text = line.decode("latin-1").strip("\r\n \0")
+        row = self._cells(text)
         if isinstance(row, str):
-            self._counts.rejected[row] += 1
+            self._reject(row, text)
             return None
         return row
+
+    def _reject(self, reason: str, text: str) -> None:
+        self._counts.rejected[reason] += 1
+        if reason not in self._noted:
+            self._noted.add(reason)
+            more = "..." if len(text) > _SHOWN else ""
+            self._note(f'rejected as "{reason}": {text[:_SHOWN]!a}{more}: {self._why(reason, text)}')
+
+    def _why(self, reason: str, text: str) -> str:
+        """Say what a line that is rejected for a reason is not."""
+        body = (_nmea_body(text) if self._nmea else text) or ""
+        cells = len(body.split(self._delimiter)) - self._nmea
+        behind = " behind its address, which with $ is no column" if self._nmea else ""
+        between = ", held against what lies between $ and *, the address included" if self._nmea else ""
+        return {
+            "length": f"more than {LONGEST} characters",
+            "checksum": 'checksum = "nmea" wants $ADDRESS,cells*HH, HH the exclusive or of what lies between $ and *',
+            "columns": f"{cells} cells{behind}; columns has {len(self._columns)}",
+            "pattern": f"does not match the pattern{between}",
+            "text": "a cell is no decimal number",
+            "counter": "the counter is no whole number",
+        }[reason]
 
     def _cells(self, line: str) -> list[float] | str:
         if len(line) > LONGEST:

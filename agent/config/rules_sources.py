@@ -11,7 +11,7 @@ from agent.config.messages import faults_of, join, listing
 from agent.config.parse import Entry, Faults, read_list, readable
 from agent.config.plugins import driver_class
 from agent.config.tables import Source
-from agent.errors import ConfigError
+from agent.errors import ConfigError, Fault
 
 COMMON: Final = tuple(key for key in Source.model_fields if key != "settings")
 
@@ -42,8 +42,16 @@ def _settings(path: str, driver: str, own: Mapping[str, Any], faults: Faults) ->
     try:
         return model.model_validate(own)
     except ValidationError as error:
-        faults.found += faults_of(error, path, own, _keys(model))
+        faults.found += [_keyed(fault, path, model) for fault in faults_of(error, path, own, _keys(model))]
         return None
+
+
+def _keyed(fault: Fault, path: str, model: type[BaseModel]) -> Fault:
+    """Return a fault of a whole source as one of the key with which its words begin."""
+    key = fault.message.split(" ", 1)[0].rstrip(":")
+    if fault.path != path or key not in model.model_fields:
+        return fault
+    return Fault(join(path, key), fault.message.removeprefix(f"{key}: "), fault.advice)
 
 
 def _keys(model: type[BaseModel]) -> list[str]:

@@ -23,6 +23,11 @@ RING = (
 )
 MAP = 'map = { force = "F", x1 = "X" }\n'
 CASES = [
+    ('[[source]]\ndriver = "serial"\nport = "x"\nformat = "text"\n' + MAP, 'source[0].format: format "text" needs'),
+    (
+        TEXT.replace('"F"', '"$X", "F"') + 'checksum = "nmea"\n' + MAP,
+        'source[0].columns: with checksum = "nmea" a line is $ADDRESS,cells*HH',
+    ),
     (TEXT + 'map = { force = "G", x1 = "X" }', 'source[0].map.force: no column is called "G"; columns are F, X'),
     (POLL + MAP + 'counter = "N"', 'source[0].counter: no field is called "N"; fields are F, X'),
     (POLL + MAP + 'counter = "X"', 'source[0].counter: the counter "X" is a float32; a counter must be an integer'),

@@ -6,8 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from drivers.port import Counts
+from drivers.serial_line import SerialSettings
 from drivers.serial_text import TextDecoder
 
 COLUMNS = ("n", "a", "b")
@@ -134,3 +136,52 @@ def mutated(line: bytes, rng: np.random.Generator) -> bytes:
         elif len(data) > 1:
             del data[place % len(data)]
     return bytes(data)
+
+
+def noted(line: bytes, columns: tuple[str, ...], pattern: str | None = None, *, nmea: bool = True) -> str:
+    notes: list[str] = []
+    compiled = re.compile(pattern) if pattern else None
+    decoder = TextDecoder(columns, None if pattern else ",", compiled, nmea, columns, None, Counts(), notes.append)
+    decoder.feed(b"\n" + 3 * line)
+    (note,) = notes
+    return note
+
+
+XDR, BAD_SUM = b"$IIXDR,1,2*4D\r\n", b"$IIXDR,1,2*4C\r\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "keys", "words"),
+    [
+        (XDR, {}, "'$IIXDR,1,2*4D': 2 cells behind its address, which with $ is no column; columns has 3"),
+        (BAD_SUM, {}, 'checksum = "nmea" wants $ADDRESS,cells*HH, HH the exclusive or'),
+        (
+            XDR, {"pattern": "(?P<n>.)(?P<a>.)(?P<b>.)"},
+            "does not match the pattern, held against what lies between $ and *, the address included",
+        ),
+        (b"1,2\n", {"nmea": False}, "rejected as \"columns\": '1,2': 2 cells; columns has 3"),
+        (b"1,2,\x1b[2J\n", {"nmea": False}, "rejected as \"text\": '1,2,\\x1b[2J': a cell is no decimal number"),
+    ],
+)  # fmt: skip
+def test_first_line_that_is_rejected_for_a_reason_is_shown_with_why(
+    line: bytes, keys: dict[str, object], words: str
+) -> None:
+    assert words in noted(line, COLUMNS, **keys)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"columns": ["$IIXDR", "a"]}, r"columns: with checksum = \"nmea\" a line is \$ADDRESS,cells\*HH"),
+        ({"pattern": r"\$IIXDR,(?P<a>[^,]*)"}, r"pattern: with checksum = \"nmea\" .* leave the dollar sign out"),
+        ({"pattern": r"^[$]IIXDR,(?P<a>[^,]*)"}, r"pattern: with checksum = \"nmea\""),
+    ],
+)
+def test_nmea_with_its_dollar_in_columns_or_pattern_is_refused_in_words(keys: dict[str, object], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        SerialSettings.model_validate({"port": "x", "format": "text", "checksum": "nmea", **keys})
+
+
+def test_nmea_pattern_that_begins_with_the_address_is_taken() -> None:
+    keys = {"port": "x", "format": "text", "checksum": "nmea", "pattern": r"IIXDR,(?P<a>[^,]*)"}
+    assert SerialSettings.model_validate(keys).pattern

@@ -138,7 +138,7 @@ class ModbusDriver(Driver):
             except ReplyError as error:
                 self._reader.lost_s += clock.monotonic() - begun
                 self.counts.faults[error.kind] += 1
-                self._bear(error)
+                self._after_failure(error)
             else:
                 self._unanswered, self._busy_s = 0, _BUSY_FIRST_S
                 return answer
@@ -147,7 +147,7 @@ class ModbusDriver(Driver):
         timeout_s, spare = self._settings.timeout_s, self._settings.gap
         return line.ask(request, timeout_s, self._reader.urgent_at, self.counts.faults, spare)
 
-    def _bear(self, error: ReplyError) -> None:
+    def _after_failure(self, error: ReplyError) -> None:
         """Return where the request is to be repeated at once; else raise what the failure comes to."""
         words = f"{self._address()}: {error}"
         if error.code in BUSY:

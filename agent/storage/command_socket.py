@@ -191,7 +191,7 @@ def _admit(file: Path, group: int | None) -> None:
     handle = os.open(file, os.O_PATH | os.O_NOFOLLOW)
     try:
         os.chown(f"/proc/self/fd/{handle}", -1, group)
-        os.chmod(f"/proc/self/fd/{handle}", 0o660)
+        Path(f"/proc/self/fd/{handle}").chmod(0o660)
     finally:
         os.close(handle)
 

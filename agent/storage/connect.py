@@ -1,6 +1,7 @@
 """Connections to the file: the one that writes, and those that only read."""
 
 import errno
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -8,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from agent.errors import StoreError
-from agent.storage.files import Kind, beside, check_place, kind_of, refuse, sync_folder
+from agent.storage.files import Kind, beside, check_place, hand_over, kind_of, opened, refuse, refuse_links, sync_folder
 from agent.storage.schema import PAGE_SIZE, SCHEMA_VERSION, upgrade, version_of
 
 WAL_BOUND = 16 * 1024 * 1024
@@ -68,6 +69,11 @@ def create(path: Path) -> None:
 
 def build(path: Path) -> None:
     """Write an empty database of this version, whole and synced, with no companion files."""
+    handle = opened(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+    try:
+        hand_over(handle, path.parent)
+    finally:
+        os.close(handle)
     connection = sqlite3.connect(path, isolation_level=None)
     try:
         connection.execute(f"PRAGMA page_size = {PAGE_SIZE}")
@@ -80,7 +86,8 @@ def build(path: Path) -> None:
 
 
 def connect_writer(path: Path) -> sqlite3.Connection:
-    """Open the writing connection; transactions are begun and ended by hand."""
+    """Open the writing connection; transactions are begun and ended by hand. Raises StoreError for a symbolic link."""
+    refuse_links(path)
     with _log_kept(path):
         connection = sqlite3.connect(
             path, isolation_level=None, check_same_thread=False, timeout=1.0, cached_statements=64

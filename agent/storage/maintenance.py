@@ -1,6 +1,7 @@
 """What `deltak db` and `deltak export` do: plain functions, each on a path."""
 
 import csv
+import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -12,7 +13,18 @@ from agent.errors import StoreError, StoreHeldError, UsageError
 from agent.storage import queries
 from agent.storage.command_socket import ask
 from agent.storage.connect import cause_of, connect_reader, connect_writer, may_pass
-from agent.storage.files import Kind, Lock, beside, check_place, check_writable, kind_of, refuse, sync_folder
+from agent.storage.files import (
+    Kind,
+    Lock,
+    beside,
+    check_place,
+    check_writable,
+    created,
+    kind_of,
+    refuse,
+    refuse_links,
+    sync_folder,
+)
 from agent.storage.receipts import Receipts
 from agent.storage.salvage import Recovery, recover
 from agent.storage.store import Store
@@ -78,19 +90,32 @@ def repair(path: Path | str) -> Recovery | None:
     refuse(path, kind)
     if kind is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    refuse_links(path)
+    if _commanded(path):
+        return _recovery(ask(path, "repair")["repaired"])
     check_writable(path)
     try:
         lock = Lock(path)
     except StoreHeldError as held:
-        answer = _ask_holder(path, "repair", held)["repaired"]
-        return Recovery(Path(answer[0]), *answer[1:]) if answer else None
+        return _recovery(_ask_holder(path, "repair", held)["repaired"])
     try:
-        receipts = Receipts(lock.handle)
-        lost = "its header is damaged" if kind is Kind.DAMAGED else receipts.missing(path)
+        receipts = Receipts(lock.handle, private=lock.private)
+        words, torn = receipts.missing(path)
+        lost = "its header is damaged" if kind is Kind.DAMAGED else words if torn else None
         found = [lost] if lost else _problems_of(path)
         return recover(path, found[0], receipts.highs) if found else None
     finally:
         lock.release()
+
+
+def _recovery(answer: list[Any] | None) -> Recovery | None:
+    return Recovery(Path(answer[0]), *answer[1:]) if answer else None
+
+
+def _commanded(path: Path) -> bool:
+    """Tell whether this user may not write to a database, but there is an agent to be asked."""
+    lock = beside(path, ".lock")
+    return beside(path, ".sock").exists() and lock.exists() and not os.access(lock, os.W_OK)
 
 
 def _problems_of(path: Path) -> list[str]:
@@ -114,6 +139,9 @@ def compact(path: Path | str) -> tuple[int, int]:
     if kind_of(path) is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
     before = path.stat().st_size
+    if _commanded(path):
+        answer = ask(path, "compact")
+        return answer["bytes_before"], answer["bytes_after"]
     try:
         with Store.open(path) as store:
             store.compact()
@@ -140,11 +168,12 @@ def backup(path: Path | str, target: Path | str) -> int:
     """
     path, target = Path(path), Path(target)
     check_place(target)
-    if target.exists():
+    if target.exists() or target.is_symlink():
         raise UsageError.at(str(target), "exists already", "give a name that is free")
     check_writable(target)
     part = beside(target, ".part")
     part.unlink(missing_ok=True)
+    created(part).close()
     try:
         with closing(connect_reader(path)) as source, closing(sqlite3.connect(part)) as copy:
             source.backup(copy)

@@ -12,7 +12,7 @@ from typing import IO, Any
 from agent.errors import StoreError, StoreHeldError, UsageError
 from agent.storage import queries
 from agent.storage.command_socket import ask
-from agent.storage.connect import cause_of, connect_reader, connect_writer, may_pass
+from agent.storage.connect import Reader, cause_of, connect_reader, connect_writer, may_pass
 from agent.storage.files import (
     Kind,
     Lock,
@@ -25,6 +25,7 @@ from agent.storage.files import (
     refuse_links,
     sync_folder,
 )
+from agent.storage.proof import proven
 from agent.storage.receipts import Receipts
 from agent.storage.salvage import Recovery, recover
 from agent.storage.store import Store
@@ -65,7 +66,7 @@ def check(path: Path | str) -> Report:
     kind = kind_of(path)
     if kind is Kind.DAMAGED:
         return Report(path, ["its header is damaged"], path.stat().st_size, {})
-    with closing(connect_reader(path)) as connection:
+    with closing(connect_reader(path, any_schema=True)) as connection:
         connection.execute("BEGIN")  # one state of the file, however long it takes
         found = problems(connection)
         rows = {} if found else {view: _count(connection, view) for view in _COUNTED}
@@ -202,19 +203,21 @@ def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[st
     if rig is not None and rig not in queries.rigs(path):
         raise UsageError.at("--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}")
     connection = connect_reader(Path(path))
+    connection.execute("BEGIN")  # rows and what proves them are of one state
     own = "alarm_id IN (SELECT id FROM v_alarms WHERE rig = ?)" if what == "alarm_events" else "rig = ?"
-    condition, values = (f" WHERE {own}", (rig,)) if rig is not None else ("", ())
+    condition, values = (own, (rig,)) if rig is not None else ("1 = 1", ())
     try:
-        cursor = connection.execute(f"SELECT * FROM v_{what}{condition}", values)  # noqa: S608 - own names
+        columns, rows = proven(connection, f"v_{what}", condition, values)
     except BaseException:
         connection.close()
         raise
-    return [column[0] for column in cursor.description], _rows(connection, cursor)
+    return columns, _rows(connection, rows, Path(path))
 
 
-def _rows(connection: sqlite3.Connection, cursor: sqlite3.Cursor) -> Iterator[Sequence[Any]]:
+def _rows(connection: Reader, rows: Iterator[Sequence[Any]], path: Path) -> Iterator[Sequence[Any]]:
     with closing(connection):
-        yield from cursor
+        yield from rows
+        queries.tell_refused(path, connection.refused)
 
 
 def export_csv(path: Path | str, what: str, output: IO[str], rig: str | None = None) -> int:

@@ -1,6 +1,7 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Read-only questions to a database, answered in the columns of its views."""
 
+import logging
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -11,12 +12,19 @@ from typing import Any
 import numpy as np
 
 from agent.errors import Fault, UsageError
-from agent.storage.connect import connect_reader, unreadable
+from agent.storage.connect import Reader, connect_reader, unreadable
+from agent.storage.proof import differing, point_columns, points_of, prove_whole, proven, sound_points
 from agent.storage.times import parse_time
 from agent.types import FloatArray, IntArray
 
-Rows = list[dict[str, Any]]
+log = logging.getLogger(__name__)
 _MOST_POINTS = 50_000  # more points than this and a trend reads a coarser tier
+
+
+class Rows(list[dict[str, Any]]):
+    """Rows by column; refused: how many more there are, which are not shown because their checksums are wrong."""
+
+    refused = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +38,7 @@ class Points:
         span_s: (n,) 0, or what the aggregate covers.
         since_ns, until_ns: the stretch asked for; None where open.
         reference: what delta is counted from at the newest point; None without one.
+        refused: rows that are left out because their checksums are wrong.
     """
 
     rig: str
@@ -42,14 +51,24 @@ class Points:
     since_ns: int | None
     until_ns: int | None
     reference: float | None
+    refused: int
+
+
+def tell_refused(db: Path | str, count: int) -> None:
+    """Warn of rows that are not shown."""
+    if count:
+        words = "%s: %d rows are not shown, their checksums are wrong; `deltak db check` tells more"
+        log.warning(words, db, count)
 
 
 @contextmanager
-def reading(db: Path | str) -> Iterator[sqlite3.Connection]:
+def reading(db: Path | str) -> Iterator[Reader]:
     """Open a database for one question; what SQLite finds wrong with it becomes a StoreError."""
     with closing(connect_reader(Path(db))) as connection:
         try:
+            connection.execute("BEGIN")  # rows and what proves them are of one state
             yield connection
+            tell_refused(db, connection.refused)
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
             raise unreadable(Path(db), error) from error
 
@@ -74,14 +93,16 @@ def estimates(
         StoreError: the file; UsageError: an unknown rig or parameter, or no time.
     """
     with reading(db) as connection:
-        found: Rows = []
+        found = Rows()
         for name in _chosen_rigs(connection, rig):
             first, last = _stretch(connection, name, since, until)
             condition, values = _where(rig=name, parameter=parameter)
             condition += " AND t_ns BETWEEN ? AND ?"
             found += _rows(connection, "v_estimates", condition, (*values, first, last))
         _check_parameter(connection, rig, parameter)
-    return sorted(found, key=lambda row: (row["t_ns"], row["rig"]))
+        found.refused = connection.refused
+    found.sort(key=lambda row: (row["t_ns"], row["rig"]))
+    return found
 
 
 def latest(db: Path | str, rig: str | None = None) -> Rows:
@@ -112,7 +133,9 @@ def health(db: Path | str, rig: str | None = None) -> Rows:
             condition, values = _where(rig=row["rig"], source=row["source"], t_ns=row["t_ns"])
             for reason in _rows(connection, "v_health_reasons", condition, values):
                 row["reasons"].setdefault(reason["kind"], {})[reason["reason"]] = reason["count"]
-    return list(newest.values())
+        found = Rows(newest.values())
+        found.refused = connection.refused
+    return found
 
 
 def events(db: Path | str, rig: str | None = None) -> Rows:
@@ -168,14 +191,15 @@ def points(
         first, last = _stretch(connection, name, since, until)
         found = _tiered(connection, name, parameter, first, last)
         unit, reference = _unit(connection, name, parameter)
+        refused = connection.refused
     t_ns, value, sd, span = (np.array(column) for column in (zip(*found, strict=True) if found else ((), (), (), ())))
     return Points(
         name, parameter, unit, t_ns.astype(np.int64), value.astype(np.float64), sd.astype(np.float64),
-        span.astype(np.int64), None if since is None else first, None if until is None else last, reference,
+        span.astype(np.int64), None if since is None else first, None if until is None else last, reference, refused,
     )  # fmt: skip
 
 
-def _tiered(connection: sqlite3.Connection, rig: str, parameter: str, first: int, last: int) -> list[tuple[Any, ...]]:
+def _tiered(connection: Reader, rig: str, parameter: str, first: int, last: int) -> list[tuple[Any, ...]]:
     """Return (t_ns, value, sd, span_s) from the finest tier that reaches back and is not too long, then finer rows."""
     bounds = {span: _bounds(connection, rig, span, first, last) for span in (0, 60, 3600)}
     oldest = min((b[0] for b in bounds.values() if b), default=first)
@@ -202,10 +226,10 @@ def _bounds(connection: sqlite3.Connection, rig: str, span: int, first: int, las
 
 
 def _tier_points(
-    connection: sqlite3.Connection, rig: str, parameter: str, span: int, first: int, last: int
+    connection: Reader, rig: str, parameter: str, span: int, first: int, last: int
 ) -> list[tuple[Any, ...]]:
     query = (
-        "SELECT h.t_ns + h.span * 500000000, e.value, e.sd, h.span FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq "
+        f"SELECT {point_columns()} FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq "
         "CROSS JOIN hops h ON h.run_id = r.seq "
         "CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 "
         "CROSS JOIN series s ON s.seq = e.series_id CROSS JOIN fits f ON f.seq = e.fit_id "
@@ -213,15 +237,18 @@ def _tier_points(
         "AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o WHERE o.run_id = h.run_id "
         "AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"
     )
-    return connection.execute(query, (rig, parameter, span, first, last)).fetchall()
+    rows = connection.execute(query, (rig, parameter, span, first, last)).fetchall()
+    prove_whole(connection, "overlaps")
+    return points_of(sound_points(connection, rig, rows))
 
 
-def _unit(connection: sqlite3.Connection, rig: str, parameter: str) -> tuple[str, float | None]:
+def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | None]:
     query = (
-        "SELECT s.unit, s.reference FROM series s JOIN runs r ON r.seq = s.run_id JOIN rigs g ON g.seq = r.rig_id "
-        "WHERE g.name = ? AND s.parameter = ? ORDER BY s.seq DESC LIMIT 1"
+        "SELECT s.unit, s.reference, s.seq FROM series s JOIN runs r ON r.seq = s.run_id "
+        "JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND s.parameter = ? ORDER BY s.seq DESC LIMIT 1"
     )
-    unit, reference = connection.execute(query, (rig, parameter)).fetchone()
+    unit, reference, seq = connection.execute(query, (rig, parameter)).fetchone()
+    connection.refuse(len(differing(connection, "series", (), {(seq,)})))
     return str(unit), None if reference is None else float(reference)
 
 
@@ -231,10 +258,11 @@ def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:
     return " AND ".join(["1 = 1", *(f"{name} = ?" for name in known)]), tuple(known.values())
 
 
-def _rows(connection: sqlite3.Connection, view: str, condition: str, values: Sequence[object]) -> Rows:
-    cursor = connection.execute(f"SELECT * FROM {view} WHERE {condition}", tuple(values))
-    names = [column[0] for column in cursor.description]
-    return [dict(zip(names, cells, strict=True)) for cells in cursor.fetchall()]
+def _rows(connection: Reader, view: str, condition: str, values: Sequence[object]) -> Rows:
+    names, rows = proven(connection, view, condition, values)
+    found = Rows(dict(zip(names, cells, strict=True)) for cells in rows)
+    found.refused = connection.refused
+    return found
 
 
 def _rigs(connection: sqlite3.Connection) -> list[str]:

@@ -8,7 +8,11 @@ fits, verdicts) is named by number.
 
 import sqlite3
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from contextlib import closing
+from functools import cache
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 from agent import __version__
 from agent.storage.checksum import row_crc
@@ -63,6 +67,8 @@ TABLES: dict[str, str] = {
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
 _SINCE = {"event_records": 2, "calibrations": 4}
 """The version that brought a table, of those that version 1 did not have."""
+
+_CALLED = frozenset({"json_each"})  # table-valued functions in our views
 
 _CONSUMERS = (
     "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, last_seq INTEGER NOT NULL DEFAULT 0, "
@@ -124,6 +130,15 @@ def _calibrations(db: "Database") -> None:
     _mark(db.conn, 4)
 
 
+_STEPS: dict[str, Callable[["Database"], None]] = {
+    "0001_tables_views_and_marks": _tables_views_and_marks,
+    "0002_event_records": _event_records,
+    "0003_clocks": _clocks,
+    "0004_calibrations": _calibrations,
+}
+"""The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
+
+
 def _create(connection: sqlite3.Connection, table: str) -> None:
     columns = TABLES[table]
     connection.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
@@ -153,11 +168,35 @@ def migrations() -> "Migrations":
     from sqlite_utils.migrations import Migrations
 
     steps = Migrations("deltak")
-    steps(name="0001_tables_views_and_marks")(_tables_views_and_marks)
-    steps(name="0002_event_records")(_event_records)
-    steps(name="0003_clocks")(_clocks)
-    steps(name="0004_calibrations")(_calibrations)
+    for name, step in _STEPS.items():
+        steps(name=name)(step)
     return steps
+
+
+@cache
+def own_schema() -> dict[tuple[str, str], tuple[str, str | None]]:
+    """Return what a file of this version consists of: (type, name) -> table, text."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        for step in _STEPS.values():
+            step(cast("Database", SimpleNamespace(conn=connection)))
+        return _schema(connection)
+
+
+def _schema(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str, str | None]]:
+    rows = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
+    return {(kind, name): (table, text) for kind, name, table, text in rows}
+
+
+def strange_schema(connection: sqlite3.Connection) -> list[str]:
+    """Return in words what of a file's schema is not this program's own text; none of it is executed.
+
+    Tables, indexes and views of others are left alone, but for those that stand in for what our views call.
+    """
+    found = _schema(connection)
+    words = [f"the text of {kind} {name} is not its own" for (kind, name), own in own_schema().items()
+             if found.get((kind, name)) != own]  # fmt: skip
+    others = (name for kind, name in found if kind == "trigger" or name.lower() in _CALLED)
+    return words + [f"{name} does not belong there" for name in others]
 
 
 def upgrade(connection: sqlite3.Connection) -> None:

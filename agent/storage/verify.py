@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from agent.storage.checksum import column_crc, row_crc
 from agent.storage.connect import is_damage
-from agent.storage.schema import TABLES, columns_of
+from agent.storage.schema import TABLES, columns_of, strange_schema
 
 Row = tuple[Any, ...]
 _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}
 """Tables of numbers only, checked whole columns at a time -> how many of their columns are integers."""
 _SMALL_PAGES = 4096  # files up to this size are read whole at every start
 _NEWEST_ROWS = 5000
-_SCHEMA_OBJECTS = 19 + 1  # tables of this version and that of the migrations
 _ORPHANS = """SELECT count(*) FROM estimates e WHERE NOT EXISTS (SELECT 1 FROM hops h WHERE h.seq = e.seq >> 10)
  OR NOT EXISTS (SELECT 1 FROM series s WHERE s.seq = e.series_id)
  OR NOT EXISTS (SELECT 1 FROM fits f WHERE f.seq = e.fit_id)"""
@@ -63,7 +62,7 @@ def _right(row: Row) -> bool:
 def problems(connection: sqlite3.Connection) -> list[str]:
     """Return what is wrong with an open database, in words; empty when nothing was found. Reads the whole file."""
     found: list[str] = []
-    for check in (_structure, _rows, _orphans):
+    for check in (strange_schema, _structure, _rows, _orphans):
         try:
             found += check(connection)
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
@@ -80,7 +79,7 @@ def problems_at_start(connection: sqlite3.Connection) -> list[str]:
     """
     if connection.execute("PRAGMA page_count").fetchone()[0] <= _SMALL_PAGES:
         return problems(connection)
-    found = []
+    found = strange_schema(connection)
     for table in TABLES:
         newest = connection.execute(f"SELECT max(seq) FROM {table}").fetchone()[0] or 0
         rows = _NEWEST_ROWS << 10 if table in {"estimates", "spreads"} else _NEWEST_ROWS
@@ -112,12 +111,7 @@ class Scrubber:
 
 
 def _structure(connection: sqlite3.Connection) -> list[str]:
-    tables = connection.execute("SELECT count(*) FROM sqlite_master WHERE type = 'table'").fetchone()[0]
-    views = connection.execute("SELECT name FROM sqlite_master WHERE type = 'view'").fetchall()
-    for (view,) in views:
-        connection.execute(f'SELECT * FROM "{view}" LIMIT 0')
-    found = [text for (text,) in connection.execute("PRAGMA integrity_check(5)") if text != "ok"]
-    return found if tables >= _SCHEMA_OBJECTS else [*found, f"only {tables} tables are left"]
+    return [text for (text,) in connection.execute("PRAGMA integrity_check(5)") if text != "ok"]
 
 
 def _rows(connection: sqlite3.Connection) -> list[str]:

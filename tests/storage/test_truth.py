@@ -125,7 +125,7 @@ def test_flipped_bit_in_the_text_of_a_view_is_noticed_by_check_and_by_every_ques
     for place in rng.choice(places, count):
         bit = int(rng.integers(8))
         flip(path, int(place), bit)
-        assert set(asked(path, caplog).values()) == {None}, f"bit {bit} of byte {place}"
+        assert not any(rows is not None for rows in asked(path, caplog).values()), f"bit {bit} of byte {place}"
         assert _problems(path), f"bit {bit} of byte {place}"
         flip(path, int(place), bit)
     figure(f"bits flipped in the text of views: {count}, all noticed by db check and by every question")

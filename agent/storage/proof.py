@@ -10,11 +10,12 @@ import re
 import sqlite3
 from collections.abc import Iterator, Sequence
 from functools import cache
+from itertools import repeat
 from typing import Any
 
 from agent.storage.connect import Reader
 from agent.storage.schema import TABLES, columns_of, own_schema
-from agent.storage.verify import bad_rows, good_rows
+from agent.storage.verify import bad_rows, good_columns, good_rows
 
 Cells = tuple[Any, ...]
 _INDEXED = {
@@ -71,17 +72,21 @@ def sound_points(reader: Reader, rig: str, rows: list[Cells]) -> list[Cells]:
     """Return the rows of `point_columns` that prove themselves, and the rows of other tables that they name."""
     if not rows:
         return rows
-    hops, cells = len(columns_of("hops")), len(columns_of("estimates"))
-    right = good_rows("hops", [row[:hops] for row in rows])
-    right &= good_rows("estimates", [row[hops : hops + cells] for row in rows])
-    for table, columns, seen in (
-        ("rigs", ("name",), [(row[-1], rig) for row in rows]),
-        ("runs", ("rig_id",), [(row[1], row[-1]) for row in rows]),
-        ("series", (), [(row[hops + 1],) for row in rows]),
-        ("fits", (), [(row[hops + 2],) for row in rows]),
+    columns = list(zip(*rows, strict=True))
+    hops, end = len(columns_of("hops")), len(columns) - 1
+    right = good_columns("hops", columns[:hops]) & good_columns("estimates", columns[hops:end])
+    for table, names, said in (
+        ("rigs", ("name",), (columns[end], repeat(rig, len(rows)))),
+        ("runs", ("rig_id",), (columns[1], columns[end])),
+        ("series", (), (columns[hops + 1],)),
+        ("fits", (), (columns[hops + 2],)),
     ):
-        bad = differing(reader, table, columns, set(seen))
-        right &= [cell not in bad for cell in seen]
+        seen = list(zip(*said, strict=True))
+        bad = differing(reader, table, names, set(seen))
+        if bad:
+            right &= [cells not in bad for cells in seen]
+    if right.all():
+        return rows
     reader.refuse(int((~right).sum()))
     return [row for row, fine in zip(rows, right, strict=True) if fine]
 

@@ -28,19 +28,26 @@ def good_rows(table: str, rows: Sequence[Row]) -> NDArray[np.bool_]:
         return np.zeros(0, dtype=bool)
     if table not in _NUMERIC:
         return np.array([_right(row) for row in rows])
+    return good_columns(table, list(zip(*rows, strict=True)))
+
+
+def good_columns(table: str, columns: Sequence[Row]) -> NDArray[np.bool_]:
+    """Tell the same of the rows of a table of numbers, given as the columns that they make."""
     try:
-        return _numbers_right(rows, _NUMERIC[table])
+        return _numbers_right(columns, _NUMERIC[table])
     except (TypeError, ValueError, OverflowError):  # a cell that is not a number any more
+        rows = list(zip(*columns, strict=True))
         plausible = np.array([_plausible(row, _NUMERIC[table]) for row in rows])
         right = np.zeros(len(rows), dtype=bool)
         if plausible.any():
-            right[plausible] = _numbers_right([r for r, p in zip(rows, plausible, strict=True) if p], _NUMERIC[table])
+            sound = zip(*(row for row, fine in zip(rows, plausible, strict=True) if fine), strict=True)
+            right[plausible] = _numbers_right(list(sound), _NUMERIC[table])
         return right
 
 
-def _numbers_right(rows: Sequence[Row], integers: int) -> NDArray[np.bool_]:
-    """Check rows of `integers` integers, then reals or None, then the checksum; raises where they are not."""
-    *columns, stored = zip(*rows, strict=True)
+def _numbers_right(cells: Sequence[Row], integers: int) -> NDArray[np.bool_]:
+    """Check columns of `integers` integers, then reals or None, then the checksum; raises where they are not."""
+    *columns, stored = cells
     whole = [np.array(c, dtype=np.int64) for c in columns[:integers]]
     real = [np.array(c, dtype=np.float64) for c in columns[integers:]]
     return np.asarray(column_crc(*whole, *real) == np.array(stored, dtype=np.int64))

@@ -40,6 +40,13 @@ def is_damage(error: BaseException) -> bool:
     return code_of(error) in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 
 
+def damaged(words: str) -> sqlite3.DatabaseError:
+    """Return the error with which SQLite says that a file is broken, of what it does not see itself."""
+    error = sqlite3.DatabaseError(words)
+    error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+    return error
+
+
 def cause_of(error: BaseException) -> str:
     """Return why a write failed, as a few words."""
     code = code_of(error)

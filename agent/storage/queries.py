@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from agent.errors import Fault, UsageError
-from agent.storage.connect import Reader, connect_reader, unreadable
+from agent.storage.connect import Reader, connect_reader, damaged, unreadable
 from agent.storage.proof import differing, point_columns, points_of, prove_whole, proven, sound_points
 from agent.storage.times import parse_time
 from agent.types import FloatArray, IntArray
@@ -247,7 +247,10 @@ def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | No
         "SELECT s.unit, s.reference, s.seq FROM series s JOIN runs r ON r.seq = s.run_id "
         "JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND s.parameter = ? ORDER BY s.seq DESC LIMIT 1"
     )
-    unit, reference, seq = connection.execute(query, (rig, parameter)).fetchone()
+    row = connection.execute(query, (rig, parameter)).fetchone()
+    if row is None:  # found a moment ago, by another way
+        raise damaged("an index does not list what its table holds")
+    unit, reference, seq = row
     connection.refuse(len(differing(connection, "series", (), {(seq,)})))
     return str(unit), None if reference is None else float(reference)
 

@@ -187,6 +187,11 @@ def _schema(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str, 
     return {(kind, name): (table, text) for kind, name, table, text in rows}
 
 
+def _bare(entry: tuple[str, str | None] | None) -> tuple[str, ...]:
+    """Return an entry of a schema without spaces: earlier programs broke their lines elsewhere."""
+    return () if entry is None else (entry[0], "".join((entry[1] or "").split()))
+
+
 def strange_schema(connection: sqlite3.Connection) -> list[str]:
     """Return in words what of a file's schema is not this program's own text; none of it is executed.
 
@@ -194,7 +199,7 @@ def strange_schema(connection: sqlite3.Connection) -> list[str]:
     """
     found = _schema(connection)
     words = [f"the text of {kind} {name} is not its own" for (kind, name), own in own_schema().items()
-             if found.get((kind, name)) != own]  # fmt: skip
+             if _bare(found.get((kind, name))) != _bare(own)]  # fmt: skip
     others = (name for kind, name in found if kind == "trigger" or name.lower() in _CALLED)
     return words + [f"{name} does not belong there" for name in others]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.storage.checksum import column_crc, row_crc
-from agent.storage.connect import is_damage
+from agent.storage.connect import damaged, is_damage
 from agent.storage.schema import TABLES, columns_of, strange_schema
 
 Row = tuple[Any, ...]
@@ -109,9 +109,7 @@ class Scrubber:
         query = f"SELECT {', '.join(columns_of(table))} FROM {table} WHERE seq > ? ORDER BY seq LIMIT ?"
         found = connection.execute(query, (self._after, rows)).fetchall()
         if not good_rows(table, found).all():
-            error = sqlite3.DatabaseError(f"rows of {table} have a wrong checksum")
-            error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
-            raise error
+            raise damaged(f"rows of {table} have a wrong checksum")
         self._after = found[-1][0] if found else -(2**62)
         if len(found) < rows:
             self._table, self._after = (self._table + 1) % len(TABLES), -(2**62)

@@ -47,12 +47,14 @@ def prove_whole(reader: Reader, table: str) -> None:
 
 def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int) -> Iterator[Cells]:
     while rows := cursor.fetchmany(_AT_ONCE):
+        said = list(zip(*(row[:width] for row in rows), strict=True))
         wrong, place = set[int](), 0
         for table in parts:
             columns = _INDEXED.get(table, ())
-            seen = [row[place : place + 1 + len(columns)] for row in rows]
+            seen = list(zip(*said[place : place + 1 + len(columns)], strict=True))
             bad = differing(reader, table, columns, set(seen))
-            wrong.update(i for i, cells in enumerate(seen) if bad and cells in bad)
+            if bad:
+                wrong.update(i for i, cells in enumerate(seen) if cells in bad)
             place += 1 + len(columns)
         reader.refuse(len(wrong))
         yield from (row[width:] for i, row in enumerate(rows) if i not in wrong)
@@ -65,7 +67,9 @@ def differing(reader: sqlite3.Connection, table: str, columns: Sequence[str], se
     query = f"SELECT {', '.join(names)} FROM {table} WHERE seq IN (SELECT value FROM json_each(?))"
     rows = reader.execute(query, (json.dumps([cells[0] for cells in seen]),)).fetchall()
     right = good_rows(table, rows)
-    return seen - {tuple(row[p] for p in places) for row, fine in zip(rows, right, strict=True) if fine}
+    sound = rows if right.all() else [row for row, fine in zip(rows, right, strict=True) if fine]
+    cells = list(zip(*sound, strict=True))
+    return seen.difference(zip(*(cells[p] for p in places), strict=True)) if sound else seen
 
 
 def sound_points(reader: Reader, rig: str, rows: list[Cells]) -> list[Cells]:

@@ -16,8 +16,10 @@ FloatArray = NDArray[np.float64]
 
 STRICTLY_STABLE = 1.0 - 1e-6
 """Largest pole radius with which an observer may run on without correction (gain zero)."""
-WEAKEST, STRONGEST, BISECTIONS = -8.0, 8.0, 10
+WEAKEST, STRONGEST, STRIDE = -8.0, 8.0, 2.0
 """Decades of the intensity that is searched, about that of which the readings show 1 in units of their noise."""
+BISECTIONS = 7
+"""Of a stride: the intensity is found to 4 %."""
 NO_GAIN = "no stabilising observer gain: the outputs do not show a mode that does not decay"
 
 
@@ -123,9 +125,9 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
         sigma: (p,) standard deviation of each output's noise.
         window: samples in the window.
 
-    The one free figure, the intensity of the disturbance, is searched by bisection of its logarithm. Where none of
-    them forgets so soon (of an accelerometer's slow zeros, say) it is the one that forgets soonest; where forces alone
-    give no stable observer, every state is pushed.
+    The one free figure, the intensity of the disturbance, is the least that forgets so soon. Where none does (an
+    accelerometer's zeros are slow) it is the one that forgets soonest; where forces alone give no stable observer,
+    every state is pushed.
     Raises ValueError when no intensity gives a stable observer.
     """
     units = state_units(discrete.model.A, discrete.model.C / sigma[:, None])
@@ -141,27 +143,26 @@ def _searched(
 ) -> FloatArray | None:
     """Return the weakest gain whose poles lie within the radius `target`, else that of the least radius."""
     unit = 1.0 / max(float(np.linalg.norm(units[:, None] * pushes)) * discrete.period_s, 1e-300)
-    trials = {}
+    trials: dict[float, tuple[float, FloatArray | None]] = {}
 
-    def radius(exponent: float) -> float:
+    def forgets(exponent: float) -> bool:
         noise = Noise(sigma, np.full(pushes.shape[1], 10.0**exponent * unit))
         trials[exponent] = _tried(discrete, pushes, noise)
-        return trials[exponent][0]
+        return trials[exponent][0] < target
 
-    low, high = WEAKEST, STRONGEST
+    exponents = np.arange(WEAKEST, STRONGEST + STRIDE, STRIDE).tolist()
+    high = next((exponent for exponent in exponents if forgets(exponent)), None)
+    if high is None:
+        return min(trials.values(), key=lambda trial: trial[0])[1]
+    low = high - STRIDE
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if radius(middle) < target else (middle, high)
-    if min(trials.values(), key=lambda trial: trial[0])[0] >= target:
-        for exponent in np.arange(WEAKEST, STRONGEST + 1).tolist():
-            radius(exponent)
-    forgetting = [exponent for exponent in sorted(trials) if trials[exponent][0] < target]
-    chosen = forgetting[0] if forgetting else min(trials, key=lambda exponent: trials[exponent][0])
-    return trials[chosen][1]
+        low, high = (low, middle) if forgets(middle) else (middle, high)
+    return trials[high][1]
 
 
 def _tried(discrete: Discrete, pushes: FloatArray, noise: Noise) -> tuple[float, FloatArray | None]:
-    """Return the spectral radius of the observer with the matched gain, and the gain; (inf, None) where there is none."""
+    """Return the spectral radius of the observer with the matched gain, and the gain; inf and None without one."""
     try:
         gain = matched_gain(discrete, pushes, noise).L
     except ValueError:

@@ -120,9 +120,12 @@ def _least_samples(draft: Draft) -> int:
 
 
 def _most_samples(draft: Draft) -> int:
-    """Samples of the longest window: each is linearised in every parameter, state and input for every output."""
-    columns = len(draft.estimated) + (draft.states or 0) + len(draft.outputs) + 1
-    return round(MOST_GB * 1e9 / (8 * COPIES * max(len(draft.outputs), 1) * columns))
+    return most_samples(len(draft.outputs), len(draft.estimated) + (draft.states or 0))
+
+
+def most_samples(outputs: int, unknowns: int) -> int:
+    """Return the samples of the longest window: each is linearised in every parameter and state for every output."""
+    return round(MOST_GB * 1e9 / (8 * COPIES * max(outputs, 1) * (unknowns + outputs + 1)))
 
 
 def check_alarms(draft: Draft) -> None:

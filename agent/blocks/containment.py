@@ -9,8 +9,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from agent.blocks.estimation import BoolArray, Estimator
 from agent.numerics.faults.suspects import Accusation
 from agent.numerics.window.hops import HopPlan

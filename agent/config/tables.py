@@ -137,7 +137,7 @@ class Estimator(Table):
     estimate: Names = ()
     observer: Observer = Observer()
     resolve: Positive = 0.33
-    passes: int = Field(default=1, ge=1, le=1000)
+    passes: int = Field(default=10, ge=1, le=1000)
     drift_s: Positive | None = None
 
     @property

@@ -79,5 +79,6 @@ def _estimator(config: RigConfig, rig: RigModel, settings: WindowSettings) -> Es
     sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
     gain = settings.gains.start(sampled, Noise(sigma, np.zeros(rig.disturbance.shape[1]))).L
     passes = config.estimator.passes
-    seed = SeedSettings(settings.period_s, settings.plan, settings.hold, gain, passes, settings.scale)
+    scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
+    seed = SeedSettings(settings.period_s, settings.plan, settings.hold, gain, passes, scale)
     return SeedWindow(rig.model, seed)

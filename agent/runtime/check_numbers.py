@@ -50,9 +50,7 @@ def _start(config: RigConfig, rig: RigModel) -> None:
         raise ValueError(f"sampled at {config.rig.sample_rate_hz:g} Hz the model leaves the numbers")
     sigma = known_noise(config, np.zeros(len(config.outputs)))
     noise = Noise(np.where(np.isfinite(sigma), sigma, 1.0), np.zeros(rig.disturbance.shape[1]))
-    gains = observer_gains(config, rig, hop_plan(config).window)
-    gains.settled(sampled, noise)
-    gains.start(sampled, noise)
+    observer_gains(config, rig, hop_plan(config).window).start(sampled, noise)
 
 
 def _finite(model: StateSpace) -> bool:

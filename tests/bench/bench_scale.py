@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.blocks.estimation import Estimation
 from agent.blocks.containment import ContainedEstimator
+from agent.blocks.estimation import Estimation
 from agent.config import RigConfig, load
 from agent.numerics.estimator.window_ml import WindowML
 from agent.numerics.window.hops import HopOperators

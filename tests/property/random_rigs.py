@@ -77,7 +77,7 @@ def random_rig(rng: np.random.Generator) -> Rig:
     spots = sorted({(str(rng.choice(list(UNITS))), int(rng.integers(1, n + 1))) for _ in range(count)})
     stated = rng.choice([0.0, 0.5, 1.0])
     sensors = tuple(
-        (kind, node, str(rng.choice(list(UNITS[kind]))), float(10.0 ** rng.uniform(-6, -2)), bool(rng.random() < stated))
+        (kind, node, str(rng.choice([*UNITS[kind]])), float(10.0 ** rng.uniform(-6, -2)), bool(rng.random() < stated))
         for kind, node in spots
     )
     rig = Rig(tuple(masses.tolist()), tuple(elements), forces, sensors, 1.0, "")
@@ -107,7 +107,7 @@ def configuration(rig: Rig, noise: FloatArray) -> str:
     lines.append(_rows("mass", [f'name = "m{i}", value = {m!r}' for i, m in enumerate(rig.masses, 1)]))
     for kind, letter in (("spring", "k"), ("damper", "B")):
         rows = [
-            f'name = "{letter}{i}", between = ["{name(e.ends[0])}", "{name(e.ends[1])}"], nominal = {getattr(e, letter)!r}'
+            f'name = "{letter}{i}", between = {[name(end) for end in e.ends]}, nominal = {getattr(e, letter)!r}'
             for i, e in enumerate(rig.elements, 1)
         ]
         lines.append(_rows(kind, rows))

@@ -13,7 +13,7 @@ from agent.runtime.cli_errors import guarded
 from tests.property.random_rigs import written
 
 RIGS, SOAK = 200, 5000
-REPLAYED = 20
+REPLAYED = 40
 """Every so manieth rig is replayed in each run, every one when soaking: a fit costs a hundred times a check."""
 FAULT = re.compile(r"deltak: error: (rig|model|channel|estimator)[\w.\[\]]*: \S.*")
 
@@ -62,6 +62,7 @@ def play(seeds: range, replayed: int, folder: Path, capfd: pytest.CaptureFixture
     return counts
 
 
+@pytest.mark.timeout(300)
 def test_random_rigs_are_checked_and_replayed_or_refused_by_name(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -71,7 +72,7 @@ def test_random_rigs_are_checked_and_replayed_or_refused_by_name(
 
 
 @pytest.mark.soak
-@pytest.mark.timeout(4 * 3600)
+@pytest.mark.timeout(8 * 3600)
 def test_random_rigs_five_thousand_are_checked_and_replayed_or_refused_by_name(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from time import monotonic
 
 PERIOD_S = 60.0
-THIRD_PARTY = ("pymodbus", "can", "asyncio", "matplotlib", "sqlite_utils")
+THIRD_PARTY = ("pymodbus", "can", "asyncio", "matplotlib", "sqlite_utils", "py.warnings")
+"""What speaks only where logs are set to debug; Python's warnings (numpy's, scipy's) are the last of them."""
 
 
 class OncePerPeriod(logging.Filter):

@@ -12,6 +12,9 @@ from drivers.serial_codec import Samples, SerialDecoder
 
 _NUMBER = re.compile(r"[ \t]*(?:(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|NaN|NAN)[ \t]*)?", re.ASCII)
 
+SHOWN = 80
+"""Characters of a refused line that are shown."""
+
 
 class TextDecoder(SerialDecoder):
     """Lines of delimited text, or lines that a pattern with named groups matches whole.
@@ -70,11 +73,26 @@ class TextDecoder(SerialDecoder):
     def _row(self, line: bytes) -> list[float] | None:
         """Return the numbers of a line, or None with the reason counted."""
         self._counts.received += 1
-        row = self._cells(line.decode("latin-1").strip("\r\n \0"))
+        text = line.decode("latin-1").strip("\r\n \0")
+        row = self._cells(text)
         if isinstance(row, str):
             self._counts.rejected[row] += 1
+            self._counts.first.setdefault(row, self._refusal(row, text))
             return None
         return row
+
+    def _refusal(self, reason: str, line: str) -> str:
+        """Return a line that was refused, and what was wrong with it, in words."""
+        keys = "pattern" if self._pattern is not None else f"columns = {list(self._columns)}"
+        why = {
+            "length": f"is longer than {LONGEST} characters",
+            "checksum": 'is no "$ADDRESS,cells*HH" whose HH is right, which checksum = "nmea" asks for',
+            "pattern": "does not match pattern as a whole",
+            "columns": f"has another number of cells than {keys}",
+            "text": f"holds what is no number where {keys} asks for one",
+            "counter": "holds no whole number as its counter",
+        }[reason]
+        return f'"{line[:SHOWN]}" {why}'
 
     def _cells(self, line: str) -> list[float] | str:
         if len(line) > LONGEST:

@@ -28,8 +28,8 @@ SURE = 2 * OVERSHOOT
 BRAKED_OVER = 3
 """Samples before the last whole step into a top over which its braking is told."""
 BRAKING = 3.5
-"""Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more. One at
-constant braking makes 1.5 to 2, up to 3 where it begins only then; one whose braking fades 1 to 2 until its steps are ..."""
+"""Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more. Constant
+braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its steps are ..."""
 CREEP = 3.0
 """... those of the wire, of which it then makes no more than so many a sample."""
 ENTRY = PLATEAU + BRAKED_OVER + 1

@@ -151,7 +151,7 @@ def test_cleaner_blow_on_a_force_that_rests_is_left_to_the_motion() -> None:
 
 def test_force_that_is_held_is_searched_through_for_no_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    wild = Cleaner._is_wild  # noqa: SLF001 what it costs is counted in its calls
+    wild = Cleaner._is_wild
     monkeypatch.setattr(Cleaner, "_is_wild", lambda self, *place: asked.append(1) or wild(self, *place))
     force = np.repeat(np.random.default_rng(0).normal(0.0, 5.0, 60), 100)
     cleaner = Cleaner(np.array([True]), np.array([1e-3]))

@@ -10,7 +10,7 @@ from drivers.recorded import BLOCK_ROWS, RecordedFile, Rows, Wanted
 
 _DELIMITERS = ",;\t"
 _LONGEST_HEADER = 1 << 20
-_LONGEST_ROW = 1 << 20
+_LONGEST_ROW = 1 << 22
 _MOST_BYTES = 1 << 24
 """That are read at once, however long the first row is; reading takes eleven times so much memory."""
 

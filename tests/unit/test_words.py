@@ -189,9 +189,11 @@ def test_pipe_that_is_closed_is_no_error() -> None:
 def test_endless_row_of_a_csv_is_refused_and_not_read(tmp_path: Path) -> None:
     path = tmp_path / "endless.csv"
     for head, line in (("t,force,x1\n", 2), ("t,force,x1\n0,1,2\n", 3)):
-        path.write_text(head + "1" * (5 << 20), encoding="utf-8")
-        with pytest.raises(DriverConfigError, match=rf"endless\.csv:{line}: a row of more than 1048576 characters"):
-            everything(driver(path))
+        path.write_text(head + "1" * (9 << 20), encoding="utf-8")
+        recording = driver(path)
+        with pytest.raises(DriverConfigError, match=rf"endless\.csv:{line}: a row of more than 4194304 characters"):
+            everything(recording)
+        recording.close()
 
 
 def test_npz_that_unpacks_to_what_no_measurement_packs_so_well_is_refused_unread(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import TYPE_CHECKING, Any
 
 from agent.errors import StoreError, StoreHeldError, UsageError
 from agent.storage import queries
@@ -30,6 +30,9 @@ from agent.storage.receipts import Receipts
 from agent.storage.salvage import Recovery, recover
 from agent.storage.store import Store
 from agent.storage.verify import problems
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +223,7 @@ def _rows(connection: Reader, rows: Iterator[Sequence[Any]], path: Path) -> Iter
         queries.tell_refused(path, connection.refused)
 
 
-def export_csv(path: Path | str, what: str, output: IO[str], rig: str | None = None) -> int:
+def export_csv(path: Path | str, what: str, output: "SupportsWrite[str]", rig: str | None = None) -> int:
     """Write a view as CSV (empty cell: NULL; floats to the last digit); returns the number of rows."""
     columns, rows = export(path, what, rig)
     writer = csv.writer(output, lineterminator="\n")

@@ -51,6 +51,10 @@ class Estimator(Protocol):
         """Begin with what an earlier run knew."""
         ...
 
+    def hurry(self) -> None:
+        """Do nothing but rows from now on: no fit, no search."""
+        ...
+
     def take_findings(self) -> list[tuple[int, Accusation]]:
         """Return (sample of a row, what the model was found to lack there) since the last call."""
         ...

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.numerics.faults.skew import Delays, Skew, SkewMeter, combined
+from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.types import FloatArray, IntArray
 
 Reader = Callable[[IntArray, FloatArray], FloatArray]
@@ -24,6 +25,8 @@ LONGER_AFTER = 4
 """After so many stretches that did not tell enough the next ones are twice as long."""
 PATIENCE_S, PATIENCE_ANEW_S = 30.0, 5.0
 """Rows wait no longer than this for the skew, at a start and after a device began to count anew."""
+EVALUATIONS, RATE = 2000, 1.0
+"""Evaluations of a first stretch that may be spent at once, and what each sample adds (in samples of work)."""
 EVERY_S = 10.0
 REMEMBERED = 6
 FLOOR = 0.01
@@ -82,6 +85,7 @@ class SkewWatch:
     since: int = 0
     needed: bool = False
     unknown: bool = True
+    budget: Budget | None = None
     _patience_s: float = PATIENCE_S
     _found: deque[Delays] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     _theta: FloatArray = field(init=False)
@@ -93,6 +97,7 @@ class SkewWatch:
 
     def __post_init__(self) -> None:
         self.skew_s, self.sd_s = np.zeros(len(self.groups)), np.full(len(self.groups), np.inf)
+        self.budget = self.budget or Budget(EVALUATIONS * (EVALUATION + self.stretch), RATE)
         self._theta, self._measured = self.meter.model.nominal, np.zeros(len(self.groups))
 
     @property
@@ -114,7 +119,8 @@ class SkewWatch:
         """Return a watch that measures from row `since` on, and expects what this one found."""
         watch = SkewWatch(
             self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest, self.rate_hz,
-            self.complete, since=since, needed=needed, _patience_s=PATIENCE_ANEW_S,
+            self.complete, since=since, needed=needed, budget=self.budget,
+            _patience_s=PATIENCE_ANEW_S,
         )  # fmt: skip
         watch.skew_s, watch._theta = self.skew_s, self._theta
         if not needed:
@@ -181,19 +187,24 @@ class SkewWatch:
 
         elsewhere = [np.full(len(self.groups), start) for start in STARTS_S]
         starts = [self._found[-1].delay_s] if self._found else [self.skew_s, *elsewhere]
-        tried = [self._try(resampled, start) for start in starts]
+        tried = [self._try(resampled, start, int(rows[-1])) for start in starts]
         sure = [found for found in tried if found is not None]
         if sure:
             best = min(sure, key=lambda found: found.misfit)
             self._found.append(best)
             self._theta = best.theta
 
-    def _try(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray) -> Delays | None:
-        """Measure a stretch from one start; None where it tells nothing."""
+    def _try(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, index: int) -> Delays | None:
+        """Measure a stretch that ends with sample number `index` from one start; None where it tells nothing."""
+        if self.budget is None or not self.budget.allows(index):
+            return None
+        done = WORK.done
         try:
             found = self.meter.measure(resampled, start_s, self._theta)
         except (ValueError, np.linalg.LinAlgError):
             return None  # no gain, or readings that are no motion at all
+        finally:
+            self.budget.spend(done)
         return found if found.sure and bool(np.all(np.abs(found.delay_s) < MOST_S)) else None
 
     def _spread(self, skew: FloatArray) -> FloatArray:

@@ -136,6 +136,12 @@ class Pipeline:
                 records += self._estimated(self.quality.step(index, t_ns, v, anew=anew))
         return records + said
 
+    def hurry(self) -> None:
+        """Begin no fit, search or measurement any more: what waits for one waits for ever. From any thread."""
+        self.estimation.estimator.hurry()
+        if isinstance(self.acquisition, Alignment):
+            self.acquisition.hurry()
+
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
         if isinstance(self.acquisition, Alignment):

@@ -57,7 +57,7 @@ class Device:
 
 
 def outcome(
-    folder: Path, devices: Mapping[str, Device], seconds: float = 4.2, values: FloatArray | None = None, **keys: str
+    folder: Path, devices: Mapping[str, Device], seconds: float = 5.0, values: FloatArray | None = None, **keys: str
 ) -> tuple[Pipeline, list[Record]]:
     """Let the devices deliver, block by block in the order of arrival, and let the agent compute."""
     path = configure(folder, **keys)

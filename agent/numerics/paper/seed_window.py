@@ -223,6 +223,9 @@ class SeedWindow:
     def adopt(self, known: Calibrated) -> None:
         """Take nothing."""
 
+    def hurry(self) -> None:
+        """Go on as ever: rows are all that this method makes."""
+
     def take_findings(self) -> list[tuple[int, Accusation]]:
         """Return nothing: this method does not ask what the model lacks."""
         return []

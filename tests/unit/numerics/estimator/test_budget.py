@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.blocks.containment import ContainedEstimator
 from agent.config import load
 from agent.numerics.estimator.window_ml import EVALUATIONS, RATE, WindowML
 from agent.numerics.fitting.work import EVALUATION, WORK, Budget
@@ -37,7 +38,9 @@ def worked(folder: Path, samples: Record, *, wrong: bool) -> tuple[list[int], Wi
         assert right in text
         text = text.replace(right, "nominal = 1.0") if wrong else text
     path.write_text(text, encoding="utf-8")
-    ml, done = make_estimation(load(path), np.full(2, 2e-6)).estimator, []
+    contained, done = make_estimation(load(path), np.full(2, 2e-6)).estimator, []
+    assert isinstance(contained, ContainedEstimator)
+    ml = contained.estimator
     assert isinstance(ml, WindowML)
     third = len(samples.y) // 3
     for start in range(0, len(samples.y), third):

@@ -17,7 +17,7 @@ _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}
 """Tables of numbers only, checked whole columns at a time -> how many of their columns are integers."""
 _SMALL_PAGES = 4096  # files up to this size are read whole at every start
 _NEWEST_ROWS = 5000
-_SCHEMA_OBJECTS = 19 + 1  # tables of this version and that of the migrations
+_SCHEMA_OBJECTS = 20 + 1  # tables of this version and that of the migrations
 _ORPHANS = """SELECT count(*) FROM estimates e WHERE NOT EXISTS (SELECT 1 FROM hops h WHERE h.seq = e.seq >> 10)
  OR NOT EXISTS (SELECT 1 FROM series s WHERE s.seq = e.series_id)
  OR NOT EXISTS (SELECT 1 FROM fits f WHERE f.seq = e.fit_id)"""

@@ -128,7 +128,7 @@ class Pipeline:
     def _keep(self, pieces: Sequence[Aligned], label: Label | None) -> None:
         for aligned in pieces:
             t_ns = self._stamps(aligned) if label is None else label(aligned.index)
-            self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
+            self.newest_ns = int(t_ns[-1])
             self._taken.append((aligned.index, t_ns, np.hstack([aligned.u, aligned.y])))
 
     def _skews(self, alignment: Alignment) -> list[Record]:

@@ -67,7 +67,7 @@ class Books:
         self._covered(run_id, run_id, run.rig)
         self._watch(run_id, run_id)
         for record in self._settings.pop(run.rig, ()):
-            self._set_clock(run_id, record)
+            self._watch(run_id, self._clocks[run_id].apply(record, self._numbers))
 
     def settings(self) -> dict[str, list[ClockRecord]]:
         """Return what is known of the clock of each rig's run."""

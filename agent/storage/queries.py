@@ -118,13 +118,20 @@ def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows
         return _rows(connection, "v_alarms", f"{condition} ORDER BY id", values)
 
 
+_NEWEST_HEALTH = """SELECT g.name, x.source, x.t_ns FROM (SELECT r.rig_id AS rig_id, max(y.seq) AS seq FROM health y
+ JOIN runs r ON r.seq = y.run_id GROUP BY r.rig_id, y.source) n JOIN health x ON x.seq = n.seq
+ JOIN rigs g ON g.seq = n.rig_id ORDER BY x.seq"""
+
+
 def health(db: Path | str, rig: str | None = None) -> Rows:
     """Return the newest row of v_health of each source; `reasons` is {"rejected": {..}, "dropped": {..}} and faults."""
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
         newest: dict[tuple[str, str], dict[str, Any]] = {}
-        for row in _rows(connection, "v_health", *_where(rig=rig)):
-            newest[row["rig"], row["source"]] = {**row, "reasons": {"rejected": {}, "dropped": {}}}
+        for name, source, t_ns in connection.execute(_NEWEST_HEALTH).fetchall():
+            if rig is None or name == rig:
+                for row in _rows(connection, "v_health", *_where(rig=name, source=source, t_ns=t_ns)):
+                    newest[name, source] = {**row, "reasons": {"rejected": {}, "dropped": {}}}
         for row in newest.values():
             condition, values = _where(rig=row["rig"], source=row["source"], t_ns=row["t_ns"])
             for reason in _rows(connection, "v_health_reasons", condition, values):

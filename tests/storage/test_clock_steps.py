@@ -14,7 +14,7 @@ from agent.storage.ages import Part, shifts
 from agent.storage.retention import Retention
 from agent.storage.store import Store
 from agent.types import ClockRecord, RunInfo
-from tests.storage.rows import START, batch, select
+from tests.storage.rows import START, batch, ledger, select
 
 SECOND = 10**9
 HOUR, DAY, YEAR = 3600 * SECOND, 86_400 * SECOND, 365 * 86_400 * SECOND
@@ -81,7 +81,8 @@ class Machine:
         clocks = [ClockRecord("press-7", a.label_ns, a.first, a.offset_ns) for a in labels.anchors]
         labels.anchors.clear()
         first = store.numbers.high("hops") + 1
-        store.write(run_id, [*clocks, batch(len(index), t_ns=t_ns, index=index, parameters=("k1",))])
+        rows = batch(len(index), t_ns=t_ns, index=index, parameters=("k1",))
+        store.write(run_id, [*clocks, rows, ledger(int(t_ns[-1]), received=int(index[-1]))])
         self.truth |= dict(zip(range(first, first + len(index)), true.tolist(), strict=True))
         store.maintain()
 
@@ -97,8 +98,8 @@ class Machine:
 
 
 def _cut(rows: int) -> Iterator[int]:
-    for first in range(0, rows, 60):
-        yield min(60, rows - first)
+    for first in range(0, rows, 180):
+        yield min(180, rows - first)
 
 
 @pytest.fixture
@@ -179,13 +180,18 @@ def test_clock_that_flaps_between_two_settings_makes_two_parts(machine: Machine)
     assert select(machine.path, "SELECT count(*), count(DISTINCT run_id) FROM v_estimates") == [(120, 1)]
     assert select(machine.path, "SELECT count(*) FROM v_runs") == [(1,)]
     assert len({row["t_ns"] for row in queries.estimates(machine.path)}) == 120
+    assert queries.health(machine.path)[0]["received"] == 119
+
+
+def test_clock_that_was_a_year_ahead_for_a_moment_leaves_the_newest_ledger(machine: Machine) -> None:
+    machine.run((60 * SECOND, 0), (60 * SECOND, YEAR), (60 * SECOND, 0))
+    assert [row["received"] for row in queries.health(machine.path)] == [17]
 
 
 def test_pause_counts_once_the_clock_is_confirmed_on_both_sides(machine: Machine) -> None:
     for _ in range(2):
         machine.run((14 * HOUR, 0))
         machine.reboot()
-    before = len(machine.truth)
     machine.reboot(10 * DAY)
     machine.run((60 * SECOND, 0))
     kept = select(machine.path, "SELECT count(*) FROM hops WHERE span = 60")[0][0]
@@ -194,7 +200,22 @@ def test_pause_counts_once_the_clock_is_confirmed_on_both_sides(machine: Machine
         machine.run((14 * HOUR, 0))
     assert select(machine.path, "SELECT min(t_ns) FROM hops WHERE span = 60")[0][0] > START + 10 * DAY
     assert machine.lost() == []
-    assert before > 0
+
+
+def test_clock_stays_known_when_a_damaged_file_is_replaced(memory: Path, caplog: pytest.LogCaptureFixture) -> None:
+    offset, index = START, np.arange(200, 210)
+    run = RunInfo("press-7", "live", START, "0.1.0", "ab" * 32, None, "boot-0", offset)
+    ahead = {"t_ns": START + YEAR + HOUR + SECOND * index, "index": index}
+    with Store.open(memory / "rig.db") as store:
+        one = store.begin_run(run)
+        store.write(one, [ClockRecord("press-7", START, 0, offset), batch(10, index=np.arange(10))])
+        store.write(one, [ClockRecord("press-7", START + YEAR, 100, offset + YEAR), batch(10, **ahead)])
+        store.recover("planted")
+        store.write(store.begin_run(run), [batch(10, **(ahead | {"t_ns": ahead["t_ns"] + HOUR}))])
+    assert queries.latest(memory / "rig.db")[0]["t_ns"] == ahead["t_ns"][-1] + HOUR
+    kept = select(memory / "rig.db", "SELECT offset_ns FROM clocks ORDER BY seq")
+    assert kept == [(offset,), (offset + YEAR,), (offset + YEAR,)]
+    assert not [record for record in caplog.records if "wall clock" in record.getMessage()]
 
 
 def part(run: int, begin_s: int, length_s: int, ahead_s: int = 0) -> Part:

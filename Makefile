@@ -19,10 +19,15 @@ help:
 $(VENV): $(VENV)/.runtime
 
 $(VENV)/bin/python:
+	@echo "making $(VENV) ..."
 	$(PYTHON) -m venv --without-pip $(VENV)
+
+# What pip says meanwhile is progress.
+$(VENV)/.runtime: PIP := $(subst -qq,,$(PIP))
 
 # The stamps keep a second call quick: pip runs only when pyproject.toml is newer.
 $(VENV)/.runtime: pyproject.toml | $(VENV)/bin/python
+	@echo "installing deltak and what it needs into $(VENV) (a minute or less, once) ..."
 	$(PIP) install --editable '.[plot]'
 	@touch $@
 

@@ -3,6 +3,7 @@
 import math
 from datetime import UTC, datetime, timedelta
 
+_ORDERS = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if code not in (0x09, 0x0A)}
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -51,6 +52,14 @@ def iso_time(t_ns: int) -> str:
     seconds, fraction = divmod(int(t_ns), 1_000_000_000)
     instant = _EPOCH + timedelta(seconds=seconds)
     return f"{instant:%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
+
+
+def printable(text: str) -> str:
+    """Write control characters as code does: what came from a bus or a file may hold orders to a terminal.
+
+    Tabs and ends of lines stay.
+    """
+    return text.translate(_ORDERS)
 
 
 def short_time(text: str | None) -> str:

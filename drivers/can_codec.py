@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.can_database import MessageCodec, is_remote
 from drivers.can_errors import ErrorWatch
-from drivers.can_frames import ERROR, Frames
+from drivers.can_frames import ERROR, EXTENDED, EXTENDED_MASK, STANDARD_MASK, Frames
 from drivers.can_joiner import Decoded, Joiner, Part
 from drivers.port import Counts, DriverConfigError
 
@@ -87,6 +87,8 @@ class FrameDecoder:
         ):
             right = judge(frames.table)
             self._reject(reason, int(np.count_nonzero(~right)), len(message.samples))
+            if not right.all():
+                self._counts.first.setdefault(reason, shown(frames.table[int(np.argmin(right))]))
             frames = _picked(frames, right)
         return frames
 
@@ -120,6 +122,13 @@ class FrameDecoder:
             values = message.values(shown.table, self._columns)[:, page.columns]
             parts.append(Part(place, keys, values, page.columns, shown.t_ns))
         return parts
+
+
+def shown(frame: np.void) -> str:
+    """Return one frame as candump writes it, without what it lacks: `18FF0100#0102`."""
+    digits, mask = (8, EXTENDED_MASK) if int(frame["id"]) & EXTENDED else (3, STANDARD_MASK)
+    data = frame["data"][: int(frame["length"])].tobytes().hex().upper()
+    return f"{int(frame['id']) & mask:0{digits}X}#{data}"
 
 
 def _picked(frames: Frames, mask: NDArray[np.bool_]) -> Frames:

@@ -10,8 +10,9 @@ from drivers.recorded import BLOCK_ROWS, RecordedFile, Rows, Wanted
 
 _DELIMITERS = ",;\t"
 _LONGEST_HEADER = 1 << 20
-_MOST_BYTES = 1 << 26
-"""That are read at once, however long the first row is."""
+_LONGEST_ROW = 1 << 22
+_MOST_BYTES = 1 << 24
+"""That are read at once, however long the first row is; reading takes eleven times so much memory."""
 
 
 class CsvFile(RecordedFile):
@@ -39,7 +40,7 @@ class CsvFile(RecordedFile):
         self._wanted.note_ignored(self._names)
         self._line = 2
         self._table = Table(delimiter, len(self._names), time, columns, self._report)
-        self._first = self._file.readline()
+        self._first = self._rest_of_row(2)
         if not self._first.strip():
             raise DriverConfigError(f"{self._wanted.path}: has a header and no rows")
 
@@ -69,11 +70,24 @@ class CsvFile(RecordedFile):
 
     def rows(self) -> Iterator[Rows]:
         size = min(len(self._first) * BLOCK_ROWS, _MOST_BYTES)
-        chunk = self._first + self._file.read(size) + self._file.readline()
+        chunk = self._first + self._chunk(size, self._line + 1)
         while chunk:
             yield self._table.read(chunk)
             self._line += chunk.count(b"\n")
-            chunk = self._file.read(size) + self._file.readline()
+            chunk = self._chunk(size, self._line)
+
+    def _chunk(self, size: int, line: int) -> bytes:
+        """Return some bytes, the first of which begin a line, and what completes the last row of them."""
+        chunk = self._file.read(size)
+        return chunk + self._rest_of_row(line + chunk.count(b"\n")) if chunk else chunk
+
+    def _rest_of_row(self, line: int) -> bytes:
+        """Return the bytes up to the end of a row; DriverConfigError for a row that is none."""
+        rest = self._file.readline(_LONGEST_ROW)
+        if len(rest) == _LONGEST_ROW and not rest.endswith(b"\n"):
+            what = f"a row of more than {_LONGEST_ROW} characters is none"
+            raise DriverConfigError(f"{self._wanted.path}:{line}: {what}; see what the file holds there")
+        return rest
 
     def close(self) -> None:
         self._file.close()

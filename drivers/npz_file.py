@@ -19,6 +19,21 @@ _DAMAGE = (ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, s
 """What zipfile and numpy raise for a damaged file; RuntimeError covers unknown compression and encryption."""
 
 
+_LARGE, _PACKED_WELL = 1 << 28, 100
+"""Bytes unpacked, and times that they may be more than packed: numbers with noise pack to half or a tenth."""
+_LONGEST_HEADER = 1 << 16
+"""Bytes that describe an array of numbers take a hundred."""
+
+
+def _check_header(stream: IO[bytes], version: tuple[int, int]) -> None:
+    """Raise ValueError for a description that is too long to be one, before it is read."""
+    if version != (1, 0):
+        length = int.from_bytes(stream.read(4), "little")
+        if length > _LONGEST_HEADER:
+            raise ValueError(f"its array is described in {length} bytes")
+        stream.seek(-4, 1)
+
+
 class _Column:
     """One array of the file, read from its start to its end."""
 
@@ -27,6 +42,7 @@ class _Column:
         self._path = path
         try:
             version = npy.read_magic(stream)
+            _check_header(stream, version)
             header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
             self.shape, _, self.dtype = header(stream)
         except _DAMAGE as error:
@@ -68,6 +84,7 @@ class NpzFile(RecordedFile):
             self._wanted.place(name, present)
         time = self._wanted.time_place(present)
         self._wanted.note_ignored(present)
+        self._check_size()
         self._columns = [self._column(name) for name in self._wanted.names]
         self._time = None if time is None else self._column(self._wanted.time)
         lengths = {column.shape[0] for column in [*self._columns, self._time] if column is not None}
@@ -76,6 +93,14 @@ class NpzFile(RecordedFile):
         (self._length,) = lengths
         if not self._length:
             raise DriverConfigError(f"{self._wanted.path}: its arrays are empty")
+
+    def _check_size(self) -> None:
+        """Raise DriverConfigError for a file that unpacks to what no measurement packs so well."""
+        sizes = self._zip.infolist()
+        packed, whole = sum(one.compress_size for one in sizes), sum(one.file_size for one in sizes)
+        if whole > _LARGE and whole > _PACKED_WELL * packed:
+            what = f"{packed} bytes that unpack to {whole}, {whole // max(packed, 1)} times as many, are no measurement"
+            raise DriverConfigError(f"{self._wanted.path}: {what}; see where it comes from")
 
     def _column(self, name: str) -> _Column:
         stream = self._stack.enter_context(self._zip.open(name + _SUFFIX))

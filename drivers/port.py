@@ -80,6 +80,7 @@ class Counts:
     away, by reason ("crc", "overrun", "dlc" ...), so that received = delivered + sum(rejected); dropped those lost
     before this process could read them where the bus tells (kernel queue, overwritten ring), by reason. faults
     counts, by reason, what went wrong on the line without being a sample: late replies, stray bytes, text in a cell.
+    first shows, by reason, the first line or frame that was refused for it.
     """
 
     received: int = 0
@@ -87,10 +88,12 @@ class Counts:
     dropped: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)
     reopened: int = 0
+    first: dict[str, str] = field(default_factory=dict, compare=False)
 
     def copy(self) -> "Counts":
         """Return the counts as they are now."""
-        return Counts(self.received, self.rejected.copy(), self.dropped.copy(), self.faults.copy(), self.reopened)
+        rejected, dropped, faults = self.rejected.copy(), self.dropped.copy(), self.faults.copy()
+        return Counts(self.received, rejected, dropped, faults, self.reopened, self.first.copy())
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,9 +117,9 @@ class BinaryDecoder(SerialDecoder):
     def feed(self, data: bytes) -> Samples:
         text = np.frombuffer(self._rest + data, np.uint8)
         starts, failed = self._frames(text)
-        end = self._account(starts, failed)
+        end = self._account(text, starts, failed)
         kept = max(end, len(text) - self._size + 1)
-        self._skip(kept - end, bool(((failed >= end) & (failed < kept)).any()))
+        self._skip(text[end:kept], bool(((failed >= end) & (failed < kept)).any()))
         if self._skipped.many():
             self._skipped.settle()
         self._rest = text[kept:].tobytes()
@@ -163,7 +163,7 @@ class BinaryDecoder(SerialDecoder):
             good &= ~there | (text[np.minimum(following, len(text) - 1)] == byte)
         return good
 
-    def _account(self, starts: IntArray, failed: IntArray) -> int:
+    def _account(self, text: ByteArray, starts: IntArray, failed: IntArray) -> int:
         """Count what lies between the good frames; return where the last of them ends."""
         end = 0
         if len(starts) and not len(failed) and starts[0] == 0 and not self._skipped.bytes:
@@ -172,13 +172,22 @@ class BinaryDecoder(SerialDecoder):
                 self._skipped.good()
                 return int(starts[-1]) + self._size
         for start in starts.tolist():
-            self._skip(start - end, bool(((failed >= end) & (failed < start)).any()))
+            self._skip(text[end:start], bool(((failed >= end) & (failed < start)).any()))
             self._skipped.good()
             end = start + self._size
         return end
 
-    def _skip(self, count: int, crc_failed: bool) -> None:
-        self._skipped.add(count, "crc" if crc_failed else "sync")
+    def _skip(self, piece: ByteArray, crc_failed: bool) -> None:
+        reason = "crc" if crc_failed else "sync"
+        self._skipped.add(len(piece), reason)
+        if len(piece) >= self._size:
+            shown = piece[: self._size].tobytes().hex(" ")
+            why = "has another checksum than crc" if crc_failed else f"does not begin with sync {self._sync_text}"
+            self._counts.first.setdefault(reason, f"{shown} {why}")
+
+    @property
+    def _sync_text(self) -> str:
+        return str(self._sync.tobytes().hex(" "))
 
     def _samples(self, text: ByteArray, starts: IntArray) -> Samples:
         body = self._rows(text, starts)[:, : self._layout.size]

@@ -12,7 +12,6 @@ from drivers.serial_codec import Samples, SerialDecoder
 
 _NUMBER = re.compile(r"[ \t]*(?:(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|NaN|NAN)[ \t]*)?", re.ASCII)
 
-
 _SHOWN = 60
 """Characters of a rejected line that a note shows."""
 
@@ -86,6 +85,7 @@ class TextDecoder(SerialDecoder):
 
     def _reject(self, reason: str, text: str) -> None:
         self._counts.rejected[reason] += 1
+        self._counts.first.setdefault(reason, f'"{text[:_SHOWN]}": {self._why(reason, text)}')
         if reason not in self._noted:
             self._noted.add(reason)
             more = "..." if len(text) > _SHOWN else ""

@@ -1,5 +1,6 @@
 """State detection: samples in, estimates with status, interval and held values out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -29,6 +30,8 @@ from agent.types import (
 )
 
 BoolArray = NDArray[np.bool_]
+ESTIMATION, FAILURE = "estimation", "failure"
+"""What a failure of the numerics is called in events, and the reason of samples that it loses."""
 MOST_STUCK = 0.05
 """Share of a window in which dry friction may hold the motion: what holds it then is known no better than the model."""
 
@@ -110,11 +113,13 @@ def half_width(sd: FloatArray, dof: FloatArray) -> FloatArray:
 class Estimation:
     """Runs a method over a rig's samples and says what each of its rows is worth.
 
+    failures gives (sample, what was raised) of each numerical failure of the method since its last call.
     used counts the samples that entered the method whole.
     """
 
     estimator: Estimator
     labels: Labels
+    failures: Callable[[], list[tuple[int, str]]] = list
     used: int = 0
     _segment: int | None = None
     _held: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -167,6 +172,7 @@ class Estimation:
         self._sticking.trim(oldest)
         self._advice += self._model.step(self.estimator.take_findings(), batch)
         self._note_calibration(int(batch.t_ns[-1]))
+        self._note_failures(samples)
         return batch
 
     def _unusable(self, samples: Samples) -> EstimateBatch | None:
@@ -255,8 +261,14 @@ class Estimation:
             self._known = known
             self._learnt = [CalibrationRecord(self.labels.rig, t_ns, known)]
 
+    def _note_failures(self, samples: Samples) -> None:
+        for index, words in self.failures():
+            message = f"the estimation failed and starts anew: {words}"
+            t_ns = int(samples.t_ns[np.clip(index - int(samples.index[0]), 0, len(samples.t_ns) - 1)])
+            self._news.append(HealthEvent(self.labels.rig, ESTIMATION, t_ns, FAILURE, message))
+
     def take_news(self) -> list[HealthEvent]:
-        """Return which levels of the disturbances were taken over, found or replaced since the last call."""
+        """Return failures, and which levels of the disturbances were taken over, found or replaced."""
         news, self._news = self._news, []
         return news
 
@@ -306,6 +318,7 @@ class Estimation:
         reason[accused] = rows.suspect[accused, None]
         reason[rows.still[:, None] & (status == Status.UNEXCITED)] = Reason.STANDSTILL
         status[~rows.full] = Status.WARMING
+        status[rows.diverged], reason[rows.diverged] = Status.INVALID, Reason.DIVERGED
         return status, reason
 
     def _hold(self, value: FloatArray, status: CodeArray, t_ns: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -30,6 +30,7 @@ class QualitySettings:
         window: samples of the estimator's window.
         bridge: samples of the longest gap that is bridged.
         quantities: (c,) what each shows; none for what is not known to be alike.
+        commanded: whether inputs are what was commanded, and no readings of it.
     """
 
     channels: tuple[str, ...]
@@ -38,6 +39,7 @@ class QualitySettings:
     window: int
     bridge: int
     quantities: tuple[str, ...] = ()
+    commanded: bool = False
 
 
 class Quality:
@@ -52,7 +54,8 @@ class Quality:
         self.rejected: Counter[str] = Counter()
         self._cleaner = Cleaner(is_input, settings.step)
         kinds = np.unique(settings.quantities, return_inverse=True)[1] if settings.quantities else None
-        self._watch = SensorWatch(is_input, settings.step, settings.window, kinds)
+        commanded = is_input & settings.commanded
+        self._watch = SensorWatch(is_input, settings.step, settings.window, kinds, commanded)
         self._labels = SensorLabels(settings.channels, settings.inputs, settings.window)
         self._open = False
         self._newest, self._newest_ns = -1, 0

@@ -148,6 +148,8 @@ def known_noise(config: RigConfig, resolution: FloatArray) -> FloatArray:
 
 AUTOMATIC_WINDOWS = 5
 """Windows of "auto": each twice the one before."""
+STANDS = 1e-6
+"""A pole slower than this share of the fastest is one at zero (of a free rig they are double: found to 1e-8 only)."""
 
 
 def windows_s(config: RigConfig) -> tuple[float, ...]:
@@ -157,7 +159,7 @@ def windows_s(config: RigConfig) -> tuple[float, ...]:
     model = rig_model(config).model
     poles = np.linalg.eigvals(model.continuous(model.nominal).A)
     speeds = np.abs(poles)
-    slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))
+    slowest = float(np.min(speeds[speeds > STANDS * speeds.max()], initial=speeds.max())) or 1.0
     readings = (len(poles) + len(model.parameters)) / max(len(config.outputs), 1)
     shortest = max(0.5 * np.pi / slowest, 10 * readings / config.rig.sample_rate_hz, config.estimator.hop_s)
     return tuple(shortest * 2.0**i for i in range(AUTOMATIC_WINDOWS))

@@ -8,6 +8,9 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, Strict
 
 LONGEST_SKEW_S: Final = 0.5
+LEAST: Final = 1e-30
+GREATEST: Final = 1e30
+"""Sizes of numbers beside 0: any quantity in any unit, far from where squares leave the floating-point numbers."""
 NAME: Final = r"^[A-Za-z][A-Za-z0-9_.-]{0,63}$"
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*([smhdwy])")
 _SECONDS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86400.0, "y": 365.25 * 86400.0}
@@ -43,7 +46,7 @@ def _positive(value: object, wanted: str) -> float:
     number = _as_float(value)
     if not (math.isfinite(number) and number > 0):
         raise ValueError(f"must be greater than 0, not {shown(value)}")
-    return number
+    return within_reach(number)
 
 
 def _as_float(value: Any) -> float:
@@ -82,7 +85,7 @@ def _intensities(value: object) -> float | tuple[float, ...]:
     numbers = tuple(_as_float(item) if _is_number(item) else math.nan for item in value)
     if not numbers or not all(math.isfinite(number) and number >= 0 for number in numbers):
         raise ValueError(f"must be {wanted}, none negative")
-    return numbers
+    return tuple(within_reach(number) for number in numbers)
 
 
 def _duration(value: object) -> float:
@@ -113,15 +116,23 @@ def _path(value: object) -> Path:
     return Path(_one_line(value))
 
 
+def within_reach(number: float) -> float:
+    """Return a number that can be computed with: squares and products of a few of these stay numbers."""
+    if number and not LEAST <= abs(number) <= GREATEST:
+        raise ValueError(f"must be 0 or between {LEAST:g} and {GREATEST:g} in size, not {shown(number)}")
+    return number
+
+
 Name = Annotated[str, Field(pattern=NAME)]
 Text = Annotated[str, AfterValidator(_one_line)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+Number = Annotated[float, AfterValidator(within_reach)]
+Positive = Annotated[float, Field(gt=0), AfterValidator(within_reach)]
+NotNegative = Annotated[float, Field(ge=0), AfterValidator(within_reach)]
 Window = Annotated[float | tuple[float, ...] | Literal["auto"], PlainValidator(_window)]
 Skew = Annotated[float | Literal["auto"], PlainValidator(_skew)]
 Intensities = Annotated[float | tuple[float, ...], PlainValidator(_intensities)]
 Duration = Annotated[float, PlainValidator(_duration)]
 FilePath = Annotated[Path, PlainValidator(_path)]
-Row = Annotated[tuple[float, ...], Strict(False)]
+Row = Annotated[tuple[Number, ...], Strict(False)]
 Matrix = Annotated[tuple[Row, ...], Strict(False)]
 Names = Annotated[tuple[Name, ...], Strict(False), Field(min_length=1)]

@@ -20,6 +20,8 @@ def check_estimator(draft: Draft) -> None:
     """Note the faults of the estimator."""
     _check_names(draft)
     _check_observer(draft)
+    if draft.estimator.method == "seed":
+        _check_seed(draft)
     if draft.rate_hz is not None:
         _check_lengths(draft, draft.rate_hz)
 
@@ -39,6 +41,28 @@ def _check_names(draft: Draft) -> None:
             faults.add(path, f"{shown(name)} is a massless node", "a mass of 0 cannot be estimated")
     if draft.estimator.estimate == () and not draft.defaults and isinstance(draft.model, MechanicsModel):
         faults.add("estimator.estimate", "is missing: there is no spring and no damper", f"choose of {listing(known)}")
+
+
+def _check_seed(draft: Draft) -> None:
+    """Note what the paper's method cannot do: it needs a fast observer, one window, and exact sensors."""
+    estimator, faults, other = draft.estimator, draft.faults, 'method = "window-ml" does it'
+    if readable(estimator.observer, estimator.observer.gain) and estimator.observer.gain != "poles":
+        what = f'method = "seed" needs an observer given by its poles, not gain = {shown(estimator.observer.gain)}'
+        count = f"{draft.states} poles" if draft.states else "one pole a state"
+        advice = f"give {count} two to six times as fast as the rig's own"
+        faults.add("estimator.observer", what, f'{advice}: {{ gain = "poles", poles = [...] }}')
+    if readable(estimator.window_s) and not isinstance(estimator.window_s, float):
+        faults.add("estimator.window_s", 'method = "seed" has one window', f"give one number; {other}")
+    if "drift_s" in estimator.model_fields_set:
+        faults.add("estimator.drift_s", 'method = "seed" has no lines', f"remove it; {other}")
+    for path, channel in draft.channels:
+        for key in ("bias", "gain"):
+            if getattr(channel, key):
+                faults.add(f"{path}.{key}", f'method = "seed" estimates no {key} of a sensor', f"remove it; {other}")
+    for i, name in enumerate(estimator.estimate or ()):
+        if name in draft.parameters and draft.parameters[name].kind in ("bias", "gain"):
+            what = f'method = "seed" estimates no constant of a sensor such as {shown(name)}'
+            faults.add(f"estimator.estimate[{i}]", what, f"remove it; {other}")
 
 
 def _check_observer(draft: Draft) -> None:
@@ -120,9 +144,12 @@ def _least_samples(draft: Draft) -> int:
 
 
 def _most_samples(draft: Draft) -> int:
-    """Samples of the longest window: each is linearised in every parameter, state and input for every output."""
-    columns = len(draft.estimated) + (draft.states or 0) + len(draft.outputs) + 1
-    return round(MOST_GB * 1e9 / (8 * COPIES * max(len(draft.outputs), 1) * columns))
+    return most_samples(len(draft.outputs), len(draft.estimated) + (draft.states or 0))
+
+
+def most_samples(outputs: int, unknowns: int) -> int:
+    """Return the samples of the longest window: each is linearised in every parameter and state for every output."""
+    return round(MOST_GB * 1e9 / (8 * COPIES * max(outputs, 1) * (unknowns + outputs + 1)))
 
 
 def check_alarms(draft: Draft) -> None:

@@ -17,6 +17,7 @@ from agent.config.fields import (
     Name,
     Names,
     NotNegative,
+    Number,
     Positive,
     Row,
     Skew,
@@ -69,7 +70,7 @@ class LinearParameter(Table):
     """A parameter of a linear model: A(θ) = A + Σ (θ - nominal) dA, and B likewise; a matrix left out is zero."""
 
     name: Name
-    nominal: float
+    nominal: Number
     unit: str = ""
     dA: Matrix = ()  # noqa: N815 - the key of the configuration file
     dB: Matrix = ()  # noqa: N815 - the key of the configuration file
@@ -95,8 +96,8 @@ class Channel(Table):
     quantity: Quantity = Field(description="force, displacement, velocity or acceleration")
     at: Name = Field(default="", description='the mass it acts on or is measured at, such as "m1"')
     unit: Text = Field(description='the unit after scale and offset, such as "N", "mm" or "counts"')
-    scale: float = 1.0
-    offset: float = 0.0
+    scale: Number = 1.0
+    offset: Number = 0.0
     noise_sd: Positive | None = Field(default=None, description="leave it out where the noise is not known")
     bias: bool = False
     gain: bool = False
@@ -136,7 +137,7 @@ class Estimator(Table):
     estimate: Names = ()
     observer: Observer = Observer()
     resolve: Positive = 0.33
-    passes: int = Field(default=1, ge=1, le=1000)
+    passes: int = Field(default=10, ge=1, le=1000)
     drift_s: Positive | None = None
 
     @property

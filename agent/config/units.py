@@ -1,6 +1,7 @@
 """Units of channels: what is known becomes SI, any other text is kept and carried along."""
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Final, Literal
 
 Quantity = Literal["force", "displacement", "velocity", "acceleration", "input", "output"]
@@ -19,6 +20,28 @@ _ACCELERATION: Final[Mapping[str, float]] = {
     for unit, factor in _LENGTH.items()
     for spelling in ("{}/s2", "{}/s^2", "{}/s/s", "{} s-2")
 } | {"g": 9.80665, "gn": 9.80665, "mg": 9.80665e-3}
+
+_PREFIXES: Final[Mapping[str, str]] = {
+    "": "", "nano": "n", "micro": "u", "milli": "m", "centi": "c", "deci": "d", "deca": "da", "kilo": "k", "mega": "M",
+}  # fmt: skip
+
+
+def _spelt(words: tuple[str, ...], unit: str, known: Mapping[str, float]) -> dict[str, str]:
+    """Return words with their prefixes, singular and plural -> units, of those that are known."""
+    every = {f"{long}{word}": f"{short}{unit}" for word in words for long, short in _PREFIXES.items()}
+    every |= {f"{word}s": symbol for word, symbol in every.items()}
+    return {word: symbol for word, symbol in every.items() if symbol in known}
+
+
+_LENGTH_WORDS: Final = _spelt(("meter", "metre"), "m", _LENGTH) | {"micron": "um", "inches": "in", "feet": "ft"}
+_WORDS: Final[Mapping[str, Mapping[str, str]]] = {
+    "force": _spelt(("newton",), "N", _FORCE) | {"pounds": "lbf", "kilopond": "kp"},
+    "displacement": _LENGTH_WORDS,
+    "velocity": {f"{word}/s": f"{unit}/s" for word, unit in _LENGTH_WORDS.items()},
+    "acceleration": {f"{word}/s2": f"{unit}/s2" for word, unit in _LENGTH_WORDS.items()},
+}
+MOST_LETTERS = 3
+"""Of what is no word: of so few letters each may be another unit."""
 
 _SI: Final[Mapping[str, str]] = {"force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 _KNOWN: Final[Mapping[str, Mapping[str, float]]] = {
@@ -57,6 +80,19 @@ def wrong_kind(quantity: Quantity, unit: str) -> str | None:
         return None
     kinds = {**_KNOWN, **_OTHER_KINDS}
     return next((kind for kind, units in kinds.items() if text in units), None)
+
+
+def near_miss(quantity: Quantity, unit: str) -> str:
+    """Return the unit that unknown text of a channel looks like: another case, or misspelt; empty where it is none.
+
+    Such text is kept as a unit of its own, so that every parameter comes out in it.
+    """
+    known, text = _KNOWN.get(quantity, {}), normal(unit)
+    if not known or text in known:
+        return ""
+    alike = [name for name in known if name.casefold() == text.casefold()]
+    words = get_close_matches(text.casefold(), _WORDS[quantity], n=1, cutoff=0.8) if len(text) > MOST_LETTERS else []
+    return " or ".join(alike) or (_WORDS[quantity][words[0]] if words else "")
 
 
 def examples(quantity: Quantity) -> str:

@@ -1,8 +1,9 @@
 """`deltak check`: what a configuration can and cannot do, before anything is connected."""
 
+from collections.abc import Callable
 from math import pi
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from agent.numerics.model.statespace import Discrete, discretise
 from agent.runtime.check_advice import warnings
 from agent.runtime.check_evidence import Evidence, Gathered
 from agent.runtime.check_model import hidden_states, model_faults
+from agent.runtime.check_numbers import attempted
 from agent.runtime.check_predict import predictions, rows, sampled
 from agent.runtime.progress import Progress, on_terminal
 from agent.runtime.source_faults import source_error
@@ -24,6 +26,7 @@ from agent.storage.retention import Retention, bytes_per_rig_year
 from agent.types import FloatArray
 from drivers.port import DriverConfigError
 
+T = TypeVar("T")
 _NOTHING: dict[str, Any] = {
     "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "box_margin": None,
     "predicted_sd": [], "recording": None, "probe": None, "bytes_per_rig_year": None,
@@ -64,11 +67,11 @@ def _resolution(config: RigConfig) -> FloatArray:
 
 
 def _document(config: RigConfig, resolution: FloatArray, evidence: Evidence) -> dict[str, Any]:
-    rig = rig_model(config)
+    with np.errstate(all="ignore"):  # what is no number is a fault
+        rig = rig_model(config)
     faults = model_faults(config, rig)
     document = {"ok": not faults, "errors": [_fault(fault) for fault in faults], "warnings": []} | _NOTHING
-    document |= {"observable": not hidden_states(rig.model), "poles": poles(rig)}
-    document |= {"bytes_per_rig_year": _bytes(config, rig)}
+    document |= attempted(lambda: _structure(config, rig), "its structure", "model", []) or {}
     if faults:
         return document
     gathered = evidence.gather(config)
@@ -77,6 +80,11 @@ def _document(config: RigConfig, resolution: FloatArray, evidence: Evidence) -> 
     found = _dynamic(config, rig, resolution, gathered)
     evidence.progress("")
     return document | found
+
+
+def _structure(config: RigConfig, rig: RigModel) -> dict[str, Any]:
+    observable = not hidden_states(rig.model)
+    return {"observable": observable, "poles": poles(rig), "bytes_per_rig_year": _bytes(config, rig)}
 
 
 def poles(rig: RigModel) -> list[dict[str, float | None]]:
@@ -106,16 +114,21 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
     sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
     noise = Noise(sigma, np.zeros(rig.disturbance.shape[1]))
     gain, start = settings.gains.settled(discrete, noise).L, settings.gains.start(discrete, noise).L
-    recorded = gathered.recorded
-    predicted = predictions(config, rig, resolution, recorded)
-    return {
+    recorded, failed = gathered.recorded, list[Fault]()
+
+    def tried(what: str, work: Callable[[], T]) -> T | None:
+        return attempted(work, what, "model", failed)
+
+    predicted = tried("the sd to expect", lambda: predictions(config, rig, resolution, recorded)) or []
+    found = {
         "observer": _observer(discrete, gain) | {"start": _observer(discrete, start)},
-        "condition_3": _condition_3(discrete, gain),
-        "condition_8": _condition_8(config, rig, discrete, gain),
-        "box_margin": _box(rig),
+        "condition_3": tried("condition (3)", lambda: _condition_3(discrete, gain)),
+        "condition_8": tried("condition (8)", lambda: _condition_8(config, rig, discrete, gain)),
+        "box_margin": tried("the range proven stable", lambda: _box(rig)),
         "predicted_sd": rows(predicted, config, rig),
-        "warnings": [_fault(f) for f in (*warnings(config, rig, predicted, recorded), *gathered.warnings)],
     }
+    warned = [*warnings(config, rig, predicted, recorded), *gathered.warnings, *failed]
+    return found | {"warnings": [_fault(fault) for fault in warned]}
 
 
 def _observer(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:

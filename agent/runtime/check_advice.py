@@ -7,6 +7,7 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel
 from agent.config import RigConfig
+from agent.config.units import near_miss
 from agent.errors import Fault
 from agent.runtime.check_predict import Prediction, sampled, windows
 from agent.runtime.readings import Recorded
@@ -28,6 +29,7 @@ def warnings(
         *_predicted(config, rig, predicted, recorded),
         *_delays(config),
         *_noise(config),
+        *_units(config),
         *_sources(config),
         *_clocks(config),
         *_recorded(recorded),
@@ -104,6 +106,14 @@ def _noise(config: RigConfig) -> Iterator[Fault]:
             what = f"{channel.name}: noise_sd is not given"
             advice = "it is learnt from the first window that fits, which must not be one in which something changes"
             yield Fault(f"channel[{number}]", what, advice)
+
+
+def _units(config: RigConfig) -> Iterator[Fault]:
+    """Warn of units that are none but look like one: they are kept as text, and carried into every parameter."""
+    for number, channel in enumerate(config.channel):
+        if meant := near_miss(channel.quantity, channel.unit):
+            what = f'{channel.name}: "{channel.unit}" is no unit that is known; it is kept as it is'
+            yield Fault(f"channel[{number}].unit", what, f"is {meant} meant? Parameters would come out in another unit")
 
 
 def _sources(config: RigConfig) -> Iterator[Fault]:

@@ -56,7 +56,9 @@ class Evidence:
         recorded, sources = gathering.recorded("the probe"), gathering.sources()
         warned = list(_sources(config, sources))
         if recorded is None:
-            silence = Fault("source", "no sample with every channel came", "see that the devices send")
+            came = any(source["received"] for source in sources)
+            advice = "see why samples are refused or lack channels" if came else "see that the devices send"
+            silence = Fault("source", "no sample with every channel came", advice)
             facts: dict[str, Any] = {"sources": sources, "channels": [], "suspicions": []}
             return Gathered(None, None, {"listened_s": LISTEN_S} | facts, [*warned, silence])
         found = self._examined(config, recorded)
@@ -73,7 +75,9 @@ def _sources(config: RigConfig, sources: Sequence[dict[str, Any]]) -> Iterator[F
     places = {source.name: number for number, source in enumerate(config.source)}
     for source in sources:
         place, rate, nominal = f"source[{places[source['name']]}]", source["rate_hz"], source["nominal_hz"]
-        if rate is None:
+        if rate is None and source["rejected"]:
+            yield _refused(place, source)
+        elif rate is None:
             yield Fault(place, f"{source['name']}: no samples came", "see that the device sends")
         elif abs(rate / nominal - 1) > OFF_RATE:
             what = f"{source['name']}: {rate:.4g} samples a second come, {nominal:.4g} are configured"
@@ -82,3 +86,12 @@ def _sources(config: RigConfig, sources: Sequence[dict[str, Any]]) -> Iterator[F
             what = f"{source['name']}: the device's clock runs {source['drift_ppm']:+.0f} ± "
             what += f"{2 * source['drift_sd_ppm']:.0f} millionths off the gateway's"
             yield Fault(place, what, "stiffness is off by twice that share; correct rig.sample_rate_hz")
+
+
+def _refused(place: str, source: dict[str, Any]) -> Fault:
+    """Return that something came of which nothing could be read, with the first of it and why."""
+    reasons = ", ".join(f"{reason} {count}" for reason, count in source["rejected"].items())
+    shown = source["first_rejected"]
+    first = next((f"; the first: {shown[reason]}" for reason in source["rejected"] if reason in shown), "")
+    what = f"{source['name']}: all of {source['received']} that came were rejected ({reasons})"
+    return Fault(place, what + first, "make the keys of the source fit what it sends")

@@ -15,6 +15,7 @@ from agent.numerics.model.mechanics import MassSpringDamper, Output
 from agent.numerics.model.observer import unobservable_states
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import Model
+from agent.runtime.check_numbers import number_faults, observer_faults
 from agent.types import FloatArray
 
 ESTIMATE = "estimator.estimate"
@@ -29,9 +30,11 @@ def require_observable(config: RigConfig, rig: RigModel) -> None:
 
 def model_faults(config: RigConfig, rig: RigModel) -> list[Fault]:
     """Return what the structure of the model makes impossible, each with what would help."""
+    if faults := number_faults(config, rig):
+        return faults
     hidden = hidden_states(rig.model)
     faults = [_hidden_fault(hidden, rig)] if hidden else []
-    return faults + list(_parameter_faults(config, rig))
+    return faults + list(_parameter_faults(config, rig)) or observer_faults(config, rig)
 
 
 def hidden_states(model: Model) -> list[str]:

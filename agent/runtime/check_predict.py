@@ -10,7 +10,7 @@ from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, output_noise
 from agent.config import RigConfig
 from agent.numerics.fitting.guarded import GREATEST
-from agent.numerics.fitting.information import bound_sd, window_information
+from agent.numerics.fitting.information import bound_sd, information_filter, window_information
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, discretise, simulate
 from agent.runtime.readings import Recorded
@@ -82,10 +82,10 @@ def predictions(
 
 def _expected(discrete: Discrete, excitation: Excitation, sigma: FloatArray, window: int) -> FloatArray:
     """Return the median of the bound (q,) over the windows of an excitation; NaN where none fits into it."""
-    bounds = []
+    bounds, filters = [], information_filter(discrete, sigma, window)
     for start in excitation.starts(window):
         u = excitation.u[start : start + window]
-        bounds.append(bound_sd(window_information(discrete, excitation.state(start, window), u, sigma)))
+        bounds.append(bound_sd(window_information(discrete, excitation.state(start, window), u, sigma, filters)))
     if not bounds:
         return np.full(discrete.model.q, np.nan)
     return np.asarray(np.median(bounds, axis=0))

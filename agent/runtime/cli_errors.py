@@ -1,18 +1,18 @@
 """From exceptions to lines and exit codes: 2 usage, 3 database, 4 bus as their types say, 1 unforeseen, 130 SIGINT."""
 
-import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import typer
 
-from agent.errors import Fault
-from agent.runtime.cli_group import ReaderGoneError
+from agent.errors import Fault, UsageError
 from agent.runtime.cli_logging import set_up_logging
 from agent.runtime.cli_output import print_faults
+from agent.runtime.cli_streams import ReaderGoneError, guarded_streams
 
 INTERRUPTED = 130
 USAGE = 2
@@ -30,12 +30,19 @@ class Flags:
 def guarded(app: typer.Typer, argv: Sequence[str]) -> int:
     """Run a command line; return its exit code, with every fault said on stderr."""
     args, flags = take_flags(argv)
-    set_up_logging(flags.verbose, debug=flags.debug)
+    with guarded_streams():
+        set_up_logging(flags.verbose, debug=flags.debug)
+        code = _code(app, args, flags)
+        sys.stderr.flush()
+    return code
+
+
+def _code(app: typer.Typer, args: Sequence[str], flags: Flags) -> int:
     try:
         code = app(args, prog_name="deltak", standalone_mode=False)
         sys.stdout.flush()
-    except (BrokenPipeError, ReaderGoneError):
-        return _reader_gone()
+    except ReaderGoneError:
+        return 0
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except Exception as error:  # noqa: BLE001 the one place where all that is unforeseen ends
@@ -58,7 +65,9 @@ def report(error: Exception, flags: Flags) -> int:
     if flags.debug:
         traceback.print_exception(error)
     faults, code = faults_of(error)
-    print_faults(faults, as_json=flags.json)
+    with suppress(UsageError, ReaderGoneError):  # stdout is gone; stderr says what was wrong before
+        print_faults(faults, as_json=flags.json)
+        sys.stdout.flush()
     return code
 
 
@@ -84,9 +93,3 @@ def _usage_fault(error: Any) -> Fault:
 def _interrupted() -> int:
     sys.stderr.write("deltak: interrupted\n")
     return INTERRUPTED
-
-
-def _reader_gone() -> int:
-    """Leave quietly when the reader of stdout has had enough, as in `deltak estimates ... | head`."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that the flush at exit finds a reader
-    return 0

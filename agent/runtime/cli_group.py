@@ -13,12 +13,9 @@ import typer
 from typer.core import TyperGroup
 
 from agent.errors import AgentError
+from agent.runtime.cli_streams import ReaderGoneError
 
 GROUP = "deltak.commands"
-
-
-class ReaderGoneError(Exception):
-    """Whoever read stdout has gone, as in `deltak estimates ... | head`."""
 
 
 class CommandGroup(TyperGroup):

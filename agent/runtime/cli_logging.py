@@ -5,8 +5,11 @@ import sys
 from collections.abc import Callable
 from time import monotonic
 
+from agent.text import printable
+
 PERIOD_S = 60.0
-THIRD_PARTY = ("pymodbus", "can", "asyncio", "matplotlib", "sqlite_utils")
+THIRD_PARTY = ("pymodbus", "can", "asyncio", "matplotlib", "sqlite_utils", "py.warnings")
+"""What speaks only where logs are set to debug; Python's warnings (numpy's, scipy's) are the last of them."""
 
 
 class OncePerPeriod(logging.Filter):
@@ -48,7 +51,7 @@ class OneLine(logging.Formatter):
         line = f"deltak: {record.levelname.lower()}: {record.getMessage()}"
         if record.exc_info and logging.getLogger().isEnabledFor(logging.DEBUG):
             line += "\n" + self.formatException(record.exc_info)
-        return line
+        return printable(line)
 
 
 def set_up_logging(verbose: int, *, debug: bool = False) -> None:

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from agent.errors import Fault
-from agent.text import iso_time
+from agent.text import iso_time, printable
 
 if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
     from rich.console import Console, RenderableType
 
 PLAIN_WIDTH = 250
@@ -44,9 +45,22 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 def print_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Print rows as CSV with a header; nothing stands for NULL, numbers keep every digit."""
-    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer = csv.writer(stdout_text(), lineterminator="\n")
     writer.writerow(columns)
     writer.writerows([row.get(column) for column in columns] for row in rows)
+
+
+class _Shown:
+    """A terminal that is written text without orders to it."""
+
+    def write(self, text: str) -> int:
+        """Write text."""
+        return sys.stdout.write(printable(text))
+
+
+def stdout_text() -> "SupportsWrite[str]":
+    """Return where rows of text go: stdout as it is, but for a terminal."""
+    return _Shown() if sys.stdout.isatty() else sys.stdout
 
 
 def print_table(
@@ -58,17 +72,18 @@ def print_table(
     from rich.text import Text
 
     numeric = set(right)
-    table = Table(title=Text(title) if title else None, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    heading = Text(printable(title)) if title else None
+    table = Table(title=heading, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for column in columns:
         table.add_column(Text(column), justify="right" if column in numeric else "left", no_wrap=column in numeric)
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(printable(cell)) for cell in row))
     show(table)
 
 
 def show(what: "RenderableType") -> None:
     """Print text or anything that rich draws; without markup, and wide where no terminal sets the width."""
-    console().print(what, markup=False, highlight=False)
+    console().print(printable(what) if isinstance(what, str) else what, markup=False, highlight=False)
 
 
 def console() -> "Console":
@@ -82,7 +97,7 @@ def print_faults(faults: Iterable[Fault], *, as_json: bool = False) -> None:
     """Print faults on stderr, one a line; as a document on stdout too where JSON was asked for."""
     faults = list(faults)
     for fault in faults:
-        sys.stderr.write(f"deltak: error: {' '.join(str(fault).split())}\n")
+        sys.stderr.write(f"deltak: error: {printable(' '.join(str(fault).split()))}\n")
     if as_json:
         print_json({"errors": [fault_document(fault) for fault in faults]})
 

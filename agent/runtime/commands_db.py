@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from agent.errors import StoreError, UsageError
-from agent.runtime.cli_output import print_json, print_table, show
+from agent.runtime.cli_output import print_json, print_table, show, stdout_text
 from agent.storage import maintenance
 
 Document = dict[str, Any]
+FORMS = ("", ".csv", ".parquet")
+"""Ends of names that can be written; without one it is CSV."""
 EXPORTS = ("estimates", "alarms", "alarm_events", "health", "runs", "event_records")
 
 
@@ -57,8 +59,10 @@ def export(db: Path, what: str, rig: str | None, to: Path | None) -> None:
     if what not in EXPORTS:
         raise UsageError.at("WHAT", f'"{what}" cannot be exported', f"{', '.join(EXPORTS)} can")
     if to is None:
-        maintenance.export_csv(db, what, sys.stdout, rig)
+        maintenance.export_csv(db, what, stdout_text(), rig)
         return
+    if to.suffix.lower() not in FORMS:
+        raise UsageError.at("--to", f"{to}: {to.suffix} cannot be written", "give a name that ends in .csv or .parquet")
     try:
         count = _export_to(db, what, to, rig)
     except OSError as error:

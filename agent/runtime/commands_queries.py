@@ -37,7 +37,7 @@ def estimates(
     if form == "table":
         _print_estimate_table(rows)
     else:
-        _print_rows("rows", ESTIMATE_COLUMNS, rows, form)
+        _print_rows("rows", ESTIMATE_COLUMNS, rows, form, rows.refused)
 
 
 def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
@@ -45,13 +45,14 @@ def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
 
     Raises StoreError; UsageError for an unknown rig.
     """
-    rows: Sequence[Row] = queries.alarms(db, rig, active)
+    found = queries.alarms(db, rig, active)
+    rows: Sequence[Row] = found
     if active:
         rows = _standing(rows, {run["run_id"]: run["kind"] for run in queries.runs(db)})
     if form == "table":
         _print_alarm_table(rows)
     else:
-        _print_rows("alarms", ALARM_COLUMNS, rows, form)
+        _print_rows("alarms", ALARM_COLUMNS, rows, form, found.refused)
 
 
 def _standing(rows: Sequence[Row], kinds: Mapping[int, str]) -> list[Row]:
@@ -73,18 +74,21 @@ def records(db: Path, rig: str | None, form: str) -> None:
     if form == "table":
         _print_record_table(rows)
     else:
-        _print_rows("records", RECORD_COLUMNS, rows, form)
+        _print_rows("records", RECORD_COLUMNS, rows, form, rows.refused)
 
 
-def _print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str) -> None:
-    """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing."""
+def _print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str, refused: int) -> None:
+    """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing.
+
+    refused: how many are not shown because their checksums are wrong; JSON says so, for others a warning does.
+    """
     if form == "csv":
         print_csv(columns, rows)
         return
     sys.stdout.write(f'{{"{key}": [')
     for i, row in enumerate(rows):
         sys.stdout.write((",\n" if i else "\n") + json.dumps(dict(row), allow_nan=False, ensure_ascii=False))
-    sys.stdout.write("]}\n")
+    sys.stdout.write(f'], "refused": {refused}}}\n')
 
 
 def _print_estimate_table(rows: Sequence[Row]) -> None:

@@ -55,6 +55,7 @@ def _document(points: queries.Points, window_s: float, limit: float | None) -> d
         "unit": points.unit,
         "n": len(instants),
         "n_disjoint": found.n_disjoint,
+        "refused": points.refused,
         "since": iso_time(instants[0]) if instants else None,
         "until": iso_time(instants[-1]) if instants else None,
         **{key: getattr(found, key) for key in Trend.__dataclass_fields__ if key != "n_disjoint"},

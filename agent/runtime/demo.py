@@ -156,8 +156,7 @@ def _end(device: subprocess.Popen[str]) -> None:
 
 
 def _compared(config: RigConfig, truth: Truth, document: Mapping[str, Any], db: Path) -> dict[str, Any]:
-    rows = queries.estimates(db, config.rig.name)
-    rows = [row for row in rows if row["run_id"] == document["run_id"]]
+    rows = [row for row in queries.estimates(db, config.rig.name) if row["run_id"] == document["run_id"]]
     return {
         "truth": segments(config, truth, rows),
         "alarm_delays": alarm_delays(config, truth, rows, document["alarms"]),

@@ -8,16 +8,15 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TypeVar
+from typing import TypeGuard, TypeVar
 
 from agent.blocks.alignment import Alignment
+from agent.blocks.estimation import ESTIMATION, FAILURE
 from agent.config import RigConfig
 from agent.runtime.pipeline import Label, Pipeline
-from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Record, Status
+from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Reason, Record, Status
 from drivers.port import SampleBlock
 
-ESTIMATION, FAILURE = "estimation", "failure"
-"""What the alarm and the event are called, and the reason of the samples."""
 PAUSE_NS = 1_000_000_000, 60_000_000_000
 """Shortest and longest pause after a fault."""
 
@@ -78,7 +77,11 @@ class IsolatedPipeline(Pipeline):
 
     def _with_news(self, records: Sequence[Record] | None) -> list[Record]:
         found, self._told = [*self._told, *(records or ())], []
-        if self._standing and any(_estimates(record) for record in found):
+        failed = next((record for record in found if _failed(record)), None)
+        if failed is not None and not self._standing:
+            self._standing = True
+            found.append(self._alarm(failed.message, lost=True))
+        elif self._standing and any(_estimates(record) for record in found):
             self._standing = False
             found.append(self._alarm("estimates come again", lost=False))
         return found
@@ -125,5 +128,13 @@ class IsolatedPipeline(Pipeline):
         )  # fmt: skip
 
 
+def _failed(record: Record) -> TypeGuard[HealthEvent]:
+    """Tell whether a method failed inside its block, which goes on by itself."""
+    return isinstance(record, HealthEvent) and (record.source, record.cause) == (ESTIMATION, FAILURE)
+
+
 def _estimates(record: Record) -> bool:
-    return isinstance(record, EstimateBatch) and bool((record.status != Status.WARMING).any())
+    if not isinstance(record, EstimateBatch):
+        return False
+    nothing = (record.status == Status.WARMING) | (record.reason == Reason.DIVERGED)
+    return not bool(nothing.all())

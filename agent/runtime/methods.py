@@ -1,7 +1,10 @@
 """The estimation methods by the names that configurations use."""
 
+from functools import partial
+
 import numpy as np
 
+from agent.blocks.containment import ContainedEstimator
 from agent.blocks.estimation import Estimation, Estimator, Labels
 from agent.blocks.friction import signals
 from agent.blocks.rig_model import RigModel, pushed, rig_model, window_settings
@@ -60,7 +63,11 @@ def make_estimation(
         longest=max(settings.plan.window, *settings.longer, settings.drift or 0),
         frictions=signals(config) - len(config.inputs),
     )
-    return Estimation(_estimator(config, rig, settings), labels)
+    several = len(labels.windows) if len(labels.windows) > 1 else 0
+    estimator = ContainedEstimator(
+        partial(_estimator, config, rig, settings), settings.plan, len(rig.parameters), several
+    )
+    return Estimation(estimator, labels, estimator.take_failures)
 
 
 def _estimator(config: RigConfig, rig: RigModel, settings: WindowSettings) -> Estimator:
@@ -72,5 +79,6 @@ def _estimator(config: RigConfig, rig: RigModel, settings: WindowSettings) -> Es
     sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
     gain = settings.gains.start(sampled, Noise(sigma, np.zeros(rig.disturbance.shape[1]))).L
     passes = config.estimator.passes
-    seed = SeedSettings(settings.period_s, settings.plan, settings.hold, gain, passes, settings.scale)
+    scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
+    seed = SeedSettings(settings.period_s, settings.plan, settings.hold, gain, passes, scale)
     return SeedWindow(rig.model, seed)

@@ -80,7 +80,8 @@ class Pipeline:
         names, quantities = tuple(c.name for c in channels), tuple(c.quantity for c in channels)
         longest, window = longest_bridge(rig_model(config).model, config.rig.sample_rate_hz), hop_plan(config).window
         self.estimation: Estimation = make_estimation(config, self._steps[inputs:], self._steps[:inputs])
-        self.quality = Quality(QualitySettings(names, inputs, self._steps, window, longest, quantities))
+        commanded = config.estimator.hold == "zero"
+        self.quality = Quality(QualitySettings(names, inputs, self._steps, window, longest, quantities, commanded))
         self.friction = dry_friction(config, self._steps[inputs:])
 
     def adopt(self, calibrated: Calibrated | None) -> None:

@@ -59,11 +59,12 @@ def _listen(
 def _turn(gathering: Gathering, connections: Sequence[Connection], heard: set[str]) -> None:
     """Hand on what has arrived, in order of arrival; note which sources were heard, raise for those that cannot be."""
     taken = [(connection, *connection.take()) for connection in connections]
+    for connection in connections:
+        gathering.counts |= {use.source: connection.counts for use in connection.uses}
     arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
     for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
         for use in connection.uses:
             heard.add(use.source)
-            gathering.counts[use.source] = arrival.counts
             gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)
     lost = [
         Fault(use.source, event.message, OPEN_ADVICE)

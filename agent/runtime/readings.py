@@ -20,6 +20,10 @@ from drivers.port import Counts, SampleBlock
 
 ORDER = 6
 """Of the difference that takes out the motion and leaves the noise."""
+REACH, AHEAD = 24, 2
+"""Readings of a force that may show in one of an output, and how many of them come after it."""
+LEAST_ROWS, MOST_ROWS = 10, 50_000
+"""Rows for each number that is fitted, and of all that is gone by."""
 CALM = 0.2
 """Of an input's rms: what differences leave beyond is no noise but the force itself."""
 
@@ -104,7 +108,7 @@ class Gathering:
         u, y = np.vstack([a.u for a in self._aligned]), np.vstack([a.y for a in self._aligned])
         friction = dry_friction(self._config, np.zeros(y.shape[1]))
         inputs = np.vstack([friction.step(a) for a in self._aligned])
-        noise = np.array([noise_of(y[:, r]) for r in range(y.shape[1])])
+        noise = np.array([noise_of(y[:, r], u) for r in range(y.shape[1])])
         v = np.hstack([u, y])
         return Recorded(name, v, inputs, y, _pieces(self._aligned), noise, self._facts(v, noise))
 
@@ -117,7 +121,8 @@ class Gathering:
         clock = self._clocks.report(name, *self._skew(name))
         return {
             "name": name, "received": counts.received, "rejected": dict(counts.rejected + state.refusals()),
-            "dropped": dict(counts.dropped), "gaps": state.gaps, "missing": state.missing,
+            "first_rejected": dict(counts.first), "dropped": dict(counts.dropped),
+            "gaps": state.gaps, "missing": state.missing,
             "rate_hz": self._rate(state), "nominal_hz": state.indexer.rate_hz,
             "drift_ppm": None if clock is None else clock.drift_ppm,
             "drift_sd_ppm": None if clock is None else clock.drift_sd_ppm,
@@ -144,15 +149,18 @@ class Gathering:
         owner = {channel: source for source in sources for channel in self._maps[source["name"]]}
         noises = [_calm(v[:, c]) for c in range(v.shape[1] - len(noise))] + noise.tolist()
         rate = (len(index) - 1) / span if span else None
-        channels = [
+        channels = channels_of(self._config)
+        factors = np.array([channel.si_factor for channel in channels])  # what people state is in a channel's own unit
+        shown = [
             {
-                "name": channel.name, "unit": channel.si_unit, "source": owner[channel.name]["name"],
+                "name": channel.name, "unit": channel.unit, "source": owner[channel.name]["name"],
                 "rate_hz": owner[channel.name]["rate_hz"] or rate, "min": float(values.min()),
-                "max": float(values.max()), "rms": float(np.sqrt(np.mean(values**2))), "noise_sd": sd,
+                "max": float(values.max()), "rms": float(np.sqrt(np.mean(values**2))),
+                "noise_sd": None if sd is None else sd / channel.si_factor,
                 "gaps": owner[channel.name]["gaps"], "missing": self._missing[channel.name],
                 "drift_ppm": owner[channel.name]["drift_ppm"], "drift_sd_ppm": owner[channel.name]["drift_sd_ppm"],
             }
-            for channel, values, sd in zip(channels_of(self._config), v.T, noises, strict=True)
+            for channel, values, sd in zip(channels, (v / factors).T, noises, strict=True)
         ]  # fmt: skip
         rejected: Counter[str] = Counter()
         for source in sources:
@@ -160,7 +168,7 @@ class Gathering:
         return {
             "span_s": span, "received": sum(s["received"] for s in sources), "used": len(index),
             "gaps": sum(s["gaps"] for s in sources), "missing": sum(s["missing"] for s in sources),
-            "rejected": dict(rejected), "channels": channels, "sources": sources, "suspicions": [],
+            "rejected": dict(rejected), "channels": shown, "sources": sources, "suspicions": [],
         }  # fmt: skip
 
 
@@ -184,10 +192,24 @@ def _pieces(aligned: list[Aligned]) -> tuple[tuple[int, int], ...]:
     return tuple(pieces)
 
 
-def noise_of(signal: FloatArray) -> float:
-    """Estimate white noise from the sixth difference, by its median so that jumps do not count."""
+def noise_of(signal: FloatArray, forces: FloatArray | None = None) -> float:
+    """Estimate white noise from the sixth difference, by its median so that jumps do not count.
+
+    forces (N, m): what drives the signal; what they explain is motion, as an accelerometer shows a force at once.
+    """
     if len(signal) < 10 * ORDER:
         return 0.0
-    left = np.diff(signal, ORDER)
+    left = _unexplained(np.diff(signal, ORDER), None if forces is None else np.diff(forces, ORDER, axis=0))
     spread = 1.4826 * float(np.median(np.abs(left)))
     return float((spread or float(np.std(left))) / comb(2 * ORDER, ORDER) ** 0.5)
+
+
+def _unexplained(signal: FloatArray, forces: FloatArray | None) -> FloatArray:
+    """Return what the newest forces (N, m), by least squares, leave of a signal (N,)."""
+    if forces is None or not forces.size or len(signal) < LEAST_ROWS * REACH * forces.shape[1]:
+        return signal
+    signal, forces = signal[-MOST_ROWS:], forces[-MOST_ROWS:]
+    near = np.lib.stride_tricks.sliding_window_view(forces, REACH, axis=0).reshape(len(signal) - REACH + 1, -1)
+    here = signal[REACH - 1 - AHEAD : len(signal) - AHEAD]
+    scale = np.maximum(np.abs(near).max(axis=0), 1e-300)
+    return np.asarray(here - near / scale @ np.linalg.lstsq(near / scale, here, rcond=1e-10)[0])

@@ -77,7 +77,7 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
     Raises RecordingError.
     """
     for path in recordings:
-        _must_be_no_folder(path)
+        _must_be_a_file(path)
     recordings = without_indexes(recordings)
     own = [path for path in recordings if is_own(path)]
     if not own:
@@ -122,14 +122,17 @@ def _seen_steps(rig: RigConfig, recording: Driver) -> tuple[float, ...]:
 
 def opened(rig: RigConfig, path: Path) -> Driver:
     """Return the driver of a recording, open. Raises RecordingError."""
-    _must_be_no_folder(path)
+    _must_be_a_file(path)
     kind = own_recording if is_own(path) else dict.fromkeys(CAN_LOGS, _can_log).get(path.suffix.lower(), _table)
     return _open(kind(rig, path))
 
 
-def _must_be_no_folder(path: Path) -> None:
+def _must_be_a_file(path: Path) -> None:
     if path.is_dir():
         raise RecordingError.at(str(path), "is a folder, no recording", "give the files in it")
+    if path.exists() and not path.is_file():
+        advice = "write what comes from there to a file first"
+        raise RecordingError.at(str(path), "is a pipe or a device, whose end may never come", advice)
 
 
 def _open(driver: Driver) -> Driver:

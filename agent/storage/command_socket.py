@@ -3,35 +3,65 @@
     {"command": "compact", ...}  ->  {"ok": true, ...} when it is committed
                                      {"ok": false, "error": "what; what to do"} when it is refused
 
-An empty line a second says that a long command is being done. The socket lies beside the database (mode 0660): who may
-write to the folder may command.
+An empty line a second says that a long command is being done. The socket lies beside the database and may be used by
+the agent's own user, and by the group deltak-command where there is one that the agent belongs to: who may read the
+database may not therefore command (see deploy/systemd).
 """
 
+import grp
 import json
 import os
+import selectors
 import socket
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from agent.errors import AgentError, StoreError
 from agent.storage.files import beside
 
+GROUP = "deltak-command"
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 _LONGEST = 65536  # bytes of a line
 _PATIENCE_S = 5.0
 _LIFE_SIGN_S = 1.0
+_MOST_CALLERS = 16  # whose line is not complete; of more the one that has waited longest is cut off
+_MOST_COMMANDS = 4  # done at a time
+
+
+@dataclass(slots=True)
+class _Caller:
+    """Somebody who connected, and what of the line has come so far."""
+
+    peer: socket.socket
+    line: bytes = b""
+    since: float = field(default_factory=time.monotonic)
+
+    def hear(self) -> bool:
+        """Take what has come; True when the line is complete."""
+        try:
+            more = self.peer.recv(4096)
+        except BlockingIOError:
+            return False
+        except OSError:
+            more = b""
+        self.line += more
+        return not more or self.line.endswith(b"\n") or len(self.line) > _LONGEST
 
 
 class CommandServer:
     """Answers commands while the agent runs; made by whoever holds the database's lock.
 
+    One thread listens to all callers at once, so that one who dribbles keeps nobody waiting; each has 5 s for its line.
+
     Args:
         path: the database.
-        handlers: by command; each gets the asked object and returns what to answer besides "ok". It runs in the
-            server's thread, and what it raises is told to the asker.
+        handlers: by command; each gets the asked object and returns what to answer besides "ok". It runs in a thread
+            of its own, and what it raises is told to the asker.
     """
 
     def __init__(self, path: Path, handlers: Mapping[str, Handler]) -> None:
@@ -39,6 +69,8 @@ class CommandServer:
         self._handlers = {"ping": lambda _: {"pid": os.getpid()}, **handlers}
         self._stopping = threading.Event()
         self._listener = _listen(self._file)
+        self._callers: list[_Caller] = []
+        self._talks: list[threading.Thread] = []
         self._thread = threading.Thread(target=self._serve, name="command-socket", daemon=True)
         self.progress = 0
 
@@ -48,32 +80,70 @@ class CommandServer:
     def stop(self) -> None:
         """End the thread and remove the socket; harmless when stopped."""
         self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(2 * _PATIENCE_S)
+        end = time.monotonic() + 2 * _PATIENCE_S
+        for thread in (self._thread, *self._talks):
+            if thread.is_alive():
+                thread.join(max(0.0, end - time.monotonic()))
         self._listener.close()
         self._file.unlink(missing_ok=True)
 
     def _serve(self) -> None:
-        self._listener.settimeout(0.2)
-        while not self._stopping.is_set():
-            self.progress += 1
+        self._listener.setblocking(False)
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._listener, selectors.EVENT_READ)
+            while not self._stopping.is_set():
+                self.progress += 1
+                for key, _ in selector.select(0.2):
+                    self._hear(selector, key.data)
+                self._cut_off(selector)
+        for caller in self._callers:
+            caller.peer.close()
+
+    def _hear(self, selector: selectors.BaseSelector, caller: _Caller | None) -> None:
+        """Take the next caller (None), or what a caller said."""
+        if caller is None:
             with suppress(OSError):
                 peer, _ = self._listener.accept()
-                with peer:
-                    peer.settimeout(_PATIENCE_S)
-                    self._converse(peer, _read_line(peer))
+                peer.setblocking(False)
+                self._callers.append(_Caller(peer))
+                selector.register(peer, selectors.EVENT_READ, self._callers[-1])
+        elif caller.hear():
+            self._callers.remove(caller)
+            selector.unregister(caller.peer)
+            self._begin(caller)
 
-    def _converse(self, peer: socket.socket, line: bytes) -> None:
+    def _cut_off(self, selector: selectors.BaseSelector) -> None:
+        """Close the connections of those who take too long, oldest first."""
+        late = time.monotonic() - _PATIENCE_S
+        while self._callers and (len(self._callers) > _MOST_CALLERS or self._callers[0].since < late):
+            caller = self._callers.pop(0)
+            selector.unregister(caller.peer)
+            caller.peer.close()
+
+    def _begin(self, caller: _Caller) -> None:
+        """Have a complete line answered in a thread of its own."""
+        self._talks = [thread for thread in self._talks if thread.is_alive()]
+        if len(self._talks) >= _MOST_COMMANDS:
+            busy = {"ok": False, "error": f"{_MOST_COMMANDS} commands are being done; try again"}
+            with caller.peer, suppress(OSError):
+                caller.peer.send(_line(busy))
+            return
+        talk = threading.Thread(target=self._converse, args=(caller,), name="command-caller", daemon=True)
+        self._talks.append(talk)
+        talk.start()
+
+    def _converse(self, caller: _Caller) -> None:
         """Answer one line; while the answer is being found the asker hears that the agent lives."""
         answers: list[Mapping[str, Any]] = []
-        worker = threading.Thread(target=lambda: answers.append(self._answer(line)), name="command", daemon=True)
+        worker = threading.Thread(target=lambda: answers.append(self._answer(caller.line)), name="command", daemon=True)
         worker.start()
         worker.join(_LIFE_SIGN_S)
-        while worker.is_alive():
-            self.progress += 1
-            peer.sendall(b"\n")
-            worker.join(_LIFE_SIGN_S)
-        peer.sendall(_line(answers[0]))
+        with caller.peer, suppress(OSError):
+            caller.peer.settimeout(_PATIENCE_S)
+            while worker.is_alive():
+                caller.peer.sendall(b"\n")
+                worker.join(_LIFE_SIGN_S)
+            caller.peer.sendall(_line(answers[0]))
 
     def _answer(self, line: bytes) -> Mapping[str, Any]:
         try:
@@ -89,19 +159,41 @@ class CommandServer:
             return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
 
+def command_group() -> int | None:
+    """Return the number of the group that may command; None where it is not there or this process not in it."""
+    try:
+        number = grp.getgrnam(GROUP).gr_gid
+    except KeyError:
+        return None
+    return number if os.geteuid() == 0 or number in {os.getegid(), *os.getgroups()} else None
+
+
 def _listen(file: Path) -> socket.socket:
     """Return a listening socket at a path; one that a killed agent left is replaced, since the lock is ours."""
     file.unlink(missing_ok=True)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
+        os.fchmod(listener.fileno(), 0o600)  # nobody else's from its first moment on
         with _short_name(file) as name:
             listener.bind(name)
-        file.chmod(0o660)
-        listener.listen(8)
+        _admit(file, command_group())
+        listener.listen(_MOST_CALLERS)
     except BaseException:
         listener.close()
         raise
     return listener
+
+
+def _admit(file: Path, group: int | None) -> None:
+    """Let a group use the socket at a path; it is the one that was made, not what a link there leads to."""
+    if group is None:
+        return
+    handle = os.open(file, os.O_PATH | os.O_NOFOLLOW)
+    try:
+        os.chown(f"/proc/self/fd/{handle}", -1, group)
+        Path(f"/proc/self/fd/{handle}").chmod(0o660)
+    finally:
+        os.close(handle)
 
 
 class _short_name:  # noqa: N801 - used like a function
@@ -159,6 +251,9 @@ def ask(path: Path, command: str, timeout_s: float = _PATIENCE_S, **arguments: A
             answer = json.loads(_last_line(peer))
     except TimeoutError as error:
         raise StoreError.at(str(path), f"its agent did not answer in {timeout_s:g} s", "try again") from error
+    except PermissionError as error:
+        advice = f"run as the agent's user, or join the group {GROUP}"
+        raise StoreError.at(str(path), "its agent may not be commanded by this user", advice) from error
     except (OSError, ValueError) as error:
         advice = "stop the process that holds the database, or try again"
         raise StoreError.at(str(path), f"its agent cannot be asked ({error})", advice) from error

@@ -1,15 +1,17 @@
 """Connections to the file: the one that writes, and those that only read."""
 
 import errno
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from agent.errors import StoreError
-from agent.storage.files import Kind, beside, check_place, kind_of, refuse, sync_folder
-from agent.storage.schema import PAGE_SIZE, SCHEMA_VERSION, upgrade, version_of
+from agent.storage.files import Kind, beside, check_place, hand_over, kind_of, opened, refuse, refuse_links, sync_folder
+from agent.storage.schema import PAGE_SIZE, SCHEMA_VERSION, strange_schema, upgrade, version_of
 
 WAL_BOUND = 16 * 1024 * 1024
 """Bytes that the write-ahead log may take whatever readers do."""
@@ -36,6 +38,13 @@ def code_of(error: BaseException) -> int:
 def is_damage(error: BaseException) -> bool:
     """Tell whether an error says that the file's content is broken."""
     return code_of(error) in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
+
+
+def damaged(words: str) -> sqlite3.DatabaseError:
+    """Return the error with which SQLite says that a file is broken, of what it does not see itself."""
+    error = sqlite3.DatabaseError(words)
+    error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+    return error
 
 
 def cause_of(error: BaseException) -> str:
@@ -68,6 +77,11 @@ def create(path: Path) -> None:
 
 def build(path: Path) -> None:
     """Write an empty database of this version, whole and synced, with no companion files."""
+    handle = opened(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+    try:
+        hand_over(handle, path.parent)
+    finally:
+        os.close(handle)
     connection = sqlite3.connect(path, isolation_level=None)
     try:
         connection.execute(f"PRAGMA page_size = {PAGE_SIZE}")
@@ -80,7 +94,8 @@ def build(path: Path) -> None:
 
 
 def connect_writer(path: Path) -> sqlite3.Connection:
-    """Open the writing connection; transactions are begun and ended by hand."""
+    """Open the writing connection; transactions are begun and ended by hand. Raises StoreError for a symbolic link."""
+    refuse_links(path)
     with _log_kept(path):
         connection = sqlite3.connect(
             path, isolation_level=None, check_same_thread=False, timeout=1.0, cached_statements=64
@@ -128,8 +143,29 @@ def empty_log(connection: sqlite3.Connection) -> None:
         raise error
 
 
-def connect_reader(path: Path) -> sqlite3.Connection:
+class Reader(sqlite3.Connection):
+    """A connection for reading only.
+
+    Attributes:
+        refused: rows that were not shown because their checksums are wrong.
+        whole: tables that were looked through from end to end.
+    """
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.refused = 0
+        self.whole: set[str] = set()
+
+    def refuse(self, rows: int) -> None:
+        """Count rows that are not shown."""
+        self.refused += rows
+
+
+def connect_reader(path: Path, *, any_schema: bool = False) -> Reader:
     """Open a database for reading only; usable while an agent writes to it.
+
+    any_schema: also one whose schema is not this program's own text, for looking at its damage; its views are then not
+    to be asked, since they may say and do anything.
 
     A file system that cannot be written to has no place for the shared index of the write-ahead log; there the file
     is read as it is (immutable), which leaves out what only the log holds.
@@ -146,15 +182,15 @@ def connect_reader(path: Path) -> sqlite3.Connection:
         raise StoreError.at(str(path), "the database is damaged", "run `deltak db repair`")
     refuse(path, kind)
     for mode in ("mode=ro", "mode=ro&immutable=1"):
-        connection = sqlite3.connect(_uri(path, mode), uri=True, isolation_level=None, timeout=5.0)
+        connection = sqlite3.connect(_uri(path, mode), uri=True, isolation_level=None, timeout=5.0, factory=Reader)
         try:
             version = version_of(connection)
-            connection.execute("SELECT count(*) FROM v_meta").fetchone()
+            strange = strange_schema(connection)
         except (sqlite3.Error, UnicodeDecodeError) as error:
             connection.close()
             problem = error
             continue
-        return _current(connection, path, version)
+        return _current(connection, path, version, None if any_schema or not strange else strange[0])
     raise unreadable(path, problem)
 
 
@@ -167,11 +203,14 @@ def unreadable(path: Path, error: Exception) -> StoreError:
     return fault
 
 
-def _current(connection: sqlite3.Connection, path: Path, version: int) -> sqlite3.Connection:
+def _current(connection: Reader, path: Path, version: int, strange: str | None) -> Reader:
     if version < SCHEMA_VERSION:
         connection.close()
         advice = "start the agent on it once, which brings it up to date"
         raise StoreError.at(str(path), f"the database is of the older version {version}", advice)
+    if strange is not None:
+        connection.close()
+        raise StoreError.at(str(path), f"the database is damaged ({strange})", "run `deltak db repair`")
     return connection
 
 

@@ -3,9 +3,11 @@
 import errno
 import fcntl
 import os
+import stat
 from contextlib import suppress
 from enum import Enum
 from pathlib import Path
+from typing import BinaryIO
 
 from agent.errors import StoreError, StoreHeldError
 from agent.storage.schema import APPLICATION_ID, PAGE_SIZE, SCHEMA_VERSION, version_mark
@@ -35,6 +37,46 @@ def beside(path: Path, suffix: str) -> Path:
     return path.with_name(path.name + suffix)
 
 
+def opened(path: Path | str, flags: int, mode: int = 0o640) -> int:
+    """Open a file that the agent makes or writes to, never what a symbolic link there leads to; an `opener` of `open`.
+
+    Raises:
+        OSError: errno ELOOP where there is such a link.
+    """
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+
+
+def created(path: Path) -> BinaryIO:
+    """Make a new file to write to; OSError where there is one, or a symbolic link."""
+    return os.fdopen(opened(path, os.O_RDWR | os.O_CREAT | os.O_EXCL), "wb")
+
+
+def refuse_links(path: Path) -> None:
+    """Raise StoreError where the database, or what SQLite writes beside it, is a symbolic link."""
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        file = beside(path, suffix)
+        if file.is_symlink():
+            advice = "give the path that it leads to" if not suffix else "remove it"
+            raise StoreError.at(str(file), "is a symbolic link, which is not written through", advice)
+
+
+def hand_over(handle: int, like: Path) -> None:
+    """Give a file made by root to the owner of another: what root makes beside a database the agent must open."""
+    if os.geteuid() == 0:
+        owner = like.stat()
+        os.fchown(handle, owner.st_uid, owner.st_gid)
+
+
+def make_alike(path: Path, like: Path) -> None:
+    """Give a file the owner and the permissions of another one."""
+    handle = opened(path, os.O_RDONLY)
+    try:
+        hand_over(handle, like)
+        os.fchmod(handle, stat.S_IMODE(like.stat().st_mode))
+    finally:
+        os.close(handle)
+
+
 def sync_folder(folder: Path) -> None:
     """Make renames and new names in a folder survive a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -51,7 +93,7 @@ def renew(path: Path) -> None:
     the disk. So a process that did not see that sync (its predecessor did, and was killed) trusts no log that it finds.
     """
     try:
-        handle = os.open(path, os.O_RDWR)
+        handle = opened(path, os.O_RDWR)
     except FileNotFoundError:
         return
     try:
@@ -97,9 +139,12 @@ def _was_ours(path: Path, head: bytes) -> bool:
         return True
     if head[:16] == _MAGIC and any(head[68:72]):
         return False  # a healthy header that names another application
-    with suppress(OSError):
+    try:
         return beside(path, ".lock").read_bytes().startswith(_LOCK_MARK)
-    return False
+    except PermissionError:
+        return True  # private to the agent, as its lock is
+    except OSError:
+        return False
 
 
 def refuse(path: Path, kind: Kind) -> None:
@@ -142,15 +187,20 @@ class Lock:
     """The right to change a database: flock on DB.lock, freed by the kernel when its holder dies.
 
     Its descriptor, `handle`, is -1 once it is released. Raises StoreHeldError when another process holds it.
-    The file stays: removing it would let two processes lock two different files of one name.
+    The file stays: removing it would let two processes lock two different files of one name. Nobody but its owner may
+    open it, since a lock can be held through a descriptor that may only read.
+
+    Attributes:
+        private: nobody else could have written to the file before.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = beside(path, ".lock")
-        try:
-            self.handle = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o660)
-        except PermissionError as error:
-            raise StoreError.at(str(self._file), "permission denied", "run as the owner of the folder") from error
+        self.handle = self._opened()
+        self.private = not os.fstat(self.handle).st_mode & 0o077
+        with suppress(OSError):
+            os.fchmod(self.handle, 0o600)
+            hand_over(self.handle, path if path.exists() else path.parent)
         try:
             fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -159,6 +209,20 @@ class Lock:
             what = f"process {holder} is writing to this database"
             raise StoreHeldError.at(str(path), what, "stop it first") from error
         self._sign()
+
+    def _opened(self) -> int:
+        try:
+            handle = opened(self._file, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK, 0o600)
+        except PermissionError as error:
+            raise StoreError.at(str(self._file), "permission denied", "run as the owner of the folder") from error
+        except OSError as error:
+            if error.errno != errno.ELOOP:
+                raise
+            raise StoreError.at(str(self._file), "is a symbolic link", "remove it") from error
+        if stat.S_ISREG(os.fstat(handle).st_mode):
+            return handle
+        os.close(handle)
+        raise StoreError.at(str(self._file), "is not a regular file", "remove it")
 
     def _holder(self) -> str:
         words = os.pread(self.handle, 64, 0).decode("ascii", "replace").split()
@@ -175,6 +239,10 @@ class Lock:
             self.handle = -1
 
 
+def _private(path: str, flags: int) -> int:
+    return opened(path, flags, 0o600)
+
+
 class Ballast:
     """A file of no content that is dropped when the disk is full, so that there is room to delete old rows."""
 
@@ -189,7 +257,7 @@ class Ballast:
         if not self.room():
             return False
         try:
-            with self._file.open("wb") as file:
+            with open(self._file, "wb", opener=_private) as file:
                 os.posix_fallocate(file.fileno(), 0, BALLAST_BYTES)
                 os.fsync(file.fileno())
         except OSError as error:

@@ -1,22 +1,38 @@
 """What `deltak db` and `deltak export` do: plain functions, each on a path."""
 
 import csv
+import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import TYPE_CHECKING, Any
 
 from agent.errors import StoreError, StoreHeldError, UsageError
 from agent.storage import queries
 from agent.storage.command_socket import ask
-from agent.storage.connect import cause_of, connect_reader, connect_writer, may_pass
-from agent.storage.files import Kind, Lock, beside, check_place, check_writable, kind_of, refuse, sync_folder
+from agent.storage.connect import Reader, cause_of, connect_reader, connect_writer, may_pass
+from agent.storage.files import (
+    Kind,
+    Lock,
+    beside,
+    check_place,
+    check_writable,
+    created,
+    kind_of,
+    refuse,
+    refuse_links,
+    sync_folder,
+)
+from agent.storage.proof import proven
 from agent.storage.receipts import Receipts
 from agent.storage.salvage import Recovery, recover
 from agent.storage.store import Store
 from agent.storage.verify import problems
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +69,7 @@ def check(path: Path | str) -> Report:
     kind = kind_of(path)
     if kind is Kind.DAMAGED:
         return Report(path, ["its header is damaged"], path.stat().st_size, {})
-    with closing(connect_reader(path)) as connection:
+    with closing(connect_reader(path, any_schema=True)) as connection:
         connection.execute("BEGIN")  # one state of the file, however long it takes
         found = problems(connection)
         rows = {} if found else {view: _count(connection, view) for view in _COUNTED}
@@ -78,19 +94,32 @@ def repair(path: Path | str) -> Recovery | None:
     refuse(path, kind)
     if kind is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    refuse_links(path)
+    if _commanded(path):
+        return _recovery(ask(path, "repair")["repaired"])
     check_writable(path)
     try:
         lock = Lock(path)
     except StoreHeldError as held:
-        answer = _ask_holder(path, "repair", held)["repaired"]
-        return Recovery(Path(answer[0]), *answer[1:]) if answer else None
+        return _recovery(_ask_holder(path, "repair", held)["repaired"])
     try:
-        receipts = Receipts(lock.handle)
-        lost = "its header is damaged" if kind is Kind.DAMAGED else receipts.missing(path)
+        receipts = Receipts(lock.handle, private=lock.private)
+        words, torn = receipts.missing(path)
+        lost = "its header is damaged" if kind is Kind.DAMAGED else words if torn else None
         found = [lost] if lost else _problems_of(path)
         return recover(path, found[0], receipts.highs) if found else None
     finally:
         lock.release()
+
+
+def _recovery(answer: list[Any] | None) -> Recovery | None:
+    return Recovery(Path(answer[0]), *answer[1:]) if answer else None
+
+
+def _commanded(path: Path) -> bool:
+    """Tell whether this user may not write to a database, but there is an agent to be asked."""
+    lock = beside(path, ".lock")
+    return beside(path, ".sock").exists() and lock.exists() and not os.access(lock, os.W_OK)
 
 
 def _problems_of(path: Path) -> list[str]:
@@ -114,6 +143,9 @@ def compact(path: Path | str) -> tuple[int, int]:
     if kind_of(path) is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
     before = path.stat().st_size
+    if _commanded(path):
+        answer = ask(path, "compact")
+        return answer["bytes_before"], answer["bytes_after"]
     try:
         with Store.open(path) as store:
             store.compact()
@@ -140,11 +172,12 @@ def backup(path: Path | str, target: Path | str) -> int:
     """
     path, target = Path(path), Path(target)
     check_place(target)
-    if target.exists():
+    if target.exists() or target.is_symlink():
         raise UsageError.at(str(target), "exists already", "give a name that is free")
     check_writable(target)
     part = beside(target, ".part")
     part.unlink(missing_ok=True)
+    created(part).close()
     try:
         with closing(connect_reader(path)) as source, closing(sqlite3.connect(part)) as copy:
             source.backup(copy)
@@ -173,22 +206,24 @@ def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[st
     if rig is not None and rig not in queries.rigs(path):
         raise UsageError.at("--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}")
     connection = connect_reader(Path(path))
+    connection.execute("BEGIN")  # rows and what proves them are of one state
     own = "alarm_id IN (SELECT id FROM v_alarms WHERE rig = ?)" if what == "alarm_events" else "rig = ?"
-    condition, values = (f" WHERE {own}", (rig,)) if rig is not None else ("", ())
+    condition, values = (own, (rig,)) if rig is not None else ("1 = 1", ())
     try:
-        cursor = connection.execute(f"SELECT * FROM v_{what}{condition}", values)  # noqa: S608 - own names
+        columns, rows = proven(connection, f"v_{what}", condition, values)
     except BaseException:
         connection.close()
         raise
-    return [column[0] for column in cursor.description], _rows(connection, cursor)
+    return columns, _rows(connection, rows, Path(path))
 
 
-def _rows(connection: sqlite3.Connection, cursor: sqlite3.Cursor) -> Iterator[Sequence[Any]]:
+def _rows(connection: Reader, rows: Iterator[Sequence[Any]], path: Path) -> Iterator[Sequence[Any]]:
     with closing(connection):
-        yield from cursor
+        yield from rows
+        queries.tell_refused(path, connection.refused)
 
 
-def export_csv(path: Path | str, what: str, output: IO[str], rig: str | None = None) -> int:
+def export_csv(path: Path | str, what: str, output: "SupportsWrite[str]", rig: str | None = None) -> int:
     """Write a view as CSV (empty cell: NULL; floats to the last digit); returns the number of rows."""
     columns, rows = export(path, what, rig)
     writer = csv.writer(output, lineterminator="\n")

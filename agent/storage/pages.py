@@ -5,7 +5,8 @@ believed: each row must pass its checksum, and a page that was freed long ago ma
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 
 from agent.storage.rows import Row
@@ -36,8 +37,17 @@ _REALS = {
 
 def scan(path: Path, log: Path) -> Iterator[tuple[str, list[Row]]]:
     """Yield (table, rows that prove themselves) found in the pages of a file and in the frames of its log."""
+    yield from _scanned(chain(_pages(path), _frames(log)))
+
+
+def scan_log(log: Path) -> Iterator[tuple[str, list[Row]]]:
+    """Yield (table, rows that prove themselves) found in the frames of a log."""
+    yield from _scanned(_frames(log))
+
+
+def _scanned(pages: Iterable[bytes]) -> Iterator[tuple[str, list[Row]]]:
     waiting: dict[str, list[Row]] = {}
-    for page in _pages(path, log):
+    for page in pages:
         for cells in _rows(page):
             table = _BY_SHAPE.get((len(cells), any(isinstance(c, str) for c in cells)))
             if table is None:
@@ -62,12 +72,15 @@ def _typed(table: str, cells: list[object]) -> Row:
     return tuple(cells)
 
 
-def _pages(path: Path, log: Path) -> Iterator[bytes]:
+def _pages(path: Path) -> Iterator[bytes]:
     if path.exists():
         with path.open("rb") as file:
             yield file.read(PAGE_SIZE)[100:].rjust(PAGE_SIZE, b"\0")
             while page := file.read(PAGE_SIZE):
                 yield page
+
+
+def _frames(log: Path) -> Iterator[bytes]:
     if log.exists():
         with log.open("rb") as file:
             file.seek(_WAL_HEADER)

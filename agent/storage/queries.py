@@ -1,11 +1,11 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Read-only questions to a database, answered in the columns of its views."""
 
+import logging
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,14 +13,20 @@ import numpy as np
 
 from agent.errors import Fault, UsageError
 from agent.storage.ages import newest_of, parts_of, shifts
-from agent.storage.connect import connect_reader, unreadable
+from agent.storage.connect import Reader, connect_reader, damaged, unreadable
+from agent.storage.proof import NOTHING, Found, differing, prove_parts, proven, row_of, series_of, sound_points
 from agent.storage.times import age_ns, parse_time
-from agent.storage.views import ESTIMATES
 from agent.types import FloatArray, IntArray
 
-Rows = list[dict[str, Any]]
+log = logging.getLogger(__name__)
 _FIRST, _LAST = -(2**63), 2**63 - 1
 _MOST_POINTS = 50_000  # more points than this and a trend reads a coarser tier
+
+
+class Rows(list[dict[str, Any]]):
+    """Rows by column; refused: how many more there are, which are not shown because their checksums are wrong."""
+
+    refused = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,7 @@ class Points:
         span_s: (n,) 0, or what the aggregate covers.
         since_ns, until_ns: the stretch asked for; None where open.
         reference: what delta is counted from at the newest point; None without one.
+        refused: rows that are left out because their checksums are wrong.
     """
 
     rig: str
@@ -46,6 +53,14 @@ class Points:
     since_ns: int | None
     until_ns: int | None
     reference: float | None
+    refused: int
+
+
+def tell_refused(db: Path | str, count: int) -> None:
+    """Warn of rows that are not shown."""
+    if count:
+        words = "%s: %d rows are not shown, their checksums are wrong; `deltak db check` tells more"
+        log.warning(words, db, count)
 
 
 class _Stretch(NamedTuple):
@@ -61,11 +76,13 @@ class _Stretch(NamedTuple):
 
 
 @contextmanager
-def reading(db: Path | str) -> Iterator[sqlite3.Connection]:
+def reading(db: Path | str) -> Iterator[Reader]:
     """Open a database for one question; what SQLite finds wrong with it becomes a StoreError."""
     with closing(connect_reader(Path(db))) as connection:
         try:
+            connection.execute("BEGIN")  # rows and what proves them are of one state
             yield connection
+            tell_refused(db, connection.refused)
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
             raise unreadable(Path(db), error) from error
 
@@ -94,11 +111,14 @@ def estimates(
         for name in _chosen_rigs(connection, rig):
             condition, values = _where(rig=name, parameter=parameter)
             for part, shift, first, last in _stretches(connection, name, since, until)[0]:
-                own = (part, *values, first, last)
-                rows = _rows(connection, f"({ESTIMATES} AND r.seq = ?)", f"{condition} AND t_ns BETWEEN ? AND ?", own)
+                own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
+                rows = _rows(connection, "v_estimates", own, (*values, part, first, last))
                 found += [(row["t_ns"] + shift, row) for row in rows]
         _check_parameter(connection, rig, parameter)
-    return [row for _, row in sorted(found, key=lambda pair: (pair[0], pair[1]["rig"]))]
+        found.sort(key=lambda pair: (pair[0], pair[1]["rig"]))
+        rows = Rows(row for _, row in found)
+        rows.refused = connection.refused
+    return rows
 
 
 def latest(db: Path | str, rig: str | None = None) -> Rows:
@@ -118,25 +138,21 @@ def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows
         return _rows(connection, "v_alarms", f"{condition} ORDER BY id", values)
 
 
-_NEWEST_HEALTH = """SELECT g.name, x.source, x.t_ns FROM (SELECT r.rig_id AS rig_id, max(y.seq) AS seq FROM health y
- JOIN runs r ON r.seq = y.run_id GROUP BY r.rig_id, y.source) n JOIN health x ON x.seq = n.seq
- JOIN rigs g ON g.seq = n.rig_id ORDER BY x.seq"""
-
-
 def health(db: Path | str, rig: str | None = None) -> Rows:
     """Return the newest row of v_health of each source; `reasons` is {"rejected": {..}, "dropped": {..}} and faults."""
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
         newest: dict[tuple[str, str], dict[str, Any]] = {}
-        for name, source, t_ns in connection.execute(_NEWEST_HEALTH).fetchall():
-            if rig is None or name == rig:
-                for row in _rows(connection, "v_health", *_where(rig=name, source=source, t_ns=t_ns)):
-                    newest[name, source] = {**row, "reasons": {"rejected": {}, "dropped": {}}}
+        condition, values = _where(rig=rig)
+        for row in _rows(connection, "v_health", f"{condition} ORDER BY {row_of('x')}", values):
+            newest[row["rig"], row["source"]] = {**row, "reasons": {"rejected": {}, "dropped": {}}}
         for row in newest.values():
             condition, values = _where(rig=row["rig"], source=row["source"], t_ns=row["t_ns"])
             for reason in _rows(connection, "v_health_reasons", condition, values):
                 row["reasons"].setdefault(reason["kind"], {})[reason["reason"]] = reason["count"]
-    return list(newest.values())
+        found = Rows(newest.values())
+        found.refused = connection.refused
+    return found
 
 
 def events(db: Path | str, rig: str | None = None) -> Rows:
@@ -190,28 +206,32 @@ def points(
         name = _one_rig(connection, rig)
         _check_parameter(connection, name, parameter)
         stretches, first, last = _stretches(connection, name, since, until)
-        found = _tiered(connection, stretches, parameter)
+        t_ns, value, sd, span_s = _tiered(connection, stretches, series_of(connection, parameter))
         unit, reference = _unit(connection, name, parameter)
-    t_ns, value, sd, span = (np.array(column) for column in (zip(*found, strict=True) if found else ((), (), (), ())))
+        refused = connection.refused
     return Points(
-        name, parameter, unit, t_ns.astype(np.int64), value.astype(np.float64), sd.astype(np.float64),
-        span.astype(np.int64), None if since is None else first, None if until is None else last, reference,
+        name, parameter, unit, t_ns, value, sd, span_s, None if since is None else first,
+        None if until is None else last, reference, refused,
     )  # fmt: skip
 
 
-def _tiered(connection: sqlite3.Connection, stretches: Sequence[_Stretch], parameter: str) -> list[tuple[Any, ...]]:
-    """Return (t_ns, value, sd, span_s) from the finest tier that reaches back and is not too long, then finer rows."""
+def _tiered(
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]]
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
+    """Return t_ns, value, sd, span_s from the finest tier that reaches back and is not too long, then finer rows."""
     bounds = {span: _bounds(connection, stretches, span) for span in (0, 60, 3600)}
     oldest = min((b[0] for b in bounds.values() if b), default=0)
     fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= _MOST_POINTS]
     start = fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
-    found: list[tuple[Any, ...]] = []
-    for span in sorted((s for s in bounds if s <= start), reverse=True):
-        points = [_tier_points(connection, stretch, parameter, span) for stretch in stretches]
-        found += points[0] if len(points) == 1 else sorted(chain.from_iterable(points))
-        if found:
-            stretches = [s.after(found[-1][0] + span * 500_000_000 + (span == 0)) for s in stretches]
-    return found
+    tiers: list[Found] = []
+    spans = sorted((s for s in bounds if s <= start), reverse=True)
+    for span in spans:
+        tiers.append(_tier_points(connection, stretches, series, span))
+        if len(tiers[-1].t_ns):
+            reached = int(tiers[-1].t_ns[-1]) + span * 500_000_000 + (span == 0)
+            stretches = [stretch.after(reached) for stretch in stretches]
+    t_ns, value, sd = (np.concatenate(column) for column in zip(*tiers, strict=True))
+    return t_ns, value, sd, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
 
 
 def _bounds(connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int) -> tuple[int, int] | None:
@@ -226,25 +246,28 @@ def _bounds(connection: sqlite3.Connection, stretches: Sequence[_Stretch], span:
 
 
 def _tier_points(
-    connection: sqlite3.Connection, stretch: _Stretch, parameter: str, span: int
-) -> list[tuple[Any, ...]]:
-    query = (
-        "SELECT h.t_ns + h.span * 500000000 + ?, e.value, e.sd, h.span FROM hops h "
-        "CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 "
-        "CROSS JOIN series s ON s.seq = e.series_id CROSS JOIN fits f ON f.seq = e.fit_id "
-        "WHERE h.run_id = ? AND s.parameter = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND e.verdict_id = 256 "
-        "AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o WHERE o.run_id = h.run_id "
-        "AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"
-    )
-    return connection.execute(query, (stretch.shift, stretch.part, parameter, span, *stretch[2:])).fetchall()
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], span: int
+) -> Found:
+    """Return the points of a tier in the order of true time."""
+    found = [NOTHING]
+    for part, shift, first, last in stretches:
+        points = sound_points(connection, part, series.get(part, ()), span, first, last)
+        found.append(points._replace(t_ns=points.t_ns + shift))
+    t_ns, value, sd = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(t_ns, kind="stable")
+    return Found(t_ns[order], value[order], sd[order])
 
 
-def _unit(connection: sqlite3.Connection, rig: str, parameter: str) -> tuple[str, float | None]:
+def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | None]:
     query = (
-        "SELECT s.unit, s.reference FROM series s JOIN runs r ON r.seq = s.run_id JOIN rigs g ON g.seq = r.rig_id "
-        "WHERE g.name = ? AND s.parameter = ? ORDER BY s.seq DESC LIMIT 1"
+        "SELECT s.unit, s.reference, s.seq FROM series s JOIN runs r ON r.seq = s.run_id "
+        "JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND s.parameter = ? ORDER BY s.seq DESC LIMIT 1"
     )
-    unit, reference = connection.execute(query, (rig, parameter)).fetchone()
+    row = connection.execute(query, (rig, parameter)).fetchone()
+    if row is None:  # found a moment ago, by another way
+        raise damaged("an index does not list what its table holds")
+    unit, reference, seq = row
+    connection.refuse(len(differing(connection, "series", (), {(seq,)})))
     return str(unit), None if reference is None else float(reference)
 
 
@@ -254,10 +277,11 @@ def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:
     return " AND ".join(["1 = 1", *(f"{name} = ?" for name in known)]), tuple(known.values())
 
 
-def _rows(connection: sqlite3.Connection, view: str, condition: str, values: Sequence[object]) -> Rows:
-    cursor = connection.execute(f"SELECT * FROM {view} WHERE {condition}", tuple(values))
-    names = [column[0] for column in cursor.description]
-    return [dict(zip(names, cells, strict=True)) for cells in cursor.fetchall()]
+def _rows(connection: Reader, view: str, condition: str, values: Sequence[object]) -> Rows:
+    names, rows = proven(connection, view, condition, values)
+    found = Rows(dict(zip(names, cells, strict=True)) for cells in rows)
+    found.refused = connection.refused
+    return found
 
 
 def _rigs(connection: sqlite3.Connection) -> list[str]:
@@ -303,13 +327,14 @@ def _list(names: Sequence[str]) -> str:
 
 
 def _stretches(
-    connection: sqlite3.Connection, rig: str, since: str | None, until: str | None
+    connection: Reader, rig: str, since: str | None, until: str | None
 ) -> tuple[list[_Stretch], int, int]:
     """Return what was asked for, by part of a run, and its first and last instant (ns); open ends reach far enough.
 
     An age counts in true time back from the newest row, a date is compared with the stamps as they are.
     """
     parts = parts_of(connection, rig)
+    prove_parts(connection, rig, parts)
     shift = shifts(parts)
     newest = newest_of(parts, shift)
     first = _FIRST if since is None else parse_time(since, newest)

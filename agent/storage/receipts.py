@@ -1,7 +1,10 @@
 """How far rows were acknowledged, noted in DB.lock after each commit: tells a log that lost its end from a short one.
 
 SQLite takes a write-ahead log up to its first wrong frame, so a flipped bit or a cut in it silently takes away what
-came after. The note is not synced: it may be older than the truth after a power cut, never newer.
+what came after. The note is not synced: it may be older than the truth after a power cut, never newer.
+
+A note alone is no damage: it counts where the log itself holds rows that SQLite does not reach. Otherwise nothing could
+be saved by replacing the file, and whoever forged a note would have it replaced; it is told and put right.
 """
 
 import os
@@ -12,9 +15,11 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from agent.storage.files import beside
+from agent.storage.pages import scan_log
 from agent.storage.rows import Row
 
 _PLACE = 64  # after the lock's signature, in the same sector
+_MOST_AHEAD = 4_000_000  # rows that a log and a side file can hold; a note further ahead is none
 _TABLES = {"hops": "instants", "alarm_events": "steps of alarms", "health": "ledger rows", "events": "events"}
 
 
@@ -23,11 +28,12 @@ class Receipts:
 
     Args:
         handle: descriptor of the lock file.
+        private: nobody but the file's owner could have written to it; what others may have written is not read.
     """
 
-    def __init__(self, handle: int) -> None:
+    def __init__(self, handle: int, *, private: bool) -> None:
         self._handle = handle
-        self.highs = _parsed(os.pread(handle, 256, _PLACE))
+        self.highs = _parsed(os.pread(handle, 256, _PLACE)) if private else {}
 
     def note(self, rows: Mapping[str, list[Row]]) -> None:
         """Note rows that are on the disk now; without a place for the note things go on without it."""
@@ -40,19 +46,24 @@ class Receipts:
         if self.highs:
             self._write({})
 
-    def missing(self, path: Path) -> str | None:
-        """Return in words what was acknowledged and neither the database nor its side file holds; None when nothing.
+    def missing(self, path: Path) -> tuple[str | None, bool]:
+        """Return in words what was acknowledged and neither the database nor its side file holds, and if it is torn.
 
-        Reads only, so that a log whose end is damaged stays as it is.
+        None for nothing. Torn: a log holds rows that cannot be reached, so the file should be replaced by what can be
+        saved. Reads only, so that a log whose end is damaged stays as it is.
         """
         if not self.highs or not path.exists():
-            return None
-        found = [_highs(file) for file in (path, beside(path, ".spill")) if file.exists()]
-        lacking = {
-            table: high - max((f.get(table, high) for f in found), default=high) for table, high in self.highs.items()
-        }
-        words = [f"{count} {_TABLES[table]}" for table, count in lacking.items() if count > 0]
-        return f"{', '.join(words)} that were acknowledged are missing" if words else None
+            return None, False
+        files = [file for file in (path, beside(path, ".spill")) if file.exists()]
+        found = [_highs(file) for file in files]
+        reached = {t: max((f.get(t, high) for f in found), default=high) for t, high in self.highs.items()}
+        ahead = {t: high - reached[t] for t, high in self.highs.items() if 0 < high - reached[t] <= _MOST_AHEAD}
+        self.highs |= {t: reached[t] for t in self.highs if t not in ahead}
+        if not ahead:
+            return None, False
+        words = ", ".join(f"{count} {_TABLES[table]}" for table, count in ahead.items())
+        torn = any(_holds_more(beside(file, "-wal"), reached) for file in files)
+        return f"{words} that were acknowledged are missing", torn
 
     def _write(self, highs: dict[str, int]) -> None:
         self.highs = highs
@@ -70,6 +81,11 @@ def _parsed(octets: bytes) -> dict[str, int]:
         return {}
     words = text.split()
     return {table: int(high) for table, high in zip(words[::2], words[1::2], strict=True) if table in _TABLES}
+
+
+def _holds_more(log: Path, reached: Mapping[str, int]) -> bool:
+    """Tell whether a log holds rows that prove themselves with numbers beyond those that SQLite reaches."""
+    return any(row[0] > reached.get(table, row[0]) for table, rows in scan_log(log) for row in rows)
 
 
 def _highs(path: Path) -> dict[str, int]:

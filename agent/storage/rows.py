@@ -2,6 +2,7 @@
 """Rows on their way into the file: growing numbers, names by number, and the plan of one transaction."""
 
 import sqlite3
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -56,6 +57,11 @@ class Numbers:
         first = self._next[table]
         self._next[table] = first + count
         return first
+
+    def leap(self, highs: Mapping[str, int]) -> None:
+        """Give out no number up to these again, by table, though no row has them any more."""
+        for table, high in highs.items():
+            self._next[table] = max(self._next[table], high + 1)
 
     def high(self, table: str) -> int:
         """Return the highest number given out so far."""

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from agent.storage.checksum import row_crc
 from agent.storage.connect import build, empty_log
-from agent.storage.files import beside, sync_folder
+from agent.storage.files import beside, make_alike, sync_folder
 from agent.storage.losses import TOLD, Losses
 from agent.storage.pages import scan
 from agent.storage.rows import VERDICTS, Row
@@ -56,14 +56,18 @@ class Recovery:
 
 
 def finish_interrupted(path: Path) -> Path | None:
-    """Complete a replacement that a power cut interrupted; returns where the damaged file lies, None if none was."""
+    """Complete a replacement that a power cut interrupted; returns where the damaged file lies, None if none was.
+
+    A log without its database is what somebody left who removed that: it is put aside, and no damage.
+    """
     _remove(beside(path, ".salvaging"))
     salvaged = beside(path, ".salvaged")
     if salvaged.exists():
         return _exchange(path, salvaged)
     if beside(path, "-wal").exists() and (not path.exists() or path.stat().st_size == 0):
         # SQLite would read the log of a lost file into a new one of the same name.
-        return _put_aside(path)
+        aside = _put_aside(path)
+        return aside if aside.exists() else None
     return None
 
 
@@ -76,6 +80,8 @@ def recover(path: Path, cause: str, highs: Mapping[str, int] | None = None) -> R
     _remove(fresh)
     build(fresh)
     saved, lost, unread = _copy_rows(path, fresh, highs or {})
+    if path.exists():
+        make_alike(fresh, path)
     fresh.rename(beside(path, ".salvaged"))
     sync_folder(path.parent)
     return Recovery(_exchange(path, beside(path, ".salvaged")), cause, saved, lost, unread)

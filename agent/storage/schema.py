@@ -8,11 +8,16 @@ fits, verdicts) is named by number.
 
 import sqlite3
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from contextlib import closing
+from functools import cache
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 from agent import __version__
 from agent.storage.checksum import row_crc
-from agent.storage.views import CLOCKS, EVENT_RECORDS, STEPS, VIEWS
+from agent.storage.views import CLOCKS, EVENT_RECORDS, VIEWS
+from agent.storage.views_of_parts import STEPS
 
 if TYPE_CHECKING:
     from sqlite_utils import Database
@@ -64,6 +69,8 @@ TABLES: dict[str, str] = {
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
 _SINCE = {"event_records": 2, "calibrations": 4, "clocks": 5}
 """The version that brought a table, of those that version 1 did not have."""
+
+_CALLED = frozenset({"json_each"})  # table-valued functions in our views
 
 _CONSUMERS = (
     "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, last_seq INTEGER NOT NULL DEFAULT 0, "
@@ -144,6 +151,15 @@ _UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r
  FROM runs r WHERE a IS NOT NULL AND NOT EXISTS (SELECT 1 FROM events e WHERE e.run_id = r.seq
  AND e.source = 'clock' AND e.cause = 'clock step') ORDER BY r.seq"""
 
+_STEPS: dict[str, Callable[["Database"], None]] = {
+    "0001_tables_views_and_marks": _tables_views_and_marks,
+    "0002_event_records": _event_records,
+    "0003_clocks": _clocks,
+    "0004_calibrations": _calibrations,
+    "0005_steps": _steps,
+}
+"""The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
+
 
 def _create(connection: sqlite3.Connection, table: str) -> None:
     columns = TABLES[table]
@@ -174,12 +190,40 @@ def migrations() -> "Migrations":
     from sqlite_utils.migrations import Migrations
 
     steps = Migrations("deltak")
-    steps(name="0001_tables_views_and_marks")(_tables_views_and_marks)
-    steps(name="0002_event_records")(_event_records)
-    steps(name="0003_clocks")(_clocks)
-    steps(name="0004_calibrations")(_calibrations)
-    steps(name="0005_steps")(_steps)
+    for name, step in _STEPS.items():
+        steps(name=name)(step)
     return steps
+
+
+@cache
+def own_schema() -> dict[tuple[str, str], tuple[str, str | None]]:
+    """Return what a file of this version consists of: (type, name) -> table, text."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        for step in _STEPS.values():
+            step(cast("Database", SimpleNamespace(conn=connection)))
+        return _schema(connection)
+
+
+def _schema(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str, str | None]]:
+    rows = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
+    return {(kind, name): (table, text) for kind, name, table, text in rows}
+
+
+def _bare(entry: tuple[str, str | None] | None) -> tuple[str, ...]:
+    """Return an entry of a schema without spaces: earlier programs broke their lines elsewhere."""
+    return () if entry is None else (entry[0], "".join((entry[1] or "").split()))
+
+
+def strange_schema(connection: sqlite3.Connection) -> list[str]:
+    """Return in words what of a file's schema is not this program's own text; none of it is executed.
+
+    Tables, indexes and views of others are left alone, but for those that stand in for what our views call.
+    """
+    found = _schema(connection)
+    words = [f"the text of {kind} {name} is not its own" for (kind, name), own in own_schema().items()
+             if _bare(found.get((kind, name))) != _bare(own)]  # fmt: skip
+    others = (name for kind, name in found if kind == "trigger" or name.lower() in _CALLED)
+    return words + [f"{name} does not belong there" for name in others]
 
 
 def upgrade(connection: sqlite3.Connection) -> None:

@@ -23,6 +23,7 @@ from agent.storage.files import (
     check_writable,
     kind_of,
     refuse,
+    refuse_links,
     renew,
     sync_folder,
 )
@@ -51,7 +52,7 @@ class Store:
     def __init__(self, path: Path, lock: Lock, keep: Retention) -> None:
         self.path = path
         self._lock = lock
-        self._receipts = Receipts(lock.handle)
+        self._receipts = Receipts(lock.handle, private=lock.private)
         self._mutex = threading.RLock()
         self._connection: sqlite3.Connection | None = None
         self._side: sqlite3.Connection | None = None
@@ -63,6 +64,7 @@ class Store:
         self._since_checkpoint = [0, 0]
         self._keep = keep
         self._scrubber = Scrubber()
+        self._missing: str | None = None
         self.recovery: Recovery | None = None
         """What became of a damaged file that was found here; told in the next run that begins."""
 
@@ -78,6 +80,7 @@ class Store:
         """
         path = Path(path)
         check_place(path)
+        refuse_links(path)
         refuse(path, kind_of(path))
         check_writable(path)
         store = cls(path, Lock(path), keep)
@@ -124,11 +127,17 @@ class Store:
         if kind is Kind.MISSING:
             create(self.path)
             self._receipts.forget()
-        damage = "its header is damaged" if kind is Kind.DAMAGED else self._receipts.missing(self.path)
-        damage = damage or self._connect()
+        damage = "its header is damaged" if kind is Kind.DAMAGED else self._torn() or self._connect()
         if damage:
             self._replace(damage)
+        self.numbers.leap(self._receipts.highs)
         sync_folder(self.path.parent)  # SQLite does so for its log, but does not mind when it fails
+
+    def _torn(self) -> str | None:
+        """Return what was acknowledged and only a torn log holds; what no log holds is told by the next run."""
+        words, torn = self._receipts.missing(self.path)
+        self._missing = None if torn else words
+        return words if torn else None
 
     def _connect(self) -> str | None:
         """Open the file; returns what is wrong with it, None when nothing was found."""
@@ -188,6 +197,9 @@ class Store:
 
     def _tell_recovery(self, run_id: int, run: RunInfo) -> None:
         """Record that a damaged file was replaced: an event, and an alarm that is over but not acknowledged."""
+        if self._missing is not None:
+            self.write(run_id, [HealthEvent(run.rig, "store", run.started_ns, "rows missing", self._missing)])
+            self._missing = None
         if self.recovery is None:
             return
         told, t_ns = str(self.recovery), run.started_ns

@@ -2,22 +2,21 @@
 """Looking for damage: the structure by SQLite's own checks, the rows by their checksums."""
 
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.storage.checksum import column_crc, row_crc
-from agent.storage.connect import is_damage
-from agent.storage.schema import TABLES, columns_of
+from agent.storage.connect import damaged, is_damage
+from agent.storage.schema import TABLES, columns_of, strange_schema
 
 Row = tuple[Any, ...]
 _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}
 """Tables of numbers only, checked whole columns at a time -> how many of their columns are integers."""
 _SMALL_PAGES = 4096  # files up to this size are read whole at every start
 _NEWEST_ROWS = 5000
-_SCHEMA_OBJECTS = 20 + 1  # tables of this version and that of the migrations
 _ORPHANS = """SELECT count(*) FROM estimates e WHERE NOT EXISTS (SELECT 1 FROM hops h WHERE h.seq = e.seq >> 10)
  OR NOT EXISTS (SELECT 1 FROM series s WHERE s.seq = e.series_id)
  OR NOT EXISTS (SELECT 1 FROM fits f WHERE f.seq = e.fit_id)"""
@@ -29,28 +28,40 @@ def good_rows(table: str, rows: Sequence[Row]) -> NDArray[np.bool_]:
         return np.zeros(0, dtype=bool)
     if table not in _NUMERIC:
         return np.array([_right(row) for row in rows])
+    return good_columns(table, list(zip(*rows, strict=True)))
+
+
+def good_columns(table: str, columns: Sequence[Collection[Any]]) -> NDArray[np.bool_]:
+    """Tell the same of the rows of a table of numbers, given as the columns that they make."""
     try:
-        return _numbers_right(rows, _NUMERIC[table])
+        return _numbers_right(columns, _NUMERIC[table])
     except (TypeError, ValueError, OverflowError):  # a cell that is not a number any more
+        rows = list(zip(*columns, strict=True))
         plausible = np.array([_plausible(row, _NUMERIC[table]) for row in rows])
         right = np.zeros(len(rows), dtype=bool)
         if plausible.any():
-            right[plausible] = _numbers_right([r for r, p in zip(rows, plausible, strict=True) if p], _NUMERIC[table])
+            sound = zip(*(row for row, fine in zip(rows, plausible, strict=True) if fine), strict=True)
+            right[plausible] = _numbers_right(list(sound), _NUMERIC[table])
         return right
 
 
-def _numbers_right(rows: Sequence[Row], integers: int) -> NDArray[np.bool_]:
-    """Check rows of `integers` integers, then reals or None, then the checksum; raises where they are not."""
-    *columns, stored = zip(*rows, strict=True)
+def _numbers_right(cells: Sequence[Collection[Any]], integers: int) -> NDArray[np.bool_]:
+    """Check columns of `integers` integers, then reals or None, then the checksum; raises where they are not."""
+    *columns, stored = cells
     whole = [np.array(c, dtype=np.int64) for c in columns[:integers]]
-    real = [np.array(c, dtype=np.float64) for c in columns[integers:]]
+    real = [_reals(c) for c in columns[integers:]]
     return np.asarray(column_crc(*whole, *real) == np.array(stored, dtype=np.int64))
 
 
+def _reals(column: Collection[Any]) -> NDArray[np.float64]:
+    """Return a column of reals or None; the columns that most rows leave empty take no time."""
+    empty = all(cell is None for cell in column)
+    return np.full(len(column), np.nan) if empty else np.array(column, dtype=np.float64)
+
+
 def _plausible(row: Row, integers: int) -> bool:
-    whole = (*row[:integers], row[-1])
-    real = row[integers:-1]
-    return all(isinstance(c, int) for c in whole) and all(c is None or isinstance(c, int | float) for c in real)
+    whole = all(isinstance(c, int | np.integer) for c in (*row[:integers], row[-1]))
+    return whole and all(c is None or isinstance(c, int | float) for c in row[integers:-1])
 
 
 def _right(row: Row) -> bool:
@@ -63,7 +74,7 @@ def _right(row: Row) -> bool:
 def problems(connection: sqlite3.Connection) -> list[str]:
     """Return what is wrong with an open database, in words; empty when nothing was found. Reads the whole file."""
     found: list[str] = []
-    for check in (_structure, _rows, _orphans):
+    for check in (strange_schema, _structure, _rows, _orphans):
         try:
             found += check(connection)
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
@@ -80,7 +91,7 @@ def problems_at_start(connection: sqlite3.Connection) -> list[str]:
     """
     if connection.execute("PRAGMA page_count").fetchone()[0] <= _SMALL_PAGES:
         return problems(connection)
-    found = []
+    found = strange_schema(connection)
     for table in TABLES:
         newest = connection.execute(f"SELECT max(seq) FROM {table}").fetchone()[0] or 0
         rows = _NEWEST_ROWS << 10 if table in {"estimates", "spreads"} else _NEWEST_ROWS
@@ -103,21 +114,14 @@ class Scrubber:
         query = f"SELECT {', '.join(columns_of(table))} FROM {table} WHERE seq > ? ORDER BY seq LIMIT ?"
         found = connection.execute(query, (self._after, rows)).fetchall()
         if not good_rows(table, found).all():
-            error = sqlite3.DatabaseError(f"rows of {table} have a wrong checksum")
-            error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
-            raise error
+            raise damaged(f"rows of {table} have a wrong checksum")
         self._after = found[-1][0] if found else -(2**62)
         if len(found) < rows:
             self._table, self._after = (self._table + 1) % len(TABLES), -(2**62)
 
 
 def _structure(connection: sqlite3.Connection) -> list[str]:
-    tables = connection.execute("SELECT count(*) FROM sqlite_master WHERE type = 'table'").fetchone()[0]
-    views = connection.execute("SELECT name FROM sqlite_master WHERE type = 'view'").fetchall()
-    for (view,) in views:
-        connection.execute(f'SELECT * FROM "{view}" LIMIT 0')
-    found = [text for (text,) in connection.execute("PRAGMA integrity_check(5)") if text != "ok"]
-    return found if tables >= _SCHEMA_OBJECTS else [*found, f"only {tables} tables are left"]
+    return [text for (text,) in connection.execute("PRAGMA integrity_check(5)") if text != "ok"]
 
 
 def _rows(connection: sqlite3.Connection) -> list[str]:

@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.blocks.containment import ContainedEstimator
 from agent.blocks.estimation import Estimation
 from agent.config import RigConfig, load
 from agent.numerics.estimator.window_ml import WindowML
@@ -151,8 +152,9 @@ def by_rigs() -> list[tuple[int, float, float]]:
 
 def operators_of(block: Estimation) -> HopOperators:
     """Return the lifted filters that an estimator has built about its reference."""
-    assert isinstance(block.estimator, WindowML)
-    return block.estimator.point.operators
+    assert isinstance(block.estimator, ContainedEstimator)
+    assert isinstance(block.estimator.estimator, WindowML)
+    return block.estimator.estimator.point.operators
 
 
 def by_windows() -> list[tuple[tuple[float, ...], float]]:

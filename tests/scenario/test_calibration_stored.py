@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.blocks.containment import ContainedEstimator
 from agent.config import load
 from agent.numerics.estimator.calibrate import Calibrator
 from agent.numerics.estimator.window_ml import WindowML
@@ -186,7 +187,9 @@ def test_live_rig_begins_with_what_the_run_before_knew_and_says_only_what_is_new
     published: list[Record] = []
     rig = RigRuntime(config, published.extend)
     rig.restore([], writer.calibrations[name])
-    estimator = rig.pipeline.estimation.estimator
+    contained = rig.pipeline.estimation.estimator
+    assert isinstance(contained, ContainedEstimator)
+    estimator = contained.estimator
     assert isinstance(estimator, WindowML)
     found = estimator.point.calibrated(searched=True)
     # what the configuration states of the noise is believed (and the wire's steps added)

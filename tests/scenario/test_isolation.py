@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.blocks.containment import ContainedEstimator
 from agent.blocks.sensor_labels import SensorEvent
 from agent.config import load
 from agent.runtime.isolation import PAUSE_NS
 from agent.runtime.service import RigRuntime, Service
-from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, SensorFault
+from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, SensorFault, Status
 from drivers.port import FloatArray, SampleBlock
 from tests.scenario.live import example, free_port, rows
 from tests.scenario.test_service import renamed
@@ -160,3 +161,29 @@ def test_sensor_alarm_that_stood_before_a_fault_clears_once_estimates_are_valid_
         published += rig.pipeline.compute()
     steps = [(r.kind, r.parameter, r.to_state) for r in published if isinstance(r, AlarmTransition)]
     assert ("sensor", channel, "RTNUN") in steps
+
+
+def test_numerical_failure_inside_the_method_costs_a_windows_rows_no_sample_and_raises_the_alarm(
+    tmp_path: Path,
+) -> None:
+    published: list[Record] = []
+    rig = RigRuntime(load(example("modbus", tmp_path)), published.extend)
+    contained = rig.pipeline.estimation.estimator
+    assert isinstance(contained, ContainedEstimator)
+    contained.estimator = Broken(contained.estimator)
+    # the one that takes its place fails at the same samples, the next one does not
+    after = iter([Broken(contained.make()), contained.make()])
+    contained.make = lambda: next(after)
+    for block in blocks(3):
+        rig.pipeline.take("modbus", block, 2**32, None)
+        published += rig.pipeline.compute()
+    batches = [record for record in published if isinstance(record, EstimateBatch)]
+    diverged = np.concatenate([(batch.reason == Reason.DIVERGED).all(axis=1) for batch in batches])
+    index = np.concatenate([batch.index for batch in batches])
+    assert index[diverged].tolist() == [FAULT_AT + PIECE - 1]
+    assert np.all(np.diff(index) == PIECE)
+    assert (batches[-1].status == Status.VALID).all()
+    alarms = [record for record in published if isinstance(record, AlarmTransition)]
+    assert [(alarm.parameter, alarm.to_state) for alarm in alarms] == [("estimation", "UNACK"), ("estimation", "RTNUN")]
+    assert "LinAlgError: planted" in alarms[0].message
+    assert rig.pipeline.ends("modbus")[1].total() == 0

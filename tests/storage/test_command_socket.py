@@ -1,13 +1,17 @@
+import os
 import socket
 import stat
 import threading
+import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from agent.errors import StoreError
+from agent.storage import command_socket
 from agent.storage.command_socket import CommandServer, ask
 from agent.storage.files import beside
 
@@ -49,8 +53,68 @@ def test_ask_tells_of_what_was_refused(server: Path, command: str, arguments: di
     assert caught.value.exit_code == 3
 
 
-def test_socket_may_be_used_by_owner_and_group_only(server: Path) -> None:
-    assert stat.S_IMODE(beside(server, ".sock").stat().st_mode) == 0o660
+def test_socket_is_the_owners_and_that_of_the_group_that_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for group, mode in ((None, 0o600), (os.getegid(), 0o660)):
+        monkeypatch.setattr(command_socket, "command_group", lambda group=group: group)
+        made = CommandServer(tmp_path / "rig.db", {"twice": twice})
+        made.start()
+        found = beside(tmp_path / "rig.db", ".sock").stat()
+        assert (stat.S_IMODE(found.st_mode), found.st_gid) == (mode, os.getegid())
+        made.stop()
+
+
+def test_clients_that_dribble_keep_nobody_waiting(server: Path) -> None:
+    """Each says a little now and then, so that no time-out of a single reading ever passes."""
+    stop = threading.Event()
+    peers = [socket.socket(socket.AF_UNIX) for _ in range(20)]
+    for peer in peers:
+        peer.connect(str(beside(server, ".sock")))
+
+    def dribble() -> None:
+        while not stop.wait(0.05):
+            for peer in peers:
+                with suppress(OSError):
+                    peer.send(b"{")
+
+    thread = threading.Thread(target=dribble)
+    thread.start()
+    try:
+        begin = time.monotonic()
+        assert ask(server, "twice", number=4) == {"answer": 8}
+        assert time.monotonic() - begin < 2.0
+    finally:
+        stop.set()
+        thread.join()
+        for peer in peers:
+            peer.close()
+
+
+def test_client_that_dribbles_is_cut_off_in_the_end(server: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command_socket, "_PATIENCE_S", 0.2)
+    with socket.socket(socket.AF_UNIX) as peer:
+        peer.connect(str(beside(server, ".sock")))
+        peer.send(b"{")
+        peer.settimeout(5.0)
+        assert peer.recv(100) == b""
+
+
+def test_more_commands_than_are_done_at_a_time_are_told_so(tmp_path: Path) -> None:
+    release = threading.Event()
+    made = CommandServer(tmp_path / "rig.db", {"wait": lambda _: {"over": release.wait(20)}})
+    made.start()
+    peers = [socket.socket(socket.AF_UNIX) for _ in range(4)]
+    for peer in peers:
+        peer.connect(str(beside(tmp_path / "rig.db", ".sock")))
+        peer.sendall(b'{"command": "wait"}\n')
+    with pytest.raises(StoreError, match="4 commands are being done; try again"):
+        ask(tmp_path / "rig.db", "ping")
+    release.set()
+    assert all(b"true" in peer.recv(100) for peer in peers)
+    for peer in peers:
+        peer.close()
+    made.stop()
 
 
 @pytest.mark.parametrize("line", [b"\n", b"[]\n", b'{"command": 3}\n', b"\xff\xfe\n", b"x" * 70_000, b"[" * 60_000])

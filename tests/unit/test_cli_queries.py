@@ -14,6 +14,7 @@ from agent.errors import UsageError
 from agent.runtime.cli_errors import faults_of
 from agent.runtime.commands_queries import ALARM_COLUMNS, ESTIMATE_COLUMNS, TABLE_ROWS, alarms, estimates
 from agent.runtime.commands_trend import trend
+from agent.storage import queries
 from agent.storage.store import Store
 from agent.types import AlarmTransition, EstimateBatch, Reason, RunInfo, Status
 
@@ -138,7 +139,7 @@ def test_alarms_active_shows_of_a_parameter_the_newest_that_stands(
     same = dict.fromkeys(ALARM_COLUMNS) | {"rig": "r", "kind": "level", "parameter": "k2"}
     standing = [same | {"id": i, "run_id": run} for i, run in ((2, 1), (3, 2), (7, 3))]
     runs = [{"run_id": run, "kind": kind} for run, kind in ((1, "live"), (2, "replay"), (3, "replay"))]
-    monkeypatch.setattr("agent.storage.queries.alarms", lambda *_: standing)
+    monkeypatch.setattr("agent.storage.queries.alarms", lambda *_: queries.Rows(standing))
     monkeypatch.setattr("agent.storage.queries.runs", lambda *_: runs)
     # that of the live machine is not hidden by what recordings of it ended with
     assert [a["id"] for a in json.loads(said(alarms, db, None, "json", active=True))["alarms"]] == [2, 7]

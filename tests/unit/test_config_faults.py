@@ -27,6 +27,12 @@ PRESS_TABLE = [
     ("[store]", "[security]\n[store]", "security", "not in this version"),
     ("[[alarm]]", "[alarm]", "alarm", "must be a list of tables, not a table; write [[alarm]]"),
     ("[store]", "[store]\npassword = 'x'", "store.password", "secret"),
+    # numbers that squares and products take out of the floating-point numbers
+    ("value = 5.0", "value = 1e-308", "model.mass[0].value", "0 or between 1e-30 and 1e+30 in size, not 1e-308"),
+    ("nominal = 25.0", "nominal = 1e300", "model.spring[0].nominal", "not 1e+300"),
+    ("noise_sd = 1e-6", "noise_sd = 1e-200", "channel[1].noise_sd", "not 1e-200"),
+    ("scale = 1.0", "scale = -1e31", "channel[0].scale", "not -1e+31"),
+    ("window_s = 0.25", "window_s = 1e300", "estimator.window_s", "not 1e+300"),
     # rig
     ('name = "press-7"', 'name = "7press"', "rig.name", '"7press" is not a name'),
     ('name = "press-7"', 'name = "press 7"', "rig.name", "not a name"),

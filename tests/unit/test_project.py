@@ -92,3 +92,11 @@ def test_import_contracts_name_what_an_import_breaks(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "agent.blocks.wrong -> sim_bus" in done.stdout
     assert "agent.blocks.wrong -> drivers.modbus" in done.stdout
+
+
+def test_make_demo_says_what_it_does_while_it_installs(tmp_path: Path) -> None:
+    command = ["make", "--dry-run", f"VENV={tmp_path / 'venv'}", "demo"]
+    steps = subprocess.run(command, cwd=peers.ROOT, capture_output=True, text=True, check=True, timeout=60).stdout
+    said, install = steps.index("installing deltak"), steps.index("pip --python")
+    assert steps.index("making ") < steps.index("-m venv") < said < install
+    assert " -q" not in steps[install:].splitlines()[0]

@@ -165,7 +165,8 @@ class Calibrator:
     def _resting(self, v: FloatArray) -> tuple[int, ...]:
         """Return the measured inputs of a record v (N, p+m) where none of them ever moves; else none."""
         p = len(self.stated)
-        rest = standing(v[:, p : p + (0 if self.mistakes is None else self.mistakes.inputs)])
+        sensors = 0 if self.mistakes is None or self.mistakes.commanded else self.mistakes.inputs
+        rest = standing(v[:, p : p + sensors])
         return tuple(range(p, p + len(rest))) if rest.all() else ()
 
     def _wrong_mass(

@@ -23,10 +23,14 @@ def standing(v: FloatArray) -> BoolArray:
 
 
 class Frozen:
-    """Remembers how the measured channels, so many outputs, then so many inputs, stand still in health."""
+    """Remembers how the measured channels, so many outputs, then so many inputs, stand still in health.
 
-    def __init__(self, outputs: int, inputs: int) -> None:
+    commanded: inputs are what was commanded: one that is held is where it was put, and tells nothing of a sensor.
+    """
+
+    def __init__(self, outputs: int, inputs: int, *, commanded: bool = False) -> None:
         self._outputs, self._channels = outputs, (channels := outputs + inputs)
+        self._believed = np.arange(channels) >= (outputs if commanded else channels)
         self._moved = np.zeros(channels, dtype=bool)
         self._low, self._high = np.full(channels, np.inf), np.full(channels, -np.inf)  # where they stood in health
 
@@ -65,12 +69,13 @@ class Frozen:
         """Return that no measured force explains the motion in the first windows v (W, c): all of them rest at 0."""
         stands = self._stands(v)
         outputs, inputs = stands[: self._outputs], stands[self._outputs :]
-        if self._moved.any() or outputs.all() or not len(inputs) or not inputs.all():
+        nobody = not len(inputs) or bool(self._believed[-1])
+        if nobody or self._moved.any() or outputs.all() or not inputs.all():
             return None
         return Accusation(ChannelSuspect("forces", tuple(range(self._outputs, self._channels))), 1.0)
 
     def _accusation(self, stuck: BoolArray, at: FloatArray) -> Accusation | None:
-        channels = np.flatnonzero(stuck)
+        channels = np.flatnonzero(stuck & ~self._believed)
         if not len(channels):
             return None
         return Accusation(ChannelSuspect("stuck", tuple(channels.tolist())), 1.0, sizes=tuple(at[channels].tolist()))

@@ -108,7 +108,12 @@ class Mistakes:
 
     def frozen(self) -> Frozen:
         """Return what is known at the beginning of channels that stand still."""
-        return Frozen(self.outputs, self.inputs)
+        return Frozen(self.outputs, self.inputs, commanded=self.commanded)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the inputs are what was commanded, held from sample to sample, and no sensor's readings."""
+        return self.hold == "zero"
 
     def find(
         self, problem: Problem, theta: FloatArray, stages: Stages, sigma: FloatArray,

@@ -7,14 +7,23 @@ White sensor noise of known standard deviation, an unknown initial state, a know
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fitting.fit import linearise
+from agent.numerics.fitting.fit import linearised
+from agent.numerics.fitting.window_filter import WindowFilter
 from agent.numerics.model.observer import plain_gain
 from agent.numerics.model.statespace import Discrete, simulate
 
 FloatArray = NDArray[np.float64]
 
 
-def window_information(discrete: Discrete, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> FloatArray:
+def information_filter(discrete: Discrete, sigma: FloatArray, window: int) -> WindowFilter:
+    """Return what `window_information` runs over a window; built once, it serves every window of a model and noise."""
+    model = discrete.model
+    return WindowFilter(model, plain_gain(np.zeros((model.n, model.p)), sigma), window)
+
+
+def window_information(
+    discrete: Discrete, x0: FloatArray, u: FloatArray, sigma: FloatArray, filters: WindowFilter | None = None
+) -> FloatArray:
     """Return the Fisher information (q, q) of a window's parameters, the initial state projected out.
 
     Args:
@@ -22,11 +31,12 @@ def window_information(discrete: Discrete, x0: FloatArray, u: FloatArray, sigma:
         x0: (n,) the physical state at the window's first sample.
         u: (W, m) inputs.
         sigma: (p,) standard deviation of each output's noise.
+        filters: of `information_filter`, where there are several windows.
     """
     _, y = simulate(discrete, x0, u)
-    model = discrete.model
     shifted = x0 - discrete.B1 @ u[0]
-    window = linearise(model, plain_gain(np.zeros((model.n, model.p)), sigma), np.hstack([y, u]), shifted)
+    filters = filters or information_filter(discrete, sigma, len(u))
+    window = linearised(filters, np.hstack([y, u]), shifted)
     return window.psi.T @ window.psi
 
 

@@ -8,14 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are
 
+from agent.numerics.model.riccati import state_units, steady_covariance
 from agent.numerics.model.statespace import Discrete, StateSpace
 
 FloatArray = NDArray[np.float64]
 
 STRICTLY_STABLE = 1.0 - 1e-6
 """Largest pole radius with which an observer may run on without correction (gain zero)."""
+WEAKEST, STRONGEST, STRIDE = -8.0, 8.0, 2.0
+"""Decades of the intensity that is searched, about that of which the readings show 1 in units of their noise."""
+BISECTIONS = 7
+"""Of a stride: the intensity is found to 4 %."""
+NO_GAIN = "no stabilising observer gain: the outputs do not show a mode that does not decay"
 
 
 def spectral_radius(A: FloatArray) -> float:
@@ -46,15 +51,21 @@ def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> tu
 
     Raises ValueError when the Riccati equation has no stabilising solution.
     """
-    try:
-        P = solve_discrete_are(model.A.T, model.C.T, process, noise)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise ValueError(f"no stabilising observer gain: {error}") from error
-    S = model.C @ P @ model.C.T + noise
-    L = np.linalg.solve(S, model.C @ P @ model.A.T).T
-    if not spectral_radius(model.A - L @ model.C) < 1.0:
-        raise ValueError("no stabilising observer gain: the outputs do not show a mode that does not decay")
-    return np.asarray(L, dtype=np.float64), np.asarray(S, dtype=np.float64)
+    root = np.linalg.cholesky(noise)
+    L, S = _unit_gain(model.A, np.linalg.solve(root, model.C), process)
+    return np.linalg.solve(root.T, L.T).T, root @ S @ root.T
+
+
+def _unit_gain(A: FloatArray, C: FloatArray, process: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return L (n, p) and S (p, p) for outputs C (p, n) in units of their own noise, of whatever kind they are."""
+    P = steady_covariance(A, C, process)
+    if P is None:
+        raise ValueError(NO_GAIN)
+    S = C @ P @ C.T + np.eye(len(C))
+    L = np.linalg.solve(S, C @ P @ A.T).T
+    if not (np.all(np.isfinite(L)) and spectral_radius(A - L @ C) < 1.0):
+        raise ValueError(NO_GAIN)
+    return np.asarray(L, dtype=np.float64), np.asarray(0.5 * (S + S.T), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +109,11 @@ def matched_gain(discrete: Discrete, disturbance: FloatArray, noise: Noise) -> G
 
     Raises ValueError when the Riccati equation has no stabilising solution.
     """
-    model = discrete.model
-    # in units of the sensors' noise, which keeps the Riccati equation well conditioned
-    unit = float(np.sqrt(np.mean(noise.sigma**2)))
-    push = disturbance * noise.process * discrete.period_s / unit
-    R = np.diag((noise.sigma / unit) ** 2)
-    L, S = kalman_gain(model, push @ push.T, R)
-    whitening = np.linalg.inv(np.linalg.cholesky(0.5 * (S + S.T))) / unit
-    return Gain(L, np.asarray(whitening, dtype=np.float64))
+    push = disturbance * noise.process * discrete.period_s
+    C = discrete.model.C / noise.sigma[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):  # a force beyond all numbers has no gain, which is said below
+        L, S = _unit_gain(discrete.model.A, C, push @ push.T)
+    return Gain(L / noise.sigma, np.asarray(np.linalg.inv(np.linalg.cholesky(S)) / noise.sigma))
 
 
 def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, window: int) -> FloatArray:
@@ -117,29 +125,49 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
         sigma: (p,) standard deviation of each output's noise.
         window: samples in the window.
 
-    The one free figure, the intensity of the disturbance, is searched by bisection of its logarithm.
+    The one free figure, the intensity of the disturbance, is the least that forgets so soon. Where none does (an
+    accelerometer's zeros are slow) it is the one that forgets soonest; where forces alone give no stable observer,
+    every state is pushed.
     Raises ValueError when no intensity gives a stable observer.
     """
-    strength = np.ones(disturbance.shape[1])
-    unit = float(np.sqrt(np.mean(sigma**2)) / max(np.linalg.norm(disturbance) * discrete.period_s, 1e-300))
-    target = np.exp(-6.0 / window)
-    low, high = -4.0, 8.0
-    for _ in range(10):
+    units = state_units(discrete.model.A, discrete.model.C / sigma[:, None])
+    for pushes in (disturbance, np.diag(1.0 / units)):
+        found = _searched(discrete, pushes, units, sigma, float(np.exp(-6.0 / window)))
+        if found is not None:
+            return found
+    raise ValueError(NO_GAIN)
+
+
+def _searched(
+    discrete: Discrete, pushes: FloatArray, units: FloatArray, sigma: FloatArray, target: float
+) -> FloatArray | None:
+    """Return the weakest gain whose poles lie within the radius `target`, else that of the least radius."""
+    unit = 1.0 / max(float(np.linalg.norm(units[:, None] * pushes)) * discrete.period_s, 1e-300)
+    trials: dict[float, tuple[float, FloatArray | None]] = {}
+
+    def forgets(exponent: float) -> bool:
+        noise = Noise(sigma, np.full(pushes.shape[1], 10.0**exponent * unit))
+        trials[exponent] = _tried(discrete, pushes, noise)
+        return trials[exponent][0] < target
+
+    exponents = np.arange(WEAKEST, STRONGEST + STRIDE, STRIDE).tolist()
+    high = next((exponent for exponent in exponents if forgets(exponent)), None)
+    if high is None:
+        return min(trials.values(), key=lambda trial: trial[0])[1]
+    low = high - STRIDE
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if _forgets(discrete, disturbance, Noise(sigma, 10.0**middle * unit * strength), target):
-            high = middle
-        else:
-            low = middle
-    return matched_gain(discrete, disturbance, Noise(sigma, 10.0**high * unit * strength)).L
+        low, high = (low, middle) if forgets(middle) else (middle, high)
+    return trials[high][1]
 
 
-def _forgets(discrete: Discrete, disturbance: FloatArray, noise: Noise, target: float) -> bool:
-    """Tell whether the matched gain exists and puts every pole inside the radius `target`."""
+def _tried(discrete: Discrete, pushes: FloatArray, noise: Noise) -> tuple[float, FloatArray | None]:
+    """Return the spectral radius of the observer with the matched gain, and the gain; inf and None without one."""
     try:
-        gain = matched_gain(discrete, disturbance, noise).L
+        gain = matched_gain(discrete, pushes, noise).L
     except ValueError:
-        return False
-    return spectral_radius(discrete.model.A - gain @ discrete.model.C) < target
+        return np.inf, None
+    return spectral_radius(discrete.model.A - gain @ discrete.model.C), gain
 
 
 def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance: float = 1e-9) -> list[str]:

@@ -14,6 +14,8 @@ from scipy.linalg import expm
 
 FloatArray = NDArray[np.float64]
 Hold = Literal["first", "zero", "euler"]
+BLOCK = 32
+"""Samples that are simulated by one product."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,14 +204,36 @@ def _euler(continuous: StateSpace, period_s: float) -> Discrete:
 
 
 def simulate(discrete: Discrete, x0: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Run a sampled model from the physical state x0 (n,) over u (N, m); return states (N, n) and outputs (N, p)."""
-    model = discrete.model
-    states = np.empty((len(u), model.n))
+    """Run a sampled model from the physical state x0 (n,) over u (N, m); return states (N, n) and outputs (N, p).
+
+    Samples run in blocks from the first one on, each lifted to one product.
+    """
+    model, count = discrete.model, len(u)
+    free, forced = _lifted(model)
+    blocks = np.zeros((-(-count // BLOCK), BLOCK * model.m))
+    blocks.ravel()[: u.size] = u.ravel()
+    pushed = blocks @ forced.T
+    first, ends = np.empty((len(blocks), model.n)), pushed[:, -model.n :]
     shifted = x0 - discrete.B1 @ u[0]
-    for k, uk in enumerate(u):
-        states[k] = shifted
-        shifted = model.A @ shifted + model.B @ uk
+    for k, end in enumerate(ends):
+        first[k] = shifted
+        shifted = free[-model.n :] @ shifted + end
+    # row j of a block is the state after its sample j; the first state of a block goes before it
+    after = (first @ free.T + pushed).reshape(-1, BLOCK, model.n)
+    states = np.concatenate([first[:, None], after[:, :-1]], axis=1).reshape(-1, model.n)[:count]
     return states + u @ discrete.B1.T, states @ model.C.T + u @ model.D.T
+
+
+def _lifted(model: StateSpace) -> tuple[FloatArray, FloatArray]:
+    """Return what makes the BLOCK states after a block's samples of its first state and of its inputs."""
+    n, m = model.n, model.m
+    free, forced = np.empty((BLOCK, n, n)), np.zeros((BLOCK, n, BLOCK, m))
+    power, moved = np.eye(n), model.B
+    for lag in range(BLOCK):
+        power, here = model.A @ power, np.arange(lag, BLOCK)
+        free[lag], forced[here, :, here - lag] = power, moved
+        moved = model.A @ moved
+    return free.reshape(-1, n), forced.reshape(BLOCK * n, BLOCK * m)
 
 
 def stacked(shape: tuple[int, ...], items: Sequence[FloatArray]) -> FloatArray:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.faults.suspects import Accusation
+from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
 from agent.numerics.paper.seed import (
     Batch,
@@ -35,6 +36,10 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 RUN_AWAY = 1e60
 """States of an observer that is not stable any more, small enough for their squares to be figures."""
+ENOUGH, DEVIATIONS = 0.01, 3.0
+"""Share of a parameter's size, and times its sd, that passes may have still to go; it is added to the sd."""
+SLOWEST = 0.98
+"""Ratio of two steps beyond which the rest of the series is taken for 50 steps: it may as well not end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +80,7 @@ class SeedFit:
         dof: degrees of freedom of that residual.
         descents: one a pass.
         trail: (passes, q) parameters after each pass.
+        settled: further passes would not move it by more than its sd says; only the stream (`SeedWindow`) asks.
     """
 
     theta: FloatArray
@@ -82,6 +88,7 @@ class SeedFit:
     dof: float
     descents: tuple[Descent, ...]
     trail: FloatArray
+    settled: bool = True
 
 
 def settling(model: StateSpace, gain: FloatArray, share: float) -> int:
@@ -149,6 +156,51 @@ def _kept(model: Model, settings: SeedSettings, theta: FloatArray) -> FloatArray
     return theta if near else np.full(len(theta), np.nan)
 
 
+def remaining(
+    model: Model, settings: SeedSettings, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray
+) -> FloatArray:
+    """Return (q,) how far the passes have still to go, by two looks; inf where they do not come nearer.
+
+    The innovation at the last point: what of it other parameters explain. The passes' steps: those to come are a
+    geometric series of the ratio of the last two. A small last step alone says nothing: an observer that corrects
+    little takes small steps wherever it is.
+    """
+    sampled = discretise(model.continuous(fit.theta), settings.period_s, settings.hold).model
+    with np.errstate(all="ignore"):  # an observer that is not stable there is no number, which is looked at
+        left = np.abs(innovation_step(sampled, settings, y, u, x0))
+    if len(fit.trail) > 1:
+        steps = np.diff(np.vstack([model.nominal, fit.trail]), axis=0)[-2:] / settings.scale
+        before, last = np.linalg.norm(steps, axis=1).tolist()
+        ratio = min(last / before if before > 0 else 0.0, SLOWEST)
+        left = np.maximum(left, np.abs(steps[1]) * settings.scale * ratio / (1.0 - ratio))
+    return np.where(np.isfinite(left), left, np.inf)
+
+
+def innovation_step(
+    model: StateSpace, settings: SeedSettings, y: FloatArray, u: FloatArray, x0: FloatArray
+) -> FloatArray:
+    """Return (q,) the change of parameters that best explains the innovations of the last window; NaN without one.
+
+    model: sampled where the passes ended. y (N, p), u (N, m), x0 (n,): the samples that the observer settles in, too.
+    """
+    system = sensitivity_filter(model, settings.gain, np.eye(model.p))
+    v = np.hstack([y, u])
+    z, states = np.concatenate([x0, np.zeros(len(system.F) - system.n)]), np.empty((len(v), len(system.F)))
+    for k, push in enumerate(v @ system.N.T):
+        states[k] = z
+        z = system.F @ z + push
+    window = settings.plan.window
+    rows = states[-window:] @ system.H.T + v[-window:] @ system.J.T
+    rows = rows.reshape(window, model.p, 1 + model.q)
+    if not np.all(np.abs(rows) < RUN_AWAY):
+        return np.full(model.q, np.nan)
+    # outputs of any unit weigh by what is left of them
+    rows = rows / np.maximum(np.sqrt(np.mean(rows[:, :, :1] ** 2, axis=0)), 1e-300)
+    psi = rows[:, :, 1:].reshape(-1, model.q) * settings.scale
+    step = np.linalg.lstsq(psi, rows[:, :, 0].ravel(), rcond=None)[0]
+    return np.asarray(step * settings.scale)
+
+
 class SeedWindow:
     """The seed's estimator over a stream of samples; the same calls as `agent.numerics.estimator.window_ml.WindowML`.
 
@@ -161,7 +213,7 @@ class SeedWindow:
         self.settings = settings
         self._sampled = discretise(model.continuous(model.nominal), settings.period_s, settings.hold).model
         self._run_up = settling(self._sampled, settings.gain, settings.settled)
-        self._history = settings.plan.window + (self._run_up if settings.passes > 1 else 0)
+        self._history = settings.plan.window + self._run_up
         self.start_segment()
 
     def calibrated(self) -> Calibrated | None:
@@ -209,18 +261,27 @@ class SeedWindow:
     def _fit(self, stop: int) -> SeedFit:
         """Estimate from the window that ends before kept sample `stop`."""
         window = self.settings.plan.window
-        if self.settings.passes == 1:
-            states, u = self._states[stop - window : stop + 1], self._u[stop - window : stop]
-            descent, found = one_pass(self._sampled, self.settings, states, u)
-            theta = _kept(self.model, self.settings, self.model.nominal + found.delta)
-            return SeedFit(theta, found.sd, found.dof, (descent,), theta[None])
         start = max(0, stop - self._history)
-        return fit_passes(self.model, self.settings, self._y[start:stop], self._u[start:stop], self._states[start])
+        y, u, x0 = self._y[start:stop], self._u[start:stop], self._states[start]
+        if self.settings.passes > 1:
+            return self._examined(fit_passes(self.model, self.settings, y, u, x0), y, u, x0)
+        states, u_window = self._states[stop - window : stop + 1], self._u[stop - window : stop]
+        descent, found = one_pass(self._sampled, self.settings, states, u_window)
+        theta = _kept(self.model, self.settings, self.model.nominal + found.delta)
+        return self._examined(SeedFit(theta, found.sd, found.dof, (descent,), theta[None]), y, u, x0)
+
+    def _examined(self, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray) -> SeedFit:
+        """Add to a fit's sd what its passes have still to go, and say whether that is too much to call it settled."""
+        if not np.all(np.isfinite(fit.theta)):
+            return replace(fit, settled=False)
+        left = remaining(self.model, self.settings, fit, y, u, x0)
+        settled = np.all(left <= np.maximum(ENOUGH * self.settings.scale, DEVIATIONS * fit.sd))
+        return replace(fit, sd=np.hypot(fit.sd, left), settled=bool(settled))
 
     def _write(self, rows: Rows, row: int, fit: SeedFit) -> None:
         rows.theta[row], rows.sd[row] = fit.theta, fit.sd
         rows.dof[row], rows.full[row], rows.ratio[row] = fit.dof, True, 1.0
-        rows.mismatch[row] = not np.all(np.isfinite(fit.theta))
+        rows.diverged[row] = not fit.settled
 
     def _trim(self) -> None:
         """Forget samples that no later row can need."""

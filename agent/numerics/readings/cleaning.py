@@ -159,8 +159,8 @@ class Cleaner:
     def _judge(self, place: int, doubtful: BoolArray) -> None:
         """Look for a spike that begins at a sample, in the channels in doubt (c,)."""
         for channel in np.flatnonzero(doubtful).tolist():
-            if not (self._marked[place, channel] or self._suspect[place, channel]):
-                length = self._spike_at(place, channel)
+            free = not (self._marked[place, channel] or self._suspect[place, channel])
+            if free and (length := self._spike_at(place, channel)):
                 spiked = slice(place, place + length)
                 if self._inputs[channel] and not self._is_wild(spiked, channel):
                     self._suspect[spiked, channel] = True
@@ -169,9 +169,12 @@ class Cleaner:
 
     def _is_wild(self, spiked: slice, channel: int) -> bool:
         """Tell whether readings that stand out are beyond what the channel can have meant."""
-        x, limit = np.abs(self._raw[:, channel]), self._limits[spiked.start, channel]
-        before = x[: spiked.start][~self._marked[: spiked.start, channel]].max(initial=float(self._most[channel]))
-        return bool(x[spiked].max(initial=0.0) > WILD * max(limit, before))
+        height = float(np.abs(self._raw[spiked, channel]).max(initial=0.0))
+        limit, most = float(self._limits[spiked.start, channel]), float(self._most[channel])
+        if not height > WILD * max(limit, most):
+            return False  # whatever came since: the search through it would cost as much as all that came, each time
+        came = np.abs(self._raw[: spiked.start, channel])[~self._marked[: spiked.start, channel]]
+        return bool(height > WILD * max(limit, float(came.max(initial=most))))
 
     def _spike_at(self, place: int, channel: int) -> int:
         """Return the length of the spike in a channel that begins at a sample; 0 where there is none."""

@@ -1,5 +1,8 @@
 """Channels at the end of their range: flat tops that readings run into faster than a rounded peak could.
 
+A machine that moves somewhere and dwells there brakes before: its readings slow down over the last few samples as much
+as they still go. Only speed that such braking does not explain runs into an end.
+
 At the extreme of all readings one such top of an output is enough where it is long for the speed at which it was
 entered: under a force that changes from sample to sample a channel may halt for a few of them. Shorter, or below the
 extreme, the same value must stop it twice, with nothing beyond in between. A force may rest at an end of its range
@@ -22,8 +25,15 @@ OVERSHOOT = 16.0
 """... if the motion before would have gone this many steps (or noise) beyond it: a rounded peak goes about four."""
 SURE = 2 * OVERSHOOT
 """The same where no second such peak is waited for: healthy channels of 16 bits reached 25 in an hour and a half."""
-ENTRY = PLATEAU + 2
-"""Readings before a block that a top in it may begin with, and the two that tell how fast it was entered."""
+BRAKED_OVER = 3
+"""Samples before the last whole step into a top over which its braking is told."""
+BRAKING = 3.5
+"""Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more. Constant
+braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its steps are ..."""
+CREEP = 3.0
+"""... those of the wire, of which it then makes no more than so many a sample."""
+ENTRY = PLATEAU + BRAKED_OVER + 1
+"""Readings before a block that a top in it may begin with, and those that tell how fast it was entered."""
 REST = 0.5
 """An input that is at one value for so much of the time rests there."""
 
@@ -99,10 +109,18 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
     found = []
     for start, stop in runs(np.asarray(np.diff(x) == 0)):
         count = stop - start + 1
-        if count < PLATEAU or start < 2 or start + PLATEAU <= ENTRY:
+        if count < PLATEAU or start < BRAKED_OVER + 2 or start + PLATEAU <= ENTRY:
             continue
         side = int(x[start] > x[start - 1])
-        speed = (1 if side else -1) * (x[start - 1] - x[start - 2])
+        speed = unbraked((1 if side else -1) * np.diff(x[start - BRAKED_OVER - 2 : start]), grain)
         if speed * count > OVERSHOOT * grain:
             found.append(Top(side, float(x[start]), float(speed * count)))
     return found
+
+
+def unbraked(steps: FloatArray, grain: float) -> float:
+    """Return the speed, a sample, of the last of some steps towards a top where no braking explains it; else 0.0."""
+    last = float(steps[-1])
+    lost = (steps[-2::-1] - last) / np.arange(1, len(steps))  # braking may have begun with any of them
+    explained = last <= BRAKING * max(float(lost.max()), 0.0) + CREEP * grain
+    return 0.0 if explained else last

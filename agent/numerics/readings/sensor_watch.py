@@ -55,10 +55,15 @@ class SensorWatch:
         step: (c,) the wire's smallest step of each channel, SI; 0 where it has none or nobody states it.
         window: samples of the estimator's window.
         kinds: (c,) number of the quantity that each channel shows; each another where it is not given.
+        commanded: (c,) inputs that are what was commanded: they stay where they are put and know no end of a range.
     """
 
-    def __init__(self, inputs: BoolArray, step: FloatArray, window: int, kinds: IntArray | None = None) -> None:
+    def __init__(
+        self, inputs: BoolArray, step: FloatArray, window: int, kinds: IntArray | None = None,
+        commanded: BoolArray | None = None,
+    ) -> None:  # fmt: skip
         c = len(step)
+        self._measured = np.ones(c, dtype=bool) if commanded is None else ~commanded
         self.block = int(np.clip(window // 16, 8, 64))
         self._inputs, self._window = inputs, window
         self._stated, self._seen = step, np.full(c, np.inf)
@@ -141,11 +146,13 @@ class SensorWatch:
         for back in range(1, PLATEAU - 1):
             equal[back:] &= same[:-back]
             equal[:back] = False
-        # how fast the readings went before a row of equal ones, the last step into it left out
+        # how fast the readings went before a row of equal ones, the last step into it left out: where they rested, as a
+        # force that is held does between two steps, they went not at all
+        began = equal[PLATEAU:] & ~same[1 : 1 - PLATEAU] & self._measured
         speed = np.zeros_like(x)
-        speed[PLATEAU:] = np.where(equal[PLATEAU:], np.abs(change[:-PLATEAU]), 0.0)
+        speed[PLATEAU:] = np.where(began, np.abs(change[:-PLATEAU]), 0.0)
         fastest = speed[start:].reshape(whole, self.block, c).max(axis=1)
-        plateau = np.asarray(equal[start:].reshape(whole, self.block, c).any(axis=1))
+        plateau = np.asarray(equal[start:].reshape(whole, self.block, c).any(axis=1)) & self._measured
         rail = np.asarray(fastest > OVERSHOOT / PLATEAU * np.maximum(step, noise))
         return _Blocks(cut.min(axis=1), cut.max(axis=1), noise, step, plateau, rail)
 

@@ -29,6 +29,7 @@ class Rows:
             0); NaN where a window is not whole.
         each_dof: (N, L) their degrees of freedom.
         each_fits: (N, L) the window is undisturbed.
+        diverged: (N,) the method failed or its passes did not settle: there is no estimate to believe.
     """
 
     index: IntArray
@@ -47,6 +48,7 @@ class Rows:
     each_sd: FloatArray
     each_dof: FloatArray
     each_fits: BoolArray
+    diverged: BoolArray
 
     @classmethod
     def warming(cls, index: IntArray, q: int, windows: int = 0) -> "Rows":
@@ -59,6 +61,7 @@ class Rows:
             index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, channel,
             no.copy(), np.full((count, windows, q), np.nan), np.full((count, windows, q), np.nan),
             np.full((count, windows), np.nan), np.zeros((count, windows), dtype=bool),
+            no.copy(),
         )  # fmt: skip
 
     @classmethod

@@ -26,6 +26,7 @@ import numpy as np
 
 from agent.errors import RecordingError
 from agent.runtime.recording.header import RawHeader
+from agent.storage.files import created
 from drivers.port import Heard, SampleBlock
 
 MAGIC = b"DELTAKRAW1\n"
@@ -62,9 +63,7 @@ def decode_block(content: bytes) -> SampleBlock:
     arrival, offset, epoch, rows, columns, flags = _HEAD.unpack_from(content)
     values = np.frombuffer(content, "<f8", rows * columns, _HEAD.size).reshape(rows, columns)
     place = _HEAD.size + 8 * rows * columns
-    found: dict[int, np.ndarray[tuple[int], np.dtype[np.int64]] | None] = dict.fromkeys(
-        (_COUNTER, _TIMES, _RECEIVED)
-    )
+    found: dict[int, np.ndarray[tuple[int], np.dtype[np.int64]] | None] = dict.fromkeys((_COUNTER, _TIMES, _RECEIVED))
     for flag in found:
         if flags & flag:
             found[flag] = np.frombuffer(content, "<i8", rows, place)
@@ -106,7 +105,7 @@ class BlockSegment:
 
     def __init__(self, path: Path, header: RawHeader) -> None:
         self.path = path
-        self._file = path.open("xb")
+        self._file = created(path)
         self._file.write(encode_header(header))
 
     def add(self, block: SampleBlock, heard: Heard | None) -> None:

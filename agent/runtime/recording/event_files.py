@@ -22,7 +22,7 @@ import numpy as np
 from agent.runtime.recording.blocks import encode_block, encode_header
 from agent.runtime.recording.folder import make_folder
 from agent.runtime.recording.header import RawHeader
-from agent.storage.files import sync_folder
+from agent.storage.files import created, sync_folder
 from agent.types import FloatArray, IntArray
 from drivers.port import SampleBlock
 
@@ -146,8 +146,9 @@ class EventFolder:
         """Write a file so that it is there whole, and on the disk, or not at all. Raises OSError."""
         make_folder(self.folder)
         part = self.folder / (name + _PART)
+        part.unlink(missing_ok=True)
         try:
-            with part.open("wb") as file:
+            with created(part) as file:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())

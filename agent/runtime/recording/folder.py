@@ -23,7 +23,7 @@ def room(folder: Path) -> int:
 def make_folder(folder: Path) -> None:
     """See that a folder is there, and on the disk."""
     if not folder.is_dir():
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o750, parents=True, exist_ok=True)
         sync_folder(folder.parent)
 
 

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 
 from agent.errors import RecordingError
 from agent.runtime.recording.header import RawHeader
+from agent.storage.files import created
 from drivers.port import Heard, SampleBlock
 
 FORMAT = "DELTAKHEARD1"
@@ -79,9 +80,9 @@ class HeardSegment:
 
     def __init__(self, path: Path, header: RawHeader) -> None:
         self.path = path
-        self._log = path.open("xb")
+        self._log = created(path)
         try:
-            self._index = index_of(path).open("xb")
+            self._index = created(index_of(path))
         except OSError:
             self._log.close()
             raise

@@ -1,5 +1,7 @@
 """Discretisation against integration in fine steps, scipy's own, and finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -59,6 +61,22 @@ def test_discretise_any_hold_equals_fine_integration(hold: Hold, rng: np.random.
         x = solve_ivp(lambda t, x, k=k: c.A @ x + c.B @ force(k, t), span, x, rtol=1e-11, atol=1e-13).y[:, -1]
         np.testing.assert_allclose(states[k + 1], x, atol=1e-9)
     np.testing.assert_allclose(outputs, states @ c.C.T + u @ c.D.T, atol=1e-10 * np.abs(outputs).max())
+
+
+@pytest.mark.parametrize(("samples", "forces"), [(1, ("m2", "n")), (32, ("n",)), (75, ("m2", "n")), (75, ())])
+def test_simulate_any_length_equals_the_recursion(
+    samples: int, forces: tuple[str, ...], rng: np.random.Generator
+) -> None:
+    model = replace(widest_model(), forces=forces, structure=replace(widest_model().structure, frictions=()),
+                    parameters=())  # fmt: skip
+    discrete = discretise(model.continuous(model.nominal), 0.05)
+    u, x0 = rng.standard_normal((samples, len(forces))), rng.standard_normal(discrete.model.n)
+    states, outputs = simulate(discrete, x0, u)
+    x = x0 - discrete.B1 @ u[0]
+    for k in range(samples):
+        np.testing.assert_allclose(states[k], x + discrete.B1 @ u[k], rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(outputs[k], discrete.model.C @ x + discrete.model.D @ u[k], rtol=1e-11, atol=1e-11)
+        x = discrete.model.A @ x + discrete.model.B @ u[k]
 
 
 @pytest.mark.parametrize(("hold", "scipys"), [("zero", "zoh"), ("first", "foh"), ("euler", "euler")])

@@ -1,14 +1,16 @@
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from agent.numerics.model.observer import poles_gain
+from agent.numerics.model.observer import Noise, matched_gain, poles_gain
 from agent.numerics.model.statespace import discretise, simulate
-from agent.numerics.paper.seed_window import SeedSettings, SeedWindow, regression, settling
+from agent.numerics.paper.seed_window import SeedSettings, SeedWindow, fit_passes, regression, settling
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.rows import Rows
 from tests.unit.numerics.paper_rig import GAIN, NOMINAL, PERIOD, free_decay, rig
+from tests.unit.numerics.rigs import disturbance
 
 TRUE = NOMINAL + np.array([5.0, -10.0, 1.0, -0.5])
 FloatArray = np.typing.NDArray[np.float64]
@@ -74,8 +76,32 @@ def test_seed_window_that_runs_away_gives_no_figure() -> None:
     _, y = free_decay(NOMINAL + np.array([4000.0, 0.0, -100.0, 0.0]), 1500)
     settings = SeedSettings(PERIOD, HopPlan(250, 50), "euler", GAIN, 12, NOMINAL / 100.0)
     rows = rows_of(SeedWindow(rig(), settings), y, np.zeros((1500, 1)), [])
-    assert rows.mismatch[rows.full].all()
-    assert np.all(np.isnan(rows.theta[rows.mismatch]))
+    assert rows.diverged[rows.full].all()
+    assert np.all(np.isnan(rows.theta[rows.diverged]))
+
+
+def test_seed_window_passes_that_have_not_settled_are_diverged_whatever_their_last_step(
+    rng: np.random.Generator,
+) -> None:
+    """An observer that corrects little takes small steps far from the truth, each with a small sd of its own."""
+    y, u = forced(rng, 3000)
+    y = y + rng.normal(scale=1e-6, size=y.shape)
+    discrete = discretise(rig().continuous(NOMINAL), PERIOD, "first")
+    slow = matched_gain(discrete, disturbance(rig()), Noise(np.full(2, 1e-6), np.full(2, 1e-4))).L
+    settings = replace(exact_settings(3), gain=slow, settled=1e-3)
+    found = fit_passes(rig(), settings, y, u)
+    assert np.any(np.abs(found.theta - TRUE) > 3 * found.sd)
+    rows = rows_of(SeedWindow(rig(), settings), y, u, [])
+    assert rows.diverged[rows.full].all()
+
+
+def test_seed_window_settled_passes_hold_the_truth_within_their_sd(rng: np.random.Generator) -> None:
+    y, u = forced(rng, 2000)
+    y = y + rng.normal(scale=1e-6, size=y.shape)
+    rows = rows_of(SeedWindow(rig(), exact_settings(20)), y, u, [])
+    settled = rows.full & ~rows.diverged
+    assert settled.sum() > 0.5 * rows.full.sum()
+    assert np.mean(np.abs(rows.theta[settled] - TRUE) < 3 * rows.sd[settled]) > 0.9
 
 
 def test_settling_of_an_unstable_observer_is_refused() -> None:

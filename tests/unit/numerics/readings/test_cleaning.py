@@ -147,3 +147,14 @@ def test_cleaner_blow_on_a_force_that_rests_is_left_to_the_motion() -> None:
     v[:, 2] = 0.0
     v[700:703, 2] = v[1400:1403, 2] = [2e3, 5e3, 1e3]
     assert not clean(v).spike[:, 2].any()
+
+
+def test_force_that_is_held_is_searched_through_for_no_jump(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    wild = Cleaner._is_wild
+    monkeypatch.setattr(Cleaner, "_is_wild", lambda self, *place: asked.append(1) or wild(self, *place))
+    force = np.repeat(np.random.default_rng(0).normal(0.0, 5.0, 60), 100)
+    cleaner = Cleaner(np.array([True]), np.array([1e-3]))
+    clean = cleaner.take(force[:, None])
+    assert not clean.suspect.any()
+    assert not asked

@@ -1,0 +1,257 @@
+"""Damage is never shown as truth: a bit that flips is met by an error or a count of refused rows."""
+
+import shutil
+import sqlite3
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.errors import AgentError, StoreError
+from agent.storage import maintenance, queries
+from agent.storage.files import beside
+from agent.storage.retention import Retention
+from agent.storage.schema import own_schema
+from agent.storage.store import Store
+from agent.types import ClockRecord, EventRecord, RunInfo
+from tests import peers
+from tests.figures import figure
+from tests.storage.rows import START, batch, ledger, run_info, step, warming
+
+SECOND, DAY = 10**9, 86_400 * 10**9
+Shown = Counter[tuple[object, ...]]
+RECORD = EventRecord("press-7", START, "level", "k1", 1, "e/press-7-0-k1.npz", "complete", START, START, 9, 9, 7)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Rigs, a replay that covers a part of a run, a clock that was set back, minutes, alarms, ledgers and records."""
+    path = tmp_path_factory.mktemp("whole") / "rig.db"
+    with Store.open(path, Retention(full_s=60.0)) as store:
+        run = store.begin_run(run_info())
+        store.write(run, [warming(5), batch(30, first=5, hop_ns=4 * 10**9), RECORD])
+        store.write(run, [step("NORM", "UNACK"), step("UNACK", "ACKED", by="anna"), ledger(), ledger(START + 10**10)])
+        store.maintain(finish=True)
+        other = store.begin_run(run_info("press-8"))
+        store.write(other, [batch(10, rig="press-8"), ledger(rig="press-8")])
+        again = store.begin_run(run_info(kind="replay"))
+        store.write(again, [batch(8, start=START + 1000, hop_ns=4 * 10**9)])
+        stepped = store.begin_run(RunInfo("press-9", "live", START, "0.1.0", "ab" * 32, None, "boot-1", START))
+        for first, offset in ((0, START), (300, START - DAY)):
+            clock = ClockRecord("press-9", offset + first * SECOND, first, offset)
+            rows = batch(6, rig="press-9", start=clock.t_ns, hop_ns=SECOND, index=np.arange(first, first + 6))
+            store.write(stepped, [clock, rows])
+    return path
+
+
+ANSWERS: dict[str, Callable[[Path], Any]] = {
+    "estimates": queries.estimates, "latest": queries.latest, "alarms": queries.alarms, "health": queries.health,
+    "runs": queries.runs, "records": queries.event_records, "events": queries.events,
+}  # fmt: skip
+
+
+def asked(path: Path, caplog: pytest.LogCaptureFixture) -> dict[str, Shown | None]:
+    """Return what each question shows; None where it ends in an error or says that rows were refused."""
+    found: dict[str, Shown | None] = {}
+    for name, ask in ANSWERS.items():
+        found[name] = _shown(lambda ask=ask: ask(path), caplog)
+    for rig in ("press-7", "press-9"):
+        found[f"trend of {rig}"] = _shown(lambda rig=rig: _points(path, rig), caplog)
+    for what in ("tiers", "alarm_events"):
+        found[what] = _shown(lambda what=what: _exported(path, what), caplog)
+    return found
+
+
+def _exported(path: Path, what: str) -> list[dict[int, object]]:
+    return [dict(enumerate(row)) for row in maintenance.export(path, what)[1]]
+
+
+def _points(path: Path, rig: str) -> list[dict[str, object]]:
+    got = queries.points(path, rig, "k1")
+    return [dict(zip("tvs", cells, strict=True)) for cells in zip(got.t_ns, got.value, got.sd, strict=True)] + [
+        {"unit": got.unit, "reference": got.reference}
+    ]
+
+
+def _shown(ask: Callable[[], Any], caplog: pytest.LogCaptureFixture) -> Shown | None:
+    caplog.clear()
+    try:
+        rows = ask()
+    except (AgentError, sqlite3.Error, UnicodeDecodeError):
+        return None
+    return None if "are not shown" in caplog.text else Counter(tuple(map(str, row.values())) for row in rows)
+
+
+def flip(path: Path, place: int, bit: int) -> None:
+    with path.open("r+b") as file:
+        file.seek(place)
+        octet = file.read(1)[0]
+        file.seek(place)
+        file.write(bytes([octet ^ 1 << bit]))
+
+
+FEW_AND_MANY = [40, pytest.param(3000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+
+
+@pytest.mark.parametrize("count", FEW_AND_MANY)
+def test_flipped_bit_anywhere_shows_no_changed_row(
+    whole: Path, memory: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture, count: int
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    truth = asked(path, caplog)
+    assert None not in truth.values()
+    size, told, wrong = whole.stat().st_size, 0, []
+    for _ in range(count):
+        place, bit = int(rng.integers(size)), int(rng.integers(8))
+        flip(path, place, bit)
+        found = asked(path, caplog)
+        told += None in found.values()
+        wrong += [
+            (place, bit, name) for name, rows in found.items() if rows is not None and rows - (truth[name] or Shown())
+        ]
+        flip(path, place, bit)
+    figure(f"bits flipped anywhere: {count}, {told} said so by a question, {len(wrong)} answers with a changed row")
+    assert wrong == []
+
+
+@pytest.mark.parametrize("count", FEW_AND_MANY)
+def test_flipped_bit_in_the_text_of_a_view_is_noticed_by_check_and_by_every_question(
+    whole: Path, memory: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture, count: int
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    places = view_text(path)
+    for place in rng.choice(places, count):
+        bit = int(rng.integers(8))
+        flip(path, int(place), bit)
+        assert not any(rows is not None for rows in asked(path, caplog).values()), f"bit {bit} of byte {place}"
+        assert _problems(path), f"bit {bit} of byte {place}"
+        flip(path, int(place), bit)
+    figure(f"bits flipped in the text of views: {count}, all noticed by db check and by every question")
+
+
+def _problems(path: Path) -> list[str]:
+    try:
+        return maintenance.check(path).problems
+    except AgentError as error:
+        return [str(error)]
+
+
+def view_text(path: Path) -> list[int]:
+    """Return the places of a file that hold a view's text."""
+    octets, places = path.read_bytes(), []
+    for (kind, _), (_, text) in own_schema().items():
+        if kind == "view":
+            words = str(text).encode()
+            for first in range(0, len(words) - 40, 20):  # long texts go on in other pages
+                at = octets.find(words[first : first + 40])
+                places += range(at, at + 40) if at >= 0 else ()
+    assert len(places) > 5000
+    return sorted(set(places))
+
+
+def test_rows_that_are_refused_are_counted(whole: Path, memory: Path) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    with closing(sqlite3.connect(path)) as file:
+        file.execute(
+            "UPDATE estimates SET value = 9 WHERE seq IN (SELECT seq FROM estimates ORDER BY seq DESC LIMIT 3)"
+        )
+        file.commit()
+    program = (sys.executable, "-m", "agent", "estimates", path, "--json")
+    done = subprocess.run(program, capture_output=True, text=True, check=True, cwd=peers.ROOT, timeout=60)
+    assert '"refused": 3}' in done.stdout
+    assert "3 rows are not shown, their checksums are wrong; `deltak db check` tells more" in done.stderr
+    assert len(queries.estimates(path)) == len(queries.estimates(whole)) - 3
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE clocks SET offset_ns = offset_ns + 3600000000000",
+        "UPDATE clocks SET part_of = run_id",
+        "UPDATE runs SET kind = 'replay'",
+        "UPDATE hops SET t_ns = t_ns + 60000000000 WHERE t_ns = (SELECT max(t_ns) FROM hops h WHERE h.run_id = 5)",
+    ],
+)
+def test_damage_to_what_orders_the_parts_of_a_run_is_not_shown_as_time(
+    whole: Path, memory: Path, caplog: pytest.LogCaptureFixture, statement: str
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    assert _shown(lambda: _points(path, "press-9"), caplog) is not None
+    with closing(sqlite3.connect(path)) as file:
+        assert file.execute(statement).rowcount >= 1
+        file.commit()
+    for ask in (lambda: _points(path, "press-9"), lambda: queries.estimates(path, "press-9", "k1")):
+        assert _shown(ask, caplog) is None
+
+
+@pytest.mark.parametrize("index", ["clocks_by_run", "overlaps_by_run"])
+def test_index_that_leaves_out_a_row_that_hides_others_is_damage(whole: Path, memory: Path, index: str) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    with closing(sqlite3.connect(path)) as file:
+        text = file.execute("SELECT sql FROM sqlite_master WHERE name = ?", (index,)).fetchone()[0]
+        file.execute("PRAGMA writable_schema = ON")
+        file.execute("UPDATE sqlite_master SET sql = sql || ' WHERE seq < 0' WHERE name = ?", (index,))
+        file.commit()
+    with closing(sqlite3.connect(path)) as file:
+        file.execute(f"REINDEX {index}")
+        file.execute("PRAGMA writable_schema = ON")
+        file.execute("UPDATE sqlite_master SET sql = ? WHERE name = ?", (text, index))
+        file.commit()
+    for ask in (queries.estimates, lambda path: queries.points(path, "press-7", "k1")):
+        with pytest.raises(StoreError, match="an index does not list what its table holds"):
+            ask(path)
+
+
+RECURSIVE = "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"
+
+
+@pytest.mark.parametrize("name", ["v_meta", "v_latest", "json_each"])
+def test_views_of_a_foreign_file_are_not_executed(whole: Path, memory: Path, name: str) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    with closing(sqlite3.connect(path)) as file:
+        if name.startswith("v_"):
+            file.execute(f"DROP VIEW {name}")
+        file.execute(RECURSIVE.format(name))
+        file.commit()
+    begin = time.monotonic()
+    for ask in (queries.points, queries.estimates):
+        with pytest.raises(StoreError, match=name):
+            ask(path, "press-7", "k1")
+    assert any(name in problem for problem in maintenance.check(path).problems)
+    assert time.monotonic() - begin < 2.0
+
+
+def test_views_and_tables_that_users_add_are_left_alone(whole: Path, memory: Path) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    with closing(sqlite3.connect(path)) as file:
+        file.execute("CREATE VIEW mine AS SELECT parameter, value FROM v_latest")
+        file.commit()
+    assert maintenance.check(path).problems == []
+    with Store.open(path) as store:
+        assert store.recovery is None
+    assert not beside(path, ".corrupt-").exists()
+
+
+def test_start_on_a_file_whose_view_was_changed_makes_it_anew(whole: Path, memory: Path) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    shown = queries.estimates(path)
+    flip(path, path.read_bytes().index(b"e.value - s.reference AS delta"), 0)
+    with Store.open(path) as store:
+        assert store.recovery is not None
+        assert "the text of view v_" in store.recovery.cause
+    assert queries.estimates(path) == shown

@@ -248,6 +248,23 @@ class RunInfo:
     config_sha256: str
     baseline_id: int | None = None
     boot_id: str | None = None
+    offset_ns: int | None = None
+    """Wall clock minus monotonic clock as it started; None where the monotonic clock is none of this boot's."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockRecord:
+    """The anchor of a run's time stamps: from a sample on they follow the wall clock as it is set then.
+
+    Attributes:
+        index: the first sample with such a stamp; t_ns: its stamp.
+        offset_ns: wall clock minus monotonic clock. Stamps of one offset differ by what the monotonic clock says.
+    """
+
+    rig: str
+    t_ns: int
+    index: int
+    offset_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,4 +293,4 @@ class CalibrationRecord:
     calibrated: Calibrated
 
 
-Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | CalibrationRecord
+Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | CalibrationRecord | ClockRecord

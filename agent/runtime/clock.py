@@ -3,13 +3,13 @@
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from agent.storage.clocks import STEP_NS
 from agent.types import IntArray
 
-STEP_NS = 1_000_000_000
-"""A wall clock further from its labels than this was stepped."""
 SLEW = 1e-3
 """Labels run at most this much faster or slower than nominal while they follow the device's drift."""
 SETTLE_NS = 10_000_000_000
@@ -35,17 +35,27 @@ def boot_id() -> str | None:
         return None
 
 
+class Anchor(NamedTuple):
+    """Where labels begin, or begin anew: the first sample and its label, and wall clock minus monotonic clock, ns."""
+
+    first: int
+    label_ns: int
+    offset_ns: int
+
+
 @dataclass(slots=True)
 class SampleLabels:
     """Time stamps of live samples: anchor + index / rate, drawn slowly towards the wall clock, never back.
 
     The anchor is wall time at the first sample. The earliest arrivals of each 10 s say how far device and wall clock
     have drifted apart; beyond 50 ms labels run up to 0.1 % faster or slower until they agree again. A wall clock that
-    was stepped by more than 1 s starts a new anchor, noted in `steps` as (label before, step), ns.
+    was stepped by more than 1 s starts a new anchor, noted in `steps` as (label before, step), ns. `anchors` has the
+    new ones and the first; who reads them empties both lists.
     """
 
     rate_hz: float
     steps: list[tuple[int, int]] = field(default_factory=list)
+    anchors: list[Anchor] = field(default_factory=list)
     _anchor_ns: int | None = None
     _base: int = 0
     _stretch: float = 0.0
@@ -58,18 +68,19 @@ class SampleLabels:
         wall = arrival_ns + offset_ns
         if self._anchor_ns is None:
             # the newest sample of the first block is the one that was taken just now
-            self._begin(int(index[-1]), wall, offset_ns)
+            self._begin(index, wall, offset_ns)
         elif abs(offset_ns - self._offset_ns) > STEP_NS:
             self.steps.append((int(self._at(index)[0]), offset_ns - self._offset_ns))
-            self._begin(int(index[-1]), wall, offset_ns)
+            self._begin(index, wall, offset_ns)
         self._offset_ns = offset_ns
         labels = self._at(index)
         self._watch(int(index[-1]), int(labels[-1]), wall)
         return labels
 
-    def _begin(self, index: int, wall: int, offset_ns: int) -> None:
-        self._anchor_ns, self._base, self._offset_ns = wall, index, offset_ns
+    def _begin(self, index: IntArray, wall: int, offset_ns: int) -> None:
+        self._anchor_ns, self._base, self._offset_ns = wall, int(index[-1]), offset_ns
         self._stretch, self._watched_from, self._least_lag = 0.0, wall, None
+        self.anchors.append(Anchor(int(index[0]), int(self._at(index)[0]), offset_ns))
 
     def _at(self, index: IntArray) -> IntArray:
         period = np.longdouble(1e9) / np.longdouble(self.rate_hz) * (1 + np.longdouble(self._stretch))

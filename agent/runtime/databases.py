@@ -6,7 +6,7 @@ from typing import Literal
 
 from agent import __version__
 from agent.config import RigConfig
-from agent.runtime.clock import boot_id, wall_ns
+from agent.runtime.clock import boot_id, monotonic_ns, wall_ns
 from agent.storage.retention import Retention
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
@@ -29,7 +29,9 @@ def writers_of(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> 
 
 
 def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
-    runs = [RunInfo(c.rig.name, kind, wall_ns(), __version__, c.sha256, None, boot_id()) for c in members]
+    now, boot = wall_ns(), boot_id()
+    offset = now - monotonic_ns()
+    runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, offset) for c in members]
     keep = _retention(members)
     every_s = min(c.store.every_s for c in members)
     return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)

@@ -152,7 +152,7 @@ class Pipeline:
     def _keep(self, pieces: Sequence[Aligned], label: Label | None) -> None:
         for aligned in pieces:
             t_ns = self._stamps(aligned) if label is None else label(aligned.index)
-            self.newest_ns = max(self.newest_ns, int(t_ns[-1]))
+            self.newest_ns = int(t_ns[-1])
             piece = aligned.index, t_ns, np.hstack([aligned.u, aligned.y])
             self._taken.append(Taken(aligned.anew, aligned.realigning, piece))
 

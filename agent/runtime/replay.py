@@ -22,7 +22,7 @@ from agent.runtime.source_faults import source_error
 from agent.runtime.unusable import Evidence, judge
 from agent.storage.store import Store
 from agent.storage.writer import StoreWriter
-from agent.types import Record, RunInfo
+from agent.types import ClockRecord, Record, RunInfo
 from drivers.port import Counts, Driver, DriverConfigError, DriverError, SampleBlock, SourceRequest
 
 SOURCE = "recording"
@@ -211,12 +211,21 @@ def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) ->
         evidence.watch(block)
         received = block.wall_offset_ns is not None
         label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
-        yield pipeline.step(track.source, block, track.driver.counter_modulus, label if received else None)
-        if due is None or pipeline.newest_ns >= due:
+        records = pipeline.step(track.source, block, track.driver.counter_modulus, label if received else None)
+        yield [*_settings(pipeline.config.rig.name, labels), *records]
+        if due is None or not due - HEALTH_PERIOD_NS <= pipeline.newest_ns < due:
             due = pipeline.newest_ns + HEALTH_PERIOD_NS
             yield _ledger(pipeline, tracks)
     yield pipeline.finish()
     yield _ledger(pipeline, tracks)
+
+
+def _settings(rig: str, labels: SampleLabels) -> list[ClockRecord]:
+    """Return what stamps mean from now on: how the wall clock was set as the samples were received."""
+    found = [ClockRecord(rig, anchor.label_ns, anchor.first, anchor.offset_ns) for anchor in labels.anchors]
+    labels.anchors.clear()
+    labels.steps.clear()
+    return found
 
 
 def _ledger(pipeline: Pipeline, tracks: Sequence[Track]) -> list[Record]:

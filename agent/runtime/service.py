@@ -26,7 +26,7 @@ from agent.runtime.source_faults import source_error
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
 from agent.runtime.waiting import Waiting
 from agent.storage.alarms import AlarmRow
-from agent.types import AlarmTransition, Calibrated, HealthEvent, Record
+from agent.types import AlarmTransition, Calibrated, ClockRecord, HealthEvent, IntArray, Record
 from drivers.port import DriverConfigError
 from drivers.reconnect import LinkEvent
 
@@ -55,6 +55,8 @@ class RigRuntime:
         maps = {source.name: source.map for source in config.source}
         self.pipeline = IsolatedPipeline(config, wire_steps(config), maps)
         self._labels = SampleLabels(config.rig.sample_rate_hz)
+        self._steady = SampleLabels(config.rig.sample_rate_hz)
+        self._sampled_ns = 0
         self._publish = publish
         self.events: EventKeeper | None = None
         self._lost: dict[str, bool] = {}
@@ -105,19 +107,24 @@ class RigRuntime:
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
         block = part(arrival.block, use.columns)
         offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
-        label = partial(self._labels.label, arrival_ns=block.arrival_ns, offset_ns=offset)
+        label = partial(self._label, arrival_ns=block.arrival_ns, offset_ns=offset)
         remembered = label if self.events is None else self.events.labelled(label)
         self.pipeline.take(use.source, block, arrival.modulus, remembered)
         if self.events is not None:
             self.events.take(use.source, block, arrival.modulus)
         self._taken.append((use.source, arrival))
 
+    def _label(self, index: IntArray, arrival_ns: int, offset_ns: int) -> IntArray:
+        """Return time stamps (n,) of samples, and note when the newest was taken by the monotonic clock."""
+        self._sampled_ns = int(self._steady.label(index[-1:], arrival_ns, 0)[-1])
+        return self._labels.label(index, arrival_ns, offset_ns)
+
     def compute(self) -> None:
         """Publish what the blocks taken since the last call lead to."""
         taken, self._taken = self._taken, []
         if taken:
-            self._emit(self.pipeline.compute())
             self._note_steps()
+            self._emit(self.pipeline.compute())
             for source, arrival in taken:
                 self._judge(source, arrival, arrival.block.arrival_ns)
 
@@ -160,10 +167,18 @@ class RigRuntime:
         self._emit(told)
 
     def _note_steps(self) -> None:
+        """Publish what time stamps mean from now on, before the rows that carry them, and each step of the clock."""
+        rig = self.config.rig.name
+        found: list[Record] = [ClockRecord(rig, a.label_ns, a.first, a.offset_ns) for a in self._labels.anchors]
         for label, step in self._labels.steps:
             words = f"the wall clock was stepped by {step / 1e9:+.3f} s; time stamps start a new anchor"
-            self._emit([HealthEvent(self.config.rig.name, "clock", label, "clock step", words)])
+            log.warning("%s", f"{words}; rows from before are kept as long as if it had not been")
+            found.append(HealthEvent(rig, "clock", label, "clock step", words))
+        if found:  # event records have nothing to see in them, and would forget what the rows to come refer to
+            self._publish(found)
         self._labels.steps.clear()
+        self._labels.anchors.clear()
+        self._steady.anchors.clear()
 
     def link(self, source: str, event: LinkEvent) -> None:
         """Raise or clear a source's alarm and note the event."""
@@ -198,7 +213,7 @@ class RigRuntime:
             if use.rig == self.config.rig.name
         }
         newest = self.pipeline.newest_ns
-        lag = (wall_ns() - newest) / 1e9 if newest else None
+        lag = (monotonic_ns() - self._sampled_ns) / 1e9 if newest else None
         if not newest and not self._begun_ns:
             self._begun_ns = self._wall()
         self._emit(self.pipeline.health(conservation, newest or self._begun_ns, lag))

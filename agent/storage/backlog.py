@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 
 from agent.storage.batches import joined_runs, take
-from agent.types import AlarmTransition, EstimateBatch, Record
+from agent.types import AlarmTransition, ClockRecord, EstimateBatch, Record
 
 SHORTEST_S, LONGEST_S = 0.2, 5.0
 _FEW = 64  # so many small batches are joined into one, so that waiting rows cost their bytes and little more
@@ -23,7 +23,7 @@ class Backlog:
     """What one rig has to store, in order.
 
     Args:
-        most_cells: rows kept at most; alarm transitions are kept beyond it.
+        most_cells: rows kept at most; alarm transitions, and what stamps mean, are kept beyond it.
     """
 
     def __init__(self, most_cells: int) -> None:
@@ -61,7 +61,7 @@ class Backlog:
 
     def _drop_oldest(self, reason: str) -> bool:
         for place, record in enumerate(self._records):
-            if not isinstance(record, AlarmTransition):
+            if not isinstance(record, AlarmTransition | ClockRecord):
                 self._drop(place, record, reason)
                 return True
         return False

@@ -6,15 +6,15 @@ from agent.storage.rows import Numbers, Plan
 
 
 class Coverage:
-    """The stretch that one run covers, kept up to date as it is written.
+    """The stretch that one part of a run covers (a run is one part until its clock is stepped), as it is written.
 
     Live runs follow one another and hide nothing of each other, whatever the wall clock said; a replay of a time that
     the file holds already hides the older rows.
     """
 
-    def __init__(self, connection: sqlite3.Connection, run_id: int, rig: str) -> None:
-        self._run_id = run_id
-        self._own = _stretch(connection, run_id)
+    def __init__(self, connection: sqlite3.Connection, run_id: int, part: int, rig: str) -> None:
+        self._run_id = part
+        self._own = _stretch(connection, part)
         query = (
             "SELECT r.seq FROM runs r JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ?1 AND r.seq < ?2 "
             "AND NOT (r.kind = 'live' AND (SELECT own.kind FROM runs own WHERE own.seq = ?2) = 'live')"
@@ -22,7 +22,7 @@ class Coverage:
         older = [seq for (seq,) in connection.execute(query, (rig, run_id)).fetchall()]
         stretches = {seq: _stretch(connection, seq) for seq in older}
         self._older = {seq: stretch for seq, stretch in stretches.items() if stretch is not None}
-        kept = connection.execute("SELECT run_id, seq FROM overlaps WHERE by_run = ?", (run_id,))
+        kept = connection.execute("SELECT run_id, seq FROM overlaps WHERE by_run = ?", (part,))
         self._rows: dict[int, int] = dict(kept.fetchall())
 
     def extend(self, plan: Plan, first: int, last: int, numbers: Numbers) -> None:

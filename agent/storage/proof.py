@@ -10,12 +10,17 @@ import re
 import sqlite3
 from collections.abc import Iterator, Sequence
 from functools import cache
-from itertools import repeat
-from typing import Any
+from itertools import compress
+from typing import Any, NamedTuple
 
-from agent.storage.connect import Reader
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.storage.ages import Part
+from agent.storage.connect import Reader, damaged
 from agent.storage.schema import TABLES, columns_of, own_schema
 from agent.storage.verify import bad_rows, good_columns, good_rows
+from agent.types import FloatArray, IntArray, Status
 
 Cells = tuple[Any, ...]
 _INDEXED = {
@@ -23,7 +28,8 @@ _INDEXED = {
     "alarms": ("run_id", "raised_ns"), "alarm_events": ("alarm_id",), "health": ("run_id", "t_ns"),
 }  # fmt: skip
 """Columns that an index holds as well, by table."""
-_WHOLE = ("overlaps", "alarms")  # short tables that subqueries of views look into
+_WHOLE = {"overlaps": "overlaps_by_run", "alarms": "alarms_by_time", "clocks": "clocks_by_run"}
+"""Short tables that views look into for a row that may not be there, and by which index."""
 _AT_ONCE = 20_000
 
 
@@ -38,11 +44,45 @@ def proven(reader: Reader, view: str, condition: str, values: Sequence[object]) 
     return [column[0] for column in cursor.description][width:], _sound(reader, cursor, parts, width)
 
 
+def row_of(alias: str) -> str:
+    """Return the column in which `proven` says the number of a table's row, for a condition."""
+    return f'"proof {alias} seq"'
+
+
 def prove_whole(reader: Reader, table: str) -> None:
-    """Count the wrong rows of a short table, once."""
+    """Count the wrong rows of a short table, once; raises sqlite3.DatabaseError where its index leaves one out."""
     if table not in reader.whole:
         reader.whole.add(table)
         reader.refuse(bad_rows(reader, table, -(2**63), 2**63 - 1))
+        listed = f"SELECT 1 FROM {table} i INDEXED BY {_WHOLE[table]} WHERE i.run_id = t.run_id AND i.seq = t.seq"
+        if reader.execute(f"SELECT 1 FROM {table} t NOT INDEXED WHERE NOT EXISTS ({listed}) LIMIT 1").fetchone():
+            raise damaged("an index does not list what its table holds")
+
+
+def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:
+    """See that the parts of a rig's runs are what they say; raises sqlite3.DatabaseError where one is not.
+
+    A wrong one would move the rows of others in time.
+    """
+    if not parts:
+        return
+    refused = reader.refused
+    prove_whole(reader, "clocks")
+    named = reader.execute("SELECT seq FROM rigs NOT INDEXED WHERE name = ?", (rig,)).fetchall()
+    edges = set[Cells]()
+    for part in parts:
+        for t_ns in (part.last_ns,) if part.known else (part.from_ns, part.last_ns):
+            edges.update(reader.execute(_EDGE, (part.seq, t_ns)).fetchall())
+    wrong = (
+        differing(reader, "rigs", ("name",), {(seq, rig) for (seq,) in named}),
+        differing(reader, "runs", ("rig_id",), {(part.seq, seq) for part in parts for (seq,) in named}),
+        differing(reader, "hops", ("run_id", "span", "t_ns"), edges),
+    )
+    if any(wrong) or reader.refused > refused:
+        raise damaged("a row that says when a run was has a wrong checksum")
+
+
+_EDGE = "SELECT seq, run_id, span, t_ns FROM hops WHERE run_id = ? AND span IN (0, 60, 3600) AND t_ns = ? LIMIT 1"
 
 
 def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int) -> Iterator[Cells]:
@@ -72,51 +112,86 @@ def differing(reader: sqlite3.Connection, table: str, columns: Sequence[str], se
     return seen.difference(zip(*(cells[p] for p in places), strict=True)) if sound else seen
 
 
-def sound_points(reader: Reader, rig: str, rows: list[Cells]) -> list[Cells]:
-    """Return the rows of `point_columns` that prove themselves, and the rows of other tables that they name."""
+class Found(NamedTuple):
+    """Valid estimates: (n,) stamp ns (of an aggregate, the middle of what it covers), value, standard deviation."""
+
+    t_ns: IntArray
+    value: FloatArray
+    sd: FloatArray
+
+
+NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+_VALID = int(Status.VALID) << 8
+_SAID = [name for name in columns_of("estimates") if name != "verdict_id"]
+_POINTS = f"""SELECT h.seq, h.t_ns, h.crc, {", ".join(f"e.{name}" for name in _SAID)} FROM hops h
+ CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 CROSS JOIN fits f ON f.seq = e.fit_id
+ WHERE h.run_id = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND e.series_id IN ({{}})
+ AND e.verdict_id = {_VALID} AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o
+ WHERE o.run_id = h.run_id AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"""
+
+
+def series_of(reader: Reader, parameter: str) -> dict[int, list[int]]:
+    """Return the numbers of a parameter's series by run; no index is asked, which may leave one out."""
+    found: dict[int, list[int]] = {}
+    for seq, run in reader.execute("SELECT seq, run_id FROM series NOT INDEXED WHERE parameter = ?", (parameter,)):
+        found.setdefault(run, []).append(seq)
+    return found
+
+
+def sound_points(reader: Reader, run: int, series: Sequence[int], span: int, first: int, last: int) -> Found:
+    """Return the valid estimates of some series, of one tier, that prove themselves.
+
+    Args:
+        reader: of a file where `prove_parts` found nothing wrong with the run.
+        run: number of a part of a run.
+        series: their numbers.
+        span: of the tier, s.
+        first: the first stamp, ns.
+        last: the last one, ns.
+    """
+    prove_whole(reader, "overlaps")
+    query = _POINTS.format(", ".join(map(str, series)))
+    rows = reader.execute(query, (run, span, first, last)).fetchall() if series else []
     if not rows:
-        return rows
+        return NOTHING
     columns = list(zip(*rows, strict=True))
-    hops, end = len(columns_of("hops")), len(columns) - 1
-    right = good_columns("hops", columns[:hops]) & good_columns("estimates", columns[hops:end])
-    for table, names, said in (
-        ("rigs", ("name",), (columns[end], repeat(rig, len(rows)))),
-        ("runs", ("rig_id",), (columns[1], columns[end])),
-        ("series", (), (columns[hops + 1],)),
-        ("fits", (), (columns[hops + 2],)),
-    ):
-        seen = list(zip(*said, strict=True))
-        bad = differing(reader, table, names, set(seen))
+    right = _right(reader, run, span, columns)
+    stamps, values, sds = (columns[place] for place in (1, 3 + _SAID.index("value"), 3 + _SAID.index("sd")))
+    if not right.all():
+        reader.refuse(int((~right).sum()))
+        stamps, values, sds = (tuple(compress(column, right)) for column in (stamps, values, sds))
+    middle = np.array(stamps, dtype=np.int64) + span * 500_000_000
+    return Found(middle, np.array(values, dtype=np.float64), np.array(sds, dtype=np.float64))
+
+
+def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDArray[np.bool_]:
+    """Tell of each row of `_POINTS` whether it proves itself, and what it names.
+
+    What its condition fixes needs no reading: of a row that says otherwise the checksum is another.
+    """
+    seq, t_ns, hop_crc, own, series, fits, *cells = columns
+    count = len(seq)
+    right = good_columns("hops", (seq, np.full(count, run), np.full(count, span), t_ns, hop_crc))
+    right &= good_columns("estimates", (own, series, fits, np.full(count, _VALID), *cells))
+    for table, named in (("series", series), ("fits", fits)):
+        bad = differing(reader, table, (), {(number,) for number in set(named)})
         if bad:
-            right &= [cells not in bad for cells in seen]
-    if right.all():
-        return rows
-    reader.refuse(int((~right).sum()))
-    return [row for row, fine in zip(rows, right, strict=True) if fine]
-
-
-def points_of(rows: list[Cells]) -> list[Cells]:
-    """Return (t_ns in the middle of what it covers, value, sd, span_s) of rows of `point_columns`."""
-    first = len(columns_of("hops"))
-    value, sd = (first + columns_of("estimates").index(name) for name in ("value", "sd"))
-    return [(row[3] + row[2] * 500_000_000, row[value], row[sd], row[2]) for row in rows]
-
-
-def point_columns() -> str:
-    """Return the columns of an instant h, an estimate e and its rig g that `sound_points` looks at."""
-    of = (("h", "hops"), ("e", "estimates"))
-    return ", ".join([*(f"{alias}.{name}" for alias, table in of for name in columns_of(table)), "g.seq"])
+            right &= [(number,) not in bad for number in named]
+    return right
 
 
 @cache
 def _traced(view: str) -> tuple[str, tuple[str, ...]]:
-    """Return the text of a view with the numbers and indexed columns of its rows before its own; and their tables."""
+    """Return the text of a view with the numbers and indexed columns of its rows before its own; and their tables.
+
+    What is joined by LEFT JOIN is of `_WHOLE`: there may be no row to be read once more.
+    """
     _, text = own_schema()["view", view]
     columns = re.split(r"\bSELECT\b", str(text), maxsplit=1)[1]
     rest = columns
     while "(" in rest:
         rest = re.sub(r"\([^()]*\)", "", rest)
-    parts = [(t, alias) for t, alias in re.findall(r"\b(?:FROM|JOIN) (\w+) (\w)\b", rest) if t in TABLES]
+    parts = [(t, alias) for t, alias in re.findall(r"\b(?<!LEFT )(?:FROM|JOIN) (\w+) (\w)\b", rest) if t in TABLES]
     traced = (
         f'{alias}.{name} AS "proof {alias} {name}"'
         for table, alias in parts

@@ -3,21 +3,23 @@
 
 import logging
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from agent.errors import Fault, UsageError
+from agent.storage.ages import newest_of, parts_of, shifts
 from agent.storage.connect import Reader, connect_reader, damaged, unreadable
-from agent.storage.proof import differing, point_columns, points_of, prove_whole, proven, sound_points
-from agent.storage.times import parse_time
+from agent.storage.proof import NOTHING, Found, differing, prove_parts, proven, row_of, series_of, sound_points
+from agent.storage.times import age_ns, parse_time
 from agent.types import FloatArray, IntArray
 
 log = logging.getLogger(__name__)
+_FIRST, _LAST = -(2**63), 2**63 - 1
 _MOST_POINTS = 50_000  # more points than this and a trend reads a coarser tier
 
 
@@ -33,7 +35,7 @@ class Points:
 
     Attributes:
         rig, parameter, unit: what they are of.
-        t_ns: (n,) times; of an aggregate, the middle of what it covers.
+        t_ns: (n,) times, by the wall clock as it is set now; of an aggregate, the middle of what it covers.
         value, sd: (n,) estimate and standard deviation.
         span_s: (n,) 0, or what the aggregate covers.
         since_ns, until_ns: the stretch asked for; None where open.
@@ -61,6 +63,18 @@ def tell_refused(db: Path | str, count: int) -> None:
         log.warning(words, db, count)
 
 
+class _Stretch(NamedTuple):
+    """Rows asked for: of one part of a run, from `first` to `last` (stamps, ns); stamp + shift is true time."""
+
+    part: int
+    shift: int
+    first: int
+    last: int
+
+    def after(self, true_ns: int) -> "_Stretch":
+        return self._replace(first=max(self.first, true_ns - self.shift))
+
+
 @contextmanager
 def reading(db: Path | str) -> Iterator[Reader]:
     """Open a database for one question; what SQLite finds wrong with it becomes a StoreError."""
@@ -80,7 +94,7 @@ def estimates(
     since: str | None = None,
     until: str | None = None,
 ) -> Rows:
-    """Return rows of v_estimates by time, then rig and parameter.
+    """Return rows of v_estimates by time (as the wall clock is set now, whatever was stamped), then rig and parameter.
 
     Args:
         db: path of the database.
@@ -93,16 +107,18 @@ def estimates(
         StoreError: the file; UsageError: an unknown rig or parameter, or no time.
     """
     with reading(db) as connection:
-        found = Rows()
+        found: list[tuple[int, dict[str, Any]]] = []
         for name in _chosen_rigs(connection, rig):
-            first, last = _stretch(connection, name, since, until)
             condition, values = _where(rig=name, parameter=parameter)
-            condition += " AND t_ns BETWEEN ? AND ?"
-            found += _rows(connection, "v_estimates", condition, (*values, first, last))
+            for part, shift, first, last in _stretches(connection, name, since, until)[0]:
+                own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
+                rows = _rows(connection, "v_estimates", own, (*values, part, first, last))
+                found += [(row["t_ns"] + shift, row) for row in rows]
         _check_parameter(connection, rig, parameter)
-        found.refused = connection.refused
-    found.sort(key=lambda row: (row["t_ns"], row["rig"]))
-    return found
+        found.sort(key=lambda pair: (pair[0], pair[1]["rig"]))
+        rows = Rows(row for _, row in found)
+        rows.refused = connection.refused
+    return rows
 
 
 def latest(db: Path | str, rig: str | None = None) -> Rows:
@@ -127,7 +143,8 @@ def health(db: Path | str, rig: str | None = None) -> Rows:
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
         newest: dict[tuple[str, str], dict[str, Any]] = {}
-        for row in _rows(connection, "v_health", *_where(rig=rig)):
+        condition, values = _where(rig=rig)
+        for row in _rows(connection, "v_health", f"{condition} ORDER BY {row_of('x')}", values):
             newest[row["rig"], row["source"]] = {**row, "reasons": {"rejected": {}, "dropped": {}}}
         for row in newest.values():
             condition, values = _where(rig=row["rig"], source=row["source"], t_ns=row["t_ns"])
@@ -188,58 +205,57 @@ def points(
     with reading(db) as connection:
         name = _one_rig(connection, rig)
         _check_parameter(connection, name, parameter)
-        first, last = _stretch(connection, name, since, until)
-        found = _tiered(connection, name, parameter, first, last)
+        stretches, first, last = _stretches(connection, name, since, until)
+        t_ns, value, sd, span_s = _tiered(connection, stretches, series_of(connection, parameter))
         unit, reference = _unit(connection, name, parameter)
         refused = connection.refused
-    t_ns, value, sd, span = (np.array(column) for column in (zip(*found, strict=True) if found else ((), (), (), ())))
     return Points(
-        name, parameter, unit, t_ns.astype(np.int64), value.astype(np.float64), sd.astype(np.float64),
-        span.astype(np.int64), None if since is None else first, None if until is None else last, reference, refused,
+        name, parameter, unit, t_ns, value, sd, span_s, None if since is None else first,
+        None if until is None else last, reference, refused,
     )  # fmt: skip
 
 
-def _tiered(connection: Reader, rig: str, parameter: str, first: int, last: int) -> list[tuple[Any, ...]]:
-    """Return (t_ns, value, sd, span_s) from the finest tier that reaches back and is not too long, then finer rows."""
-    bounds = {span: _bounds(connection, rig, span, first, last) for span in (0, 60, 3600)}
-    oldest = min((b[0] for b in bounds.values() if b), default=first)
+def _tiered(
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]]
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
+    """Return t_ns, value, sd, span_s from the finest tier that reaches back and is not too long, then finer rows."""
+    bounds = {span: _bounds(connection, stretches, span) for span in (0, 60, 3600)}
+    oldest = min((b[0] for b in bounds.values() if b), default=0)
     fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= _MOST_POINTS]
     start = fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
-    found: list[tuple[Any, ...]] = []
-    for span in sorted((s for s in bounds if s <= start), reverse=True):
-        found += _tier_points(connection, rig, parameter, span, first, last)
-        if found:
-            first = max(first, found[-1][0] + span * 500_000_000 + (span == 0))
-    return found
+    tiers: list[Found] = []
+    spans = sorted((s for s in bounds if s <= start), reverse=True)
+    for span in spans:
+        tiers.append(_tier_points(connection, stretches, series, span))
+        if len(tiers[-1].t_ns):
+            reached = int(tiers[-1].t_ns[-1]) + span * 500_000_000 + (span == 0)
+            stretches = [stretch.after(reached) for stretch in stretches]
+    t_ns, value, sd = (np.concatenate(column) for column in zip(*tiers, strict=True))
+    return t_ns, value, sd, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
 
 
-def _bounds(connection: sqlite3.Connection, rig: str, span: int, first: int, last: int) -> tuple[int, int] | None:
-    """Return the oldest instant of a tier in a stretch and how many it has there, counted no further than matters."""
-    part = "FROM hops h WHERE h.run_id = r.seq AND h.span = ?2 AND h.t_ns BETWEEN ?3 AND ?4"
-    query = (
-        f"SELECT min(t), sum(n) FROM (SELECT (SELECT h.t_ns {part} ORDER BY h.t_ns LIMIT 1) AS t, "
-        f"(SELECT count(*) FROM (SELECT 1 {part} LIMIT ?5)) AS n "
-        "FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq WHERE g.name = ?1)"
-    )
-    oldest, count = connection.execute(query, (rig, span, first, last, _MOST_POINTS + 1)).fetchone()
-    return (oldest, count) if count else None
+def _bounds(connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int) -> tuple[int, int] | None:
+    """Return the oldest instant of a tier in stretches and how many it has there, counted no further than matters."""
+    part = "FROM hops h WHERE h.run_id = ?1 AND h.span = ?2 AND h.t_ns BETWEEN ?3 AND ?4"
+    query = f"SELECT (SELECT h.t_ns {part} ORDER BY h.t_ns LIMIT 1), (SELECT count(*) FROM (SELECT 1 {part} LIMIT ?5))"
+    found = []
+    for stretch, shift, first, last in stretches:
+        oldest, count = connection.execute(query, (stretch, span, first, last, _MOST_POINTS + 1)).fetchone()
+        found += [(oldest + shift, count)] if count else []
+    return (min(t for t, _ in found), sum(n for _, n in found)) if found else None
 
 
 def _tier_points(
-    connection: Reader, rig: str, parameter: str, span: int, first: int, last: int
-) -> list[tuple[Any, ...]]:
-    query = (
-        f"SELECT {point_columns()} FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq "
-        "CROSS JOIN hops h ON h.run_id = r.seq "
-        "CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 "
-        "CROSS JOIN series s ON s.seq = e.series_id CROSS JOIN fits f ON f.seq = e.fit_id "
-        "WHERE g.name = ? AND s.parameter = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND e.verdict_id = 256 "
-        "AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o WHERE o.run_id = h.run_id "
-        "AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"
-    )
-    rows = connection.execute(query, (rig, parameter, span, first, last)).fetchall()
-    prove_whole(connection, "overlaps")
-    return points_of(sound_points(connection, rig, rows))
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], span: int
+) -> Found:
+    """Return the points of a tier in the order of true time."""
+    found = [NOTHING]
+    for part, shift, first, last in stretches:
+        points = sound_points(connection, part, series.get(part, ()), span, first, last)
+        found.append(points._replace(t_ns=points.t_ns + shift))
+    t_ns, value, sd = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(t_ns, kind="stable")
+    return Found(t_ns[order], value[order], sd[order])
 
 
 def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | None]:
@@ -310,15 +326,24 @@ def _list(names: Sequence[str]) -> str:
     return ", ".join(names) or "none yet"
 
 
-def _stretch(connection: sqlite3.Connection, rig: str, since: str | None, until: str | None) -> tuple[int, int]:
-    """Return the first and last instant (ns) asked for; open ends reach as far as integers do."""
-    newest = connection.execute(
-        "SELECT max((SELECT t_ns FROM hops h WHERE h.run_id = r.seq AND h.span = 0 ORDER BY t_ns DESC LIMIT 1)) "
-        "FROM runs r JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ?",
-        (rig,),
-    ).fetchone()[0]
-    first = -(2**63) if since is None else parse_time(since, newest)
-    last = 2**63 - 1 if until is None else parse_time(until, newest)
+def _stretches(
+    connection: Reader, rig: str, since: str | None, until: str | None
+) -> tuple[list[_Stretch], int, int]:
+    """Return what was asked for, by part of a run, and its first and last instant (ns); open ends reach far enough.
+
+    An age counts in true time back from the newest row, a date is compared with the stamps as they are.
+    """
+    parts = parts_of(connection, rig)
+    prove_parts(connection, rig, parts)
+    shift = shifts(parts)
+    newest = newest_of(parts, shift)
+    first = _FIRST if since is None else parse_time(since, newest)
+    last = _LAST if until is None else parse_time(until, newest)
     if first > last:
         raise UsageError([Fault("--since", f'"{since}" is later than --until "{until}"', "swap them")])
-    return first, last
+    by_age = [text is not None and age_ns(text) is not None for text in (since, until)]
+    found = []
+    for part in parts:
+        ends = [t - shift[part.seq] if age else t for t, age in zip((first, last), by_age, strict=True)]
+        found.append(_Stretch(part.seq, shift[part.seq], *(min(max(t, _FIRST), _LAST) for t in ends)))
+    return found, first, last

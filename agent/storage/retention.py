@@ -1,10 +1,14 @@
-"""How long rows are kept: making minutes and hours, purging by age and by size."""
+"""How long rows are kept: making minutes and hours, purging by age and by size.
+
+A row's age is what `agent.storage.ages` is sure of: where a wall clock is wrong rows stay longer, never shorter.
+"""
 
 import sqlite3
 from dataclasses import dataclass
 from math import ceil, isfinite
 from typing import TYPE_CHECKING
 
+from agent.storage.ages import Part, parts_of, shifts
 from agent.storage.checksum import row_crc
 from agent.storage.rows import Plan
 from agent.storage.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
@@ -16,6 +20,7 @@ if TYPE_CHECKING:
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
 _STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
 _FREE_PAGES = 128
+_GROWING = 3  # parts of a run that rows may still come for
 _HOPS_A_PURGE = 50_000
 _YEAR_S = 365 * 86400
 _HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 44.0, 38.0, 60.0
@@ -71,7 +76,8 @@ class TierKeeper:
     def __init__(self, store: "Store", keep: Retention) -> None:
         self._store, self._keep = store, keep
         self._runs: dict[int, _Progress] = {}
-        self._purged_hour: int | None = None
+        self._parts: dict[int, list[int]] = {}
+        self._purged_at: dict[int, int] = {}
 
     def load(self) -> None:
         """Find the runs whose rows are not all aggregated, whatever ended them."""
@@ -82,9 +88,13 @@ class TierKeeper:
                 if min(progress.minute_ns, progress.hour_ns) <= newest:
                     self._runs[run_id] = progress
 
-    def watch(self, run_id: int) -> None:
-        """Take up a run that begins."""
-        self._runs[run_id] = self._progress(run_id, growing=True)
+    def watch(self, run_id: int, part: int) -> None:
+        """Take up the part of a run that grows from now on; those that grew long before do not any more."""
+        self._parts[run_id] = [*(p for p in self._parts.get(run_id, ()) if p != part), part]
+        self._runs[part] = self._progress(part, growing=True)
+        for old in self._parts[run_id][:-_GROWING]:
+            self._parts[run_id].remove(old)
+            self._runs[old].growing = False
 
     def step(self, *, finish: bool = False) -> None:
         """Aggregate the periods that are over and purge what is too old or too much.
@@ -151,17 +161,17 @@ class TierKeeper:
 
     def _purge_hourly(self) -> None:
         """Purge by age once an hour of the rows' own time; looking at every run each second would cost too much."""
-        ends = [end for run_id in self._runs if (end := self._newest(run_id, 0)) is not None]
-        hour = max(ends, default=0) // _STRETCH_NS
-        if hour != self._purged_hour:
+        hours = {run_id: (self._newest(run_id, 0) or 0) // _STRETCH_NS for run_id in self._runs}
+        if hours != self._purged_at:
             self._purge_old()
-            self._purged_hour = hour
+            self._purged_at = hours
 
     def _purge_old(self) -> None:
-        for run_id, newest in _ages(self._store.connection):
+        for part, now_ns in _ages(self._store.connection):
+            run_id = part.seq
             for span, keep_s in ((0, self._keep.full_s), (MINUTE, self._keep.minute_s), (HOUR, self._keep.hour_s)):
                 if isfinite(keep_s):
-                    before = ((newest - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
+                    before = ((now_ns - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
                     before = min(before, self._aggregated(run_id, span, before))
                     while self._purge(run_id, span, before, self._sent()):
                         pass
@@ -207,14 +217,16 @@ class TierKeeper:
 
     def _oldest_anywhere(self) -> tuple[int, int, int] | None:
         """Return (run, span, time) of the oldest row of the finest tier; the newest hour of a rig is never taken."""
+        ages = _ages(self._store.connection)
         for span in (0, MINUTE, HOUR):
             found = [
-                (oldest, run_id)
-                for run_id, newest in _ages(self._store.connection)
-                if (oldest := self._oldest(run_id, span)) is not None and oldest // _STRETCH_NS < newest // _STRETCH_NS
+                (oldest - now_ns, part.seq, oldest)
+                for part, now_ns in ages
+                if (oldest := self._oldest(part.seq, span)) is not None
+                and oldest // _STRETCH_NS < now_ns // _STRETCH_NS
             ]
             if found:
-                oldest, run_id = min(found)
+                _, run_id, oldest = min(found)
                 return run_id, span, oldest
         return None
 
@@ -262,19 +274,18 @@ def _edge(connection: sqlite3.Connection, run_id: int, span: int, order: str) ->
     return None if found is None else int(found[0])
 
 
-def _ages(connection: sqlite3.Connection) -> list[tuple[int, int]]:
-    """Return each run with the instant (ns) its age counts from: the rig's newest live row, or a replay's own end."""
-    runs = connection.execute("SELECT seq, rig_id, kind FROM runs").fetchall()
-    ends = {
-        run: max((e for s in (0, MINUTE, HOUR) if (e := _edge(connection, run, s, "DESC")) is not None), default=None)
-        for run, _, _ in runs
-    }
-    live: dict[int, int] = {}
-    for run, rig, kind in runs:
-        end = ends[run]
-        if kind == "live" and end is not None:
-            live[rig] = max(end, live.get(rig, end))
-    return [(run, live[rig] if kind == "live" else end) for run, rig, kind in runs if (end := ends[run]) is not None]
+def _ages(connection: sqlite3.Connection) -> list[tuple[Part, int]]:
+    """Return the parts of all runs with now in their stamps (ns): of the rig's newest live row, or a replay's own."""
+    found: list[tuple[Part, int]] = []
+    for (rig,) in connection.execute("SELECT name FROM rigs ORDER BY seq").fetchall():
+        parts = parts_of(connection, rig)
+        shift = shifts(parts, confirmed=True)
+        now: dict[int, int] = {}
+        for part in parts:
+            axis = 0 if part.live else part.run
+            now[axis] = max(part.last_ns + shift[part.seq], now.get(axis, -(2**63)))
+        found += [(part, now[0 if part.live else part.run] - shift[part.seq]) for part in parts]
+    return found
 
 
 def _thin_health(connection: sqlite3.Connection, run_id: int, before: int) -> None:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, cast
 from agent import __version__
 from agent.storage.checksum import row_crc
 from agent.storage.views import CLOCKS, EVENT_RECORDS, VIEWS
+from agent.storage.views_of_parts import STEPS
 
 if TYPE_CHECKING:
     from sqlite_utils import Database
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -63,9 +64,10 @@ TABLES: dict[str, str] = {
     "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, baseline_id INTEGER, "
     "message TEXT NOT NULL",
     "calibrations": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, content TEXT NOT NULL",
+    "clocks": "run_id INTEGER NOT NULL, part_of INTEGER NOT NULL, offset_ns INTEGER, from_ns INTEGER NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
-_SINCE = {"event_records": 2, "calibrations": 4}
+_SINCE = {"event_records": 2, "calibrations": 4, "clocks": 5}
 """The version that brought a table, of those that version 1 did not have."""
 
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
@@ -130,11 +132,31 @@ def _calibrations(db: "Database") -> None:
     _mark(db.conn, 4)
 
 
+def _steps(db: "Database") -> None:
+    """Version 5: which rows of a run were stamped by one setting of the wall clock, so that ages are true.
+
+    Earlier programs told of a step in an event; the stamps of a run without one are its own true times.
+    """
+    _create(db.conn, "clocks")
+    db.conn.execute("CREATE INDEX clocks_by_run ON clocks (run_id)")
+    for seq, (run_id, first) in enumerate(db.conn.execute(_UNSTEPPED).fetchall(), 1):
+        cells = (seq, run_id, run_id, None, first)
+        db.conn.execute(insert_sql("clocks"), (*cells, row_crc(cells)))
+    for statement in STEPS:
+        db.conn.execute(statement)
+    _mark(db.conn, 5)
+
+
+_UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r.seq AND h.span IN (0, 60, 3600)) AS a
+ FROM runs r WHERE a IS NOT NULL AND NOT EXISTS (SELECT 1 FROM events e WHERE e.run_id = r.seq
+ AND e.source = 'clock' AND e.cause = 'clock step') ORDER BY r.seq"""
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
     "0003_clocks": _clocks,
     "0004_calibrations": _calibrations,
+    "0005_steps": _steps,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

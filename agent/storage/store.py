@@ -14,7 +14,6 @@ from agent.storage.books import Books
 from agent.storage.calibrations import newest_calibration
 from agent.storage.checksum import row_crc
 from agent.storage.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writer, create, is_damage, may_pass
-from agent.storage.coverage import Coverage
 from agent.storage.files import (
     Ballast,
     Kind,
@@ -35,7 +34,7 @@ from agent.storage.salvage import Recovery, finish_interrupted, recover
 from agent.storage.schema import insert_sql, upgrade
 from agent.storage.spill import merge, open_spill
 from agent.storage.verify import Scrubber, problems_at_start
-from agent.types import AlarmTransition, Calibrated, HealthEvent, Record, RunInfo
+from agent.types import AlarmTransition, Calibrated, ClockRecord, HealthEvent, Record, RunInfo
 
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000
@@ -60,10 +59,10 @@ class Store:
         self._ballast = Ballast(path)
         self.numbers = Numbers()
         self.names = Names(self.numbers)
-        self._books = self._new_books()
+        self._tiers = TierKeeper(self, keep)
+        self._books = self._new_books({})
         self._since_checkpoint = [0, 0]
         self._keep = keep
-        self._tiers = TierKeeper(self, keep)
         self._scrubber = Scrubber()
         self._missing: str | None = None
         self.recovery: Recovery | None = None
@@ -92,8 +91,8 @@ class Store:
             raise
         return store
 
-    def _new_books(self) -> Books:
-        return Books(self.names, self.numbers, lambda: self.connection)
+    def _new_books(self, settings: dict[str, list[ClockRecord]]) -> Books:
+        return Books(self.names, self.numbers, lambda: self.connection, self._tiers.watch, settings)
 
     def _attach(self) -> None:
         """Open the file; on a full disk after dropping the ballast and the oldest hour of rows.
@@ -166,8 +165,8 @@ class Store:
         self._disconnect()
         self.recovery = recover(self.path, damage, self._receipts.highs)
         self.names = Names(self.numbers)
-        self._books = self._new_books()
         self._tiers = TierKeeper(self, self._keep)
+        self._books = self._new_books(self._books.settings())
         problem = self._connect()
         if problem is not None:
             raise StoreError.at(str(self.path), f"the database cannot be repaired ({problem})", "replace its disk")
@@ -212,8 +211,7 @@ class Store:
     def adopt_run(self, run_id: int, run: RunInfo) -> None:
         """Go on with a run that is in the file already."""
         standing = self.open_alarms(run.rig) if run.kind == "live" else []
-        self._books.open(run_id, AlarmBook(run_id, standing), Coverage(self.connection, run_id, run.rig))
-        self._tiers.watch(run_id)
+        self._books.open(run_id, run, AlarmBook(run_id, standing))
 
     def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
         """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""

@@ -2,7 +2,7 @@
 """Looking for damage: the structure by SQLite's own checks, the rows by their checksums."""
 
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ def good_rows(table: str, rows: Sequence[Row]) -> NDArray[np.bool_]:
     return good_columns(table, list(zip(*rows, strict=True)))
 
 
-def good_columns(table: str, columns: Sequence[Row]) -> NDArray[np.bool_]:
+def good_columns(table: str, columns: Sequence[Collection[Any]]) -> NDArray[np.bool_]:
     """Tell the same of the rows of a table of numbers, given as the columns that they make."""
     try:
         return _numbers_right(columns, _NUMERIC[table])
@@ -45,18 +45,23 @@ def good_columns(table: str, columns: Sequence[Row]) -> NDArray[np.bool_]:
         return right
 
 
-def _numbers_right(cells: Sequence[Row], integers: int) -> NDArray[np.bool_]:
+def _numbers_right(cells: Sequence[Collection[Any]], integers: int) -> NDArray[np.bool_]:
     """Check columns of `integers` integers, then reals or None, then the checksum; raises where they are not."""
     *columns, stored = cells
     whole = [np.array(c, dtype=np.int64) for c in columns[:integers]]
-    real = [np.array(c, dtype=np.float64) for c in columns[integers:]]
+    real = [_reals(c) for c in columns[integers:]]
     return np.asarray(column_crc(*whole, *real) == np.array(stored, dtype=np.int64))
 
 
+def _reals(column: Collection[Any]) -> NDArray[np.float64]:
+    """Return a column of reals or None; the columns that most rows leave empty take no time."""
+    empty = all(cell is None for cell in column)
+    return np.full(len(column), np.nan) if empty else np.array(column, dtype=np.float64)
+
+
 def _plausible(row: Row, integers: int) -> bool:
-    whole = (*row[:integers], row[-1])
-    real = row[integers:-1]
-    return all(isinstance(c, int) for c in whole) and all(c is None or isinstance(c, int | float) for c in real)
+    whole = all(isinstance(c, int | np.integer) for c in (*row[:integers], row[-1]))
+    return whole and all(c is None or isinstance(c, int | float) for c in row[integers:-1])
 
 
 def _right(row: Row) -> bool:

@@ -17,7 +17,7 @@ from agent.storage.errands import Errands
 from agent.storage.rows import Plan
 from agent.storage.store import Store
 from agent.storage.thinning import Thinner
-from agent.types import AlarmTransition, Calibrated, EstimateBatch, HealthEvent, Record, RunInfo
+from agent.types import AlarmTransition, Calibrated, ClockRecord, EstimateBatch, HealthEvent, Record, RunInfo
 
 _DISK = (sqlite3.Error, OSError)
 _FAILURE = (*_DISK, StoreError)
@@ -154,7 +154,7 @@ class StoreWriter:
         return self._pause.cause
 
     def _only_alarms(self, records: Sequence[Record]) -> list[Record]:
-        kept: list[Record] = [r for r in records if isinstance(r, AlarmTransition)]
+        kept: list[Record] = [r for r in records if isinstance(r, AlarmTransition | ClockRecord)]
         self.dropped_at_queue[_FULL] += sum(map(cells_of, records)) - len(kept)
         return kept
 
@@ -226,7 +226,7 @@ class StoreWriter:
     def _keep(self, rig: str, records: Sequence[Record]) -> None:
         for record in records:
             t_ns = int(record.t_ns[-1]) if isinstance(record, EstimateBatch) else record.t_ns
-            self._newest[rig] = max(self._newest[rig], t_ns)
+            self._newest[rig] = t_ns if isinstance(record, ClockRecord) else max(self._newest[rig], t_ns)
         self._backlogs[rig].add(records, self._pause.cause or _FULL)
 
     def _waiting(self) -> bool:

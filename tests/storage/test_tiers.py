@@ -179,7 +179,7 @@ def test_replay_is_not_purged_by_a_later_live_run(path: Path) -> None:
     fill(path, spaced(600, 10, start=START + 86_400 * 20 * SECOND), keep)
     spans = select(path, "SELECT r.kind, e.span_s, count(*) FROM v_estimates e JOIN v_runs r USING (run_id) "
                          "WHERE parameter = 'k1' GROUP BY e.run_id, e.span_s ORDER BY e.run_id, e.span_s")  # fmt: skip
-    assert spans == [("replay", 0, 180), ("live", 60, 240), ("live", 0, 60)]
+    assert spans == [("replay", 0, 180), ("live", 0, 360), ("live", 60, 180), ("live", 0, 60)]
 
 
 @pytest.mark.parametrize(("parameters", "every"), [(4, 2), (1, 5), (9, 20)])

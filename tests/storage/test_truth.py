@@ -20,18 +20,19 @@ from agent.storage.files import beside
 from agent.storage.retention import Retention
 from agent.storage.schema import own_schema
 from agent.storage.store import Store
-from agent.types import EventRecord
+from agent.types import ClockRecord, EventRecord, RunInfo
 from tests import peers
 from tests.figures import figure
 from tests.storage.rows import START, batch, ledger, run_info, step, warming
 
+SECOND, DAY = 10**9, 86_400 * 10**9
 Shown = Counter[tuple[object, ...]]
 RECORD = EventRecord("press-7", START, "level", "k1", 1, "e/press-7-0-k1.npz", "complete", START, START, 9, 9, 7)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two rigs, a replay that covers a part of a run, minutes, alarms, ledgers and records."""
+    """Rigs, a replay that covers a part of a run, a clock that was set back, minutes, alarms, ledgers and records."""
     path = tmp_path_factory.mktemp("whole") / "rig.db"
     with Store.open(path, Retention(full_s=60.0)) as store:
         run = store.begin_run(run_info())
@@ -42,6 +43,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
         store.write(other, [batch(10, rig="press-8"), ledger(rig="press-8")])
         again = store.begin_run(run_info(kind="replay"))
         store.write(again, [batch(8, start=START + 1000, hop_ns=4 * 10**9)])
+        stepped = store.begin_run(RunInfo("press-9", "live", START, "0.1.0", "ab" * 32, None, "boot-1", START))
+        for first, offset in ((0, START), (300, START - DAY)):
+            clock = ClockRecord("press-9", offset + first * SECOND, first, offset)
+            rows = batch(6, rig="press-9", start=clock.t_ns, hop_ns=SECOND, index=np.arange(first, first + 6))
+            store.write(stepped, [clock, rows])
     return path
 
 
@@ -56,7 +62,8 @@ def asked(path: Path, caplog: pytest.LogCaptureFixture) -> dict[str, Shown | Non
     found: dict[str, Shown | None] = {}
     for name, ask in ANSWERS.items():
         found[name] = _shown(lambda ask=ask: ask(path), caplog)
-    found["trend"] = _shown(lambda: _points(path), caplog)
+    for rig in ("press-7", "press-9"):
+        found[f"trend of {rig}"] = _shown(lambda rig=rig: _points(path, rig), caplog)
     for what in ("tiers", "alarm_events"):
         found[what] = _shown(lambda what=what: _exported(path, what), caplog)
     return found
@@ -66,8 +73,8 @@ def _exported(path: Path, what: str) -> list[dict[int, object]]:
     return [dict(enumerate(row)) for row in maintenance.export(path, what)[1]]
 
 
-def _points(path: Path) -> list[dict[str, object]]:
-    got = queries.points(path, "press-7", "k1")
+def _points(path: Path, rig: str) -> list[dict[str, object]]:
+    got = queries.points(path, rig, "k1")
     return [dict(zip("tvs", cells, strict=True)) for cells in zip(got.t_ns, got.value, got.sd, strict=True)] + [
         {"unit": got.unit, "reference": got.reference}
     ]
@@ -164,6 +171,47 @@ def test_rows_that_are_refused_are_counted(whole: Path, memory: Path) -> None:
     assert '"refused": 3}' in done.stdout
     assert "3 rows are not shown, their checksums are wrong; `deltak db check` tells more" in done.stderr
     assert len(queries.estimates(path)) == len(queries.estimates(whole)) - 3
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE clocks SET offset_ns = offset_ns + 3600000000000",
+        "UPDATE clocks SET part_of = run_id",
+        "UPDATE runs SET kind = 'replay'",
+        "UPDATE hops SET t_ns = t_ns + 60000000000 WHERE t_ns = (SELECT max(t_ns) FROM hops h WHERE h.run_id = 5)",
+    ],
+)
+def test_damage_to_what_orders_the_parts_of_a_run_is_not_shown_as_time(
+    whole: Path, memory: Path, caplog: pytest.LogCaptureFixture, statement: str
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    assert _shown(lambda: _points(path, "press-9"), caplog) is not None
+    with closing(sqlite3.connect(path)) as file:
+        assert file.execute(statement).rowcount >= 1
+        file.commit()
+    for ask in (lambda: _points(path, "press-9"), lambda: queries.estimates(path, "press-9", "k1")):
+        assert _shown(ask, caplog) is None
+
+
+@pytest.mark.parametrize("index", ["clocks_by_run", "overlaps_by_run"])
+def test_index_that_leaves_out_a_row_that_hides_others_is_damage(whole: Path, memory: Path, index: str) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    with closing(sqlite3.connect(path)) as file:
+        text = file.execute("SELECT sql FROM sqlite_master WHERE name = ?", (index,)).fetchone()[0]
+        file.execute("PRAGMA writable_schema = ON")
+        file.execute("UPDATE sqlite_master SET sql = sql || ' WHERE seq < 0' WHERE name = ?", (index,))
+        file.commit()
+    with closing(sqlite3.connect(path)) as file:
+        file.execute(f"REINDEX {index}")
+        file.execute("PRAGMA writable_schema = ON")
+        file.execute("UPDATE sqlite_master SET sql = ? WHERE name = ?", (text, index))
+        file.commit()
+    for ask in (queries.estimates, lambda path: queries.points(path, "press-7", "k1")):
+        with pytest.raises(StoreError, match="an index does not list what its table holds"):
+            ask(path)
 
 
 RECURSIVE = "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"

@@ -44,6 +44,7 @@ class Reason(IntEnum):
     STANDSTILL = 12
     INSEPARABLE = 13
     MASS = 14
+    REALIGNING = 15
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ from drivers.can_frames import (
 )
 from drivers.pipe import tcp_pipe
 from drivers.port import Counts, DriverConfigError, DriverIOError, DriverSettings
+from drivers.python_can import import_lean
 
 if TYPE_CHECKING:
     import can
@@ -124,6 +125,7 @@ class PythonCanBus(CanBus):
     """
 
     def __init__(self, keys: BusKeys) -> None:
+        import_lean()
         import can
 
         self._name = f"{keys.interface} {keys.channel}"

@@ -14,6 +14,7 @@ from drivers.can_keys import FrameKeys
 from drivers.can_samples import FrameCounter, Page, Selected, pages_of, shows
 from drivers.can_signals import SignalCodec
 from drivers.port import DriverConfigError, FloatArray, IntArray
+from drivers.python_can import import_lean
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
@@ -101,6 +102,7 @@ class MessageCodec:
 
 def load(path: Path) -> "Database":
     """Return the parsed DBC; DriverConfigError when it cannot be read."""
+    import_lean()
     import cantools
     from cantools.database.can import Database
     from cantools.database.errors import Error

@@ -19,6 +19,7 @@ from drivers.can_unfit import Unfit
 from drivers.can_wires import wire_of
 from drivers.npz_file import seconds_to_ns
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
+from drivers.python_can import import_lean, import_measurements
 
 if TYPE_CHECKING:
     import can
@@ -217,8 +218,11 @@ def _kind(path: Path) -> str:
 
 
 def _reader(path: Path) -> "Callable[[IO[Any]], can.io.generic.MessageReader]":
+    import_lean()
     import can
 
+    if _kind(path) == ".mf4":
+        import_measurements()
     readers: dict[str, Any] = {
         ".asc": can.ASCReader,
         ".blf": can.BLFReader,

@@ -63,6 +63,8 @@ class Aligned:
         u, y: (n, m) inputs, (n, p) outputs.
         stamps: (n,) time stamps, ns; None where the source has none.
         segment: counts up at each gap.
+        anew: some device began to count anew since the samples before: they go with none of these.
+        realigning: it is not known which samples of the sources go together.
     """
 
     index: IntArray
@@ -70,6 +72,8 @@ class Aligned:
     y: FloatArray
     stamps: IntArray | None
     segment: int
+    anew: bool = False
+    realigning: bool = False
 
 
 class Acquisition:

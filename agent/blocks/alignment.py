@@ -4,6 +4,9 @@ Rows follow the samples of one source, the reference. Every other channel is rea
 its own source: at the same number where devices share a counter, at the place that both clocks say where they do not,
 later by the channel's delay and by the skew of its source. Between samples a reading is interpolated. What is decided
 depends on each source's own samples, not on whose block came first, so that a replay gives the same rows.
+
+A device that begins to count anew begins a span of rows, which no row before goes with. The others join it by their
+counters where they began anew as well; where one did not, its samples are found by a skew that is measured anew.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +26,8 @@ from drivers.port import SampleBlock
 Label = Callable[[IntArray], IntArray]
 PATIENCE_S = 1.0
 """How long a sample of one source waits for the same instant of another."""
+TOGETHER_S = 0.5
+"""Devices that began to count anew together have all been read again after this."""
 NEIGHBOURS = 2
 """Samples within which a source must have one for a row to be made at all."""
 
@@ -77,6 +82,11 @@ class Stream:
     sent: int = -1
     _restarts: int = 0
 
+    def began_anew(self) -> bool:
+        """Tell whether the device began to count anew since the last call."""
+        before, self._restarts = self._restarts, self.state.indexer.restarts
+        return self._restarts > before
+
     @property
     def newest(self) -> int:
         """Number of the newest sample; -1 before there is one."""
@@ -90,16 +100,16 @@ class Stream:
 
     def take(self, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
         """Keep a block's samples, those that lack a reading too, with the stamps of `label` or else their own."""
+        restarts = self.state.indexer.restarts
         index, values, stamps = intake(self.state, block, modulus)
+        if self.clock is not None and self.state.indexer.restarts > restarts:
+            self.clock.restart()
         if not len(index):
             return
         times = label(index) if label is not None else _by_rate(index, self.plan.rate_hz) if stamps is None else stamps
         self.index, self.stamps = np.concatenate([self.index, index]), np.concatenate([self.stamps, times])
         self.values = np.concatenate([self.values, values]) if self.values.size else values
         if self.clock is not None:
-            if self.state.indexer.restarts > self._restarts:
-                self.clock.restart()
-            self._restarts = self.state.indexer.restarts
             self.clock.observe(int(index[-1]), block.arrival_ns)
 
     def send(self, last: IntArray) -> IntArray:
@@ -127,18 +137,34 @@ def _by_rate(index: IntArray, rate_hz: float) -> IntArray:
     return np.asarray(np.rint(index * period).astype(np.int64))
 
 
+@dataclass(slots=True)
+class Span:
+    """Rows from number `since` on, between which no device began to count anew, and what measures their skews."""
+
+    since: int
+    watch: SkewWatch | None
+    announced: bool = False
+
+
 class Alignment:
     """The acquisition of one rig with several sources, or with channels that are late.
 
     Args:
         plan: how rows are made.
         watch: measures the skews of sources; None where there is nothing to measure.
+        remeasure: makes a watch of all sources, for when their counters say nothing; None where there is but one.
         keep_incomplete: hand on rows that lack some reading (NaN).
     """
 
-    def __init__(self, plan: AlignmentPlan, watch: SkewWatch | None = None, *, keep_incomplete: bool = False) -> None:
-        origin = Origin()
-        self.plan, self.watch, self._keep_incomplete = plan, watch, keep_incomplete
+    def __init__(
+        self, plan: AlignmentPlan, watch: SkewWatch | None = None, remeasure: Callable[[], SkewWatch] | None = None,
+        *, keep_incomplete: bool = False,
+    ) -> None:  # fmt: skip
+        origin = Origin(shared=len(plan.streams) > 1)
+        self.plan, self._keep_incomplete = plan, keep_incomplete
+        self._usual, self._remeasure = watch, remeasure
+        self._spans = [Span(-1, watch)]
+        self._events: list[SkewEvent] = []
         self.streams = {p.source.name: self._stream(p, origin) for p in plan.streams}
         self.reference = list(self.streams.values())[plan.reference]
         self._patience = round((PATIENCE_S + (2 * SETTLE_S if plan.clocks else 0.0)) * plan.rate_hz)
@@ -161,16 +187,56 @@ class Alignment:
         """
         stream = self.streams[source]
         stream.take(block, modulus, label if stream is self.reference else None)
+        if stream.began_anew():
+            self._begin_span(stream)
         return self._advance()
+
+    @property
+    def watch(self) -> SkewWatch | None:
+        """What measures the skews of the rows to come."""
+        return self._spans[-1].watch
+
+    def _begin_span(self, stream: Stream) -> None:
+        """Part the rows to come from those before: their numbers count from elsewhere."""
+        since, own = max(stream.state.indexer.began, self._made + 1, self._spans[-1].since), stream.plan.own_clock
+        if len(self.streams) > 1:
+            span = Span(self._in_rows(stream, since), self._watch_anew(since, needed=not own and self._parted()))
+            self._spans.append(span)
+
+    def _in_rows(self, stream: Stream, number: int) -> int:
+        """Return the row at which a source that has just begun anew goes on."""
+        return max(self._made + 1, number if not stream.plan.own_clock else self.reference.newest)
+
+    def _parted(self) -> bool:
+        """Whether the counters of sources that have a count in common say no longer which samples go together."""
+        counting = [stream for stream in self.streams.values() if not stream.plan.own_clock]
+        return len({stream.state.indexer.generation for stream in counting}) > 1
+
+    def _watch_anew(self, since: int, *, needed: bool) -> SkewWatch | None:
+        """Return what measures the skews from row `since` on, beginning with what was usual before."""
+        if not needed:
+            self._usual = None if self._usual is None else self._usual.anew(since, needed=False)
+            return self._usual
+        every = self._remeasure() if self._remeasure is not None else None
+        known = self._usual is not None and (every is None or self._usual.groups == every.groups)
+        watch = self._usual if known else every
+        return None if watch is None else watch.anew(since, needed=True)
 
     def finish(self) -> list[Aligned]:
         """Return the rows that wait for samples that will not come."""
-        if self.watch is not None:
-            self.watch.let_go()
+        for span in self._spans:
+            if span.watch is not None:
+                span.watch.let_go()
         pieces = self._advance(end=True)
         for stream in self.streams.values():
             stream.give_up(stream.newest)
         return pieces
+
+    def hurry(self) -> None:
+        """Measure no skew any more."""
+        for span in list(self._spans):
+            if span.watch is not None and span.watch.budget is not None:
+                span.watch.budget.close()
 
     def arrived(self, samples: Sequence[Samples]) -> None:
         """Note what became of rows."""
@@ -180,34 +246,72 @@ class Alignment:
 
     def take_events(self) -> list[SkewEvent]:
         """Return what was found of the sources' skews since the last call."""
-        return [] if self.watch is None else self.watch.take_events()
+        for span in self._spans:
+            self._events += [] if span.watch is None else span.watch.take_events()
+        events, self._events = self._events, []
+        return events
 
     def skews(self) -> dict[str, tuple[float | None, float | None]]:
         """Return what is compensated of each source's skew, and its sd, s; None where it is not known."""
         return {} if self.watch is None else self.watch.known()
 
     def _advance(self, *, end: bool = False) -> list[Aligned]:
-        """Make the rows that every source is ready for, or has let wait too long."""
-        if self._held():
-            return []
-        waiting = self.reference.index[self.reference.index > self._made]
-        last = self.reference.newest if end else max(self._ready(), self.reference.newest - self._patience)
-        rows = waiting[: int(np.searchsorted(waiting, last, side="right"))]
-        pieces = list(self._rows(rows)) if len(rows) else []
+        """Make the rows that every source is ready for, or has let wait too long, span by span."""
+        pieces: list[Aligned] = []
+        while len(self._spans) > 1 and self._finished(self._spans[1].since - 1, pieces, end=end):
+            span = self._spans.pop(0)
+            self._events += [] if span.watch is None else span.watch.take_events()
+        if len(self._spans) == 1 and not self._held(self._spans[0]):
+            self._make(self._last_due(end=end), pieces)
         self._clear()
         return pieces
 
-    def _held(self) -> bool:
+    def _finished(self, last: int, pieces: list[Aligned], *, end: bool) -> bool:
+        """Make the rows of the oldest span, which ends with `last`, as far as they are due; tell whether that is all.
+
+        What was not known of its skews will not be known any more.
+        """
+        watch = self._spans[0].watch
+        if watch is not None:
+            watch.end()
+        due = self._last_due(end=end)
+        self._make(min(due, last), pieces)
+        return due >= last
+
+    def _last_due(self, *, end: bool) -> int:
+        return self.reference.newest if end else max(self._ready(), self.reference.newest - self._patience)
+
+    def _make(self, last: int, pieces: list[Aligned]) -> None:
+        """Make the rows that wait, up to the last one."""
+        waiting = self.reference.index[self.reference.index > self._made]
+        rows = waiting[: int(np.searchsorted(waiting, last, side="right"))]
+        if len(rows):
+            pieces += self._rows(rows)
+
+    def _held(self, span: Span) -> bool:
         """Let the skews be measured; tell whether rows wait for that."""
-        if self.watch is None or not all(len(stream.index) for stream in self.streams.values()):
+        watch = span.watch
+        if watch is None or not all(len(stream.index) for stream in self.streams.values()):
             return False
-        ready = self._ready(self.watch.margin)
-        self.watch.look(self._first_common(), ready, self.reference.newest, self._read)
-        return self.watch.holding
+        ready = self._ready(watch.margin)
+        watch.look(self._first_common(), ready, self.reference.newest, self._read)
+        if watch.needed and not span.announced and self.reference.newest > span.since + TOGETHER_S * self.plan.rate_hz:
+            span.announced = True
+            self._announce(watch.against)
+        return watch.holding
+
+    def _announce(self, against: str) -> None:
+        """Say whose counters no longer go with the others'."""
+        counting = [stream for stream in self.streams.values() if not stream.plan.own_clock]
+        newest = max(counting, key=lambda stream: stream.state.indexer.generation).state.plan.name
+        others = " and ".join(s.state.plan.name for s in counting if s.state.plan.name != newest)
+        words = f"{newest}: its device began to count anew and {others} did not; how they go together is measured anew"
+        self._events.append(SkewEvent(newest if newest != against else others, "realigning", words))
 
     def _delays(self) -> FloatArray:
-        """How much later than the reference each channel is read, (c,), s."""
-        return self.plan.delay_s if self.watch is None else self.plan.delay_s + self.watch.delays()
+        """How much later than the reference each channel is read in the oldest span, (c,), s."""
+        watch = self._spans[0].watch
+        return self.plan.delay_s if watch is None else self.plan.delay_s + watch.delays()
 
     def _ready(self, further: int = 0) -> int:
         """Return the last row that can be read from every source, with so many samples after it."""
@@ -270,6 +374,7 @@ class Alignment:
         kept = complete.copy()
         if self._keep_incomplete:
             kept = np.all([self._present(stream, rows, delays) for stream in self.streams.values()], axis=0)
+        kept &= ~self._astride(rows, delays)
         for stream in self.streams.values():
             counts = stream.send(self._nearest(stream, rows, delays))
             whole = complete & kept
@@ -280,6 +385,12 @@ class Alignment:
         self._made = int(rows[-1])
         for piece in uninterrupted(rows[kept], joined[kept], stamps[kept]):
             yield self._numbered(*piece)
+
+    def _astride(self, rows: IntArray, delays: FloatArray) -> BoolArray:
+        """Tell which rows (n,) would be read on both sides of where a device began to count anew."""
+        reach = AFTER + 1 + round(float(np.abs(delays).max()) * self.plan.rate_hz)
+        edges = [span.since for span in self._spans if span.since >= 0]
+        return np.any([np.abs(rows - edge) < reach for edge in edges], axis=0) if edges else np.zeros(len(rows), bool)
 
     def _nearest(self, stream: Stream, rows: IntArray, delays: FloatArray) -> IntArray:
         whole, part = self._places(stream, rows, float(delays[stream.plan.source.columns[0]]))
@@ -299,14 +410,16 @@ class Alignment:
         """Give a piece its segment: a new one unless it follows directly on what was handed on before."""
         if int(index[0]) != self._last + 1:
             self._segment += 1
+        inputs, span = self.plan.inputs, self._spans[0]
+        anew = self._last < span.since <= int(index[0])
         self._last = int(index[-1])
-        inputs = self.plan.inputs
-        return Aligned(index, values[:, :inputs], values[:, inputs:], stamps, self._segment)
+        unknown = span.watch is not None and span.watch.realigning
+        return Aligned(index, values[:, :inputs], values[:, inputs:], stamps, self._segment, anew, unknown)
 
     def _clear(self) -> None:
         """Drop what no row will need, and refuse what has waited too long for a row."""
         delays = self._delays()
-        history = 8 if self.watch is None else self.watch.history
+        history = max(8 if span.watch is None else span.watch.history for span in self._spans)
         for stream in self.streams.values():
             rate = stream.plan.rate_hz / self.plan.rate_hz
             needed = self._nearest(stream, np.array([self._made]), delays)[0] if self._placeable(stream) else -1

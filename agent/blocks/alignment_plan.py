@@ -1,6 +1,7 @@
 """From a configuration to the acquisition that its sources need."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from math import pi
 
 import numpy as np
@@ -42,7 +43,8 @@ def make_acquisition(
         rig, inputs = config.rig, len(config.inputs)
         return Acquisition(plans[0], inputs, rig.clock, rig.sample_rate_hz, keep_incomplete=keep_incomplete)
     watch = _watch(config, groups, resolution) if groups else None
-    return Alignment(_plan(config, plans, late), watch, keep_incomplete=keep_incomplete)
+    remeasure = partial(_watch, config, _all_groups(config), resolution) if len(plans) > 1 else None
+    return Alignment(_plan(config, plans, late), watch, remeasure, keep_incomplete=keep_incomplete)
 
 
 def channels_of(config: RigConfig) -> list[Channel]:
@@ -64,9 +66,14 @@ def configured_delays(config: RigConfig) -> FloatArray:
 
 def skew_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
     """Return the sources whose skew is to be measured, with their channels."""
+    wanted = {source.name for source in config.source if source.skew_s == "auto"}
+    return tuple(group for group in _all_groups(config) if group.source in wanted)
+
+
+def _all_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
     reference, names = reference_source(config), [channel.name for channel in channels_of(config)]
-    wanted = [s for s in config.source if s is not reference and s.skew_s == "auto"]
-    return tuple(SkewGroup(s.name, tuple(names.index(name) for name in s.map)) for s in wanted)
+    others = [source for source in config.source if source is not reference]
+    return tuple(SkewGroup(s.name, tuple(names.index(name) for name in s.map)) for s in others)
 
 
 def _plan(config: RigConfig, plans: list[SourcePlan], late: FloatArray) -> AlignmentPlan:
@@ -85,7 +92,7 @@ def _plan(config: RigConfig, plans: list[SourcePlan], late: FloatArray) -> Align
     )  # fmt: skip
 
 
-def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewWatch | None:
+def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewWatch:
     meter = skew_meter(config, groups, resolution)
     reference = reference_source(config)
     return SkewWatch(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from agent.blocks.estimation import BoolArray, Estimator
 from agent.numerics.faults.suspects import Accusation
+from agent.numerics.fitting.work import Budget
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.rows import Rows
 from agent.types import Calibrated, FloatArray
@@ -33,12 +34,14 @@ class ContainedEstimator:
     q: int
     windows: int = 0
     estimator: Estimator = field(init=False)
+    budget: Budget = field(init=False)
     _known: Calibrated | None = None
     _spikes: int = 0
     _failures: list[tuple[int, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.estimator = self.make()
+        self.budget = self.estimator.budget
 
     @property
     def spikes(self) -> int:
@@ -48,6 +51,10 @@ class ContainedEstimator:
     def start_segment(self) -> None:
         """Forget the samples before a gap."""
         self.estimator.start_segment()
+
+    def hurry(self) -> None:
+        """Do nothing but rows from now on; nor does any estimator that takes this one's place."""
+        self.budget.close()
 
     def adopt(self, known: Calibrated) -> None:
         """Begin with what an earlier run knew; so does every estimator that takes this one's place."""
@@ -102,5 +109,6 @@ class ContainedEstimator:
         log.debug("the estimator failed at sample %d and is made anew", index, exc_info=error)
         self._spikes += spikes
         self.estimator = self.make()
+        self.estimator.budget = self.budget  # what is made anew has not been given more to spend
         if self._known is not None:
             self.estimator.adopt(self._known)

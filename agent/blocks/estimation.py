@@ -13,6 +13,7 @@ from agent.blocks.advice import ModelAdvice
 from agent.blocks.sensor_labels import SensorEvent
 from agent.numerics.estimator.lacking import MOST, Lacking
 from agent.numerics.faults.suspects import Accusation
+from agent.numerics.fitting.work import Budget
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.rows import Rows
 from agent.types import (
@@ -37,7 +38,12 @@ MOST_STUCK = 0.05
 
 
 class Estimator(Protocol):
-    """A method: consecutive samples in, rows out."""
+    """A method: consecutive samples in, rows out.
+
+    budget: of all that is done beside the rows.
+    """
+
+    budget: Budget
 
     def start_segment(self) -> None:
         """Forget the samples before a gap."""
@@ -49,6 +55,10 @@ class Estimator(Protocol):
 
     def adopt(self, known: Calibrated) -> None:
         """Begin with what an earlier run knew."""
+        ...
+
+    def hurry(self) -> None:
+        """Do nothing but rows from now on: no fit, no search."""
         ...
 
     def take_findings(self) -> list[tuple[int, Accusation]]:

@@ -64,14 +64,21 @@ class Quality:
         self._t_ns: IntArray = np.zeros(0, dtype=np.int64)
         self._watched = 0
 
-    def step(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
-        """Take samples v (N, c), NaN where a reading is missing, with increasing numbers; return what is settled."""
-        pieces: list[Samples] = []
+    def step(self, index: IntArray, t_ns: IntArray, v: FloatArray, *, anew: bool = False) -> list[Samples]:
+        """Take samples v (N, c), NaN where a reading is missing, with increasing numbers; return what is settled.
+
+        anew: they follow on nothing that came before, however short the gap.
+        """
+        pieces: list[Samples] = self._end() if anew else []
         edges = [0, *(np.flatnonzero(np.diff(index) > 1) + 1).tolist(), len(index)]
         for start, stop in pairwise(edges):
             if stop > start:
                 pieces += self._follow(index[start:stop], t_ns[start:stop], v[start:stop])
         return pieces
+
+    def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+        """Take samples v (N, c) of several sources that may not go together; return them, good for nothing."""
+        return [*self._end(), self._labels.unpaired(index, t_ns, v)]
 
     def finish(self) -> list[Samples]:
         """Return what waits for samples that will not come."""

@@ -79,6 +79,11 @@ class SensorLabels:
         m = self._inputs
         return [Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)]
 
+    def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Samples:
+        """Label samples v (N, c) of sources of which it is not known how they go together: no channel is at fault."""
+        m, fault = self._inputs, SensorFault("", Reason.REALIGNING)
+        return Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)
+
     def _speaks_again(self, piece: Piece) -> None:
         if self._silent and len(piece.index):
             self._silent = 0

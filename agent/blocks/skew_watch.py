@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.numerics.faults.skew import Delays, Skew, SkewMeter, combined
+from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.types import FloatArray, IntArray
 
 Reader = Callable[[IntArray, FloatArray], FloatArray]
@@ -22,8 +23,10 @@ PRECISE = 0.1
 """Of a sample: rows are let go when the skew is known to this."""
 LONGER_AFTER = 4
 """After so many stretches that did not tell enough the next ones are twice as long."""
-PATIENCE_S = 30.0
-"""Rows wait no longer than this for the skew."""
+PATIENCE_S, PATIENCE_ANEW_S = 30.0, 5.0
+"""Rows wait no longer than this for the skew, at a start and after a device began to count anew."""
+EVALUATIONS, RATE = 2000, 1.0
+"""Evaluations of a first stretch that may be spent at once, and what each sample adds (in samples of work)."""
 EVERY_S = 10.0
 REMEMBERED = 6
 FLOOR = 0.01
@@ -62,6 +65,9 @@ class SkewWatch:
         complete: outputs and inputs -> all of the model's inputs.
         skew_s, sd_s: (g,) what is compensated now and how well it is known; sd inf while it is not.
         holding: rows are to wait.
+        since: rows before this one are not to be measured.
+        needed: numbers say nothing of which samples go together, so rows are no good before the skew is known.
+        unknown: the skew has not been found yet.
     """
 
     meter: SkewMeter
@@ -76,6 +82,11 @@ class SkewWatch:
     skew_s: FloatArray = field(init=False)
     sd_s: FloatArray = field(init=False)
     holding: bool = True
+    since: int = 0
+    needed: bool = False
+    unknown: bool = True
+    budget: Budget | None = None
+    _patience_s: float = PATIENCE_S
     _found: deque[Delays] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     _theta: FloatArray = field(init=False)
     _measured: FloatArray = field(init=False)
@@ -86,6 +97,7 @@ class SkewWatch:
 
     def __post_init__(self) -> None:
         self.skew_s, self.sd_s = np.zeros(len(self.groups)), np.full(len(self.groups), np.inf)
+        self.budget = self.budget or Budget(EVALUATIONS * (EVALUATION + self.stretch), RATE)
         self._theta, self._measured = self.meter.model.nominal, np.zeros(len(self.groups))
 
     @property
@@ -97,6 +109,23 @@ class SkewWatch:
     def history(self) -> int:
         """Samples that must be kept behind the newest row."""
         return self.longest + 2 * self.margin + 8
+
+    @property
+    def realigning(self) -> bool:
+        """Whether rows that no longer wait are read with a skew that is not known."""
+        return self.needed and self.unknown and not self.holding
+
+    def anew(self, since: int, *, needed: bool) -> "SkewWatch":
+        """Return a watch that measures from row `since` on, and expects what this one found."""
+        watch = SkewWatch(
+            self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest, self.rate_hz,
+            self.complete, since=since, needed=needed, budget=self.budget,
+            _patience_s=PATIENCE_ANEW_S,
+        )  # fmt: skip
+        watch.skew_s, watch._theta = self.skew_s, self._theta
+        if not needed:
+            watch.sd_s, watch._measured = self.sd_s, self._measured
+        return watch
 
     def delays(self) -> FloatArray:
         """Return the skew of each channel (c,), s."""
@@ -123,15 +152,17 @@ class SkewWatch:
             newest: the reference's newest sample.
             read: reads rows.
         """
+        first = max(first, self.since)
         if self._first is None:
             self._first, self._next = first, first + self.margin
         self._next = max(self._next, first + self.margin)
         while ready >= self._next + self.stretch:
             rows = np.arange(self._next, self._next + self.stretch, dtype=np.int64)
-            self._next += self.stretch if self.holding else round(EVERY_S * self.rate_hz)
+            wanting = self.holding or self.realigning
+            self._next += self.stretch if wanting else round(EVERY_S * self.rate_hz)
             self._measure(rows, read)
             self._decide()
-        if self.holding and newest > self._first + PATIENCE_S * self.rate_hz:
+        if self.holding and newest > self._first + self._patience_s * self.rate_hz:
             self.let_go()
 
     def let_go(self) -> None:
@@ -139,6 +170,10 @@ class SkewWatch:
         if self.holding:
             self.holding = False
             self._adopt()
+
+    def end(self) -> None:
+        """Measure no more: what is not known of these rows will not be."""
+        self.holding = False
 
     def _measure(self, rows: IntArray, read: Reader) -> None:
         self._tried += 1
@@ -152,19 +187,24 @@ class SkewWatch:
 
         elsewhere = [np.full(len(self.groups), start) for start in STARTS_S]
         starts = [self._found[-1].delay_s] if self._found else [self.skew_s, *elsewhere]
-        tried = [self._try(resampled, start) for start in starts]
+        tried = [self._try(resampled, start, int(rows[-1])) for start in starts]
         sure = [found for found in tried if found is not None]
         if sure:
             best = min(sure, key=lambda found: found.misfit)
             self._found.append(best)
             self._theta = best.theta
 
-    def _try(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray) -> Delays | None:
-        """Measure a stretch from one start; None where it tells nothing."""
+    def _try(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, index: int) -> Delays | None:
+        """Measure a stretch that ends with sample number `index` from one start; None where it tells nothing."""
+        if self.budget is None or not self.budget.allows(index):
+            return None
+        done = WORK.done
         try:
             found = self.meter.measure(resampled, start_s, self._theta)
         except (ValueError, np.linalg.LinAlgError):
             return None  # no gain, or readings that are no motion at all
+        finally:
+            self.budget.spend(done)
         return found if found.sure and bool(np.all(np.abs(found.delay_s) < MOST_S)) else None
 
     def _spread(self, skew: FloatArray) -> FloatArray:
@@ -176,9 +216,11 @@ class SkewWatch:
     def _decide(self) -> None:
         """Let rows go when enough is known; afterwards follow what changes."""
         known = self._together()
+        if known is not None and known.stretches >= ENOUGH and np.all(known.sd_s * self.rate_hz < PRECISE):
+            self.unknown = False
         if not self.holding:
             self._adopt()
-        elif known is not None and known.stretches >= ENOUGH and np.all(known.sd_s * self.rate_hz < PRECISE):
+        elif not self.unknown:
             self.let_go()
         if self._tried % LONGER_AFTER == 0:
             self.stretch = min(2 * self.stretch, self.longest)
@@ -210,5 +252,6 @@ class SkewWatch:
 
     def _say_unknown(self) -> None:
         for group in self.groups:
-            words = f"{group.source}: how much later it is read than {self.against} does not show; taken as nothing"
+            words = f"{group.source}: how much later it is read than {self.against} does not show; "
+            words += "its rows are no estimates until it does" if self.needed else "taken as nothing"
             self._events.append(SkewEvent(group.source, "skew", words))

@@ -6,8 +6,9 @@ It reads no clock and does no input or output; labels and counts are handed in.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,18 @@ class Conservation:
     dropped: Counter[str]
 
 
+Piece = tuple[IntArray, IntArray, FloatArray]
+"""Numbers and times (n,) of samples, and their readings (n, c)."""
+
+
+class Taken(NamedTuple):
+    """Samples that wait to be computed; anew and realigning as `Aligned` has them."""
+
+    anew: bool
+    realigning: bool
+    piece: Piece
+
+
 class Pipeline:
     """One rig from samples to records.
 
@@ -67,7 +80,7 @@ class Pipeline:
         self.acquisition: Acquisition | Alignment = make_acquisition(config, sources, steps)
         self.clocks = SourceClocks()
         self.newest_ns = 0
-        self._taken: list[tuple[IntArray, IntArray, FloatArray]] = []
+        self._taken: list[Taken] = []
         self._said: list[Record] = []
         self.watch: Callable[[Samples], None] | None = None
         self.alarms = LevelAlarms(rig.name, config.alarm, rig.sample_rate_hz)
@@ -114,10 +127,20 @@ class Pipeline:
         """
         taken, said = self._taken, self._said
         self._taken, self._said = [], []
-        if not taken:
-            return said
-        index, t_ns, v = (np.concatenate(part) for part in zip(*taken, strict=True))
-        return self._estimated(self.quality.step(index, t_ns, v)) + said
+        records: list[Record] = []
+        for anew, realigning, pieces in _alike(taken):
+            index, t_ns, v = (np.concatenate(part) for part in zip(*pieces, strict=True))
+            if realigning:
+                records += self._estimated(self.quality.unpaired(index, t_ns, v))
+            else:
+                records += self._estimated(self.quality.step(index, t_ns, v, anew=anew))
+        return records + said
+
+    def hurry(self) -> None:
+        """Begin no fit, search or measurement any more: what waits for one waits for ever. From any thread."""
+        self.estimation.estimator.hurry()
+        if isinstance(self.acquisition, Alignment):
+            self.acquisition.hurry()
 
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
@@ -130,7 +153,8 @@ class Pipeline:
         for aligned in pieces:
             t_ns = self._stamps(aligned) if label is None else label(aligned.index)
             self.newest_ns = int(t_ns[-1])
-            self._taken.append((aligned.index, t_ns, np.hstack([aligned.u, aligned.y])))
+            piece = aligned.index, t_ns, np.hstack([aligned.u, aligned.y])
+            self._taken.append(Taken(aligned.anew, aligned.realigning, piece))
 
     def _skews(self, alignment: Alignment) -> list[Record]:
         rig, t_ns = self.config.rig.name, self.newest_ns
@@ -197,6 +221,15 @@ class Pipeline:
     def _skew(self, name: str) -> tuple[float | None, float | None]:
         found = self.acquisition.skews() if isinstance(self.acquisition, Alignment) else {}
         return found.get(name, (None, None))
+
+
+def _alike(taken: Sequence[Taken]) -> Iterator[tuple[bool, bool, list[Piece]]]:
+    """Yield what can be computed at once: whether it is anew and realigning, and its pieces."""
+    start = 0
+    for stop in range(1, len(taken) + 1):
+        if stop == len(taken) or taken[stop].anew or taken[stop].realigning != taken[start].realigning:
+            yield taken[start].anew, taken[start].realigning, [one.piece for one in taken[start:stop]]
+            start = stop
 
 
 def resolutions(maps: Sequence[Mapping[str, str]], steps: Sequence[Sequence[float]]) -> dict[str, float]:

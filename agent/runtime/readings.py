@@ -86,7 +86,7 @@ class Gathering:
             return
         for column, channel in enumerate(self._maps[source]):
             self._missing[channel] += int((~np.isfinite(block.values[:, column])).sum())
-        self._aligned += self.acquisition.step(source, block, modulus)
+        self._aligned += _paired(self.acquisition.step(source, block, modulus))
         if block.wall_offset_ns is not None:
             self._heard(self.acquisition.sources[source], block.arrival_ns)
 
@@ -99,7 +99,7 @@ class Gathering:
     def finish(self) -> None:
         """Take what waits for samples that will not come."""
         if isinstance(self.acquisition, Alignment):
-            self._aligned += self.acquisition.finish()
+            self._aligned += _paired(self.acquisition.finish())
 
     def recorded(self, name: str) -> Recorded | None:
         """Return what came, in SI units; None where no sample has every channel."""
@@ -170,6 +170,11 @@ class Gathering:
             "gaps": sum(s["gaps"] for s in sources), "missing": sum(s["missing"] for s in sources),
             "rejected": dict(rejected), "channels": shown, "sources": sources, "suspicions": [],
         }  # fmt: skip
+
+
+def _paired(pieces: list[Aligned]) -> list[Aligned]:
+    """Leave out what may not go together, after a device of several began to count anew."""
+    return [piece for piece in pieces if not piece.realigning]
 
 
 def _calm(signal: FloatArray) -> float | None:

@@ -16,6 +16,7 @@ from agent.errors import ConfigError, Fault
 from agent.runtime.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.runtime.databases import RunKind, path_of, writers_of
 from agent.runtime.isolation import IsolatedPipeline
+from agent.runtime.lateness import COMPUTING, Lateness
 from agent.runtime.pipeline import Conservation
 from agent.runtime.recording.event_writer import EventWriter
 from agent.runtime.recording.events import EventKeeper
@@ -35,6 +36,8 @@ ROUND_S = 0.05, 0.25
 """From one round of computing to the next, at least and, where more wait than that takes, at most."""
 FINISH_S = 2.0
 """How long an agent that ends goes on with what waits; samples left then are dropped and counted."""
+HURRY_S, CLOSE_S = 1.0, 1.0
+"""After being asked to end it begins no fit nor search any more; and how long it waits for readers to end."""
 
 log = logging.getLogger(__name__)
 
@@ -60,6 +63,7 @@ class RigRuntime:
         self._begun_ns = 0
         self._taken: list[tuple[str, Arrival]] = []
         self.waiting = Waiting()
+        self._lateness = Lateness(config.rig.name)
 
     def restore(self, standing: Sequence[AlarmRow], calibrated: Calibrated | None = None) -> None:
         """Go on with the alarms that the run before left standing, and with what it knew of the disturbances."""
@@ -72,9 +76,17 @@ class RigRuntime:
         lost = [row.parameter for row in standing if row.kind == "source" and row.cleared_ns is None]
         self.pipeline.restore_failure(lost)
         self._lost |= dict.fromkeys(lost, True)
+        self._lateness.standing = COMPUTING in lost
+
+    def hurry(self) -> None:
+        """Do nothing but what every row takes from now on; from any thread."""
+        self.pipeline.hurry()
 
     def work(self) -> None:
         """Compute a part of what waits."""
+        oldest = self.waiting.oldest_ns
+        if oldest is not None:
+            self._note_lateness(monotonic_ns() - oldest)
         for use, what in self.waiting.part():
             if isinstance(what, LinkEvent):
                 self.compute()
@@ -147,6 +159,13 @@ class RigRuntime:
         log.warning("%s: %s", source, words)
         self._emit([HealthEvent(self.config.rig.name, source, self._wall(), cause, words)])
 
+    def _note_lateness(self, waited_ns: int) -> None:
+        told = self._lateness.step(waited_ns, self._wall())
+        for record in told:
+            if isinstance(record, HealthEvent):
+                log.warning("%s", record.message)
+        self._emit(told)
+
     def _note_steps(self) -> None:
         """Publish what time stamps mean from now on, before the rows that carry them, and each step of the clock."""
         rig = self.config.rig.name
@@ -213,6 +232,7 @@ class Service:
     def __init__(self, configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> None:
         self._wake = threading.Event()
         self._stop = threading.Event()
+        self._timers: list[threading.Timer] = []
         self.connections = connect(configs, self._wake)
         self.writers = writers_of(configs, db, kind)
         self._record(configs, db)
@@ -245,8 +265,20 @@ class Service:
 
     def stop(self) -> None:
         """Ask `run` to return; from another thread than `run`'s."""
+        self._hurry_in(HURRY_S)
         self._stop.set()
         self._wake.set()
+
+    def _hurry_in(self, seconds: float) -> None:
+        """See that whatever is computed after so many seconds is not held up by fits and searches."""
+        timer = threading.Timer(seconds, self._hurry)
+        timer.daemon = True
+        timer.start()
+        self._timers.append(timer)
+
+    def _hurry(self) -> None:
+        for rig in self.rigs.values():
+            rig.hurry()
 
     def run(self, duration_s: float | None) -> None:
         """Read, compute and store until stopped or duration_s has passed.
@@ -258,6 +290,8 @@ class Service:
         def ended() -> bool:
             return self._stop.is_set() or not _patience(started, duration_s)
 
+        if duration_s is not None:
+            self._hurry_in(duration_s + HURRY_S)
         try:
             self._start()
             ledger_due = started + HEALTH_PERIOD_NS
@@ -343,11 +377,14 @@ class Service:
     def _finish(self) -> None:
         for connection in self.connections:
             connection.end()
+        until = monotonic_ns() + round(CLOSE_S * 1e9)
         for connection in self.connections:
-            connection.stop()
+            connection.stop(max(0.1, (until - monotonic_ns()) / 1e9))
         self._settle()
         for rig in self.rigs.values():
             rig.finish()
+        for timer in self._timers:
+            timer.cancel()
         self._ledgers()
         for events in self._event_writers:
             events.stop()

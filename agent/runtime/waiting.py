@@ -32,6 +32,11 @@ class Waiting:
         """Let a block or an event wait behind the others."""
         self._queue.append((use, what))
 
+    @property
+    def oldest_ns(self) -> int | None:
+        """When the oldest block that waits arrived, monotonic; None where none does."""
+        return next((what.block.arrival_ns for _, what in self._queue if isinstance(what, Arrival)), None)
+
     def part(self) -> Iterator[tuple[Use, Arrival | LinkEvent]]:
         """Take what comes first, until its samples are about PART."""
         room = PART

@@ -223,13 +223,16 @@ def test_config_unchanged_has_no_fault(base: str) -> None:
     assert faults(base) == {}
 
 
+OTHER_FAULTS_OF_THE_SAME_KEY = {"value = 1e-308", "noise_sd = 1e-200", "scale = -1e31"}
+
+
 def test_config_with_many_changes_names_every_one() -> None:
     rows = {
         (old, new, path)
         for old, new, path, _ in PRESS_TABLE
         if path in {"rig.sight", "model.mass[0].value", "channel[0].at", "channel[0].scale", "channel[1].noise_sd",
                     "estimator.hold", "alarm[0].side", "source[0].dcb", "store.max_mb", "mqtt", "channel[2]"}
-        and "nan" not in new and "x3" not in new
+        and "nan" not in new and "x3" not in new and new not in OTHER_FAULTS_OF_THE_SAME_KEY
     }  # fmt: skip
     changes = [("[store]", "[mqtt]\n[store]")] + [(old, new) for old, new, path in sorted(rows) if path != "mqtt"]
     assert {path for _, _, path in rows} <= set(faults(changed(PRESS, *changes)))

@@ -66,13 +66,14 @@ class Relearning:
     """When a rig's disturbances are learnt anew, and the record that takes.
 
     Attributes:
+        record: samples on which unknown forces are searched at most.
         searched: a steady record has been searched, or there is nothing to search for.
         calibrated_at: newest sample of the trouble that was calibrated last.
     """
 
     def __init__(self, settings: WindowSettings) -> None:
         self._possible = settings.gains.disturbance is not None
-        self._record = min(RECORD_WINDOWS * settings.plan.window, RECORD_SAMPLES)
+        self.record = min(RECORD_WINDOWS * settings.plan.window, RECORD_SAMPLES)
         self._patience = PATIENCE * settings.plan.window
         self._doubted = self._looked = self.calibrated_at = NEVER
         self._trouble = Trouble(NEVER, NEVER, Reference.empty(0), np.zeros(0))
@@ -86,13 +87,13 @@ class Relearning:
 
     def due(self, index: IntArray | int, steady_since: int) -> BoolArray:
         """(N,) samples number `index` at which a rig that is steady since another one has the record for a search."""
-        return np.asarray(self._in_doubt & (index - max(steady_since, self._doubted) >= self._record))
+        return np.asarray(self._in_doubt & (index - max(steady_since, self._doubted) >= self.record))
 
     def wants(self, index: int) -> int:
         """Samples before number `index` that a search may yet need."""
         if self._in_doubt:
-            return self._record
-        return min(index - self._trouble.since, self._record) if self._possible and self._lasts(index) else 0
+            return self.record
+        return min(index - self._trouble.since, self.record) if self._possible and self._lasts(index) else 0
 
     def look(self, point: WorkingPoint, segment: Segment, lacking: Lacking, rows: Rows, row: int) -> None:
         """Doubt the forces that are assumed where the window of a healthy row would be likelier with others."""
@@ -147,7 +148,7 @@ class Relearning:
     def due_in_trouble(self, index: int) -> bool:
         """Tell whether trouble has lasted for a record, then for half as long again, and so on."""
         lasting = index - self._trouble.since if self._lasts(index) else 0
-        return self._possible and lasting >= self._record * AGAIN**self._trouble.calibrations
+        return self._possible and lasting >= self.record * AGAIN**self._trouble.calibrations
 
     @property
     def forces(self) -> Noise | None:
@@ -175,4 +176,4 @@ class Relearning:
         self._trouble = Trouble(NEVER, NEVER, self._trouble.past, self._trouble.steps)
 
     def _samples(self, segment: Segment, stop: int) -> FloatArray:
-        return segment.samples(max(segment.first, stop - self._record), stop)
+        return segment.samples(max(segment.first, stop - self.record), stop)

@@ -24,6 +24,7 @@ from agent.numerics.estimator.working_point import WorkingPoint
 from agent.numerics.faults.frozen import standing
 from agent.numerics.faults.suspects import Accusation
 from agent.numerics.fitting.fit import Fit
+from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Model
@@ -42,6 +43,8 @@ CALIBRATION = 32_768
 """The same for a fit that learns the noise: what the newest samples leave says little of a whole long window."""
 MOST_FAILED = 6
 """First fits that fail are tried again after a quarter of a window, then after twice as long each time, this often."""
+EVALUATIONS, RATE = 700, 3.0
+"""Evaluations of the longest record that a rig may begin with, and what each sample adds (in samples of work)."""
 CALM = 4
 """Windows without a fit or a change after which a residual has its usual colour."""
 
@@ -70,6 +73,7 @@ class WindowML:
         self._last_fit = self._steady_since = NEVER
         self._change = Change()
         self._farther = Farther(settings)
+        self.budget = Budget(EVALUATIONS * (EVALUATION + self._relearning.record), RATE)
 
     @property
     def spikes(self) -> int:
@@ -86,6 +90,10 @@ class WindowML:
         self._adopted = self.point.adopt(known)
         if self._adopted:
             self._relearning.begin(searched=known.searched)
+
+    def hurry(self) -> None:
+        """Begin no fit and no search any more."""
+        self.budget.close()
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
         """Return (sample, accusation) of what the model was found to lack since the last call."""
@@ -174,17 +182,21 @@ class WindowML:
             position += ahead
             if position == count:
                 break
-            if healthy[position] and self._anchored and self._keep_house(segment, rows, position):
+            able, done = self.budget.allows(int(rows.index[position])), WORK.done
+            if able and healthy[position] and self._anchored and self._keep_house(segment, rows, position):
                 healthy, wanting = self._first_looks(found)
             before = self._memory
             # what came before this row is remembered first: a fit that contradicts it must forget it too
             self._remember(segment, found, healthy & trusted, position)
-            if self._act(segment, rows, position, healthy=bool(healthy[position]), wants=bool(wanting[position])):
+            ways = bool(healthy[position]), bool(wanting[position])
+            moved = (self._act if able else self._wait)(segment, rows, position, *ways)
+            number = int(asking[position])
+            if able and not moved and healthy[position] and number != NONE:
+                moved = self._go_farther(segment, int(rows.index[position]), number)
+                asking = asking if moved else self._farther.asks(self.point, found)
+            self.budget.spend(done)
+            if moved:
                 return position
-            if healthy[position] and (number := int(asking[position])) != NONE:
-                if self._go_farther(segment, int(rows.index[position]), number):
-                    return position
-                asking = self._farther.asks(self.point, found)
             self._memory = before
             position += 1
         self._remember(segment, found, healthy & trusted, count)
@@ -234,7 +246,20 @@ class WindowML:
         if index - max(self._last_fit, self._steady_since) >= CALM * self.settings.plan.window:
             point.usual_share = float(np.sqrt(point.usual_share * point.colour.share))
 
-    def _act(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, wants: bool) -> bool:
+    def _wait(self, segment: Segment, rows: Rows, row: int, healthy: bool, _wants: bool) -> bool:
+        """Mark one eventful row for whose fit there is no budget; theta_r stays."""
+        index = int(rows.index[row])
+        if self._anchored and healthy:
+            self._change.forget()
+            return False
+        self._relearning.suffer(index, self._memory.past.reference)
+        self._change.begin(index)
+        self._steady_since = index
+        self.point.commission.restart()
+        self._mark(segment, rows, row, healthy=healthy, look=False)
+        return False
+
+    def _act(self, segment: Segment, rows: Rows, row: int, healthy: bool, wants: bool) -> bool:
         """Mark one eventful row and try a fit where the policy calls for one; return whether theta_r was moved."""
         index, window = int(rows.index[row]), self.settings.plan.window
         hollow = self._lacking.count(rows.index[row : row + 1], window)[0] > MOST * window
@@ -282,7 +307,7 @@ class WindowML:
             return True
         return 2 * since >= plan.window and since < plan.window and self._is_clean(segment, rows, row)
 
-    def _mark(self, segment: Segment, rows: Rows, row: int, *, healthy: bool) -> None:
+    def _mark(self, segment: Segment, rows: Rows, row: int, *, healthy: bool, look: bool = True) -> None:
         """Say what a row is that no fit explained, and look for what the model lacks when that has lasted."""
         index, window = int(rows.index[row]), self.settings.plan.window
         since = self._change.lasting(index)
@@ -294,7 +319,7 @@ class WindowML:
         if self._change.mark(rows, row, self._last_fit, window):
             return
         looked = self._change.blamed is not None or self._upkeep.proven or index - self._upkeep.accused_at < window
-        if since >= window and not looked and self._unsuspected():
+        if look and since >= window and not looked and self._unsuspected():
             self._upkeep.accuse_in_distress(self.point, segment, self._lacking, rows, row)
 
     def _unsuspected(self) -> bool:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.fitting.eliminated import Unknowns
 from agent.numerics.fitting.window_filter import WindowFilter, without_parameters
+from agent.numerics.fitting.work import WORK
 from agent.numerics.model.observer import Gain
 from agent.numerics.model.statespace import Discrete, StateSpace
 from agent.numerics.readings.bridge import Bridge
@@ -93,6 +94,7 @@ def linearise(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, brid
 
     What the window lacks (bridge) is eliminated too, by its prior where it has one.
     """
+    WORK.evaluate(len(v))
     return linearised(WindowFilter(model, gain, len(v)), v, x0, bridge)
 
 
@@ -113,6 +115,7 @@ def linearised(window: WindowFilter, v: FloatArray, x0: FloatArray, bridge: Brid
 
 def least_cost(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge | None) -> float:
     """Return the sum of squares that a window v (W, p+m) leaves, its initial state and what it lacks eliminated."""
+    WORK.evaluate(len(v))
     window = WindowFilter(without_parameters(model), gain, len(v))
     unknowns = Unknowns.of(window, bridge)
     return unknowns.least_cost(unknowns.emptied(window.innovations(v, x0)))

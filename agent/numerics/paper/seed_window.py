@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.faults.suspects import Accusation
+from agent.numerics.fitting.work import Budget
 from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
 from agent.numerics.paper.seed import (
@@ -209,6 +210,7 @@ class SeedWindow:
     """
 
     def __init__(self, model: Model, settings: SeedSettings) -> None:
+        self.budget = Budget(0.0, 0.0)
         self.model = model
         self.settings = settings
         self._sampled = discretise(model.continuous(model.nominal), settings.period_s, settings.hold).model
@@ -222,6 +224,9 @@ class SeedWindow:
 
     def adopt(self, known: Calibrated) -> None:
         """Take nothing."""
+
+    def hurry(self) -> None:
+        """Go on as ever: rows are all that this method makes."""
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
         """Return nothing: this method does not ask what the model lacks."""

@@ -8,6 +8,7 @@ import pytest
 from agent.blocks.containment import ContainedEstimator
 from agent.blocks.estimation import BoolArray
 from agent.numerics.faults.suspects import Accusation
+from agent.numerics.fitting.work import Budget
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.rows import Rows
 from agent.types import Calibrated, FloatArray
@@ -23,6 +24,7 @@ class Fragile:
     error: Exception
     adopted: list[Calibrated] = field(default_factory=list)
     spikes: int = 0
+    budget: Budget = field(default_factory=lambda: Budget(1.0, 0.0))
 
     def start_segment(self) -> None: ...
 
@@ -31,6 +33,8 @@ class Fragile:
 
     def adopt(self, known: Calibrated) -> None:
         self.adopted.append(known)
+
+    def hurry(self) -> None: ...
 
     def take_findings(self) -> list[tuple[int, Accusation]]:
         return []
@@ -78,3 +82,18 @@ def test_contained_estimator_made_anew_begins_with_what_was_adopted_and_keeps_it
 def test_contained_estimator_fault_of_the_program_passes_on() -> None:
     with pytest.raises(KeyError):
         contained(3, KeyError("a fault")).step(0, np.zeros((20, 1)), np.zeros((20, 1)))
+
+
+def test_contained_estimator_made_anew_has_no_more_to_spend_than_was_left() -> None:
+    made: list[Fragile] = []
+
+    def make() -> Fragile:
+        made.append(Fragile(25, ValueError("planted")))
+        return made[-1]
+
+    contained = ContainedEstimator(make, PLAN, 2)
+    contained.hurry()
+    contained.step(0, np.zeros((60, 1)), np.zeros((60, 1)))
+    assert len(made) > 1
+    assert all(one.budget is contained.budget for one in made)
+    assert not made[-1].budget.allows(60)

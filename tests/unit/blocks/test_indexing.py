@@ -162,6 +162,41 @@ def test_indexer_two_sources_of_one_origin_agree() -> None:
     assert two.take(block([251, 252, 253]))[0].tolist() == [1, 2, 3]
 
 
+def counted(origin: Origin, every: int, modulus: int, restart: int, first: int = 0) -> dict[int, int]:
+    """Read a device each `every` ms, 1 kHz, which counts anew from `restart` on; return the index of each new count."""
+    it, found = Indexer("counter", 1000.0, origin, modulus=modulus), {}
+    for start in range(0, restart + 1000, every):
+        number = np.arange(start, start + every)
+        count = np.where(number < restart, number + first, number - restart)
+        index, kept = it.take(block(count % modulus, arrival_ms=float(start + every)))
+        found |= dict(zip(count[kept].tolist(), index[kept].tolist(), strict=True)) if start >= restart else {}
+    return found
+
+
+@pytest.mark.parametrize(("first", "modulus"), [(0, 65536), (42_000, 65536), (2000, 4096)])
+def test_indexer_two_sources_that_count_anew_at_once_agree_again(first: int, modulus: int) -> None:
+    """Read each 50 and each 100 ms; a counter of 16 bits may fall back or leap ahead, as the shorter way is."""
+    origin = Origin(shared=True)
+    one, two = counted(origin, 50, modulus, 8000, first), counted(origin, 100, 2**32, 8000, first)
+    common = one.keys() & two.keys()
+    assert len(common) > 700
+    assert {one[count] - two[count] for count in common} == {0}
+    assert one[300 if 300 in one else 500] == 8000 + (300 if 300 in one else 500)
+
+
+def test_indexer_source_that_counts_anew_alone_goes_on_by_the_clock_and_parts_from_the_others() -> None:
+    origin = Origin(shared=True)
+    one, two = (Indexer("counter", 1000.0, origin, modulus=2**32) for _ in range(2))
+    for it in (one, two):
+        it.take(block(np.arange(8000), arrival_ms=8000))
+    index, _ = one.take(block(np.arange(50), arrival_ms=8300, epoch=1))
+    assert index[-1] == 7999 + 300
+    assert one.generation != two.generation
+    index, _ = two.take(block(np.arange(100), arrival_ms=9000, epoch=1))
+    assert index[-1] == 7999 + 1000
+    assert one.generation != two.generation
+
+
 def test_indexer_empty_block_changes_nothing() -> None:
     it = indexer(modulus=16)
     it.take(block([3, 4]))

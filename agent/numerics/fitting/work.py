@@ -1,0 +1,52 @@
+"""Work, counted in samples: what fits and searches cost beside the rows, the same on every machine."""
+
+from dataclasses import dataclass
+
+EVALUATION = 1500
+"""What one evaluation of a window costs whatever its length (gain, lifted filters), in samples of normal work."""
+
+
+@dataclass(slots=True)
+class Work:
+    """Work done so far in this process, in samples of normal work; what it grows by is what was done meanwhile."""
+
+    done: int = 0
+
+    def evaluate(self, samples: int) -> None:
+        """Count an evaluation of observer and sensitivities over a window of so many samples."""
+        self.done += EVALUATION + samples
+
+
+WORK = Work()
+
+
+class Budget:
+    """A token bucket: work that may be begun now, counted in samples, so that live and replay stay equal.
+
+    What is begun is finished, and may leave a debt that the samples to come pay first; so what is spent in the long run
+    is at most `rate` a sample, whatever a rig asks for.
+
+    Args:
+        capital: what there is at first, and what may be saved up at most.
+        rate: what each sample adds.
+    """
+
+    def __init__(self, capital: float, rate: float) -> None:
+        self._capital, self._rate = capital, rate
+        self._left, self._index = capital, 0
+        self._closed = False
+
+    def allows(self, index: int) -> bool:
+        """Tell whether work may begin at sample number `index`."""
+        if index > self._index:
+            self._left = min(self._left + self._rate * (index - self._index), self._capital)
+            self._index = index
+        return self._left > 0 and not self._closed
+
+    def spend(self, done_before: int) -> None:
+        """Take out what was done since WORK.done was `done_before`."""
+        self._left -= WORK.done - done_before
+
+    def close(self) -> None:
+        """Allow nothing any more: there is no time for anything but rows."""
+        self._closed = True

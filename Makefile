@@ -11,10 +11,10 @@ export OMP_NUM_THREADS := 1
 # Tests start hundreds of processes; compiling what each imports anew takes longer than many a test.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help $(VENV) demo test lint bench soak clean distclean
+.PHONY: help $(VENV) demo test lint golden bench soak clean distclean
 
 help:
-	@echo "make demo | test | lint | bench | soak | .venv | clean | distclean"
+	@echo "make demo | test | lint | golden | bench | soak | .venv | clean | distclean"
 
 $(VENV): $(VENV)/.runtime
 
@@ -50,6 +50,10 @@ lint: $(VENV)/.develop
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports --no-logo
+
+# Writes anew what tests/golden holds the product to; the diff shows what changed. ARGS: names of some.
+golden: $(VENV)/.develop
+	$(VENV)/bin/python -m tests.golden $(ARGS)
 
 bench: $(VENV)/.develop
 	$(PYTEST) -m bench --capture=no --timeout=1800 --durations=0 $(ARGS)

@@ -10,14 +10,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from drivers.pipe import Pipe
 
 
-class PlayedMachine(ABC):
-    """A machine whose time and lines somebody plays."""
+class PlayedTime(ABC):
+    """The time of a machine that somebody plays; `drivers.pipe` adds its lines."""
 
     @abstractmethod
     def monotonic_ns(self) -> int:
@@ -27,20 +23,12 @@ class PlayedMachine(ABC):
     def sleep(self, seconds: float) -> None:
         """Let time go by."""
 
-    @abstractmethod
-    def tcp(self, host: str, port: int) -> "Pipe":
-        """Return a connection; DriverIOError when there is none to be had."""
 
-    @abstractmethod
-    def serial(self, device: str) -> "Pipe":
-        """Return an open serial line; DriverIOError when it is not there."""
-
-
-_PLAYED: ContextVar[PlayedMachine | None] = ContextVar("played", default=None)
+_PLAYED: ContextVar[PlayedTime | None] = ContextVar("played", default=None)
 
 
 @contextmanager
-def playing(machine: PlayedMachine) -> Iterator[None]:
+def playing(machine: PlayedTime) -> Iterator[None]:
     """Let this thread's drivers live on a played machine."""
     token = _PLAYED.set(machine)
     try:
@@ -49,8 +37,8 @@ def playing(machine: PlayedMachine) -> Iterator[None]:
         _PLAYED.reset(token)
 
 
-def played() -> PlayedMachine | None:
-    """Return the machine that is played to this thread; None on the real one."""
+def played() -> PlayedTime | None:
+    """Return the time of the machine that is played to this thread; None on the real one."""
     return _PLAYED.get()
 
 

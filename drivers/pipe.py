@@ -51,6 +51,18 @@ class Pipe(ABC):
         return thrown
 
 
+class PlayedMachine(clock.PlayedTime):
+    """A machine whose time and lines somebody plays."""
+
+    @abstractmethod
+    def tcp(self, host: str, port: int) -> Pipe:
+        """Return a connection; DriverIOError when there is none to be had."""
+
+    @abstractmethod
+    def serial(self, device: str) -> Pipe:
+        """Return an open serial line; DriverIOError when it is not there."""
+
+
 class TcpPipe(Pipe):
     """A TCP connection; raises DriverIOError when it cannot be made within timeout_s."""
 
@@ -123,10 +135,12 @@ def _write_all(descriptor: int, data: bytes) -> None:
 def tcp_pipe(host: str, port: int, timeout_s: float) -> Pipe:
     """Return a TCP connection of this machine, or of the one that is played to this thread."""
     machine = clock.played()
-    return TcpPipe(host, port, timeout_s) if machine is None else machine.tcp(host, port)
+    return machine.tcp(host, port) if isinstance(machine, PlayedMachine) else TcpPipe(host, port, timeout_s)
 
 
 def serial_pipe(keys: SerialKeys, device: str, *, read_only: bool = False) -> Pipe:
     """Return a serial line of this machine, or of the one that is played to this thread."""
     machine = clock.played()
-    return SerialPipe(keys, device, read_only=read_only) if machine is None else machine.serial(device)
+    if isinstance(machine, PlayedMachine):
+        return machine.serial(device)
+    return SerialPipe(keys, device, read_only=read_only)

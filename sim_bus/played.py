@@ -9,8 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from drivers.clock import PlayedMachine
-from drivers.pipe import Pipe
+from drivers.pipe import Pipe, PlayedMachine
 from drivers.port import DriverIOError
 from sim_bus.clock import PlayClock
 from sim_bus.modbus_answers import Answers

@@ -7,16 +7,12 @@ from typing import Any
 import numpy as np
 
 from agent.errors import Fault, UsageError
-from agent.numerics.estimator.window_ml import WindowML
-from agent.numerics.estimator.window_settings import WindowSettings
-from agent.numerics.model.gains import AutomaticGains
 from agent.numerics.model.margins import condition_3, condition_8
 from agent.numerics.model.statespace import discretise
-from agent.numerics.paper.seed import read_off
-from agent.numerics.paper.seed_window import SeedFit, SeedSettings, fit_passes
-from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.rows import Rows
+from agent.numerics.paper.seed_window import SeedFit, fit_passes
 from agent.runtime import paper_cases as cases
+from agent.runtime.paper_methods import product_rows, seed_settings, valid_changes
+from agent.runtime.paper_plot import draw, new_figure
 from agent.runtime.paper_table import table
 from agent.types import FloatArray
 
@@ -42,8 +38,6 @@ def paper(window: int | None = None, passes: int | None = None, plot: Path | Non
         raise UsageError([Fault("--window", text, f"take 5 to {cases.SEGMENT}, the samples of a segment")])
     if plot is None:
         return _document(window, passes)
-    from agent.runtime.paper_plot import draw, new_figure
-
     figure = new_figure(plot)
     document = _document(window, passes)
     draw(figure, document, plot)
@@ -88,18 +82,6 @@ def seed_fits(changes: tuple[FloatArray, ...], window: int, passes: int) -> list
     return [fit_passes(cases.rig(), settings, y[:end], u[:end]) for end in ends]
 
 
-def seed_settings(window: int, passes: int, hop: int = 1, settled: float = 1e-9) -> SeedSettings:
-    """Return the method as printed: Euler model, printed gain, Z = 0, parameters from the first row of (24)."""
-    return SeedSettings(
-        period_s=cases.PERIOD_S, plan=HopPlan(window, hop), hold="euler", gain=cases.GAIN, passes=passes,
-        scale=cases.NOMINAL, settled=settled, rank=1, read=_read,
-    )  # fmt: skip
-
-
-def _read(matrix: FloatArray) -> FloatArray:
-    return read_off(matrix, cases.MASS_1, cases.PERIOD_S)
-
-
 def product_estimates(changes: tuple[FloatArray, ...], window: int) -> FloatArray:
     """Run window-ml over exact data; return its changes (segments, 4) at each segment's end, NaN where not valid."""
     # a hop that divides both makes a row fall on the last sample of every segment
@@ -113,27 +95,6 @@ def _exact_model_on_euler_data(change: FloatArray, window: int) -> dict[str, flo
     y = cases.free_decay((change,), "euler")[-window:]
     found = valid_changes(product_rows(y, window, window))[-1]
     return {name: _number(value) for name, value in zip(cases.PARAMETERS, found, strict=True)}
-
-
-def product_rows(y: FloatArray, window: int, hop: int) -> Rows:
-    """Run window-ml over displacements y (N, 2) without a force."""
-    estimator = WindowML(cases.rig(), _product_settings(window, hop))
-    return estimator.step(0, y, np.zeros((len(y), 1)))
-
-
-def valid_changes(rows: Rows) -> FloatArray:
-    """Return estimate minus nominal of each row (N, 4), NaN in rows that are not valid."""
-    void = rows.changing | rows.mismatch | ~rows.full
-    return np.where(void[:, None], np.nan, rows.theta - cases.NOMINAL)
-
-
-def _product_settings(window: int, hop: int) -> WindowSettings:
-    disturbance = np.vstack([np.diag([1 / cases.MASS_1, 1 / 3.0]), np.zeros((2, 2))])
-    return WindowSettings(
-        period_s=cases.PERIOD_S, plan=HopPlan(window, hop), hold="zero", gains=AutomaticGains(disturbance, window),
-        sigma=np.full(2, np.nan), floor=np.zeros(2), scale=cases.NOMINAL, lower=0.02 * cases.NOMINAL,
-        enough_sd=0.033 * cases.NOMINAL,
-    )  # fmt: skip
 
 
 def _rows(combination: cases.Combination, fit: SeedFit, product: FloatArray) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed import Stopping, observe
 from agent.numerics.paper.seed_window import fit_passes
 from agent.runtime import paper_cases as cases
-from agent.runtime.paper import product_rows, seed_settings, valid_changes
+from agent.runtime.paper_methods import product_rows, seed_settings, valid_changes
 from agent.types import FloatArray, IntArray
 
 if TYPE_CHECKING:

@@ -4,18 +4,17 @@ A row's age is what `agent.storage.ages` is sure of: where a wall clock is wrong
 """
 
 import sqlite3
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import ceil, isfinite
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from agent.storage.ages import Part, parts_of, shifts
 from agent.storage.checksum import row_crc
-from agent.storage.rows import Plan
+from agent.storage.rows import Names, Numbers, Plan
 from agent.storage.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
 from agent.storage.tiers import HOUR, MINUTE, SECOND, add_groups, aggregate
-
-if TYPE_CHECKING:
-    from agent.storage.store import Store
 
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
 _STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
@@ -66,6 +65,19 @@ class _Progress:
     growing: bool
 
 
+class Database(Protocol):
+    """What is asked of the store here: its connection, its numbers and names, and its transactions."""
+
+    names: Names
+    numbers: Numbers
+
+    @property
+    def connection(self) -> sqlite3.Connection: ...
+    def transaction(self) -> AbstractContextManager[sqlite3.Connection]: ...
+    def commit(self, plans: Sequence[Plan]) -> None: ...
+    def count(self, name: str, more: int) -> None: ...
+
+
 class TierKeeper:
     """Keeps the tiers of a store; called between commits, does a little each time.
 
@@ -73,7 +85,7 @@ class TierKeeper:
     rows are counted in `counters` as "purged unsent".
     """
 
-    def __init__(self, store: "Store", keep: Retention) -> None:
+    def __init__(self, store: Database, keep: Retention) -> None:
         self._store, self._keep = store, keep
         self._runs: dict[int, _Progress] = {}
         self._parts: dict[int, list[int]] = {}

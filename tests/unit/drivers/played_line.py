@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from drivers.clock import PlayedMachine, playing
+from drivers.clock import playing
 from drivers.listening import check
-from drivers.pipe import Pipe
+from drivers.pipe import Pipe, PlayedMachine
 from drivers.port import Driver, DriverIOError
 
 Answer = Callable[[bytes], tuple[bytes, float]]

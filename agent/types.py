@@ -1,4 +1,4 @@
-"""Values that cross a boundary inside the agent. Frozen, SI units unless a unit is named, no behaviour.
+"""Values that cross a boundary inside the agent. Frozen, SI units unless a unit is named.
 
 Times are integer nanoseconds since the epoch (or since a recording's own start). Arrays are numpy; NaN in `value`,
 `sd`, `lower`, `upper`, `held` means "none" and never goes with status VALID.
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 CodeArray = NDArray[np.uint8]
 
 
@@ -56,6 +57,38 @@ class SensorFault:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorEvent:
+    """At a sample (its time) a fault of a channel began to stand, or (standing False) ended."""
+
+    fault: SensorFault
+    standing: bool
+    index: int
+    t_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """Uninterrupted samples of a rig in SI units.
+
+    Attributes:
+        index: (n,) consecutive sample numbers.
+        u, y: (n, m) inputs, (n, p) outputs.
+        stamps: (n,) time stamps, ns; None where the source has none.
+        segment: counts up at each gap.
+        anew: some device began to count anew since the samples before: they go with none of these.
+        realigning: it is not known which samples of the sources go together.
+    """
+
+    index: IntArray
+    u: FloatArray
+    y: FloatArray
+    stamps: IntArray | None
+    segment: int
+    anew: bool = False
+    realigning: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Samples:
     """Aligned samples of one rig: consecutive indices, SI units.
 
@@ -76,10 +109,17 @@ class Samples:
     u: FloatArray
     y: FloatArray
     segment: int
-    missing: NDArray[np.bool_] | None = None
-    suspect: NDArray[np.bool_] | None = None
+    missing: BoolArray | None = None
+    suspect: BoolArray | None = None
     fault: SensorFault | None = None
     usable: bool = True
+
+    @property
+    def complete(self) -> BoolArray:
+        """(n,) true for the instants of which nothing was lost or refused."""
+        if self.missing is None:
+            return np.ones(len(self.index), dtype=np.bool_)
+        return np.asarray(~self.missing.any(axis=1))
 
 
 @dataclass(frozen=True, slots=True)

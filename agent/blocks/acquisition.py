@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.blocks.indexing import BoolArray, Clock, Indexer, Origin
-from agent.types import FloatArray, IntArray
+from agent.types import Aligned, FloatArray, IntArray
 from drivers.port import SampleBlock
 
 LARGEST = 1e30
@@ -52,28 +52,6 @@ class SourceState:
     def refusals(self) -> Counter[str]:
         """All samples refused here, by reason."""
         return self.rejected + self.indexer.rejected
-
-
-@dataclass(frozen=True, slots=True)
-class Aligned:
-    """Uninterrupted samples of a rig in SI units.
-
-    Attributes:
-        index: (n,) consecutive sample numbers.
-        u, y: (n, m) inputs, (n, p) outputs.
-        stamps: (n,) time stamps, ns; None where the source has none.
-        segment: counts up at each gap.
-        anew: some device began to count anew since the samples before: they go with none of these.
-        realigning: it is not known which samples of the sources go together.
-    """
-
-    index: IntArray
-    u: FloatArray
-    y: FloatArray
-    stamps: IntArray | None
-    segment: int
-    anew: bool = False
-    realigning: bool = False
 
 
 class Acquisition:

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.blocks.acquisition import Aligned, SourcePlan, SourceState, intake, uninterrupted
+from agent.blocks.acquisition import SourcePlan, SourceState, intake, uninterrupted
 from agent.blocks.clock_map import SETTLE_S, ClockMap
 from agent.blocks.indexing import BoolArray, Clock, Indexer, Origin
 from agent.blocks.skew_watch import SkewEvent, SkewWatch
 from agent.blocks.tally import Tally
 from agent.numerics.readings.resample import AFTER, interpolated, split
-from agent.types import FloatArray, IntArray, Samples
+from agent.types import Aligned, FloatArray, IntArray, Samples
 from drivers.port import SampleBlock
 
 Label = Callable[[IntArray], IntArray]

@@ -10,7 +10,6 @@ from scipy.special import stdtrit
 
 from agent.blocks import calibration_words
 from agent.blocks.advice import ModelAdvice
-from agent.blocks.sensor_labels import SensorEvent
 from agent.numerics.estimator.lacking import MOST, Lacking
 from agent.numerics.faults.suspects import Accusation
 from agent.numerics.fitting.work import Budget
@@ -26,6 +25,7 @@ from agent.types import (
     IntArray,
     Reason,
     Samples,
+    SensorEvent,
     SensorFault,
     Status,
 )

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from agent.blocks.acquisition import Aligned
 from agent.blocks.rig_model import known_noise, rig_model
 from agent.config import RigConfig
 from agent.config.tables import MechanicsModel
@@ -10,7 +9,7 @@ from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import Model
 from agent.numerics.model.stick_slip import FrictionInputs, friction_observer
-from agent.types import FloatArray, Samples
+from agent.types import Aligned, FloatArray, Samples
 
 
 @dataclass(slots=True)

@@ -13,10 +13,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.blocks.sensor_labels import Piece, SensorEvent, SensorLabels
+from agent.blocks.sensor_labels import Piece, SensorLabels
 from agent.numerics.readings.cleaning import Clean, Cleaner
 from agent.numerics.readings.sensor_watch import SensorWatch
-from agent.types import FloatArray, IntArray, Samples
+from agent.types import FloatArray, IntArray, Samples, SensorEvent
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,12 +185,5 @@ class Quality:
         self._watched += count
         for samples in labelled:
             if not samples.usable and samples.fault is not None:
-                self.rejected[samples.fault.reason.name.lower()] += int(whole(samples).sum())
+                self.rejected[samples.fault.reason.name.lower()] += int(samples.complete.sum())
         return labelled
-
-
-def whole(samples: Samples) -> NDArray[np.bool_]:
-    """(n,) true for the instants of which nothing was lost or refused."""
-    if samples.missing is None:
-        return np.ones(len(samples.index), dtype=np.bool_)
-    return np.asarray(~samples.missing.any(axis=1))

@@ -4,8 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from agent.blocks.sensor_labels import SensorEvent
-from agent.types import AlarmTransition, EstimateBatch, Reason, SensorFault, Status
+from agent.types import AlarmTransition, EstimateBatch, Reason, SensorEvent, SensorFault, Status
 
 WORDS = {
     Reason.STUCK: "stands still while other channels move",

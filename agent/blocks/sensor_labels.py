@@ -7,19 +7,9 @@ import numpy as np
 
 from agent.numerics.readings.cleaning import Clean
 from agent.numerics.readings.sensor_watch import Finding
-from agent.types import FloatArray, IntArray, Reason, Samples, SensorFault
+from agent.types import FloatArray, IntArray, Reason, Samples, SensorEvent, SensorFault
 
 REASONS = {"stuck": Reason.STUCK, "saturated": Reason.SATURATED}
-
-
-@dataclass(frozen=True, slots=True)
-class SensorEvent:
-    """At a sample (its time) a fault of a channel began to stand, or (standing False) ended."""
-
-    fault: SensorFault
-    standing: bool
-    index: int
-    t_ns: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.blocks.quality import whole
 from agent.types import IntArray, Samples
 
 
@@ -55,7 +54,7 @@ class Tally:
         found[found] = mine[at[found]] == samples.index[found]
         counts = np.where(found, weight[np.minimum(at, max(len(mine) - 1, 0))] if len(mine) else 0, 0)
         if samples.usable:
-            sound = whole(samples)
+            sound = samples.complete
             self.used += int(counts[sound].sum())
             self.refuse("spike", int(counts[~sound].sum()))
         elif samples.fault is not None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.blocks.acquisition import Acquisition, Aligned
+from agent.blocks.acquisition import Acquisition
 from agent.blocks.alarm import LevelAlarms
 from agent.blocks.alignment import Alignment
 from agent.blocks.alignment_plan import make_acquisition
@@ -24,7 +24,7 @@ from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.source_clocks import SourceClocks
 from agent.config import RigConfig
 from agent.runtime.methods import make_estimation
-from agent.types import Calibrated, FloatArray, Health, HealthEvent, IntArray, Record, Samples
+from agent.types import Aligned, Calibrated, FloatArray, Health, HealthEvent, IntArray, Record, Samples
 from drivers.port import Counts, SampleBlock
 
 Label = Callable[[IntArray], IntArray]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.acquisition import Aligned, SourceState
+from agent.blocks.acquisition import SourceState
 from agent.blocks.alignment import Alignment
 from agent.blocks.alignment_plan import Maps, channels_of, make_acquisition
 from agent.blocks.friction import dry_friction
@@ -15,7 +15,7 @@ from agent.blocks.source_clocks import SourceClocks
 from agent.config import RigConfig
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, simulate
-from agent.types import FloatArray
+from agent.types import Aligned, FloatArray
 from drivers.port import Counts, SampleBlock
 
 ORDER = 6

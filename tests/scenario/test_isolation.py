@@ -9,11 +9,20 @@ import numpy as np
 import pytest
 
 from agent.blocks.containment import ContainedEstimator
-from agent.blocks.sensor_labels import SensorEvent
 from agent.config import load
 from agent.runtime.isolation import PAUSE_NS
 from agent.runtime.service import RigRuntime, Service
-from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, SensorFault, Status
+from agent.types import (
+    AlarmTransition,
+    EstimateBatch,
+    Health,
+    HealthEvent,
+    Reason,
+    Record,
+    SensorEvent,
+    SensorFault,
+    Status,
+)
 from drivers.port import FloatArray, SampleBlock
 from tests.scenario.live import example, free_port, rows
 from tests.scenario.test_service import renamed

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
+from agent.blocks.acquisition import Acquisition, ChannelScale, source_plan
+from agent.types import Aligned
 from drivers.port import FloatArray, SampleBlock
 
 PLAIN = ChannelScale(1.0, 0.0, 1.0)

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.blocks.acquisition import Acquisition, Aligned, ChannelScale, source_plan
+from agent.blocks.acquisition import Acquisition, ChannelScale, source_plan
 from agent.blocks.alignment import Alignment, AlignmentPlan, StreamPlan
 from agent.blocks.alignment_plan import make_acquisition
 from agent.config import load
+from agent.types import Aligned
 from drivers.port import FloatArray, IntArray, SampleBlock
 from tests.scenario.live import example
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from agent.blocks.quality import Quality, QualitySettings, whole
+from agent.blocks.quality import Quality, QualitySettings
 from agent.blocks.sensor_alarms import SensorAlarms
-from agent.blocks.sensor_labels import SensorEvent
-from agent.types import FloatArray, IntArray, Reason, Samples, SensorFault
+from agent.types import FloatArray, IntArray, Reason, Samples, SensorEvent, SensorFault
 from tests.unit.numerics.rigs import noisy
 
 W = 250
@@ -154,7 +153,7 @@ def test_sensor_alarms_raise_once_and_clear_once() -> None:
 def accounted(v: FloatArray, index: IntArray, cut: int) -> tuple[int, int]:
     """Return how many samples arrived complete, and how many were used, refused here or still wait."""
     pieces, _, quality = play(v, index, cut)
-    used = sum(int(whole(piece).sum()) for piece in pieces if piece.usable)
+    used = sum(int(piece.complete.sum()) for piece in pieces if piece.usable)
     return int(np.isfinite(v).all(axis=1).sum()), used + quality.rejected.total() + quality.waiting
 
 

@@ -17,7 +17,7 @@ from drivers.can_keys import FrameKeys
 from drivers.can_text import candump_block
 from drivers.can_unfit import Unfit
 from drivers.can_wires import wire_of
-from drivers.npz_file import seconds_to_ns
+from drivers.decimal_time import seconds_to_ns
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
 from drivers.python_can import import_lean, import_measurements
 

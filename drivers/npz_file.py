@@ -11,7 +11,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from drivers.port import DriverConfigError, FloatArray, IntArray
+from drivers.decimal_time import seconds_to_ns
+from drivers.port import DriverConfigError, FloatArray
 from drivers.recorded import BLOCK_ROWS, RecordedFile, Rows, Wanted
 
 _SUFFIX = ".npy"
@@ -123,18 +124,3 @@ class NpzFile(RecordedFile):
 
     def close(self) -> None:
         self._stack.close()
-
-
-def seconds_to_ns(seconds: NDArray[np.generic]) -> IntArray:
-    """Return seconds (or datetime64) as integer nanoseconds, half to even; the smallest integer where not finite.
-
-    Whole seconds and their fraction are taken apart first: their product with 1e9 would be rounded twice.
-    """
-    if seconds.dtype.kind == "M":
-        return seconds.astype("datetime64[ns]").astype(np.int64)
-    values = seconds.astype(np.float64)
-    usable = np.isfinite(values) & (np.abs(values) < 9e9)
-    values = np.where(usable, values, 0.0)
-    whole = np.floor(values)
-    nanoseconds = whole.astype(np.int64) * 10**9 + np.rint((values - whole) * 1e9).astype(np.int64)
-    return np.where(usable, nanoseconds, np.iinfo(np.int64).min)

@@ -2,13 +2,13 @@
 
 from typing import NoReturn
 
-from agent.runtime.cli_signals import done_when_terminated
+from agent.cli.signals import done_when_terminated
 
 
 def main() -> NoReturn:
     """Run the command line; SIGTERM ends it well from here on, while the imports are still under way."""
     with done_when_terminated():
-        from agent.runtime.cli import main as command_line
+        from agent.cli.app import main as command_line
 
         command_line()
 

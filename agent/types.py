@@ -17,6 +17,9 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 CodeArray = NDArray[np.uint8]
 
+STEP_NS = 1_000_000_000
+"""Settings of the wall clock that are nearer to one another are one, ns."""
+
 
 class Status(IntEnum):
     """What an estimate is worth (CONTRACT section 6); the name in lower case is what the database shows."""

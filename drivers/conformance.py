@@ -21,7 +21,6 @@ from functools import partial
 
 import numpy as np
 
-from drivers.listening import permitted
 from drivers.port import (
     Driver,
     DriverConfigError,
@@ -32,6 +31,7 @@ from drivers.port import (
     SampleBlock,
     SourceRequest,
 )
+from drivers.write_gate import permitted
 
 DEADLINE_S = 20.0
 READ_S = 0.05
@@ -42,7 +42,7 @@ class Line(ABC):
 
     Attributes:
         driver_class: the driver under test.
-        protocol: the name under which `drivers.listening` knows what may be written.
+        protocol: the name under which `drivers.write_gate` knows what may be written.
         counts_samples: whether samples carry a counter.
         outlives: how many samples the device still holds for a driver that comes back; 0 when it holds none.
     """

@@ -1,7 +1,7 @@
 """Byte pipes to a device, over TCP or a serial line: deadlines on the monotonic clock, failures as DriverIOError.
 
 The libraries' own waits use the wall clock (a step of it stretches them) and poll a serial line with sleeps; these
-select on the descriptor. What may be sent is decided by `drivers.listening`.
+select on the descriptor. What may be sent is decided by `drivers.write_gate`.
 """
 
 import os
@@ -9,7 +9,8 @@ import select
 import socket
 from abc import ABC, abstractmethod
 
-from drivers import clock, listening
+from drivers import clock
+from drivers import write_gate as listening
 from drivers.port import DriverIOError
 from drivers.serial_port import SerialKeys, close_port, open_port
 

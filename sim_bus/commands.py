@@ -23,7 +23,7 @@ _TICK_S = 0.05
 
 
 def _list_faults(*, as_json: bool) -> None:
-    from sim_bus.fault_names import KNOWN
+    from sim_bus.rig.fault_names import KNOWN
 
     kinds = {f"{driver}.{name}": kind for driver, faults in KNOWN.items() for name, kind in faults.items()}
     if as_json:
@@ -91,8 +91,8 @@ def _make(
 ) -> "Player":
     from sim_bus.player import Player
     from sim_bus.reach import fitting, must_fit
-    from sim_bus.rigfile import read_rig
-    from sim_bus.scenario import load_scenario
+    from sim_bus.rig.rigfile import read_rig
+    from sim_bus.rig.scenario import load_scenario
 
     rig = read_rig(config)
     played = load_scenario(scenario, known=lambda: fitting(rig)).with_faults(faults, duration)

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from sim_bus.clock import PlayClock
-from sim_bus.device import Bench, Device, Ledgered
+from sim_bus.devices.device import Bench, Device, Ledgered
+from sim_bus.devices.factory import make_devices
 from sim_bus.errors import SimUsageError
-from sim_bus.factory import make_devices
-from sim_bus.faults import check
-from sim_bus.rigfile import RigFile
-from sim_bus.scenario import Scenario
-from sim_bus.tape import CHUNK, Rig, Tape
-from sim_bus.truth import TruthRecorder
+from sim_bus.rig.faults import check
+from sim_bus.rig.rigfile import RigFile
+from sim_bus.rig.scenario import Scenario
+from sim_bus.rig.trajectory import CHUNK, Rig, Tape
+from sim_bus.rig.truth import TruthRecorder
 
 _TICK_S = 0.05
 

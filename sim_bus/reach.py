@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from sim_bus.errors import SimUsageError
-from sim_bus.faults import check
 from sim_bus.player import Player
-from sim_bus.rigfile import RigFile
-from sim_bus.scenario import Scenario, built_in_names, load_scenario
-from sim_bus.tape import Chunk, Rig
+from sim_bus.rig.faults import check
+from sim_bus.rig.rigfile import RigFile
+from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario
+from sim_bus.rig.trajectory import Chunk, Rig
 
 _LOOK_S = 10.0
 _MOST_SAMPLES = 50_000

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from agent.blocks import calibration_words
+from agent.blocks import calibration_events as calibration_words
 from agent.blocks.advice import ModelAdvice
 from agent.numerics.estimator.lacking import MOST, Lacking
 from agent.numerics.faults.suspects import Accusation

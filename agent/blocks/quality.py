@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.blocks.sensor_labels import Piece, SensorLabels
-from agent.numerics.readings.cleaning import Clean, Cleaner
-from agent.numerics.readings.sensor_watch import SensorWatch
+from agent.numerics.preprocessing.cleaning import Clean, Cleaner
+from agent.numerics.preprocessing.sensor_watch import SensorWatch
 from agent.types import FloatArray, IntArray, Samples, SensorEvent
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.readings.cleaning import Clean
-from agent.numerics.readings.sensor_watch import Finding
+from agent.numerics.preprocessing.cleaning import Clean
+from agent.numerics.preprocessing.sensor_watch import Finding
 from agent.types import FloatArray, IntArray, Reason, Samples, SensorEvent, SensorFault
 
 REASONS = {"stuck": Reason.STUCK, "saturated": Reason.SATURATED}

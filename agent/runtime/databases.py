@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Literal
 
 from agent import __version__
+from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig
-from agent.runtime.clock import boot_id, monotonic_ns, wall_ns
-from agent.storage.retention import Retention
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from agent.types import RunInfo
 
 RunKind = Literal["live", "demo"]

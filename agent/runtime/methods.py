@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from agent.blocks.containment import ContainedEstimator
+from agent.blocks.contained_estimator import ContainedEstimator
 from agent.blocks.estimation import Estimation, Estimator, Labels
 from agent.blocks.friction import signals
 from agent.blocks.rig_model import RigModel, pushed, rig_model, window_settings
@@ -14,7 +14,7 @@ from agent.numerics.estimator.window_ml import WindowML
 from agent.numerics.estimator.window_settings import WindowSettings
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
-from agent.runtime.check_model import require_observable
+from agent.runtime.model_check import require_observable
 from agent.types import FloatArray
 
 

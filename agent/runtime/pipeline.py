@@ -12,17 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.blocks.acquisition import Acquisition
-from agent.blocks.alarm import LevelAlarms
-from agent.blocks.alignment import Alignment
-from agent.blocks.alignment_plan import make_acquisition
+from agent.blocks.acquisition.alignment import Alignment
+from agent.blocks.acquisition.single_source import Acquisition
+from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.estimation import Estimation
 from agent.blocks.friction import dry_friction
+from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.quality import Quality, QualitySettings
 from agent.blocks.rig_model import hop_plan, longest_bridge, rig_model
 from agent.blocks.sensor_alarms import SensorAlarms
-from agent.blocks.source_clocks import SourceClocks
 from agent.config import RigConfig
+from agent.runtime.acquisition_plan import make_acquisition
 from agent.runtime.methods import make_estimation
 from agent.types import Aligned, Calibrated, FloatArray, Health, HealthEvent, IntArray, Record, Samples
 from drivers.port import Counts, SampleBlock

@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent import __version__
+from agent.clock import SampleLabels, boot_id, wall_ns
 from agent.config import RigConfig, driver_class, load
 from agent.errors import RecordingError
-from agent.runtime.clock import SampleLabels, boot_id, wall_ns
+from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
-from agent.runtime.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
-from agent.runtime.unusable import Evidence, judge
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.runtime.usability import Evidence, judge
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from agent.types import ClockRecord, Record, RunInfo
 from drivers.port import Counts, Driver, DriverConfigError, DriverError, SampleBlock, SourceRequest
 

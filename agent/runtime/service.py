@@ -11,21 +11,21 @@ from types import FrameType
 from typing import Any
 
 from agent.blocks.source_events import Signs, SourceEvents
+from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
-from agent.runtime.clock import SampleLabels, monotonic_ns, wall_ns
+from agent.recording.event_writer import EventWriter
+from agent.recording.events import EventKeeper
+from agent.recording.setup import event_writer, recorder
+from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.databases import RunKind, path_of, writers_of
-from agent.runtime.isolation import IsolatedPipeline
 from agent.runtime.lateness import COMPUTING, Lateness
+from agent.runtime.pending import Waiting
 from agent.runtime.pipeline import Conservation
-from agent.runtime.recording.event_writer import EventWriter
-from agent.runtime.recording.events import EventKeeper
-from agent.runtime.recording.wiring import event_writer, recorder
 from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
-from agent.runtime.waiting import Waiting
-from agent.storage.alarms import AlarmRow
+from agent.storage.tables.alarms import AlarmRow
 from agent.types import AlarmTransition, Calibrated, ClockRecord, HealthEvent, IntArray, Record
 from drivers.port import DriverConfigError
 from drivers.reconnect import LinkEvent

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
-from agent.runtime.clock import monotonic_ns, wall_ns
-from agent.runtime.recording.recorder import Recorder
+from agent.recording.recorder import Recorder
 from drivers.port import Counts, Driver, DriverConfigError, Heard, SampleBlock, SourceRequest
 from drivers.reconnect import LinkEvent, ReconnectingDriver
 

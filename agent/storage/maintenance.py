@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.errors import StoreError, StoreHeldError, UsageError
-from agent.storage import queries
-from agent.storage.command_socket import ask
-from agent.storage.connect import Reader, cause_of, connect_reader, connect_writer, may_pass
-from agent.storage.files import (
+from agent.storage.database.connect import Reader, cause_of, connect_reader, connect_writer, may_pass
+from agent.storage.database.files import (
     Kind,
     Lock,
     beside,
@@ -25,11 +23,13 @@ from agent.storage.files import (
     refuse_links,
     sync_folder,
 )
-from agent.storage.proof import proven
-from agent.storage.receipts import Receipts
-from agent.storage.salvage import Recovery, recover
-from agent.storage.store import Store
-from agent.storage.verify import problems
+from agent.storage.database.verify import problems
+from agent.storage.read import queries
+from agent.storage.read.proof import proven
+from agent.storage.recovery.salvage import Recovery, recover
+from agent.storage.write.command_socket import ask
+from agent.storage.write.store import Store
+from agent.storage.write.watermark import Receipts
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite

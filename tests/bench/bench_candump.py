@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bus.rigfile import read_rig
-from sim_bus.scenario import load_scenario
-from sim_bus.tape import CHUNK, Rig, Tape
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.rig.trajectory import CHUNK, Rig, Tape
 from tests.peers import ROOT
 
 EXAMPLES = ROOT / "deploy" / "examples"
@@ -37,7 +37,7 @@ PARTS = (1, 2)
 """Frames to a sample."""
 
 
-WITHOUT_EXTRAS = "import sys; sys.modules['asammdf'] = None; from agent.runtime.cli import main; main()"
+WITHOUT_EXTRAS = "import sys; sys.modules['asammdf'] = None; from agent.cli.app import main; main()"
 
 
 @dataclass(frozen=True, slots=True)

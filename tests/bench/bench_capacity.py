@@ -25,18 +25,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from agent.blocks.acquisition import Acquisition
-from agent.blocks.alarm import LevelAlarms
+from agent.blocks.acquisition.single_source import Acquisition
 from agent.blocks.estimation import Estimation
+from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.quality import Quality
+from agent.clock import monotonic_ns
 from agent.config import load_many
-from agent.runtime.clock import monotonic_ns
-from agent.runtime.demo_bus import COARSE, Wire, write_config
+from agent.evaluation.demo.bus import COARSE, Wire, write_config
 from agent.runtime.service import Service
 from agent.runtime.sources import Connection
 from sim_bus.player import Player
-from sim_bus.rigfile import read_rig
-from sim_bus.scenario import load_scenario
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
 
 WARM_S, MEASURED_S = 6.0, 10.0
 RATE_HZ = 1000.0

@@ -19,14 +19,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.blocks.containment import ContainedEstimator
+from agent.blocks.contained_estimator import ContainedEstimator
 from agent.blocks.estimation import Estimation
 from agent.config import RigConfig, load
 from agent.numerics.estimator.window_ml import WindowML
 from agent.numerics.window.hops import HopOperators
 from agent.runtime.methods import make_estimation
 from agent.types import Samples
-from sim_bus.plant import Graph, Link, equations, propagate, step
+from sim_bus.rig.plant import Graph, Link, equations, propagate, step
 
 FloatArray = NDArray[np.float64]
 PERIOD, NOISE = 1e-3, 5e-6

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from can.interfaces.slcan import slcanBus
 
-from drivers.can_codec import FrameDecoder
-from drivers.can_database import load, message_codecs
-from drivers.can_frames import FRAME, Frames
-from drivers.can_log import CanLogDriver, CanLogSettings
+from drivers.can.bus.slcan_text import SlcanText
+from drivers.can.codec.database import load, message_codecs
+from drivers.can.codec.decoder import FrameDecoder
+from drivers.can.codec.frames import FRAME, Frames
+from drivers.can.log.driver import CanLogDriver, CanLogSettings
 from drivers.port import Counts, SourceRequest
-from drivers.slcan_text import SlcanText
 from tests.conformance.test_can_conformance import FOLDER
 from tests.peers import ROOT
 from tests.vcan import guest

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runtime import commands_trend
-from agent.storage import queries
-from agent.storage.retention import Retention
-from agent.storage.rows import Plan
-from agent.storage.store import Store
-from agent.storage.tiers import HOUR, MINUTE, Groups, add_groups
+from agent.cli import trend as commands_trend
+from agent.storage.read import queries
+from agent.storage.tables.rows import Plan
+from agent.storage.write.retention import Retention
+from agent.storage.write.rollups import HOUR, MINUTE, Groups, add_groups
+from agent.storage.write.store import Store
 from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.disk import read_log

@@ -18,7 +18,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from agent.numerics.estimator.lacking import BoolArray
 from agent.numerics.estimator.window_ml import WindowML
-from agent.numerics.readings.bridge import filled
+from agent.numerics.preprocessing.bridge import filled
 from tests.bench import rivals
 from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
 from tests.unit.numerics.rigs import Record, noisy, settings

@@ -6,7 +6,7 @@ from typing import Any
 import cantools
 import numpy as np
 
-from drivers.can import CanDriver, CanSettings
+from drivers.can.driver import CanDriver, CanSettings
 from drivers.conformance import DriverConformance, Line
 from drivers.port import Driver, FloatArray, SourceRequest
 from tests.conformance.socketcand_device import Socketcand

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.can import CanDriver, CanSettings
-from drivers.can_frames import FD_LENGTHS
+from drivers.can.codec.frames import FD_LENGTHS
+from drivers.can.driver import CanDriver, CanSettings
 from drivers.conformance import DriverConformance, Line
 from drivers.port import Driver, FloatArray, SourceRequest
 from tests.conformance.socketcand_device import Socketcand

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.modbus import ModbusDriver
-from drivers.modbus_settings import ModbusSettings
+from drivers.modbus.driver import ModbusDriver
+from drivers.modbus.settings import ModbusSettings
 from drivers.port import DriverIOError, SourceRequest
 from tests import peers
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from drivers.conformance import DriverConformance, Line
 from drivers.fields import Layout
-from drivers.modbus import ModbusDriver
-from drivers.modbus_codec import registers_of
-from drivers.modbus_settings import ModbusSettings
+from drivers.modbus.codec import registers_of
+from drivers.modbus.driver import ModbusDriver
+from drivers.modbus.settings import ModbusSettings
 from drivers.port import FloatArray, SourceRequest
 from tests.conformance.modbus_device import Device, PtyDevice, Registers, TcpDevice
 

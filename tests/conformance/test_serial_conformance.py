@@ -17,7 +17,7 @@ from crccheck.crc import Crc16Ibm3740
 from drivers.conformance import DriverConformance, Line
 from drivers.fields import FieldSpec, Layout
 from drivers.port import Driver, FloatArray, SourceRequest
-from drivers.serial_line import SerialDriver, SerialSettings
+from drivers.serial.driver import SerialDriver, SerialSettings
 
 FIELDS = (
     FieldSpec(name="counter", type="uint8"),

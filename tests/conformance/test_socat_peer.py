@@ -12,7 +12,7 @@ from cobs import cobs
 from crccheck.crc import Crc32
 
 from drivers.port import DriverIOError, SourceRequest
-from drivers.serial_line import SerialDriver, SerialSettings
+from drivers.serial.driver import SerialDriver, SerialSettings
 from tests import peers
 
 FIELDS = [{"name": "n", "type": "uint16"}, {"name": "a", "type": "int32"}]

@@ -10,10 +10,10 @@ import pytest
 import typer
 from pydantic import BaseModel
 
+from agent.cli.app import app
 from agent.config import tables
 from agent.config.load import RESERVED
-from agent.runtime.cli import app
-from agent.storage.store import Store
+from agent.storage.write.store import Store
 from agent.types import Reason
 from tests.docs.documents import links
 from tests.peers import ROOT

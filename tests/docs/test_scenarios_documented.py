@@ -5,13 +5,13 @@ import re
 import pytest
 from pydantic import BaseModel
 
-from agent.runtime.scoring.score import Expect
-from sim_bus.excitation import Force
-from sim_bus.fault_names import KNOWN
-from sim_bus.scenario import FaultAt, Initial, Scenario, built_in_names, load_scenario
-from sim_bus.schedule import Change, Draw
-from sim_bus.sensors import Oscillator, Sensor
-from sim_bus.wear import Wear
+from agent.evaluation.score.score import Expect
+from sim_bus.rig.excitation import Force
+from sim_bus.rig.fault_names import KNOWN
+from sim_bus.rig.scenario import FaultAt, Initial, Scenario, built_in_names, load_scenario
+from sim_bus.rig.schedule import Change, Draw
+from sim_bus.rig.sensors import Oscillator, Sensor
+from sim_bus.rig.wear import Wear
 from tests.docs.test_nothing_undocumented import documented
 from tests.peers import ROOT
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agent.runtime.scoring.judge import Judge
-from agent.runtime.scoring.run import play
-from sim_bus.bench import PlayedBench
-from sim_bus.scenario import load_scenario
+from agent.evaluation.score.measures import Judge
+from agent.evaluation.score.play import play
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.virtual_time.bench import PlayedBench
 
 RATE = 200.0
 AT_S = 1.5

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from agent.runtime.replay import replay
-from agent.storage.schema import SCHEMA_VERSION, version_mark
+from agent.storage.database.schema import SCHEMA_VERSION, version_mark
 from tests.scenario.live import LIMIT_S, agent, counts, example, hops, rows, wait_until
 from tests.sim.rigs import free_port, simulator
-from tests.unit.test_cli import Run, deltak
+from tests.unit.cli.test_app import Run, deltak
 
 __all__ = ["deltak"]
 HEADER = "t,force,x1,x2"

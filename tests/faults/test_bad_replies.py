@@ -11,8 +11,8 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
-from drivers.modbus import ModbusDriver
-from drivers.modbus_settings import ModbusSettings
+from drivers.modbus.driver import ModbusDriver
+from drivers.modbus.settings import ModbusSettings
 from drivers.port import SourceRequest
 from drivers.reconnect import ReconnectingDriver
 from tests import figures

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from agent.runtime.scoring.judge import Judge
-from agent.runtime.scoring.run import open_bench, play
-from sim_bus.fault_names import KNOWN, names
+from agent.evaluation.score.measures import Judge
+from agent.evaluation.score.play import open_bench, play
+from sim_bus.rig.fault_names import KNOWN, names
 from tests.faults.played import RATE, Run, run
 
 AT_S = 1.2

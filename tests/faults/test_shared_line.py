@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from drivers import clock
-from drivers.modbus import ModbusDriver
-from drivers.modbus_settings import ModbusSettings
+from drivers.modbus.driver import ModbusDriver
+from drivers.modbus.settings import ModbusSettings
 from drivers.port import SourceRequest
 from drivers.reconnect import ReconnectingDriver
 from tests import figures
 from tests.conformance.modbus_device import PtyDevice, Registers, crc16
 from tests.sim.rigs import MODEL, free_port, simulator
+from tests.unit.drivers.modbus.test_line import numbers, rtu, tcp
 from tests.unit.drivers.played_line import PlayedLine
-from tests.unit.drivers.test_modbus_line import numbers, rtu, tcp
 
 UNITS = range(1, 9)
 RTU = {"transport": "rtu", "port": "/line", "baudrate": 115200}

@@ -10,15 +10,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from agent.config import load
+from agent.evaluation.score.measures import Judge
+from agent.evaluation.score.play import Outcome, open_bench, play
+from agent.evaluation.score.score import _expectation, _failures
 from agent.runtime.replay import _ledger, _records, _tracks, make_pipeline
-from agent.runtime.scoring.judge import Judge
-from agent.runtime.scoring.run import Outcome, open_bench, play
-from agent.runtime.scoring.score import _expectation, _failures
-from agent.runtime.unusable import Evidence
+from agent.runtime.usability import Evidence
 from agent.types import Record
-from sim_bus.bench import PlayedBench, scored
-from sim_bus.fault_names import KNOWN
-from sim_bus.scenario import load_scenario
+from sim_bus.rig.fault_names import KNOWN
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.virtual_time.bench import PlayedBench, scored
 from tests.faults.played import SCENARIO, write_rig
 from tests.golden.text import lines
 from tests.peers import ROOT, data

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_bus.bench import scored
+from sim_bus.virtual_time.bench import scored
 from tests.golden.cases import Case, cases, shipped
 from tests.golden.compare import differences
 from tests.golden.text import machine

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from agent.cli.app import app
+from agent.cli.errors import guarded
 from agent.numerics.model import margins_box
-from agent.runtime.cli import app
-from agent.runtime.cli_errors import guarded
 from tests.property.random_rigs import written
 
 RIGS, SOAK = 200, 5000

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from agent.runtime.recording.recorder import Limits, Recorder
+from agent.recording.recorder import Limits, Recorder
 from agent.types import EventRecord, Record
 from drivers.port import SampleBlock
+from tests.recording.test_capture_on_can import HEADER, kept, random_frames
 from tests.recording.test_event_writer import job, made
-from tests.recording.test_heard_on_can import HEADER, kept, random_frames
 
 RECORDS, PIECES, AT_ONCE = 8, 40, 3
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from agent.config import RigConfig, load
-from agent.runtime.recording import events
-from agent.runtime.recording.event_files import table_of
-from agent.runtime.recording.event_writer import Job
-from agent.runtime.recording.events import EventKeeper
+from agent.recording import events
+from agent.recording.event_files import table_of
+from agent.recording.event_writer import Job
+from agent.recording.events import EventKeeper
 from agent.types import AlarmTransition, HealthEvent, IntArray, Record
 from drivers.port import SampleBlock
 from tests.scenario.live import example

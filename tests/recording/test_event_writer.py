@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from agent.config.tables import Events
-from agent.runtime.recording import event_writer
-from agent.runtime.recording.blocks import read_blocks, read_header
-from agent.runtime.recording.event_files import EventFolder, Labels, Taken, read_meta
-from agent.runtime.recording.event_writer import EventWriter, Facts, Job
+from agent.recording import event_writer
+from agent.recording.blocks import read_blocks, read_header
+from agent.recording.event_files import EventFolder, Labels, Taken, read_meta
+from agent.recording.event_writer import EventWriter, Facts, Job
 from agent.types import EventRecord, HealthEvent, Record
 from drivers.port import SampleBlock
 

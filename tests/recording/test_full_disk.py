@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runtime.recording import event_writer, recorder
-from agent.runtime.recording.blocks import read_blocks
-from agent.runtime.recording.recorder import Recorder
+from agent.recording import event_writer, recorder
+from agent.recording.blocks import read_blocks
+from agent.recording.recorder import Recorder
 from drivers.port import SampleBlock
 from tests import peers
 from tests.recording.test_event_writer import Told, files, job, made

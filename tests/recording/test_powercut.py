@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runtime.recording import heard
-from agent.runtime.recording.event_files import read_meta
-from agent.runtime.recording.recorder import Limits, shelf
+from agent.recording import capture as heard
+from agent.recording.event_files import read_meta
+from agent.recording.recorder import Limits, shelf
 from tests import peers
 from tests.recording.power_workload import PIECES
+from tests.recording.test_capture_on_can import HEADER, kept, random_frames
 from tests.recording.test_event_writer import Told, made
-from tests.recording.test_heard_on_can import HEADER, kept, random_frames
 from tests.storage.powercut.conftest import shim  # noqa: F401 - a fixture
 from tests.storage.powercut.disk import cuts, read_log
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from agent.errors import RecordingError
-from agent.runtime.recording import folder as folders
-from agent.runtime.recording.blocks import decode_block, encode_block, read_blocks, read_header
-from agent.runtime.recording.header import RawHeader
-from agent.runtime.recording.recorder import Limits, Recorder, shelf
+from agent.recording import folder as folders
+from agent.recording.blocks import decode_block, encode_block, read_blocks, read_header
+from agent.recording.header import RawHeader
+from agent.recording.recorder import Limits, Recorder, shelf
 from drivers.port import SampleBlock
 
 HEADER = RawHeader("can", ("F", "X1", "X2"), 65536, "ab" * 32, "0.1.0", 1_767_225_600_000_000_000, rig="press-7")
@@ -162,7 +162,7 @@ def test_failing_disk_costs_samples_that_are_counted_and_told_once_and_the_next_
     tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recorder = Recorder(tmp_path, HEADER, tell=told)
-    monkeypatch.setattr("agent.runtime.recording.blocks.BlockSegment", no_space)
+    monkeypatch.setattr("agent.recording.blocks.BlockSegment", no_space)
     for one in ([block(0), block(1)], [block(2)]):
         recorder._write([(b, None) for b in one])
     monkeypatch.undo()
@@ -184,7 +184,7 @@ def test_after_a_failed_sync_recording_goes_on_in_a_new_file(
     def failing(_: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr("agent.runtime.recording.blocks.os.fdatasync", failing)
+    monkeypatch.setattr("agent.recording.blocks.os.fdatasync", failing)
     recorder._write([(block(1), None)])
     monkeypatch.undo()
     recorder._write([(block(2), None)])
@@ -212,7 +212,7 @@ def test_samples_that_are_on_the_disk_count_as_recorded_where_old_files_cannot_b
 
 
 def disk_with(monkeypatch: pytest.MonkeyPatch, free: Callable[[], int]) -> None:
-    monkeypatch.setattr("agent.runtime.recording.recorder.room", lambda _: free())
+    monkeypatch.setattr("agent.recording.recorder.room", lambda _: free())
 
 
 def test_nearly_full_disk_costs_the_oldest_recordings_first_and_is_left_to_the_database(
@@ -249,8 +249,8 @@ def test_recorder_writes_and_syncs_no_more_often_than_once_a_period(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     synced: list[int] = []
-    monkeypatch.setattr("agent.runtime.recording.blocks.os.fdatasync", synced.append)
-    monkeypatch.setattr("agent.runtime.recording.recorder.PERIOD_S", 60.0)
+    monkeypatch.setattr("agent.recording.blocks.os.fdatasync", synced.append)
+    monkeypatch.setattr("agent.recording.recorder.PERIOD_S", 60.0)
     recorder = recorded(tmp_path, [block(i) for i in range(500)])
     assert recorder.recorded == 25_000
     assert len(synced) == 1

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.modbus_frames import ReplyError, Request, RtuFrames, TcpFrames
+from drivers.modbus.frames import ReplyError, Request, RtuFrames, TcpFrames
 from tests import figures, peers
 from tests.pcap import segments
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.commissioning.check import check
 from agent.errors import RecordingError
-from agent.runtime.check import check
 from agent.runtime.replay import replay
 from drivers.port import FloatArray
 from tests.scenario.live import example

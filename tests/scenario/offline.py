@@ -9,15 +9,15 @@ import numpy as np
 
 from agent.blocks.rig_model import rig_model
 from agent.config import RigConfig, load
+from agent.evaluation.demo.bus import COARSE, FINE, Wire, write_config
 from agent.numerics.fitting.information import bound_sd, window_information
 from agent.numerics.model.statespace import discretise
-from agent.runtime.demo_bus import COARSE, FINE, Wire, write_config
 from agent.runtime.pipeline import Pipeline
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, Record, Status
 from drivers.port import SampleBlock
-from sim_bus.rigfile import read_rig
-from sim_bus.scenario import load_scenario
-from sim_bus.tape import Chunk, Rig
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.rig.trajectory import Chunk, Rig
 
 SECOND = 1000
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.blocks.containment import ContainedEstimator
+from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
 from agent.numerics.estimator.calibrate import Calibrator
 from agent.numerics.estimator.window_ml import WindowML
 from agent.numerics.window.commission import WINDOWS
 from agent.runtime.replay import replay
 from agent.runtime.service import RigRuntime
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from agent.types import Calibrated, CalibrationRecord, Record, RunInfo
 from tests.peers import ROOT
 from tests.replay.records import rows_of

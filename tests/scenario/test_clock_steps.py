@@ -11,8 +11,8 @@ from agent.config import RigConfig, load
 from agent.runtime import service
 from agent.runtime.service import RigRuntime
 from agent.runtime.sources import Arrival, Use
-from agent.storage.retention import Retention
-from agent.storage.store import Store
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
 from agent.types import Health, Record, RunInfo
 from drivers.port import Counts
 from tests.scenario.live import example, rows

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from agent.storage import queries
+from agent.storage.read import queries
 from tests import peers
 from tests.scenario.live import LIMIT_S, agent, example, hops, rows, wait_until
 from tests.scenario.offline import SECOND, bounds, called_for, play

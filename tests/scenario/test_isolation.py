@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.blocks.containment import ContainedEstimator
+from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
-from agent.runtime.isolation import PAUSE_NS
+from agent.runtime.containment import PAUSE_NS
 from agent.runtime.service import RigRuntime, Service
 from agent.types import (
     AlarmTransition,
@@ -109,7 +109,7 @@ def test_fault_in_one_rig_leaves_the_other_rig_its_rows_and_starts_that_rig_anew
     assert "LinAlgError: planted: the SVD did not converge" in message
     # the traceback is in the log, which shows it where it is set to debug
     (record,) = [r for r in caplog.records if r.exc_info]
-    assert record.name == "agent.runtime.isolation"
+    assert record.name == "agent.runtime.containment"
 
 
 def test_fault_that_comes_back_is_tried_less_and_less_often_and_every_sample_is_counted(

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.blocks.indexing import Indexer
+from agent.blocks.acquisition.indexing import Indexer
 from agent.config import RigConfig, driver_class, load
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.service import ROUND_S, Service, _rest_s, _stopper
 from agent.types import EstimateBatch, FloatArray, Record
 from drivers.port import Driver, SampleBlock, SourceRequest
-from sim_bus.bench import PlayedBench
-from sim_bus.scenario import load_scenario
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.virtual_time.bench import PlayedBench
 from tests.scenario.live import example
 from tests.scenario.offline import Played, play
 

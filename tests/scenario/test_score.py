@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from agent.cli.app import app
 from agent.errors import UsageError
-from agent.runtime.cli import app
-from agent.runtime.scoring.run import shipped
-from agent.runtime.scoring.score import score
-from sim_bus.scenario import scenario_path
+from agent.evaluation.score.play import shipped
+from agent.evaluation.score.score import score
+from sim_bus.rig.scenario import scenario_path
 
 SHIPPED = (
     "bus-off", "busy-plc", "hammer", "healthy", "noisy-line", "ramp", "rebooted", "slow-clock", "standstill", "step",

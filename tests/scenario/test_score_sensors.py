@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from agent.runtime.scoring.score import score
+from agent.evaluation.score.score import score
 from tests.scenario.test_score import changed, quiet
 
 UNTIL_S, WINDOW_S, HOP_S = 2.6, 0.25, 0.05

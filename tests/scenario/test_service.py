@@ -145,7 +145,7 @@ def test_server_that_dies_and_returns_is_a_gap_and_an_alarm_that_clears(tmp_path
 def test_reader_that_dies_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A fault in a driver ends its thread, not the agent: a source alarm says so."""
     text, db = example("modbus", tmp_path).read_text(), tmp_path / "rig.db"
-    monkeypatch.setattr("drivers.modbus.ModbusDriver.read", lambda *_: 1 / 0)
+    monkeypatch.setattr("drivers.modbus.driver.ModbusDriver.read", lambda *_: 1 / 0)
     monkeypatch.setattr(threading, "excepthook", lambda _args: None)
     with simulator(tmp_path, text, *STEADY) as device:
         service = Service([load(device.config)], db, "live")

@@ -10,7 +10,7 @@ from agent.config import load
 from agent.errors import StoreError
 from agent.runtime.service import Service
 from agent.runtime.sources import connect
-from agent.storage.store import Store
+from agent.storage.write.store import Store
 from drivers.port import SampleBlock
 from tests.scenario.live import example
 from tests.scenario.test_service import renamed

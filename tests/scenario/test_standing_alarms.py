@@ -7,8 +7,8 @@ import pytest
 
 from agent.config import load
 from agent.runtime.service import RigRuntime
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition, Record, RunInfo
 from drivers.reconnect import LinkEvent
 from tests.peers import ROOT

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.runtime.demo_bus import COARSE
+from agent.evaluation.demo.bus import COARSE
 from tests import peers
 from tests.peers import ROOT
 from tests.scenario import wires

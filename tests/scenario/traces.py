@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.listening import permitted
+from drivers.write_gate import permitted
 
 _CALL = re.compile(
     r"\d+ +\w+\(\d+<"

@@ -11,11 +11,11 @@ from agent.config import RigConfig, load
 from agent.runtime.pipeline import Pipeline
 from agent.types import EstimateBatch, FloatArray, HealthEvent, Record, Status
 from drivers.port import SampleBlock
-from sim_bus.excitation import Force
-from sim_bus.rigfile import read_rig
-from sim_bus.scenario import Scenario
-from sim_bus.sensors import Sensor
-from sim_bus.tape import Rig
+from sim_bus.rig.excitation import Force
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import Scenario
+from sim_bus.rig.sensors import Sensor
+from sim_bus.rig.trajectory import Rig
 from tests.sim.rigs import ROOT, free_port
 
 EXAMPLES = ROOT / "deploy" / "examples"

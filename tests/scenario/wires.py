@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from agent.runtime.demo_bus import COARSE, Wire, write_config
+from agent.evaluation.demo.bus import COARSE, Wire, write_config
 from sim_bus.player import Player
-from sim_bus.rigfile import read_rig
-from sim_bus.scenario import load_scenario
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
 
 SAMPLES = 3000
 LIMIT_S = 80.0

@@ -20,7 +20,7 @@ import typer
 from typer.testing import CliRunner
 
 from sim_bus.commands import sim
-from sim_bus.rigfile import RigFile, checked
+from sim_bus.rig.rigfile import RigFile, checked
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 20.0

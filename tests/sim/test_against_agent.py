@@ -6,8 +6,8 @@ import pytest
 from agent.config.units import conversion
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.statespace import discretise, simulate
-from sim_bus.plant import Graph, Link, equations, propagate, step
-from sim_bus.units import SI_FACTORS, si_factor
+from sim_bus.rig.plant import Graph, Link, equations, propagate, step
+from sim_bus.rig.units import SI_FACTORS, si_factor
 
 
 @pytest.mark.parametrize("hold", ["first", "zero"])

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from agent.config import load
-from agent.runtime.demo_bus import COARSE
-from drivers.can import CanDriver
-from drivers.can_keys import FrameKeys
+from agent.evaluation.demo.bus import COARSE
+from drivers.can.codec.layout import FrameKeys
+from drivers.can.driver import CanDriver
 from drivers.port import SourceRequest
-from sim_bus.can_packing import Packing, load_database
+from sim_bus.devices.can.packing import Packing, load_database
 from sim_bus.errors import SimUsageError
-from sim_bus.rigfile import Source
+from sim_bus.rig.rigfile import Source
 from tests.scenario import wires
 
 SIGNALS = ("Force", 1e-3), ("X1", 2e-6), ("X2", 2e-6)

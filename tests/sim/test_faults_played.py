@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 
 from sim_bus import commands
 from sim_bus.commands import sim as sim_command
-from sim_bus.fault_names import names
 from sim_bus.player import Player
-from sim_bus.rigfile import read_rig
-from sim_bus.scenario import load_scenario
+from sim_bus.rig.fault_names import names
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
 from tests.sim.rigs import LIMIT_S, MODEL, RawModbus, free_port, refused, ring_config, simulator, until
 from tests.sim.test_serial_device import BINARY, opened, read
 from tests.sim.test_socketcand_device import daemon, played

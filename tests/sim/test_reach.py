@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from sim_bus.reach import carried_by, fitting
-from sim_bus.rigfile import read_rig
+from sim_bus.rig.rigfile import read_rig
 from tests.sim.rigs import MODEL, ROOT, free_port, refused, ring_config
 
 

@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from sim_bus.scenario import load_scenario
-from sim_bus.tape import Rig
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.rig.trajectory import Rig
 from tests.sim.rigs import rig, ring_config
 
 DAY = 86_400_000

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.sim.rigs import LIMIT_S, MODEL, Simulator, free_port, refused, simulator
-from tests.unit.sim_bus.test_can_packing import DBC
+from tests.unit.sim_bus.devices.test_can_packing import DBC
 
 CLASSIC = """
 [[source]]
@@ -208,7 +208,7 @@ def test_sim_vcan_without_can_in_the_kernel_says_so(tmp_path: Path, monkeypatch:
 
     (tmp_path / "rig.dbc").write_text(DBC, encoding="utf-8")
     text = (MODEL + CLASSIC).format(port=free_port(), rate=1000.0)
-    monkeypatch.setattr("sim_bus.kernel_can.socket.socket", no_can)
+    monkeypatch.setattr("sim_bus.devices.can.kernel.socket.socket", no_can)
     sim = refused(tmp_path, text.replace("socketcand", "socketcan").replace("can0", "vcan0"))
     assert sim.code == 4
     assert "this kernel has no CAN" in sim.err

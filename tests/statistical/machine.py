@@ -16,7 +16,7 @@ import pytest
 
 from agent.config import RigConfig, load
 from agent.types import FloatArray
-from sim_bus.plant import Graph, Link, Step, equations, propagate, step
+from sim_bus.rig.plant import Graph, Link, Step, equations, propagate, step
 
 PERIOD = 1e-3
 SECOND = 1000

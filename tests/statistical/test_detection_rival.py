@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.blocks.alarm import LevelAlarms
+from agent.blocks.level_alarms import LevelAlarms
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.types import EstimateBatch, FloatArray, Status
 from tests.bench import rivals

@@ -7,8 +7,10 @@ import json
 import os
 import sys
 
-from agent.runtime import cli, commands_results, service  # noqa: F401 - imported once for all
-from drivers import modbus  # noqa: F401
+from agent.cli import app as cli
+from agent.cli import results as commands_results  # noqa: F401 - imported once for all
+from agent.runtime import service  # noqa: F401 - imported once for all
+from drivers.modbus import driver as modbus  # noqa: F401
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from agent.storage.connect import connect_reader
+from agent.storage.database.connect import connect_reader
 from agent.types import AlarmTransition, EstimateBatch, Health, Reason, RunInfo, Status
 
 START = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z

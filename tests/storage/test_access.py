@@ -13,14 +13,16 @@ from pathlib import Path
 import pytest
 
 from agent.errors import StoreError, UsageError
-from agent.runtime.recording.blocks import BlockSegment
-from agent.runtime.recording.event_files import EventFolder
-from agent.runtime.recording.header import RawHeader
-from agent.storage import command_socket, maintenance, queries
-from agent.storage.command_socket import CommandServer
-from agent.storage.files import beside
-from agent.storage.receipts import _PLACE
-from agent.storage.store import Store
+from agent.recording.blocks import BlockSegment
+from agent.recording.event_files import EventFolder
+from agent.recording.header import RawHeader
+from agent.storage import maintenance
+from agent.storage.database.files import beside
+from agent.storage.read import queries
+from agent.storage.write import command_socket
+from agent.storage.write.command_socket import CommandServer
+from agent.storage.write.store import Store
+from agent.storage.write.watermark import _PLACE
 from tests import peers
 from tests.storage.rows import batch, run_info, step
 
@@ -31,7 +33,8 @@ READER = 61_003
 BECOME = f"""
 import fcntl, os, socket, sqlite3, sys
 from pathlib import Path
-from agent.storage import maintenance, queries  # before: the interpreter may lie where others cannot read
+from agent.storage import maintenance# before: the interpreter may lie where others cannot read
+from agent.storage.read import queries# before: the interpreter may lie where others cannot read
 os.setgroups([int(word) for word in sys.argv[2].split()])
 os.setgid({READERS})
 os.setuid({READER})

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runtime.clock import SampleLabels
-from agent.storage import queries
-from agent.storage.ages import Part, shifts
-from agent.storage.retention import Retention
-from agent.storage.store import Store
+from agent.clock import SampleLabels
+from agent.storage.read import queries
+from agent.storage.tables.ages import Part, shifts
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
 from agent.types import ClockRecord, RunInfo
 from tests.storage.rows import START, batch, ledger, select
 

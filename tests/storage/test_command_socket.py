@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from agent.errors import StoreError
-from agent.storage import command_socket
-from agent.storage.command_socket import CommandServer, ask
-from agent.storage.files import beside
+from agent.storage.database.files import beside
+from agent.storage.write import command_socket
+from agent.storage.write.command_socket import CommandServer, ask
 
 
 def twice(asked: Mapping[str, Any]) -> Mapping[str, Any]:

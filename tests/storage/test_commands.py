@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 
 from agent.errors import StoreError, StoreHeldError
-from agent.storage import maintenance, queries
-from agent.storage.command_socket import CommandServer, ask
-from agent.storage.errands import Errands
-from agent.storage.files import beside
-from agent.storage.retention import Retention
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.storage import maintenance
+from agent.storage.database.files import beside
+from agent.storage.read import queries
+from agent.storage.write.command_socket import CommandServer, ask
+from agent.storage.write.jobs import Errands
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from tests.storage.rows import START, batch, run_info, select, step
 from tests.storage.test_writer import FULL, Sick, error
 
@@ -132,7 +133,7 @@ def test_errands_refused_tell_whoever_waits() -> None:
 def test_ask_waits_longer_than_its_patience_for_an_agent_that_is_at_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("agent.storage.command_socket._LIFE_SIGN_S", 0.05)
+    monkeypatch.setattr("agent.storage.write.command_socket._LIFE_SIGN_S", 0.05)
     over = threading.Event()
     server = CommandServer(tmp_path / "rig.db", {"slow": lambda _: {"over": over.wait(1.0)}})
     server.start()

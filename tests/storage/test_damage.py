@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from agent.errors import StoreError
-from agent.storage import queries
-from agent.storage.files import beside
-from agent.storage.salvage import recover
-from agent.storage.store import Store
-from agent.storage.verify import problems
-from agent.storage.writer import StoreWriter
+from agent.storage.database.files import beside
+from agent.storage.database.verify import problems
+from agent.storage.read import queries
+from agent.storage.recovery.salvage import recover
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from tests.figures import figure
 from tests.storage.rows import HOP, START, batch, ledger, run_info, select, step, warming
 

@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from agent.errors import StoreError
-from agent.storage import maintenance, queries
-from agent.storage.connect import connect_reader
-from agent.storage.schema import SCHEMA_VERSION
-from agent.storage.store import Store
+from agent.storage import maintenance
+from agent.storage.database.connect import connect_reader
+from agent.storage.database.schema import SCHEMA_VERSION
+from agent.storage.read import queries
+from agent.storage.write.store import Store
 from agent.types import EventRecord
 from tests.storage.rows import START, batch, run_info, select, step
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from agent.storage import queries
-from agent.storage.files import beside
-from agent.storage.retention import Retention
-from agent.storage.store import Store
-from agent.storage.verify import problems
-from agent.storage.writer import StoreWriter
+from agent.storage.database.files import beside
+from agent.storage.database.verify import problems
+from agent.storage.read import queries
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from tests import peers
 from tests.figures import figure
 from tests.storage.rows import HOP, START, batch, run_info, select, step

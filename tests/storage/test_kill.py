@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.storage.connect import connect_reader
-from agent.storage.store import Store
+from agent.storage.database.connect import connect_reader
+from agent.storage.write.store import Store
 from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.workload import PROFILES, START

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runtime.cli import app
-from agent.runtime.cli_errors import guarded
-from agent.storage.connect import connect_reader
-from agent.storage.files import beside
-from agent.storage.store import Store
-from agent.storage.verify import problems
+from agent.cli.app import app
+from agent.cli.errors import guarded
+from agent.storage.database.connect import connect_reader
+from agent.storage.database.files import beside
+from agent.storage.database.verify import problems
+from agent.storage.write.store import Store
 from tests.figures import figure
 from tests.peers import ROOT
 from tests.scenario.live import example

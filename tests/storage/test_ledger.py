@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.storage.store import Store
+from agent.storage.write.store import Store
 from agent.types import Health
 from tests.storage.rows import START, ledger, run_info, select
 

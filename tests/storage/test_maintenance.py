@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.cli import db as commands_db
 from agent.errors import StoreError, UsageError
-from agent.runtime import commands_db
-from agent.storage import maintenance, queries
-from agent.storage.retention import Retention
-from agent.storage.store import Store
+from agent.storage import maintenance
+from agent.storage.read import queries
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
 from tests.storage.rows import START, batch, ledger, run_info, select, step
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from agent.errors import UsageError
-from agent.storage import queries
-from agent.storage.store import Store
-from agent.storage.times import age_ns, parse_time
+from agent.storage.read import queries
+from agent.storage.read.times import age_ns, parse_time
+from agent.storage.write.store import Store
 from agent.text import iso_time
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step, warming
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.storage import queries
-from agent.storage import store as store_module
-from agent.storage.connect import WAL_BOUND, connect_reader
-from agent.storage.files import beside
-from agent.storage.spill import spill_path
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.storage.database.connect import WAL_BOUND, connect_reader
+from agent.storage.database.files import beside
+from agent.storage.read import queries
+from agent.storage.write import store as store_module
+from agent.storage.write.spill import spill_path
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from tests.storage.rows import HOP, START, batch, run_info, step
 
 

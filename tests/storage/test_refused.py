@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.cli import app
-from agent.runtime.cli_errors import guarded
-from agent.storage.files import beside
-from agent.storage.store import Store
+from agent.cli.app import app
+from agent.cli.errors import guarded
+from agent.storage.database.files import beside
+from agent.storage.write.store import Store
 from tests import peers
 from tests.scenario.live import example
 from tests.storage.rows import batch, ledger, run_info, step

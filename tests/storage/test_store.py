@@ -11,10 +11,11 @@ import pytest
 from scipy.special import stdtrit
 
 from agent.errors import StoreError
-from agent.storage import connect, queries
-from agent.storage.checksum import column_crc, row_crc
-from agent.storage.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of, version_mark
-from agent.storage.store import Store
+from agent.storage.database import connect
+from agent.storage.database.checksum import column_crc, row_crc
+from agent.storage.database.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of, version_mark
+from agent.storage.read import queries
+from agent.storage.write.store import Store
 from agent.types import EstimateBatch, HealthEvent, Reason, SourceClock, Status
 from tests.storage.rows import HOP, PARAMETERS, START, batch, ledger, run_info, select, step, warming
 
@@ -303,7 +304,7 @@ def test_seq_never_goes_back_after_everything_was_deleted(path: Path) -> None:
 
 def test_open_by_a_second_process_names_the_first(path: Path) -> None:
     code = (
-        "import sys; from agent.storage.store import Store\nfrom agent.errors import StoreError\n"
+        "import sys; from agent.storage.write.store import Store\nfrom agent.errors import StoreError\n"
         "try: Store.open(sys.argv[1])\nexcept StoreError as e: print(e); sys.exit(e.exit_code)"
     )
     with Store.open(path):
@@ -465,7 +466,7 @@ def test_rows_under_coloured_noise_keep_their_intervals_and_name_no_fit_each(pat
 
 
 def test_fits_that_were_named_long_ago_take_no_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.storage.rows.MOST_FITS", 100)
+    monkeypatch.setattr("agent.storage.tables.rows.MOST_FITS", 100)
     with Store.open(path) as store:
         run_id = store.begin_run(run_info())
         for first in range(0, 1000, 20):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from agent.storage.thinning import Thinner
+from agent.storage.write.decimation import Thinner
 from agent.types import AlarmTransition, EstimateBatch, Record
 from tests.storage.rows import HOP, START, batch, ledger, step
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.storage import queries
-from agent.storage.retention import Retention, bytes_per_rig_year
-from agent.storage.store import Store
-from agent.storage.tiers import MINUTE, grouped
+from agent.storage.read import queries
+from agent.storage.write.retention import Retention, bytes_per_rig_year
+from agent.storage.write.rollups import MINUTE, grouped
+from agent.storage.write.store import Store
 from agent.types import EstimateBatch, Reason, Status
 from tests.storage.rows import START, batch, ledger, run_info, select
 

@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 from agent.errors import AgentError, StoreError
-from agent.storage import maintenance, queries
-from agent.storage.files import beside
-from agent.storage.retention import Retention
-from agent.storage.schema import own_schema
-from agent.storage.store import Store
+from agent.storage import maintenance
+from agent.storage.database.files import beside
+from agent.storage.database.schema import own_schema
+from agent.storage.read import queries
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
 from agent.types import ClockRecord, EventRecord, RunInfo
 from tests import peers
 from tests.figures import figure

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.runtime.demo_bus import COARSE, write_config
+from agent.evaluation.demo.bus import COARSE, write_config
 from agent.runtime.replay import replay
 from agent.storage.maintenance import check
-from agent.storage.thinning import Thinner
+from agent.storage.write.decimation import Thinner
 from tests.rigs import two_mass_recording
 from tests.scenario.live import rows
 from tests.storage.rows import batch

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from agent.errors import StoreError
-from agent.storage import queries
-from agent.storage.backlog import Backlog, Pause
-from agent.storage.rows import Plan
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.storage.read import queries
+from agent.storage.tables.rows import Plan
+from agent.storage.write.backlog import Backlog, Pause
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, HealthEvent
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step
@@ -296,7 +296,7 @@ def test_writer_counts_what_is_left_and_closes_its_file_where_its_socket_cannot_
     writer = StoreWriter(lambda: Sick.open(path), [run_info()], period_s=LONG, served=True)
     writer.start()
     Sick.cause = FULL
-    monkeypatch.setattr("agent.storage.command_socket.CommandServer.stop", _read_only)
+    monkeypatch.setattr("agent.storage.write.command_socket.CommandServer.stop", _read_only)
     writer.publish([batch(1)])
     writer.stop(20)
     Sick.cause = None

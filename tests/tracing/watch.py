@@ -75,7 +75,7 @@ def _is_drivers(frame: FrameType | None) -> bool:
 
 
 def _judge(kind: str, data: Any) -> None:
-    from drivers import listening
+    from drivers import write_gate as listening
 
     whole = bytes(data) if isinstance(data, bytes | bytearray | memoryview) else b"".join(map(bytes, data))
     protocol = next((name for name in RULES.get(kind, ()) if listening.permitted(name, whole)), None)

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from agent.runtime.demo_bus import COARSE, write_config
+from agent.evaluation.demo.bus import COARSE, write_config
 
 HERE = Path(__file__).parent
 BUSES = {"played": "vcan0", "canplayer": "vcan1", "shaken": "vcan2"}

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.runtime.demo_bus import COARSE
-from agent.storage import queries
+from agent.evaluation.demo.bus import COARSE
+from agent.storage.read import queries
 from tests.peers import ROOT, program
 from tests.scenario import wires
 from tests.uml.inside import SAME_ARITHMETIC

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.runtime.clock import DEAD_ZONE_NS, SampleLabels, boot_id, monotonic_ns, wall_ns
+from agent.clock import DEAD_ZONE_NS, SampleLabels, boot_id, monotonic_ns, wall_ns
 
 WALL = 1_760_000_000_000_000_000
 SECOND = 1_000_000_000

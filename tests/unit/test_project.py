@@ -84,14 +84,14 @@ def test_import_contracts_name_what_an_import_breaks(tmp_path: Path) -> None:
     for package in ("agent", "drivers", "sim_bus"):
         shutil.copytree(peers.ROOT / package, tmp_path / package)
     (tmp_path / "pyproject.toml").write_text((peers.ROOT / "pyproject.toml").read_text())
-    (tmp_path / "agent" / "blocks" / "wrong.py").write_text("import sim_bus\nimport drivers.modbus\n")
+    (tmp_path / "agent" / "blocks" / "wrong.py").write_text("import sim_bus\nimport drivers.modbus.driver\n")
     lint = Path(sys.executable).with_name("lint-imports")
     env = {"PYTHONPATH": str(tmp_path), "COLUMNS": "200"}
     command = [lint, "--no-logo", "--no-cache"]
     done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=100)
     assert done.returncode == 1
     assert "agent.blocks.wrong -> sim_bus" in done.stdout
-    assert "agent.blocks.wrong -> drivers.modbus" in done.stdout
+    assert "agent.blocks.wrong -> drivers.modbus.driver" in done.stdout
 
 
 def test_make_demo_says_what_it_does_while_it_installs(tmp_path: Path) -> None:

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
+from agent.cli.db import export
+from agent.cli.output import print_faults, show
+from agent.commissioning.evidence import Evidence
+from agent.commissioning.probe import listen
+from agent.commissioning.readings import noise_of
+from agent.commissioning.recording_summary import read_recording
 from agent.config import load
 from agent.config.units import near_miss
 from agent.errors import Fault, RecordingError, UsageError
-from agent.runtime.check_evidence import Evidence
-from agent.runtime.check_recording import read_recording
-from agent.runtime.cli_output import print_faults, show
-from agent.runtime.commands_db import export
-from agent.runtime.probe import listen
-from agent.runtime.readings import noise_of
 from agent.text import printable
 from drivers.port import Counts, DriverConfigError
-from drivers.serial_text import TextDecoder
-from tests.unit.drivers.test_recording import driver, everything
+from drivers.serial.text import TextDecoder
+from tests.unit.drivers.files.test_driver import driver, everything
 
 RIG = """
 [rig]
@@ -142,7 +142,7 @@ def test_check_says_of_a_source_all_of_whose_lines_are_refused_which_and_why(mon
         "rate_hz": None, "nominal_hz": 1000.0, "drift_ppm": None,
     }  # fmt: skip
     gathering = type("Silent", (), {"recorded": lambda *_: None, "sources": lambda _: [source]})()
-    monkeypatch.setattr("agent.runtime.check_evidence.listen", lambda *_: gathering)
+    monkeypatch.setattr("agent.commissioning.evidence.listen", lambda *_: gathering)
     config = type("Config", (), {"source": [type("Source", (), {"name": "scale"})]})()
     first, last = map(str, Evidence(probe=True).gather(config).warnings)
     assert first.startswith('source[0]: scale: all of 9 that came were rejected (columns 9); the first: "7;1" is short')

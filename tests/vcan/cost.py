@@ -12,10 +12,10 @@ from pathlib import Path
 
 import can
 
-from drivers.can_bus import BusKeys
-from drivers.can_codec import FrameDecoder
-from drivers.can_database import load, message_codecs
-from drivers.can_kernel import KernelBus
+from drivers.can.bus.bus import BusKeys
+from drivers.can.bus.kernel import KernelBus
+from drivers.can.codec.database import load, message_codecs
+from drivers.can.codec.decoder import FrameDecoder
 from drivers.port import Counts
 from tests.conformance import test_can_conformance
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.can import CanDriver, CanSettings
-from drivers.can_frames import candump_frames
+from drivers.can.codec.frames import candump_frames
+from drivers.can.driver import CanDriver, CanSettings
 from drivers.conformance import DriverConformance, Line
 from drivers.port import FloatArray, SampleBlock, SourceRequest
 from tests.conformance import test_can_conformance as can_lines

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from drivers import can_kernel
-from drivers.can_batch import BatchReceiver
-from drivers.can_bus import BusKeys
-from drivers.can_frames import EXTENDED, REMOTE, Frames, joined, no_frames
-from drivers.can_kernel import KernelBus
+from drivers.can.bus import kernel as can_kernel
+from drivers.can.bus.batch import BatchReceiver
+from drivers.can.bus.bus import BusKeys
+from drivers.can.bus.kernel import KernelBus
+from drivers.can.codec.frames import EXTENDED, REMOTE, Frames, joined, no_frames
 from drivers.port import Counts, DriverIOError
 from tests.vcan.inside import DEADLINE_S, bus_is_there, ip, make_bus, raw_socket
 

@@ -16,16 +16,16 @@ import pytest
 
 from agent.config import load
 from agent.runtime.sources import source_hints
-from drivers import can_link
-from drivers.can import CanDriver, CanSettings
-from drivers.can_bus import BusKeys
-from drivers.can_frames import FRAME, FrameTable, candump_frames
-from drivers.can_kernel import KernelBus
-from drivers.can_slcan import SlcanBus
+from drivers.can.bus import netlink as can_link
+from drivers.can.bus.bus import BusKeys
+from drivers.can.bus.kernel import KernelBus
+from drivers.can.bus.slcan import SlcanBus
+from drivers.can.codec.frames import FRAME, FrameTable, candump_frames
+from drivers.can.driver import CanDriver, CanSettings
 from drivers.port import Counts, SourceRequest
 from drivers.reconnect import ReconnectingDriver
-from sim_bus.can_packing import FrameKind
-from sim_bus.slcan_device import SlcanText
+from sim_bus.devices.can.packing import FrameKind
+from sim_bus.devices.can.slcan import SlcanText
 from tests.peers import ROOT
 from tests.vcan.adapter import DEADLINE_S, KernelAdapter, kernel_adapter
 from tests.vcan.inside import FOLDER

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.fitting.fit import Linearised
-from agent.numerics.readings.bridge import Bridge, bridge_over
+from agent.numerics.preprocessing.bridge import Bridge, bridge_over
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

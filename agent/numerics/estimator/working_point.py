@@ -20,7 +20,7 @@ from agent.numerics.fitting.window_filter import WindowFilter
 from agent.numerics.model.observer import Gain, Noise
 from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import Discrete, Model, discretise
-from agent.numerics.readings.bridge import Bridge
+from agent.numerics.preprocessing.bridge import Bridge
 from agent.numerics.window.choice import gate
 from agent.numerics.window.commission import Commission
 from agent.numerics.window.hops import HopOperators, Segment

@@ -18,7 +18,7 @@ from agent.numerics.model.mechanics import GROUND, Element, MassSpringDamper
 from agent.numerics.model.observer import Gain
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import Hold, Model, discretise
-from agent.numerics.readings.bridge import Bridge
+from agent.numerics.preprocessing.bridge import Bridge
 from agent.types import Reason
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.fitting.impulses import Impulses, Written
 from agent.numerics.fitting.window_filter import WindowFilter, orthogonal
-from agent.numerics.readings.bridge import Bridge, Shrinkage, shrinkage
+from agent.numerics.preprocessing.bridge import Bridge, Shrinkage, shrinkage
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -16,7 +16,7 @@ from agent.numerics.fitting.window_filter import WindowFilter, without_parameter
 from agent.numerics.fitting.work import WORK
 from agent.numerics.model.observer import Gain
 from agent.numerics.model.statespace import Discrete, StateSpace
-from agent.numerics.readings.bridge import Bridge
+from agent.numerics.preprocessing.bridge import Bridge
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.model.sensitivity import SensitivityFilter
-from agent.numerics.readings.bridge import Bridge
+from agent.numerics.preprocessing.bridge import Bridge
 from agent.numerics.window.cells import CellOperator, cell_operators, propagate
 
 FloatArray = NDArray[np.float64]

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from agent.numerics.fitting.fit import least_cost
 from agent.numerics.model.observer import Gain, Noise, matched_gain
 from agent.numerics.model.statespace import Discrete
-from agent.numerics.readings.bridge import Bridge
+from agent.numerics.preprocessing.bridge import Bridge
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from agent.numerics.fitting.impulses import Impulses, Runs, Written
 from agent.numerics.model.observer import Gain
 from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.readings.bridge import Bridge
+from agent.numerics.preprocessing.bridge import Bridge
 from agent.numerics.window.cells import cell_operators, propagate, run_cells
 
 FloatArray = NDArray[np.float64]

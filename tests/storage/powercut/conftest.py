@@ -20,4 +20,4 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def light(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ballast that is laid in no time; no test here fills a disk."""
-    monkeypatch.setattr("agent.storage.files.BALLAST_BYTES", 64 * 1024)
+    monkeypatch.setattr("agent.storage.database.files.BALLAST_BYTES", 64 * 1024)

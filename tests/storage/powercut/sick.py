@@ -14,11 +14,11 @@ from typing import Any
 from scipy import special  # noqa: F401 - imported once for all
 from sqlite_utils import migrations  # noqa: F401
 
-from agent.storage import backlog
-from agent.storage import store as store_module
-from agent.storage.retention import Retention
-from agent.storage.store import Store
-from agent.storage.writer import StoreWriter
+from agent.storage.write import backlog
+from agent.storage.write import store as store_module
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from tests.storage.powercut.workload import PROFILES, records
 from tests.storage.rows import run_info
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.storage import receipts
-from agent.storage.store import Store
+from agent.storage.write import watermark as receipts
+from agent.storage.write.store import Store
 from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.disk import Operation, cuts, read_log

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from agent.errors import StoreError
-from agent.storage.connect import connect_reader
-from agent.storage.store import Store
+from agent.storage.database.connect import connect_reader
+from agent.storage.write.store import Store
 from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.disk import cuts, read_log
@@ -184,7 +184,7 @@ def test_reopen_whose_folder_cannot_be_synced_takes_no_row(memory: Path, monkeyp
 
     with Store.open(memory / "rig.db") as store:
         run_id = store.begin_run(run_info())
-        monkeypatch.setattr("agent.storage.store.sync_folder", refuse)
+        monkeypatch.setattr("agent.storage.write.store.sync_folder", refuse)
         with pytest.raises(OSError, match="Input/output"):
             store.reopen()
         with pytest.raises(StoreError, match="closed"):

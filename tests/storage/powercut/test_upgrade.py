@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from agent.storage import maintenance
-from agent.storage.connect import create
-from agent.storage.schema import SCHEMA_VERSION, version_of
-from agent.storage.store import Store
+from agent.storage.database.connect import create
+from agent.storage.database.schema import SCHEMA_VERSION, version_of
+from agent.storage.write.store import Store
 from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.disk import cuts
@@ -115,7 +115,9 @@ def looked_at(path: Path) -> int:
 
 
 def test_first_start_loads_no_pandas_though_it_is_installed(memory: Path) -> None:
-    code = "import sys; from agent.storage.store import Store; Store.open(sys.argv[1]); print(sorted(sys.modules))"
+    code = (
+        "import sys; from agent.storage.write.store import Store; Store.open(sys.argv[1]); print(sorted(sys.modules))"
+    )
     command = [sys.executable, "-c", code, memory / "rig.db"]
     done = subprocess.run(command, cwd=peers.ROOT, capture_output=True, text=True, check=True)
     assert "'sqlite_utils'" in done.stdout

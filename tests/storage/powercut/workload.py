@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from agent.storage import connect
-from agent.storage import store as store_module
-from agent.storage.retention import Retention
-from agent.storage.store import Store
+from agent.storage.database import connect
+from agent.storage.write import store as store_module
+from agent.storage.write.retention import Retention
+from agent.storage.write.store import Store
 from agent.types import Record
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step
 

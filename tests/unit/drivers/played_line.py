@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from drivers.clock import playing
-from drivers.listening import check
 from drivers.pipe import Pipe, PlayedMachine
 from drivers.port import Driver, DriverIOError
+from drivers.write_gate import check
 
 Answer = Callable[[bytes], tuple[bytes, float]]
 """Takes a request, gives the reply and how long the device works at it, s."""

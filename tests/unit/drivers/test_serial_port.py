@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.check import check
+from agent.commissioning.check import check
 from drivers import serial_port
 from drivers.pipe import SerialPipe
 from drivers.port import DriverConfigError, DriverIOError, SourceRequest
-from drivers.serial_line import SerialDriver, SerialSettings
+from drivers.serial.driver import SerialDriver, SerialSettings
 from drivers.serial_port import SerialKeys, close_port, open_port, port_hint
 from tests.peers import ROOT
 

@@ -1,6 +1,6 @@
 """The Modbus driver, but that it starts the machine before it listens to it."""
 
-from drivers.modbus import ModbusDriver
+from drivers.modbus.driver import ModbusDriver
 
 START = bytes.fromhex("00 00 00 00 00 06 01 05 00 10 FF 00")  # function 5: write a coil
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.blocks.containment import ContainedEstimator
+from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
 from agent.numerics.estimator.window_ml import EVALUATIONS, RATE, WindowML
 from agent.numerics.fitting.work import EVALUATION, WORK, Budget

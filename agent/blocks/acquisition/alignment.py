@@ -1,0 +1,435 @@
+"""Data acquisition of rigs whose channels do not come together: several devices, delays, clocks and rates of their own.
+
+Rows follow the samples of one source, the reference. Every other channel is read where the reference's instant lies in
+its own source: at the same number where devices share a counter, at the place that both clocks say where they do not,
+later by the channel's delay and by the skew of its source. Between samples a reading is interpolated. What is decided
+depends on each source's own samples, not on whose block came first, so that a replay gives the same rows.
+
+A device that begins to count anew begins a span of rows, which no row before goes with. The others join it by their
+counters where they began anew as well; where one did not, its samples are found by a skew that is measured anew.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agent.blocks.acquisition.clock_map import SETTLE_S, ClockMap
+from agent.blocks.acquisition.indexing import BoolArray, Clock, Indexer, Origin
+from agent.blocks.acquisition.single_source import SourcePlan, SourceState, intake, uninterrupted
+from agent.blocks.acquisition.skew_watch import SkewEvent, SkewWatch
+from agent.blocks.acquisition.tally import Tally
+from agent.numerics.preprocessing.resample import AFTER, interpolated, split
+from agent.types import Aligned, FloatArray, IntArray, Samples
+from drivers.port import SampleBlock
+
+Label = Callable[[IntArray], IntArray]
+PATIENCE_S = 1.0
+"""How long a sample of one source waits for the same instant of another."""
+TOGETHER_S = 0.5
+"""Devices that began to count anew together have all been read again after this."""
+NEIGHBOURS = 2
+"""Samples within which a source must have one for a row to be made at all."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamPlan:
+    """One source: its columns, the rate at which its device samples, and whether the device counts for itself."""
+
+    source: SourcePlan
+    rate_hz: float
+    own_clock: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentPlan:
+    """How the sources of a rig become rows.
+
+    Attributes:
+        streams: the sources; `reference` is the place of the one whose samples make rows.
+        channels, inputs: number of channels, of which the first are inputs.
+        clock, rate_hz: what orders samples, and how fast rows come.
+        delay_s: (c,) how much later than the reference's first channel each is read, as far as that is configured.
+        late_s: how late that first channel is itself.
+    """
+
+    streams: tuple[StreamPlan, ...]
+    reference: int
+    channels: int
+    inputs: int
+    clock: Clock
+    rate_hz: float
+    delay_s: FloatArray
+    late_s: float = 0.0
+
+    @property
+    def clocks(self) -> bool:
+        """Whether some device counts for itself."""
+        return any(stream.own_clock for stream in self.streams)
+
+
+@dataclass(slots=True)
+class Stream:
+    """One source while it runs: what of its samples is kept, where they ended up, its clock."""
+
+    plan: StreamPlan
+    state: SourceState
+    clock: ClockMap | None
+    tally: Tally = field(default_factory=Tally)
+    index: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    values: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    stamps: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    sent: int = -1
+    _restarts: int = 0
+
+    def began_anew(self) -> bool:
+        """Tell whether the device began to count anew since the last call."""
+        before, self._restarts = self._restarts, self.state.indexer.restarts
+        return self._restarts > before
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest sample; -1 before there is one."""
+        return int(self.index[-1]) if len(self.index) else -1
+
+    @property
+    def waiting(self) -> int:
+        """Complete samples that wait for their row, or for what is made of it."""
+        open_ = self.index > self.sent
+        return int(np.isfinite(self.values[open_]).all(axis=1).sum()) + self.tally.waiting if len(self.index) else 0
+
+    def take(self, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
+        """Keep a block's samples, those that lack a reading too, with the stamps of `label` or else their own."""
+        restarts = self.state.indexer.restarts
+        index, values, stamps = intake(self.state, block, modulus)
+        if self.clock is not None and self.state.indexer.restarts > restarts:
+            self.clock.restart()
+        if not len(index):
+            return
+        times = label(index) if label is not None else _by_rate(index, self.plan.rate_hz) if stamps is None else stamps
+        self.index, self.stamps = np.concatenate([self.index, index]), np.concatenate([self.stamps, times])
+        self.values = np.concatenate([self.values, values]) if self.values.size else values
+        if self.clock is not None:
+            self.clock.observe(int(index[-1]), block.arrival_ns)
+
+    def send(self, last: IntArray) -> IntArray:
+        """Return how many complete samples (n,) go with rows that take along all up to last (n,)."""
+        complete = self.index[np.isfinite(self.values).all(axis=1)] if len(self.index) else self.index
+        edges = np.searchsorted(complete, np.maximum.accumulate(np.concatenate([[self.sent], last])), side="right")
+        self.sent = max(self.sent, int(last[-1]))
+        return np.diff(edges)
+
+    def give_up(self, last: int) -> None:
+        """Refuse the samples up to one that no row takes along."""
+        if last > self.sent:
+            self.tally.refuse("unpaired", int(self.send(np.array([last])).sum()))
+
+    def forget(self, before: int) -> None:
+        """Drop the samples before one."""
+        cut = int(np.searchsorted(self.index, min(before, self.sent)))
+        self.index, self.values, self.stamps = self.index[cut:], self.values[cut:], self.stamps[cut:]
+        if self.clock is not None:
+            self.clock.forget(before)
+
+
+def _by_rate(index: IntArray, rate_hz: float) -> IntArray:
+    period = np.longdouble(1e9) / np.longdouble(rate_hz)
+    return np.asarray(np.rint(index * period).astype(np.int64))
+
+
+@dataclass(slots=True)
+class Span:
+    """Rows from number `since` on, between which no device began to count anew, and what measures their skews."""
+
+    since: int
+    watch: SkewWatch | None
+    announced: bool = False
+
+
+class Alignment:
+    """The acquisition of one rig with several sources, or with channels that are late.
+
+    Args:
+        plan: how rows are made.
+        watch: measures the skews of sources; None where there is nothing to measure.
+        remeasure: makes a watch of all sources, for when their counters say nothing; None where there is but one.
+        keep_incomplete: hand on rows that lack some reading (NaN).
+    """
+
+    def __init__(
+        self, plan: AlignmentPlan, watch: SkewWatch | None = None, remeasure: Callable[[], SkewWatch] | None = None,
+        *, keep_incomplete: bool = False,
+    ) -> None:  # fmt: skip
+        origin = Origin(shared=len(plan.streams) > 1)
+        self.plan, self._keep_incomplete = plan, keep_incomplete
+        self._usual, self._remeasure = watch, remeasure
+        self._spans = [Span(-1, watch)]
+        self._events: list[SkewEvent] = []
+        self.streams = {p.source.name: self._stream(p, origin) for p in plan.streams}
+        self.reference = list(self.streams.values())[plan.reference]
+        self._patience = round((PATIENCE_S + (2 * SETTLE_S if plan.clocks else 0.0)) * plan.rate_hz)
+        self._made, self._last, self._segment = -1, -2, 0
+
+    def _stream(self, plan: StreamPlan, origin: Origin) -> Stream:
+        own = origin if not plan.own_clock else Origin()
+        state = SourceState(plan.source, Indexer(self.plan.clock, plan.rate_hz, own))
+        return Stream(plan, state, ClockMap(plan.rate_hz) if self.plan.clocks else None)
+
+    @property
+    def sources(self) -> dict[str, SourceState]:
+        """What is known of each source."""
+        return {name: stream.state for name, stream in self.streams.items()}
+
+    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> list[Aligned]:
+        """Take a block of one source; return the rows that it leads to, cut at gaps.
+
+        label gives time stamps; without it the samples' own are taken, or those of their numbers.
+        """
+        stream = self.streams[source]
+        stream.take(block, modulus, label if stream is self.reference else None)
+        if stream.began_anew():
+            self._begin_span(stream)
+        return self._advance()
+
+    @property
+    def watch(self) -> SkewWatch | None:
+        """What measures the skews of the rows to come."""
+        return self._spans[-1].watch
+
+    def _begin_span(self, stream: Stream) -> None:
+        """Part the rows to come from those before: their numbers count from elsewhere."""
+        since, own = max(stream.state.indexer.began, self._made + 1, self._spans[-1].since), stream.plan.own_clock
+        if len(self.streams) > 1:
+            span = Span(self._in_rows(stream, since), self._watch_anew(since, needed=not own and self._parted()))
+            self._spans.append(span)
+
+    def _in_rows(self, stream: Stream, number: int) -> int:
+        """Return the row at which a source that has just begun anew goes on."""
+        return max(self._made + 1, number if not stream.plan.own_clock else self.reference.newest)
+
+    def _parted(self) -> bool:
+        """Whether the counters of sources that have a count in common say no longer which samples go together."""
+        counting = [stream for stream in self.streams.values() if not stream.plan.own_clock]
+        return len({stream.state.indexer.generation for stream in counting}) > 1
+
+    def _watch_anew(self, since: int, *, needed: bool) -> SkewWatch | None:
+        """Return what measures the skews from row `since` on, beginning with what was usual before."""
+        if not needed:
+            self._usual = None if self._usual is None else self._usual.anew(since, needed=False)
+            return self._usual
+        every = self._remeasure() if self._remeasure is not None else None
+        known = self._usual is not None and (every is None or self._usual.groups == every.groups)
+        watch = self._usual if known else every
+        return None if watch is None else watch.anew(since, needed=True)
+
+    def finish(self) -> list[Aligned]:
+        """Return the rows that wait for samples that will not come."""
+        for span in self._spans:
+            if span.watch is not None:
+                span.watch.let_go()
+        pieces = self._advance(end=True)
+        for stream in self.streams.values():
+            stream.give_up(stream.newest)
+        return pieces
+
+    def hurry(self) -> None:
+        """Measure no skew any more."""
+        for span in list(self._spans):
+            if span.watch is not None and span.watch.budget is not None:
+                span.watch.budget.close()
+
+    def arrived(self, samples: Sequence[Samples]) -> None:
+        """Note what became of rows."""
+        for stream in self.streams.values():
+            for piece in samples:
+                stream.tally.arrive(piece)
+
+    def take_events(self) -> list[SkewEvent]:
+        """Return what was found of the sources' skews since the last call."""
+        for span in self._spans:
+            self._events += [] if span.watch is None else span.watch.take_events()
+        events, self._events = self._events, []
+        return events
+
+    def skews(self) -> dict[str, tuple[float | None, float | None]]:
+        """Return what is compensated of each source's skew, and its sd, s; None where it is not known."""
+        return {} if self.watch is None else self.watch.known()
+
+    def _advance(self, *, end: bool = False) -> list[Aligned]:
+        """Make the rows that every source is ready for, or has let wait too long, span by span."""
+        pieces: list[Aligned] = []
+        while len(self._spans) > 1 and self._finished(self._spans[1].since - 1, pieces, end=end):
+            span = self._spans.pop(0)
+            self._events += [] if span.watch is None else span.watch.take_events()
+        if len(self._spans) == 1 and not self._held(self._spans[0]):
+            self._make(self._last_due(end=end), pieces)
+        self._clear()
+        return pieces
+
+    def _finished(self, last: int, pieces: list[Aligned], *, end: bool) -> bool:
+        """Make the rows of the oldest span, which ends with `last`, as far as they are due; tell whether that is all.
+
+        What was not known of its skews will not be known any more.
+        """
+        watch = self._spans[0].watch
+        if watch is not None:
+            watch.end()
+        due = self._last_due(end=end)
+        self._make(min(due, last), pieces)
+        return due >= last
+
+    def _last_due(self, *, end: bool) -> int:
+        return self.reference.newest if end else max(self._ready(), self.reference.newest - self._patience)
+
+    def _make(self, last: int, pieces: list[Aligned]) -> None:
+        """Make the rows that wait, up to the last one."""
+        waiting = self.reference.index[self.reference.index > self._made]
+        rows = waiting[: int(np.searchsorted(waiting, last, side="right"))]
+        if len(rows):
+            pieces += self._rows(rows)
+
+    def _held(self, span: Span) -> bool:
+        """Let the skews be measured; tell whether rows wait for that."""
+        watch = span.watch
+        if watch is None or not all(len(stream.index) for stream in self.streams.values()):
+            return False
+        ready = self._ready(watch.margin)
+        watch.look(self._first_common(), ready, self.reference.newest, self._read)
+        if watch.needed and not span.announced and self.reference.newest > span.since + TOGETHER_S * self.plan.rate_hz:
+            span.announced = True
+            self._announce(watch.against)
+        return watch.holding
+
+    def _announce(self, against: str) -> None:
+        """Say whose counters no longer go with the others'."""
+        counting = [stream for stream in self.streams.values() if not stream.plan.own_clock]
+        newest = max(counting, key=lambda stream: stream.state.indexer.generation).state.plan.name
+        others = " and ".join(s.state.plan.name for s in counting if s.state.plan.name != newest)
+        words = f"{newest}: its device began to count anew and {others} did not; how they go together is measured anew"
+        self._events.append(SkewEvent(newest if newest != against else others, "realigning", words))
+
+    def _delays(self) -> FloatArray:
+        """How much later than the reference each channel is read in the oldest span, (c,), s."""
+        watch = self._spans[0].watch
+        return self.plan.delay_s if watch is None else self.plan.delay_s + watch.delays()
+
+    def _ready(self, further: int = 0) -> int:
+        """Return the last row that can be read from every source, with so many samples after it."""
+        delays = self._delays()
+        return min(self._ready_of(stream, delays, further) for stream in self.streams.values())
+
+    def _ready_of(self, stream: Stream, delays: FloatArray, further: int) -> int:
+        late = delays[list(stream.plan.source.columns)] * stream.plan.rate_hz
+        if not self._apart(stream):
+            whole, part = split(late)
+            return stream.newest - further - int(np.max(whole + np.where(part > 0, AFTER, 0)))
+        here, there = self.reference.clock, stream.clock
+        if here is None or there is None or not (here.settled and there.settled):
+            return -1
+        ahead = further * stream.plan.rate_hz / self.plan.rate_hz
+        last = there.time_s(np.array([min(stream.newest, there.known) - ahead - AFTER - float(late.max())]))
+        return min(int(np.floor(here.place(last)[0])) - 1, here.known)
+
+    def _apart(self, stream: Stream) -> bool:
+        """Whether a source and the reference count by clocks of their own."""
+        return stream is not self.reference and (stream.plan.own_clock or self.reference.plan.own_clock)
+
+    def _first_common(self) -> int:
+        """Return the first row of which every source has a reading."""
+        return max(self._first_of(stream) for stream in self.streams.values())
+
+    def _first_of(self, stream: Stream) -> int:
+        here, there, first = self.reference.clock, stream.clock, int(stream.index[0])
+        if not self._apart(stream):
+            return first
+        if here is None or there is None or not (here.settled and there.settled):
+            return first
+        return int(np.ceil(here.place(there.time_s(np.array([first])))[0]))
+
+    def _places(self, stream: Stream, rows: IntArray, delay_s: float) -> tuple[IntArray, FloatArray]:
+        """Return where rows (n,) lie among a source's samples, for a channel that is so late: whole and part."""
+        late = delay_s * stream.plan.rate_hz
+        here, there = self.reference.clock, stream.clock
+        if not self._apart(stream) or here is None or there is None:
+            whole, part = split(np.array([late]))
+            return rows + whole[0], np.full(len(rows), part[0])
+        return split(there.place(here.time_s(rows.astype(np.float64))) + late)
+
+    def _read(self, rows: IntArray, delays: FloatArray) -> FloatArray:
+        """Return readings (n, c) of rows, each channel's as late as it is configured to be and `delays` (c,) more."""
+        late = self.plan.delay_s + delays
+        joined = np.full((len(rows), self.plan.channels), np.nan)
+        for stream in self.streams.values():
+            for place, channel in enumerate(stream.plan.source.columns):
+                if len(stream.index):
+                    whole, part = self._places(stream, rows, float(late[channel]))
+                    joined[:, channel] = interpolated(stream.index, stream.values[:, place], whole, part)
+        return joined
+
+    def _rows(self, rows: IntArray) -> Iterator[Aligned]:
+        """Make rows; count where the samples that go with them end up."""
+        delays = self._delays()
+        joined = self._read(rows, delays - self.plan.delay_s)
+        complete = np.isfinite(joined).all(axis=1)
+        kept = complete.copy()
+        if self._keep_incomplete:
+            kept = np.all([self._present(stream, rows, delays) for stream in self.streams.values()], axis=0)
+        kept &= ~self._astride(rows, delays)
+        for stream in self.streams.values():
+            counts = stream.send(self._nearest(stream, rows, delays))
+            whole = complete & kept
+            stream.tally.send(rows[whole], counts[whole])
+            stream.tally.refuse("unpaired", int(counts[~whole].sum()))
+        at = np.searchsorted(self.reference.index, rows)
+        stamps = self.reference.stamps[at] - round(self.plan.late_s * 1e9)
+        self._made = int(rows[-1])
+        for piece in uninterrupted(rows[kept], joined[kept], stamps[kept]):
+            yield self._numbered(*piece)
+
+    def _astride(self, rows: IntArray, delays: FloatArray) -> BoolArray:
+        """Tell which rows (n,) would be read on both sides of where a device began to count anew."""
+        reach = AFTER + 1 + round(float(np.abs(delays).max()) * self.plan.rate_hz)
+        edges = [span.since for span in self._spans if span.since >= 0]
+        return np.any([np.abs(rows - edge) < reach for edge in edges], axis=0) if edges else np.zeros(len(rows), bool)
+
+    def _nearest(self, stream: Stream, rows: IntArray, delays: FloatArray) -> IntArray:
+        whole, part = self._places(stream, rows, float(delays[stream.plan.source.columns[0]]))
+        return np.asarray(whole + (part >= 0.5))
+
+    def _present(self, stream: Stream, rows: IntArray, delays: FloatArray) -> BoolArray:
+        """Tell for which rows (n,) a source has samples nearby."""
+        if not len(stream.index):
+            return np.zeros(len(rows), dtype=np.bool_)
+        place = self._nearest(stream, rows, delays)
+        after = np.minimum(np.searchsorted(stream.index, place), len(stream.index) - 1)
+        away = np.minimum(np.abs(stream.index[after] - place), np.abs(stream.index[np.maximum(after - 1, 0)] - place))
+        reach = max(NEIGHBOURS, round(NEIGHBOURS * stream.plan.rate_hz / self.plan.rate_hz))
+        return np.asarray(away <= reach)
+
+    def _numbered(self, index: IntArray, values: FloatArray, stamps: IntArray | None) -> Aligned:
+        """Give a piece its segment: a new one unless it follows directly on what was handed on before."""
+        if int(index[0]) != self._last + 1:
+            self._segment += 1
+        inputs, span = self.plan.inputs, self._spans[0]
+        anew = self._last < span.since <= int(index[0])
+        self._last = int(index[-1])
+        unknown = span.watch is not None and span.watch.realigning
+        return Aligned(index, values[:, :inputs], values[:, inputs:], stamps, self._segment, anew, unknown)
+
+    def _clear(self) -> None:
+        """Drop what no row will need, and refuse what has waited too long for a row."""
+        delays = self._delays()
+        history = max(8 if span.watch is None else span.watch.history for span in self._spans)
+        for stream in self.streams.values():
+            rate = stream.plan.rate_hz / self.plan.rate_hz
+            needed = self._nearest(stream, np.array([self._made]), delays)[0] if self._placeable(stream) else -1
+            if self.reference.newest <= self._made:
+                # no row waits: what is older than the patience has no partner to come
+                stream.give_up(stream.newest - round(self._patience * rate))
+                needed = max(needed, stream.sent)
+            late = float(np.min(delays[list(stream.plan.source.columns)], initial=0.0))
+            stream.forget(int(needed) - round(history * rate - late * stream.plan.rate_hz) - 8)
+
+    def _placeable(self, stream: Stream) -> bool:
+        clocks = self.reference.clock, stream.clock
+        return self._made >= 0 and (not self._apart(stream) or all(c is not None and c.settled for c in clocks))

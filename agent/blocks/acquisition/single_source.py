@@ -1,0 +1,160 @@
+"""Data acquisition and manipulation: blocks of a source become uninterrupted samples in SI units."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from agent.blocks.acquisition.indexing import BoolArray, Clock, Indexer, Origin
+from agent.types import Aligned, FloatArray, IntArray
+from drivers.port import SampleBlock
+
+LARGEST = 1e30
+"""No instrument means more, in SI: marks of "no value" (the greatest float32 is 3.4e38) and torn bytes are beyond it, \
+the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so nothing overflows."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelScale:
+    """SI value = (reading * scale + offset) * factor."""
+
+    scale: float
+    offset: float
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class SourcePlan:
+    """One source's columns: positions among the rig's channels, and how each becomes SI."""
+
+    name: str
+    columns: tuple[int, ...]
+    scales: tuple[ChannelScale, ...]
+
+
+@dataclass(slots=True)
+class SourceState:
+    """What is known of one source.
+
+    passed counts samples handed on to the rig; rejected those refused here, by reason; gaps the jumps of the index.
+    """
+
+    plan: SourcePlan
+    indexer: Indexer
+    passed: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
+    gaps: int = 0
+    missing: int = 0
+    newest: int | None = None
+
+    def refusals(self) -> Counter[str]:
+        """All samples refused here, by reason."""
+        return self.rejected + self.indexer.rejected
+
+
+class Acquisition:
+    """The acquisition of a rig with one source whose channels are read together; `Alignment` is that of all others.
+
+    Args:
+        plan: its source.
+        inputs: number of model inputs; they are the first channels, the others are outputs.
+        clock, rate_hz: what orders samples, and how fast they come.
+        keep_incomplete: hand on samples that lack some reading (NaN); they are counted as refused all the same.
+    """
+
+    def __init__(
+        self, plan: SourcePlan, inputs: int, clock: Clock, rate_hz: float, *, keep_incomplete: bool = False
+    ) -> None:
+        self._keep_incomplete = keep_incomplete
+        self._state = SourceState(plan, Indexer(clock, rate_hz, Origin()))
+        self._order = np.argsort(plan.columns)
+        self._inputs = inputs
+        self._last: int | None = None
+        self._segment = 0
+
+    @property
+    def sources(self) -> dict[str, SourceState]:
+        """What is known of the source, by its name."""
+        return {self._state.plan.name: self._state}
+
+    def step(self, source: str, block: SampleBlock, modulus: int | None) -> list[Aligned]:
+        """Take a block of the source; return the samples that it leads to, cut at gaps."""
+        index, values, stamps = intake(self._state, block, modulus)
+        if not self._keep_incomplete:
+            finite = np.isfinite(values).all(axis=1)
+            index, values, stamps = index[finite], values[finite], None if stamps is None else stamps[finite]
+        self._state.passed += len(index)
+        return [self._numbered(*piece) for piece in uninterrupted(index, values[:, self._order], stamps)]
+
+    def _numbered(self, index: IntArray, values: FloatArray, stamps: IntArray | None) -> Aligned:
+        """Give a piece its segment: a new one unless it follows directly on what was handed on before."""
+        if self._last is None or int(index[0]) != self._last + 1:
+            self._segment += 1
+        self._last = int(index[-1])
+        return Aligned(index, values[:, : self._inputs], values[:, self._inputs :], stamps, self._segment)
+
+
+def intake(state: SourceState, block: SampleBlock, modulus: int | None) -> tuple[IntArray, FloatArray, IntArray | None]:
+    """Take a block of a source: return the numbers (n,) of samples that go forward, SI values (n, c), stamps (n,).
+
+    What is not finite or beyond `LARGEST` is NaN; what goes backwards is left out; all are counted.
+    """
+    state.indexer.modulus = modulus
+    index, kept = state.indexer.take(block)
+    values = _to_si(state.plan, block.values)
+    possible = np.abs(values) <= LARGEST
+    sound = possible.all(axis=1)
+    _refuse_values(state, block.values, values, kept & ~sound)
+    _count_gaps(state, index[kept & sound])
+    values[~possible] = np.nan
+    return index[kept], values[kept], None if block.t_ns is None else block.t_ns[kept]
+
+
+def _to_si(plan: SourcePlan, values: FloatArray) -> FloatArray:
+    scale = np.array([s.scale for s in plan.scales])
+    offset = np.array([s.offset for s in plan.scales])
+    factor = np.array([s.factor for s in plan.scales])
+    with np.errstate(over="ignore"):  # what becomes infinite is refused as too large
+        return np.asarray((values * scale + offset) * factor)
+
+
+def _refuse_values(state: SourceState, readings: FloatArray, values: FloatArray, bad: BoolArray) -> None:
+    """Count samples (n,) that are not sound, each once; readings (n, c) as they came, values (n, c) in SI."""
+    if not bad.any():
+        return
+    infinite = np.isinf(readings[bad]).any(axis=1)
+    large = (np.abs(values[bad]) > LARGEST).any(axis=1) & ~infinite
+    missing = ~(infinite | large)
+    counts = {"not finite": infinite, "too large": large, "missing value": missing}
+    state.rejected.update({reason: int(which.sum()) for reason, which in counts.items()})
+
+
+def _count_gaps(state: SourceState, index: IntArray) -> None:
+    if not len(index):
+        return
+    before = index[0] - 1 if state.newest is None else state.newest
+    steps = np.diff(index, prepend=before)
+    state.gaps += int((steps > 1).sum())
+    state.missing += int((steps - 1).sum())
+    state.newest = int(index[-1])
+
+
+def uninterrupted(
+    index: IntArray, values: FloatArray, stamps: IntArray | None
+) -> Iterator[tuple[IntArray, FloatArray, IntArray | None]]:
+    """Cut at jumps of the index."""
+    if not len(index):
+        return
+    edges = [0, *(np.flatnonzero(np.diff(index) > 1) + 1).tolist(), len(index)]
+    for start, stop in pairwise(edges):
+        yield index[start:stop], values[start:stop], None if stamps is None else stamps[start:stop]
+
+
+def source_plan(
+    name: str, mapping: Mapping[str, str], channels: Sequence[str], scales: Mapping[str, ChannelScale]
+) -> SourcePlan:
+    """Make the plan of a source from its map (channel -> field) and the rig's channel names, inputs first."""
+    columns = tuple(channels.index(channel) for channel in mapping)
+    return SourcePlan(name, columns, tuple(scales[channel] for channel in mapping))

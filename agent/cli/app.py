@@ -1,0 +1,319 @@
+"""The command line. Each command imports what it needs when it runs, so that `deltak --help` answers at once.
+
+Command bodies return the documents of the JSON interface as plain dicts and print nothing; this module prints them,
+turns errors into lines and exit codes, and knows no more.
+"""
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from agent import __version__
+from agent.cli.group import CommandGroup
+from agent.cli.signals import done_when_terminated
+
+app = typer.Typer(
+    name="deltak",
+    cls=CommandGroup,
+    help="Estimate stiffness and damping of a structure over its field bus, and alarm when they leave their limits.",
+    epilog="Exit codes: 0 done, 1 unforeseen, 2 usage or configuration, 3 database, 4 bus, 130 interrupted.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+class Bus(StrEnum):
+    """The buses that the demo can play."""
+
+    MODBUS = "modbus"
+    CAN = "can"
+    SERIAL = "serial"
+
+
+class RunKind(StrEnum):
+    """What a live run is marked as; the demo's parent process marks its own."""
+
+    LIVE = "live"
+    DEMO = "demo"
+
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout and nothing else.")]
+Csv = Annotated[bool, typer.Option("--csv", help="CSV on stdout, every digit, empty for none.")]
+Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).", show_default=False)]
+Database = Annotated[Path, typer.Argument(metavar="DB", help="Database file of the agent.", show_default=False)]
+NewDb = Annotated[Path | None, typer.Option("--db", metavar="FILE", help="Database to write; created if missing.")]
+Rig = Annotated[str | None, typer.Option("--rig", help="Only this rig.")]
+Since = Annotated[
+    str | None, typer.Option("--since", metavar="T", help="ISO 8601, or an age back from the newest row: 90s, 12h, 30d")
+]
+Until = Annotated[str | None, typer.Option("--until", metavar="T", help="As --since; both ends belong to the answer.")]
+Plot = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw to FILE (.png, .svg or .pdf).")]
+Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=0.0, help="Stop after S seconds.")]
+
+
+@app.callback(invoke_without_command=True)
+def _start(
+    ctx: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+    _verbose: Annotated[
+        int, typer.Option("-v", "--verbose", count=True, show_default=False, help="Log progress; -vv logs all.")
+    ] = 0,
+    _debug: Annotated[bool, typer.Option("--debug", help="Log all, and show tracebacks.")] = False,
+) -> None:
+    """Answer what needs no command; -v and --debug, taken out before, are here for the help."""
+    if version:
+        sys.stdout.write(f"deltak {__version__}\n")
+        raise typer.Exit
+    if ctx.invoked_subcommand is None:
+        sys.stderr.write(ctx.get_help() + "\n")
+        raise typer.Exit(2)
+
+
+@app.command()
+def demo(
+    bus: Annotated[Bus, typer.Option(help="The bus between device and agent.")] = Bus.MODBUS,
+    scenario: Annotated[str | None, typer.Option(metavar="NAME", help="A scenario that ships with deltak.")] = None,
+    fast: Annotated[bool, typer.Option("--fast", help="As fast as no sample is lost, not in real time.")] = False,
+    db: NewDb = None,
+    json: Json = False,
+) -> None:
+    """Run a simulated rig and the agent end to end, and hold the estimates against the truth."""
+    from agent.cli import results as commands_results
+    from agent.evaluation.demo import demo as body
+
+    document = body.demo(bus=bus.value, scenario=scenario, fast=fast, db=db)
+    _answer(document, commands_results.print_demo, as_json=json)
+
+
+@app.command()
+def paper(
+    window: Annotated[int | None, typer.Option(metavar="N", min=1, help="Samples in the window.")] = None,
+    passes: Annotated[int | None, typer.Option(metavar="P", min=1, help="Passes of re-centring.")] = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Recompute the paper's tables 1 and 3 and its figures 3 and 4, and say what differs."""
+    from agent.cli import results as commands_results
+    from agent.evaluation.paper import paper as body
+
+    document = body.paper(window=window, passes=passes, plot=plot)
+    _answer(document, lambda found: commands_results.print_paper(found, body), as_json=json)
+
+
+@app.command()
+def check(
+    config: Config,
+    recording: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Judge by this recording: each channel, and the sd to expect.")
+    ] = None,
+    probe: Annotated[bool, typer.Option("--probe", help="Listen to the sources for 5 s and judge by that.")] = False,
+    json: Json = False,
+) -> None:
+    """Check a configuration: faults, observability, poles, the sd to expect, advice."""
+    from agent.cli import check as commands_check
+    from agent.commissioning import check as body
+
+    document = body.check(config=config, recording=recording, probe=probe)
+    _answer(document, commands_check.print_check, as_json=json)
+    if not document.get("ok", True):
+        raise typer.Exit(commands_check.report_faults(document))
+
+
+@app.command()
+def run(
+    configs: Annotated[list[Path], typer.Argument(metavar="CONFIG", help="Configuration files (TOML).")],
+    db: NewDb = None,
+    duration: Duration = None,
+    json: Json = False,
+    kind: Annotated[RunKind, typer.Option(hidden=True, help="What the run is marked as.")] = RunKind.LIVE,
+) -> None:
+    """Run the agent in the foreground until SIGTERM, SIGINT or the end of --duration."""
+    from agent.cli import results as commands_results
+    from agent.runtime import service
+
+    document = service.run(configs=configs, db=db, duration_s=duration, kind=kind.value)
+    _answer(document, commands_results.print_results, as_json=json)
+
+
+@app.command()
+def replay(
+    config: Config,
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    db: NewDb = None,
+    json: Json = False,
+) -> None:
+    """Run recordings through the same pipeline as the live agent, as fast as it goes."""
+    from agent.cli import results as commands_results
+    from agent.runtime import replay as body
+
+    document = body.replay(config=config, recordings=recordings, db=db)
+    _answer(document, commands_results.print_results, as_json=json)
+
+
+@app.command()
+def score(
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(metavar="SCENARIO...", help="Scenarios that name their rig; all that ship.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None, typer.Option(metavar="F@T", help="One more fault in each, NAME@SECONDS.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Play scenarios from end to end on simulated time, and hold what was found against what they expect."""
+    from agent.cli import score as commands_score
+    from agent.evaluation.score.score import score as body
+
+    document = body(scenarios or [], fault or [], commands_score.progress())
+    _answer(document, commands_score.print_score, as_json=json)
+    if not document["ok"]:
+        raise typer.Exit(commands_score.NOT_MET)
+
+
+@app.command()
+def estimates(
+    db: Database,
+    rig: Rig = None,
+    parameter: Annotated[str | None, typer.Option(metavar="P", help="Only this parameter.")] = None,
+    since: Since = None,
+    until: Until = None,
+    json: Json = False,
+    csv: Csv = False,
+) -> None:
+    """List estimates with their intervals and status."""
+    from agent.cli import queries as commands_queries
+
+    commands_queries.estimates(db, rig, parameter, since, until, _form(json=json, csv=csv))
+
+
+@app.command()
+def alarms(
+    db: Database,
+    rig: Rig = None,
+    active: Annotated[bool, typer.Option("--active", help="Only those whose condition still stands.")] = False,
+    json: Json = False,
+    csv: Csv = False,
+) -> None:
+    """List alarms, one line an activation."""
+    from agent.cli import queries as commands_queries
+
+    commands_queries.alarms(db, rig, _form(json=json, csv=csv), active=active)
+
+
+@app.command()
+def records(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False) -> None:
+    """List the raw samples that were kept around alarms; deltak replay reads the files."""
+    from agent.cli import queries as commands_queries
+
+    commands_queries.records(db, rig, _form(json=json, csv=csv))
+
+
+@app.command()
+def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
+    db: Database,
+    parameter: Annotated[str, typer.Argument(metavar="PARAMETER", help="For example k1.", show_default=False)],
+    rig: Rig = None,
+    since: Since = None,
+    until: Until = None,
+    limit: Annotated[float | None, typer.Option(metavar="V", help="A value of the parameter to set beside it.")] = None,
+    json: Json = False,
+    csv: Csv = False,
+    plot: Plot = None,
+) -> None:
+    """Tell a parameter's drift per day, with the interval that decides whether there is one."""
+    from agent.cli import trend as commands_trend
+
+    commands_trend.trend(db, parameter, rig, (since, until), limit, _form(json=json, csv=csv), plot)
+
+
+@app.command()
+def export(
+    db: Database,
+    what: Annotated[
+        str, typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health, runs, event_records.")
+    ] = "estimates",
+    rig: Rig = None,
+    to: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write to FILE (.csv or .parquet), not stdout.")
+    ] = None,
+) -> None:
+    """Write a view of the database as CSV or Parquet."""
+    from agent.cli import db as commands_db
+
+    commands_db.export(db, what, rig, to)
+
+
+database = typer.Typer(help="Look after a database file.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(database, name="db")
+
+
+@database.command("check")
+def db_check(db: Database, json: Json = False) -> None:
+    """Read a whole file and say what is wrong with it; it may be in use."""
+    from agent.cli import db as commands_db
+
+    commands_db.check(db, as_json=json)
+
+
+@database.command("repair")
+def db_repair(db: Database, json: Json = False) -> None:
+    """Replace a damaged file by one of every row that proves itself; the damaged one is kept beside it."""
+    from agent.cli import db as commands_db
+
+    commands_db.repair(db, as_json=json)
+
+
+@database.command("compact")
+def db_compact(db: Database, json: Json = False) -> None:
+    """Give the file's free pages back to the disk."""
+    from agent.cli import db as commands_db
+
+    commands_db.compact(db, as_json=json)
+
+
+@database.command("backup")
+def db_backup(
+    db: Database,
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="The copy; must not exist.", show_default=False)],
+    json: Json = False,
+) -> None:
+    """Copy a file, also while an agent writes to it."""
+    from agent.cli import db as commands_db
+
+    commands_db.backup(db, target, as_json=json)
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and leave with its exit code."""
+    # two threads are ten times slower than one on the small products here; numpy reads this when it is first imported
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with done_when_terminated():
+        from agent.cli.errors import guarded
+
+        sys.exit(guarded(app, list(sys.argv[1:] if argv is None else argv)))
+
+
+def _answer(document: Mapping[str, Any], table: Callable[[Mapping[str, Any]], None], *, as_json: bool) -> None:
+    """Print a document as JSON or as a table."""
+    from agent.cli.output import print_json
+
+    if as_json:
+        print_json(document)
+    else:
+        table(document)
+
+
+def _form(*, json: bool, csv: bool) -> str:
+    """Return which form of output was asked for. Raises UsageError for two."""
+    from agent.errors import UsageError
+
+    if json and csv:
+        raise UsageError.at("--csv", "cannot go with --json", "ask for one of them")
+    return "json" if json else "csv" if csv else "table"

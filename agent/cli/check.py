@@ -1,0 +1,113 @@
+"""What `deltak check` says to people, from its document."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from agent.cli.errors import USAGE
+from agent.cli.output import print_faults, print_table, show
+from agent.errors import Fault
+from agent.text import number
+
+Document = Mapping[str, Any]
+
+
+def print_check(document: Document) -> None:
+    """Print observability, poles, conditions, the sd to expect, warnings; what the document lacks is left out."""
+    if document.get("ok"):
+        show("the configuration is usable")
+    for warning in document.get("warnings") or []:
+        show(f"warning: {warning if isinstance(warning, str) else _fault(warning)}")
+    if document.get("observable") is not None:
+        show(f"states are {'' if document['observable'] else 'not '}observable from the channels")
+    _print_poles(document.get("poles") or [])
+    _print_conditions(document)
+    _print_box(document.get("box_margin"))
+    _print_recording(document.get("recording"), "the recording")
+    _print_recording(document.get("probe"), "the probe")
+    _print_predicted(document.get("predicted_sd") or [])
+    if document.get("bytes_per_rig_year"):
+        show(f"the database grows by about {document['bytes_per_rig_year'] / 1e6:.0f} MB a year")
+
+
+def report_faults(document: Document) -> int:
+    """Print the document's errors on stderr and return the exit code."""
+    print_faults(_fault(error) for error in document.get("errors") or [])
+    return USAGE
+
+
+def _fault(error: Mapping[str, Any]) -> Fault:
+    return Fault(str(error.get("path") or ""), str(error.get("message") or ""), str(error.get("advice") or ""))
+
+
+def _print_poles(poles: list[Document]) -> None:
+    if not poles:
+        return
+    columns = ("pole", "frequency, Hz", "damping ratio")
+    rows = (
+        (f"{pole['re']:.6g} {pole['im']:+.6g}j", number(pole.get("freq_hz"), 4), number(pole.get("damping_ratio"), 4))
+        for pole in poles
+    )
+    print_table("poles of the nominal model", columns, rows, right=columns)
+
+
+def _print_conditions(document: Document) -> None:
+    third, eighth = document.get("condition_3"), document.get("condition_8")
+    if third:
+        radii = f"model {number(third.get('radius_model'))}, observer {number(third.get('radius_observer'))}"
+        show(f"condition (3) {_holds(third)}: spectral radius of the {radii}")
+    if eighth:
+        sizes = f"perturbation {number(eighth.get('perturbation_norm'))}, margin {number(eighth.get('delta'))}"
+        show(f"condition (8) {_holds(eighth)}: {sizes}")
+
+
+def _print_box(box: Document | None) -> None:
+    if not box:
+        return
+    reach = ", ".join(f"{name} ± {number(value, 3)}" for name, value in box["reach"].items())
+    share = f"{number(100 * box['share'], 3)} % of the limits"
+    proven = f"stable however the parameters move within {reach} ({share})"
+    show(proven if box["share"] > 0 else "no range in which parameters may move at will is proven stable")
+
+
+def _print_recording(facts: Document | None, what: str) -> None:
+    if not facts:
+        return
+    columns = ("channel", "unit", "samples a second", "least", "most", "noise sd", "missing", "gaps", "clock, ppm")
+    rows = (_channel(c) for c in facts["channels"])
+    if facts["channels"]:
+        ledger = f"{facts['used']:,} samples in {number(facts['span_s'], 4)} s, {facts['gaps']} gaps"
+        print_table(f"{what}: {ledger}", columns, rows, right=columns[2:])
+    for source in facts["sources"]:
+        if source.get("skew_s") is not None:
+            skew = f"{1e3 * source['skew_s']:.3f} ± {1e3 * source['skew_sd_s']:.3f} ms"
+            show(f"{source['name']}: read {skew} later than the reference source; compensated")
+    if facts["channels"] and not facts["suspicions"]:
+        show("no channel is suspected of being swapped, turned round or mis-scaled")
+
+
+def _channel(channel: Document) -> tuple[str, ...]:
+    drift, sd = channel["drift_ppm"], channel["drift_sd_ppm"]
+    clock = "" if drift is None else f"{drift:+.1f} ± {2 * sd:.1f}"
+    figures = (number(channel[key], 4) for key in ("rate_hz", "min", "max", "noise_sd"))
+    return (channel["name"], channel["unit"], *figures, str(channel["missing"]), str(channel["gaps"]), clock)
+
+
+def _holds(condition: Document) -> str:
+    return "holds" if condition.get("holds") else "does not hold"
+
+
+def _print_predicted(rows: list[Document]) -> None:
+    if not rows:
+        return
+    columns = ("parameter", "window, s", "sd to expect", "unit", "with")
+    cells = (
+        (
+            str(row["parameter"]),
+            number(row.get("window_s")),
+            number(row.get("sd"), 3),
+            str(row.get("unit") or ""),
+            str(row.get("assumes") or ""),
+        )
+        for row in rows
+    )
+    print_table("what the windows can tell", columns, cells, right=columns[1:3])

@@ -1,0 +1,142 @@
+"""`deltak estimates` and `deltak alarms`: rows of the views, as a table, JSON or CSV."""
+
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.cli.output import print_csv, print_table
+from agent.cli.results import verdict
+from agent.storage.read import queries
+from agent.text import interval, number, short_time, with_sd
+
+Row = Mapping[str, Any]
+
+ESTIMATE_COLUMNS = (
+    "rig", "run_id", "time", "t_ns", "parameter", "unit", "value", "delta", "reference", "baseline_id", "sd", "lower",
+    "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used", "n_missing", "span_s", "method",
+)  # fmt: skip
+ALARM_COLUMNS = (
+    "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at", "acked_by",
+    "shelved_until", "delta", "sd", "limit_value", "probability", "message",
+)  # fmt: skip
+RECORD_COLUMNS = (
+    "id", "rig", "run_id", "t_ns", "time", "kind", "parameter", "alarm_id", "alarms", "from_ns", "to_ns", "samples",
+    "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
+)  # fmt: skip
+TABLE_ROWS = 40
+"""A table for people shows the newest rows; JSON and CSV give all."""
+
+
+def estimates(
+    db: Path, rig: str | None, parameter: str | None, since: str | None, until: str | None, form: str
+) -> None:
+    """Print the estimates of a file. Raises StoreError; UsageError for a rig, parameter or time that makes no sense."""
+    rows = queries.estimates(db, rig, parameter, since, until)
+    if form == "table":
+        _print_estimate_table(rows)
+    else:
+        _print_rows("rows", ESTIMATE_COLUMNS, rows, form, rows.refused)
+
+
+def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
+    """Print the alarms of a file, one row an activation; active: only those whose condition still stands.
+
+    Raises StoreError; UsageError for an unknown rig.
+    """
+    found = queries.alarms(db, rig, active)
+    rows: Sequence[Row] = found
+    if active:
+        rows = _standing(rows, {run["run_id"]: run["kind"] for run in queries.runs(db)})
+    if form == "table":
+        _print_alarm_table(rows)
+    else:
+        _print_rows("alarms", ALARM_COLUMNS, rows, form, found.refused)
+
+
+def _standing(rows: Sequence[Row], kinds: Mapping[int, str]) -> list[Row]:
+    """Return the alarms that stand: of one parameter the newest that runs of one kind (kinds: of each run) left so.
+
+    One replay after another may leave an alarm standing; none of them may hide one of the live machine.
+    """
+    newest = {
+        (row["rig"], row["kind"], row["parameter"], kinds.get(row["run_id"])): row
+        for row in rows
+        if row["cleared_at"] is None
+    }
+    return sorted(newest.values(), key=lambda row: row["id"])
+
+
+def records(db: Path, rig: str | None, form: str) -> None:
+    """Print the index of event records. Raises StoreError; UsageError for an unknown rig."""
+    rows = queries.event_records(db, rig)
+    if form == "table":
+        _print_record_table(rows)
+    else:
+        _print_rows("records", RECORD_COLUMNS, rows, form, rows.refused)
+
+
+def _print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str, refused: int) -> None:
+    """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing.
+
+    refused: how many are not shown because their checksums are wrong; JSON says so, for others a warning does.
+    """
+    if form == "csv":
+        print_csv(columns, rows)
+        return
+    sys.stdout.write(f'{{"{key}": [')
+    for i, row in enumerate(rows):
+        sys.stdout.write((",\n" if i else "\n") + json.dumps(dict(row), allow_nan=False, ensure_ascii=False))
+    sys.stdout.write(f'], "refused": {refused}}}\n')
+
+
+def _print_estimate_table(rows: Sequence[Row]) -> None:
+    """Print the newest rows, with the rig where there are several."""
+    skip = 0 if len({row["rig"] for row in rows}) > 1 else 1
+    columns = ("rig", "time", "parameter", "value ± sd", "unit", "95 %", "change", "status")
+    cells = (_estimate_cells(row)[skip:] for row in rows[-TABLE_ROWS:])
+    print_table("", columns[skip:], cells, right={"value ± sd", "95 %", "change"})
+    if len(rows) > TABLE_ROWS:
+        sys.stderr.write(f"the newest {TABLE_ROWS} of {len(rows)} rows; --csv and --json give all, --since fewer\n")
+
+
+def _estimate_cells(row: Row) -> tuple[str, ...]:
+    return (
+        row["rig"],
+        short_time(row["time"]),
+        row["parameter"],
+        with_sd(*(float("nan") if row[key] is None else row[key] for key in ("value", "sd"))),
+        row["unit"] or "",
+        interval(row["lower"], row["upper"]),
+        number(row["delta"], 4),
+        verdict(row),
+    )
+
+
+def _print_alarm_table(rows: Sequence[Row]) -> None:
+    if not rows:
+        sys.stdout.write("no alarms\n")
+        return
+    columns = ("id", "rig", "priority", "state", "raised", "cleared", "what")
+    cells = (_alarm_cells(row) for row in rows)
+    print_table("", columns, cells)
+
+
+def _alarm_cells(row: Row) -> tuple[str, ...]:
+    raised, cleared = short_time(row["raised_at"]), short_time(row["cleared_at"])
+    return str(row["id"]), row["rig"], row["priority"], row["state"], raised, cleared, row["message"]
+
+
+def _print_record_table(rows: Sequence[Row]) -> None:
+    if not rows:
+        sys.stdout.write("no records\n")
+        return
+    columns = ("id", "rig", "raised", "alarm", "state", "samples", "file")
+    print_table("", columns, (_record_cells(row) for row in rows), right={"samples"})
+
+
+def _record_cells(row: Row) -> tuple[str, ...]:
+    what = f"{row['kind']} {row['parameter']}" + (f" and {row['alarms'] - 1} more" if row["alarms"] > 1 else "")
+    words = f"{row['state']}: {row['message']}" if row["message"] else row["state"]
+    return str(row["id"]), row["rig"], short_time(row["time"]), what, words, str(row["samples"]), row["file"]

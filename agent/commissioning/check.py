@@ -1,0 +1,165 @@
+"""`deltak check`: what a configuration can and cannot do, before anything is connected."""
+
+from collections.abc import Callable
+from math import pi
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, rig_model, window_settings
+from agent.commissioning.advice import warnings
+from agent.commissioning.evidence import Evidence, Gathered
+from agent.commissioning.prediction import predictions, rows, sampled
+from agent.commissioning.progress import Progress, on_terminal
+from agent.config import RigConfig, load
+from agent.errors import ConfigError, Fault
+from agent.numerics.model.margins import condition_3, condition_8, worst_perturbation_norm
+from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
+from agent.numerics.model.observer import Noise
+from agent.numerics.model.statespace import Discrete, discretise
+from agent.runtime.model_check import hidden_states, model_faults
+from agent.runtime.number_checks import attempted
+from agent.runtime.source_faults import source_error
+from agent.runtime.sources import wire_steps
+from agent.storage.write.retention import Retention, bytes_per_rig_year
+from agent.types import FloatArray
+from drivers.port import DriverConfigError
+
+T = TypeVar("T")
+_NOTHING: dict[str, Any] = {
+    "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "box_margin": None,
+    "predicted_sd": [], "recording": None, "probe": None, "bytes_per_rig_year": None,
+}  # fmt: skip
+
+
+def check(*, config: Path, recording: Path | None, probe: bool, progress: Progress | None = None) -> dict[str, Any]:
+    """Check a configuration; return the document of CONTRACT section 8, with "ok" false and every fault in "errors".
+
+    Args:
+        config: the file.
+        recording: judge with its excitation and noise instead of a white force of 1 N rms.
+        probe: listen to the sources for some seconds and judge with what they deliver.
+        progress: told how far long work is; a terminal's own line by default.
+
+    Raises UsageError for a probe without sources, RecordingError for a recording that cannot be used, BusError for a
+    source that cannot be opened.
+    """
+    try:
+        rig_config = load(config)
+        resolution = _resolution(rig_config)
+    except ConfigError as error:
+        return {"ok": False, "errors": [_fault(fault) for fault in error.faults], "warnings": []} | _NOTHING
+    return _document(rig_config, resolution, Evidence(recording, probe, progress or on_terminal()))
+
+
+def _fault(fault: Fault) -> dict[str, str]:
+    return {"path": fault.path, "message": fault.message, "advice": fault.advice}
+
+
+def _resolution(config: RigConfig) -> FloatArray:
+    """The wire's smallest step of each output (p,), SI."""
+    try:
+        steps = wire_steps(config)
+    except DriverConfigError as error:
+        raise source_error([config], error) from error
+    return np.array([steps.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in config.outputs])
+
+
+def _document(config: RigConfig, resolution: FloatArray, evidence: Evidence) -> dict[str, Any]:
+    with np.errstate(all="ignore"):  # what is no number is a fault
+        rig = rig_model(config)
+    faults = model_faults(config, rig)
+    document = {"ok": not faults, "errors": [_fault(fault) for fault in faults], "warnings": []} | _NOTHING
+    document |= attempted(lambda: _structure(config, rig), "its structure", "model", []) or {}
+    if faults:
+        return document
+    gathered = evidence.gather(config)
+    document |= {"recording": gathered.recording, "probe": gathered.probe}
+    evidence.progress("weighing what windows can tell")
+    found = _dynamic(config, rig, resolution, gathered)
+    evidence.progress("")
+    return document | found
+
+
+def _structure(config: RigConfig, rig: RigModel) -> dict[str, Any]:
+    observable = not hidden_states(rig.model)
+    return {"observable": observable, "poles": poles(rig), "bytes_per_rig_year": _bytes(config, rig)}
+
+
+def poles(rig: RigModel) -> list[dict[str, float | None]]:
+    """Return the continuous-time poles of the nominal model, slowest first."""
+    found = np.linalg.eigvals(rig.model.continuous(rig.model.nominal).A)
+    return [
+        {
+            "re": float(pole.real), "im": float(pole.imag), "freq_hz": abs(pole) / (2 * pi),
+            "damping_ratio": float(-pole.real / abs(pole)) if abs(pole) > 0 else None,
+        }
+        for pole in sorted(found.tolist(), key=lambda pole: (abs(pole), pole.imag))
+    ]  # fmt: skip
+
+
+def _bytes(config: RigConfig, rig: RigModel) -> int:
+    keep, store = config.store.keep, config.store
+    retention = Retention(keep.full, keep.minute, keep.hour, store.max_mb * 1e6)
+    sources = max(1, len(config.source))
+    windows = 1 + len(longer_windows(config, hop_plan(config)))
+    return bytes_per_rig_year(len(rig.parameters), store.every_s, config.estimator.hop_s, retention, sources, windows)
+
+
+def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered: Gathered) -> dict[str, Any]:
+    """What only a model without faults has: observer, conditions, the sd to expect, warnings."""
+    discrete = sampled(config, rig)
+    settings = window_settings(config, rig, resolution)
+    sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
+    noise = Noise(sigma, np.zeros(rig.disturbance.shape[1]))
+    gain, start = settings.gains.settled(discrete, noise).L, settings.gains.start(discrete, noise).L
+    recorded, failed = gathered.recorded, list[Fault]()
+
+    def tried(what: str, work: Callable[[], T]) -> T | None:
+        return attempted(work, what, "model", failed)
+
+    predicted = tried("the sd to expect", lambda: predictions(config, rig, resolution, recorded)) or []
+    found = {
+        "observer": _observer(discrete, gain) | {"start": _observer(discrete, start)},
+        "condition_3": tried("condition (3)", lambda: _condition_3(discrete, gain)),
+        "condition_8": tried("condition (8)", lambda: _condition_8(config, rig, discrete, gain)),
+        "box_margin": tried("the range proven stable", lambda: _box(rig)),
+        "predicted_sd": rows(predicted, config, rig),
+    }
+    warned = [*warnings(config, rig, predicted, recorded), *gathered.warnings, *failed]
+    return found | {"warnings": [_fault(fault) for fault in warned]}
+
+
+def _observer(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
+    found = np.linalg.eigvals(discrete.model.A - gain @ discrete.model.C).tolist()
+    return {"gain": gain.tolist(), "poles_z": [{"re": float(z.real), "im": float(z.imag)} for z in found]}
+
+
+def _condition_3(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
+    found = condition_3(discrete.model.A, gain, discrete.model.C)
+    return {"holds": found.holds, "radius_model": found.radius_model, "radius_observer": found.radius_observer}
+
+
+def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: FloatArray) -> dict[str, Any] | None:
+    """Evaluate (8) for parameters anywhere within their alarm limits; None where these are too many."""
+    if np.count_nonzero(rig.limits) > MOST_PARAMETERS:
+        return None
+    period_s, hold = 1.0 / config.rig.sample_rate_hz, config.estimator.hold
+    continuous = [rig.model.continuous(corner) for corner in vertices(rig.model, rig.limits)]
+    corners = [discretise(corner, period_s, hold).model for corner in continuous]
+    size = worst_perturbation_norm(discrete.model, corners, gain)
+    none = np.zeros_like(discrete.model.A)
+    margin = condition_8(discrete.model.A, gain, discrete.model.C, none, np.zeros_like(discrete.model.C))
+    return {
+        "delta": margin.delta, "h_infinity": margin.h_infinity, "perturbation_norm": size, "holds": size < margin.delta,
+    }  # fmt: skip
+
+
+def _box(rig: RigModel) -> dict[str, Any] | None:
+    """The polytopic margin in shares of the alarm limits; None without the design tools or where it cannot be had."""
+    try:
+        found = polytopic_margin(rig.model, np.maximum(rig.limits, 0.0))
+    except (DesignToolsMissingError, ValueError):
+        return None
+    return {"share": found.share, "reach": dict(found.reach)}

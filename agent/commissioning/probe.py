@@ -1,0 +1,77 @@
+"""`deltak check --probe`: the sources of a rig are opened and listened to for some seconds; nothing is stored."""
+
+import threading
+from collections.abc import Sequence
+
+from agent.clock import monotonic_ns
+from agent.commissioning.progress import Progress
+from agent.commissioning.readings import Gathering
+from agent.config import RigConfig
+from agent.errors import BusError, Fault, UsageError
+from agent.runtime.sources import Connection, connect, part
+
+LISTEN_S = 5.0
+"""How long is listened, counted from when every source has been heard."""
+PATIENCE_S = 5.0
+"""How long a source may take until its first sample."""
+TURN_S = 0.1
+OPEN_ADVICE = "see that it is connected, powered and up, and that no other program holds it"
+
+
+def listen(config: RigConfig, progress: Progress, listen_s: float = LISTEN_S) -> Gathering:
+    """Return what the sources delivered.
+
+    Raises UsageError without sources, BusError with every source that cannot be opened.
+    """
+    if not config.source:
+        raise UsageError.at("source", "there is none to listen to", "name the bus to listen to")
+    gathering = Gathering(config, {source.name: source.map for source in config.source})
+    wake = threading.Event()
+    connections = connect([config], wake)
+    try:
+        for connection in connections:
+            connection.start()
+        _listen(gathering, connections, wake, progress, listen_s)
+    finally:
+        for connection in connections:
+            connection.stop()
+        progress("")
+    gathering.finish()
+    return gathering
+
+
+def _listen(
+    gathering: Gathering, connections: Sequence[Connection], wake: threading.Event, progress: Progress, listen_s: float
+) -> None:
+    """Hand on what arrives until every source has been heard for listen_s, or one stays away."""
+    started, heard = monotonic_ns(), set[str]()
+    until = started + round((PATIENCE_S + listen_s) * 1e9)
+    complete = False
+    while (now := monotonic_ns()) < until:
+        progress(f"listening: {(now - started) / 1e9:.0f} s of about {listen_s:.0f} s")
+        wake.wait(TURN_S)
+        wake.clear()
+        _turn(gathering, connections, heard)
+        if not complete and len(heard) == len(gathering.counts):
+            complete, until = True, monotonic_ns() + round(listen_s * 1e9)
+
+
+def _turn(gathering: Gathering, connections: Sequence[Connection], heard: set[str]) -> None:
+    """Hand on what has arrived, in order of arrival; note which sources were heard, raise for those that cannot be."""
+    taken = [(connection, *connection.take()) for connection in connections]
+    for connection in connections:
+        gathering.counts |= {use.source: connection.counts for use in connection.uses}
+    arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
+    for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
+        for use in connection.uses:
+            heard.add(use.source)
+            gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)
+    lost = [
+        Fault(use.source, event.message, OPEN_ADVICE)
+        for connection, _, events in taken
+        for event in events
+        for use in connection.uses
+        if event.cause == "lost" and use.source not in heard
+    ]
+    if lost:
+        raise BusError(lost)

@@ -1,0 +1,44 @@
+"""What a recording holds, channel by channel, as far as commissioning wants to know it."""
+
+import logging
+from pathlib import Path
+
+from agent.commissioning.readings import Gathering, Recorded
+from agent.config import RigConfig
+from agent.errors import RecordingError
+from agent.runtime.replay import SOURCE, opened
+from agent.runtime.usability import Evidence, judge
+from drivers.port import Driver, DriverError
+
+log = logging.getLogger(__name__)
+
+
+def read_recording(config: RigConfig, path: Path) -> Recorded:
+    """Read a recording as `replay` would. Raises RecordingError where nothing in it can be used."""
+    driver = opened(config, path)
+    names = {channel.name: channel.name for channel in (*config.inputs, *config.outputs)}
+    gathering, evidence = Gathering(config, {SOURCE: names}), Evidence(config.rig.sample_rate_hz)
+    try:
+        _read_all(gathering, driver, evidence)
+    finally:
+        driver.close()
+    recorded = gathering.recorded(path.name)
+    evidence.notes, evidence.estimates = driver.take_notes(), recorded is not None
+    for fault in judge(config, str(path), evidence, driver.counts, gathering.acquisition.sources[SOURCE].refusals()):
+        log.warning("%s", fault)
+    if recorded is None:
+        raise RecordingError.at(str(path), "holds no sample with every channel", "see that channels and columns fit")
+    return recorded
+
+
+def _read_all(gathering: Gathering, driver: Driver, evidence: Evidence) -> None:
+    gathering.counts[SOURCE] = driver.counts
+    while True:
+        try:
+            block = driver.read(1.0)
+            evidence.watch(block)
+            gathering.take(SOURCE, block, driver.counter_modulus)
+        except EOFError:
+            return gathering.finish()
+        except DriverError as error:
+            raise RecordingError.at("", str(error), "mend or cut the recording") from error

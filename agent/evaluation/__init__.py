@@ -1,0 +1,1 @@
+"""Evaluation: the agent against known truth: demo, scored scenarios, the paper."""

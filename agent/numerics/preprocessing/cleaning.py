@@ -1,0 +1,263 @@
+"""Readings that are missing or cannot be true, told from motion by their neighbours and filled for the estimator.
+
+A spike is an isolated excursion of at most three readings: what comes before and what comes after it fit each other
+and it fits neither. A longer run of large values is a change, a kink or a step is motion. Judged by second differences
+in units of what they usually are, so that a random force or an impact is no spike. Decisions need a few readings
+beyond the doubtful one: only where one is in doubt does the stream wait for them, and never on how it was cut.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.preprocessing.bridge import filled, lagrange, runs
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+LONGEST = 3
+"""Readings of the longest spike."""
+LOOK_AHEAD = LONGEST + 2
+NEAR = 8
+"""Readings before the doubtful one that it is held against."""
+BLOCK = 128
+"""Samples over which the usual size of a second difference is taken ..."""
+THIN = 4
+"""... of every fourth of them: the median is the dearest part of all this."""
+MEMORY = 4
+"""Blocks back: the greatest of their sizes counts, so that motion that has just begun is usual soon."""
+EXCESS = 10.0
+"""A second difference this many times the usual one is in doubt."""
+CLEAR = 4.0
+"""A spike stands out this many times more than its two sides differ from each other."""
+DOUBTFUL = 1.5
+"""An input that stands out so many times more is in doubt: whether it was a spike, the motion decides."""
+EXCESS_OF_INPUTS = 6.0
+"""The same for EXCESS."""
+WILD = 1e5
+"""An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever the
+motion says: no sensor resolves that much, and sums of its square would leave no digit for those that come after."""
+CONTEXT = 64
+"""Samples that are kept as they came, to judge the next ones by."""
+STEPS = 4.0
+"""Nothing below this many steps of the wire is in doubt."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clean:
+    """Consecutive samples of which every reading is there or filled in.
+
+    Attributes:
+        v: (N, c).
+        missing: (N, c) readings filled in, lost ones and spikes alike.
+        spike: (N, c) those of them that were spikes.
+        suspect: (N, c) inputs that look like spikes; whether they are, only the motion can tell.
+    """
+
+    v: FloatArray
+    missing: BoolArray
+    spike: BoolArray
+    suspect: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.v)
+
+    def part(self, stop: int) -> "Clean":
+        """Return the first `stop` samples."""
+        return Clean(self.v[:stop], self.missing[:stop], self.spike[:stop], self.suspect[:stop])
+
+
+class Cleaner:
+    """Cleans one uninterrupted stretch of samples after the other.
+
+    Args:
+        inputs: (c,) which channels are inputs; those may jump (a hammer's blow), so their spikes are only suspected.
+        step: (c,) the wire's smallest step of each channel, SI; 0 where it has none or is not known.
+    """
+
+    def __init__(self, inputs: BoolArray, step: FloatArray) -> None:
+        self._inputs, self._step = inputs, step
+        self._usual = np.full((MEMORY, len(step)), -1.0)  # of the newest whole blocks, over all stretches
+        self._seen = np.full(len(step), np.inf)  # smallest change so far
+        self._most = np.zeros(len(step))  # largest reading given away, over all stretches
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new stretch; its first sample must be complete."""
+        c = len(self._step)
+        self._raw = np.zeros((0, c))  # samples given away that what follows is judged by, then what waits
+        self._context = 0
+        self._marked = np.zeros((0, c), dtype=bool)
+        self._spike = np.zeros((0, c), dtype=bool)
+        self._suspect = np.zeros((0, c), dtype=bool)
+        self._decided = 0
+        self._block: FloatArray = np.zeros((0, c))  # the block that is not whole yet, with two samples before it
+        self._limits: FloatArray = np.zeros((0, c))  # of the samples in _raw
+
+    def take(self, v: FloatArray, *, end: bool = False) -> Clean:
+        """Take further samples v (N, c), NaN where missing; return those that are settled, all of them at the end."""
+        self._append(v)
+        self._decide(end=end)
+        return self._release(end=end)
+
+    def waiting(self) -> int:
+        """Return how many complete samples wait for what comes after them."""
+        return int((~np.isnan(self._raw[self._context :]).any(axis=1)).sum())
+
+    def _append(self, v: FloatArray) -> None:
+        limits = self._limits_of(v)
+        missing = np.isnan(v)
+        nothing = np.zeros_like(missing)
+        self._raw = np.concatenate([self._raw, v])
+        self._limits = np.concatenate([self._limits, limits])
+        self._marked = np.concatenate([self._marked, missing])
+        self._spike = np.concatenate([self._spike, nothing])
+        self._suspect = np.concatenate([self._suspect, nothing])
+
+    def _limits_of(self, v: FloatArray) -> FloatArray:
+        """Return the largest second difference (N, c) beyond doubt for new samples, by the blocks before theirs."""
+        stream = np.concatenate([self._block, v])
+        before = len(stream) - len(v)
+        whole = max(0, len(stream) - 2) // BLOCK
+        sizes = np.abs(np.diff(stream[: 2 + whole * BLOCK], n=2, axis=0)).reshape(whole, BLOCK, v.shape[1])[:, ::THIN]
+        known = np.concatenate([self._usual, _medians(sizes)])
+        usual = np.lib.stride_tricks.sliding_window_view(known, MEMORY, axis=0).max(axis=2)  # one more than blocks
+        self._usual, self._block = known[-MEMORY:], stream[whole * BLOCK :]
+        block = np.clip((np.arange(len(v)) + before - 2) // BLOCK, 0, whole)
+        excess = np.where(self._inputs, EXCESS_OF_INPUTS, EXCESS)
+        steps = self._steps(stream[1 : 2 + whole * BLOCK], whole)
+        return np.asarray(np.where(usual < 0, np.inf, excess * usual + STEPS * steps)[block])
+
+    def _steps(self, stream: FloatArray, whole: int) -> FloatArray:
+        """Return the wire's steps (whole + 1, c) before each block and behind the last: the smallest seen, if unknown.
+
+        A channel of text has steps that nobody states; where it rests on one, the next is no spike.
+        """
+        if self._step.all():
+            return np.tile(self._step, (whole + 1, 1))
+        changes = np.abs(np.diff(stream, axis=0)).reshape(whole, BLOCK, len(self._step))[:, ::THIN]
+        least = np.where(changes > 0, changes, np.inf).min(axis=1)
+        seen = np.minimum.accumulate(np.vstack([self._seen, least]))
+        self._seen = seen[-1]
+        return np.asarray(np.where(self._step > 0, self._step, seen))
+
+    def _decide(self, *, end: bool) -> None:
+        """Mark spikes among the samples that are not decided, as far as what comes after them is there."""
+        x, first = self._raw, max(self._decided, 2)
+        if len(x) > first:
+            size = np.abs(x[first:] - 2 * x[first - 1 : -1] + x[first - 2 : -2])
+            doubtful = ~(size <= self._limits[first:])
+            for place in (np.flatnonzero(doubtful.any(axis=1)) + first).tolist():
+                if place + LOOK_AHEAD >= len(x) and not end:
+                    self._decided = place
+                    return
+                # a spike leaves three large second differences; the first may just pass
+                self._judge(place, np.asarray(doubtful[place - first : place - first + 3].any(axis=0)))
+        self._decided = len(x)
+
+    def _judge(self, place: int, doubtful: BoolArray) -> None:
+        """Look for a spike that begins at a sample, in the channels in doubt (c,)."""
+        for channel in np.flatnonzero(doubtful).tolist():
+            free = not (self._marked[place, channel] or self._suspect[place, channel])
+            if free and (length := self._spike_at(place, channel)):
+                spiked = slice(place, place + length)
+                if self._inputs[channel] and not self._is_wild(spiked, channel):
+                    self._suspect[spiked, channel] = True
+                else:
+                    self._marked[spiked, channel] = self._spike[spiked, channel] = True
+
+    def _is_wild(self, spiked: slice, channel: int) -> bool:
+        """Tell whether readings that stand out are beyond what the channel can have meant."""
+        height = float(np.abs(self._raw[spiked, channel]).max(initial=0.0))
+        limit, most = float(self._limits[spiked.start, channel]), float(self._most[channel])
+        if not height > WILD * max(limit, most):
+            return False  # whatever came since: the search through it would cost as much as all that came, each time
+        came = np.abs(self._raw[: spiked.start, channel])[~self._marked[: spiked.start, channel]]
+        return bool(height > WILD * max(limit, float(came.max(initial=most))))
+
+    def _spike_at(self, place: int, channel: int) -> int:
+        """Return the length of the spike in a channel that begins at a sample; 0 where there is none."""
+        x, limit = self._raw[:, channel], self._limits[place, channel]
+        start = max(0, place - NEAR)
+        near = slice(start, place + LOOK_AHEAD + 1)
+        free = np.flatnonzero(~(self._marked[near, channel] | self._suspect[near, channel])) + start
+        before, behind = free[free < place][-2:], free[free >= place]
+        for length in range(1, LONGEST + 1):
+            after = behind[length : length + 2]
+            # the spike's own readings must be there, and two on either side
+            if len(before) < 2 or len(after) < 2 or behind[length - 1] != place + length - 1:
+                return 0
+            clear = DOUBTFUL if self._inputs[channel] else CLEAR
+            if _stands_out(x, before, range(place, place + length), after, (limit, clear), smooth=clear == CLEAR):
+                return length
+        return 0
+
+    def _release(self, *, end: bool) -> Clean:
+        """Give away what is settled: decided, and with two readings after each that is missing."""
+        stop = self._decided if end else self._settled()
+        clean = self._raw.copy()
+        for channel in np.flatnonzero(self._marked[:stop].any(axis=0)).tolist():
+            known = self._decided if not end else len(clean)
+            clean[:known, channel] = filled(clean[:known, channel], self._marked[:known, channel])
+        out = slice(self._context, stop)
+        readings = np.where(self._marked[out], 0.0, np.abs(self._raw[out]))
+        self._most = np.maximum(self._most, readings.max(axis=0, initial=0.0))
+        released = Clean(clean[out], self._marked[out], self._spike[out], self._suspect[out])
+        self._forget(max(0, stop - CONTEXT), stop)
+        return released
+
+    def _settled(self) -> int:
+        stop = self._decided
+        for channel in np.flatnonzero(self._marked[self._context : stop].any(axis=0)).tolist():
+            for start, after in runs(self._marked[: self._decided, channel]):
+                good = int((~self._marked[after : self._decided, channel]).sum())
+                if after > self._context and good < 2:
+                    stop = min(stop, max(start, self._context))
+        return stop
+
+    def _forget(self, start: int, stop: int) -> None:
+        self._context = stop - start
+        self._decided -= start
+        self._raw, self._limits = self._raw[start:], self._limits[start:]
+        self._marked, self._spike = self._marked[start:], self._spike[start:]
+        self._suspect = self._suspect[start:]
+
+
+def _medians(sizes: FloatArray) -> FloatArray:
+    """Return the median over each block (blocks, BLOCK, c); inf where half of the readings or more are missing."""
+    middle = np.sort(sizes, axis=1)[:, sizes.shape[1] // 2]  # NaN comes last
+    return np.asarray(np.where(np.isnan(middle), np.inf, middle))
+
+
+def _stands_out(
+    x: FloatArray, before: NDArray[np.int64], spike: range, after: NDArray[np.int64], least: tuple[float, float],
+    *, smooth: bool,
+) -> bool:  # fmt: skip
+    """Tell whether readings are far from what both sides agree on.
+
+    least: how far they must be at either end, and how many times as far as the two sides are from each other; of a
+    signal that is not smooth, each side's mean may stand for where it goes on.
+    """
+    first = spike[0]
+    places = (*(before - first).tolist(), *(after - first).tolist())
+    b1, b0, a0, a1 = (float(value) for value in (*x[before[::-1]], *x[after]))
+    off = []
+    for place in spike:
+        w = _weights(places, place - first)
+        off.append(abs(float(x[place]) - (w[0] * b0 + w[1] * b1 + w[2] * a0 + w[3] * a1)))
+    if not (off[0] > least[0] and off[-1] > least[0]):
+        return False
+    gap = places[2] - places[1]
+    ahead = b1 + (b1 - b0) / (places[1] - places[0]) * gap
+    behind = a0 - (a1 - a0) / (places[3] - places[2]) * gap
+    differ = max(abs(a0 - ahead), abs(b1 - behind))
+    if not smooth:
+        differ = min(differ, 0.5 * abs(a0 + a1 - b0 - b1))
+    return bool(max(off) > least[1] * differ)
+
+
+@lru_cache(maxsize=4096)
+def _weights(places: tuple[int, ...], at: int) -> tuple[float, ...]:
+    """Return the weights of readings at places in the polynomial through them, taken at another."""
+    return tuple(lagrange(np.array(places), at).tolist())

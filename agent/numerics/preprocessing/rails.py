@@ -1,0 +1,126 @@
+"""Channels at the end of their range: flat tops that readings run into faster than a rounded peak could.
+
+A machine that moves somewhere and dwells there brakes before: its readings slow down over the last few samples as much
+as they still go. Only speed that such braking does not explain runs into an end.
+
+At the extreme of all readings one such top of an output is enough where it is long for the speed at which it was
+entered: under a force that changes from sample to sample a channel may halt for a few of them. Shorter, or below the
+extreme, the same value must stop it twice, with nothing beyond in between. A force may rest at an end of its range
+between blows, which it also runs into: an input is named the second time only, and never where it rests, which is at 0
+or where it is most of the time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.preprocessing.bridge import runs
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+PLATEAU = 4
+"""Equal readings that may be a clipped peak ..."""
+OVERSHOOT = 16.0
+"""... if the motion before would have gone this many steps (or noise) beyond it: a rounded peak goes about four."""
+SURE = 2 * OVERSHOOT
+"""The same where no second such peak is waited for: healthy channels of 16 bits reached 25 in an hour and a half."""
+BRAKED_OVER = 3
+"""Samples before the last whole step into a top over which its braking is told."""
+BRAKING = 3.5
+"""Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more. Constant
+braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its steps are ..."""
+CREEP = 3.0
+"""... those of the wire, of which it then makes no more than so many a sample."""
+ENTRY = PLATEAU + BRAKED_OVER + 1
+"""Readings before a block that a top in it may begin with, and those that tell how fast it was entered."""
+REST = 0.5
+"""An input that is at one value for so much of the time rests there."""
+
+
+class Top(NamedTuple):
+    """A flat top (side 1) or bottom (side 0): its value, and how far the motion before would have gone beyond it."""
+
+    side: int
+    value: float
+    beyond: float
+
+
+class Rails:
+    """Remembers where each of c channels was stopped; inputs (c,)."""
+
+    def __init__(self, inputs: BoolArray) -> None:
+        c = len(inputs)
+        self._inputs = inputs
+        self._value = np.full((2, c), np.nan)
+        self._times = np.zeros((2, c), dtype=np.int64)
+        self._there, self._since = np.zeros((2, c)), np.zeros((2, c))  # readings at the rail, and all since it is one
+
+    def known(self) -> bool:
+        """Tell whether some channel was stopped twice at one value."""
+        return bool((self._times > 1).any())
+
+    def pass_by(self, low: FloatArray, high: FloatArray, samples: int) -> None:
+        """Take samples between low and high (c,); a rail that they go beyond is none."""
+        self._since += samples
+        beyond = np.stack([low < self._value[0], high > self._value[1]])
+        self._value[beyond], self._times[beyond] = np.nan, 0
+
+    def rests(self, channel: int, value: float, grain: float) -> bool:
+        """Tell whether a channel is an input that may be at a value for long."""
+        if not self._inputs[channel]:
+            return False
+        at = self._value[:, channel] == value
+        share = (self._there[at, channel] / np.maximum(self._since[at, channel], 1.0)).max(initial=0.0)
+        return bool(abs(value) <= 0.5 * grain or share >= REST)
+
+    def stopped(self, channel: int, x: FloatArray, ends: tuple[float, float], grain: float) -> bool:
+        """Tell whether readings x, `ENTRY` of them before the block, run into the end of a channel's range.
+
+        ends: of all readings so far. grain: step of the wire, or noise.
+        """
+        found = False
+        for top in tops(x, grain):
+            if self._inputs[channel] and abs(top.value) <= 0.5 * grain:
+                continue  # a force at rest
+            known = self._value[top.side, channel] == top.value
+            if not known:
+                self._value[top.side, channel], self._times[top.side, channel] = top.value, 0
+                self._there[top.side, channel] = self._since[top.side, channel] = 0
+            self._times[top.side, channel] += 1
+            again = self._times[top.side, channel] > 1
+            extreme = abs(top.value - ends[top.side]) <= 0.5 * grain and not self._inputs[channel]
+            extreme &= top.beyond > SURE * grain
+            found |= (again or extreme) and not self.rests(channel, top.value, grain)
+        for side in (0, 1):
+            rail = float(self._value[side, channel])
+            # where the end is known, it need not be run into
+            if self._times[side, channel] > 1 and not self.rests(channel, rail, grain):
+                found |= any(stop - start >= PLATEAU for start, stop in runs(np.asarray(x == rail)))
+            self._there[side, channel] += int(np.sum(x[ENTRY:] == self._value[side, channel]))
+        return found
+
+
+def tops(x: FloatArray, grain: float) -> list[Top]:
+    """Return the flat tops and bottoms of readings that were entered too fast to be rounded peaks.
+
+    Each is found in one block only: its last equal reading that makes it one lies behind the first `ENTRY`.
+    """
+    found = []
+    for start, stop in runs(np.asarray(np.diff(x) == 0)):
+        count = stop - start + 1
+        if count < PLATEAU or start < BRAKED_OVER + 2 or start + PLATEAU <= ENTRY:
+            continue
+        side = int(x[start] > x[start - 1])
+        speed = unbraked((1 if side else -1) * np.diff(x[start - BRAKED_OVER - 2 : start]), grain)
+        if speed * count > OVERSHOOT * grain:
+            found.append(Top(side, float(x[start]), float(speed * count)))
+    return found
+
+
+def unbraked(steps: FloatArray, grain: float) -> float:
+    """Return the speed, a sample, of the last of some steps towards a top where no braking explains it; else 0.0."""
+    last = float(steps[-1])
+    lost = (steps[-2::-1] - last) / np.arange(1, len(steps))  # braking may have begun with any of them
+    explained = last <= BRAKING * max(float(lost.max()), 0.0) + CREEP * grain
+    return 0.0 if explained else last

@@ -1,0 +1,183 @@
+"""The agent's own recordings as sources that end, for `deltak replay`."""
+
+import logging
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import ClassVar
+
+from agent.config import RigConfig, driver_class
+from agent.config.tables import Source
+from agent.errors import RecordingError
+from agent.recording import blocks
+from agent.recording import capture as heard
+from agent.recording.header import RawHeader
+from drivers.port import Driver, DriverConfigError, DriverSettings, SampleBlock, SourceRequest
+
+log = logging.getLogger(__name__)
+
+
+class RawSettings(DriverSettings):
+    """The files of a recording of one source, in order."""
+
+    paths: tuple[Path, ...]
+
+
+class OwnRecording(Driver):
+    """Plays recordings of one source, file after file, as it was received; `read` raises EOFError at the end."""
+
+    settings_model: ClassVar[type[DriverSettings]] = RawSettings
+    finite: ClassVar[bool] = True
+    _blocks: Iterator[SampleBlock] = iter(())
+
+    def open(self) -> None:
+        """See that every file is a recording with the fields asked for."""
+        for path in self.request.settings.paths:
+            _places(path, _header(path), self.request.fields)
+        self._blocks = chain.from_iterable(map(self._played, self.request.settings.paths))
+
+    def _played(self, path: Path) -> Iterator[SampleBlock]:
+        header = _header(path)
+        self.counter_modulus = header.counter_modulus
+        return self.blocks(path, header)
+
+    @abstractmethod
+    def blocks(self, path: Path, header: RawHeader) -> Iterator[SampleBlock]:
+        """Yield what a file holds."""
+
+    def read(self, timeout_s: float) -> SampleBlock:
+        """Return the next block."""
+        block = next(self._blocks, None)
+        if block is None:
+            raise EOFError(f"{self.request.name}: end of the recording")
+        return block
+
+    def close(self) -> None:
+        """Forget the files."""
+        self._blocks = iter(())
+
+
+class RawDriver(OwnRecording):
+    """Plays samples that were recorded as samples."""
+
+    def blocks(self, path: Path, header: RawHeader) -> Iterator[SampleBlock]:
+        columns = list(_places(path, header, self.request.fields))
+        for block in blocks.read_blocks(path):
+            self.counts.received += len(block)
+            yield replace(block, values=block.values[:, columns])
+
+    def resolution(self) -> tuple[float, ...]:
+        """Unknown: the configuration's source says."""
+        return (0.0,) * len(self.request.fields)
+
+
+class HeardDriver(OwnRecording):
+    """Plays what a bus carried: the source's own driver makes samples of it, as it did when it was heard.
+
+    Args:
+        request: its settings say which files.
+        line: the source's driver, never opened.
+    """
+
+    def __init__(self, request: SourceRequest, line: Driver) -> None:
+        super().__init__(request)
+        self._line = line
+        self.counts = line.counts
+
+    def blocks(self, path: Path, header: RawHeader) -> Iterator[SampleBlock]:
+        for piece in heard.read_pieces(path):
+            block = self._line.hear(piece.text, piece.beside)
+            if len(block):
+                yield replace(block, arrival_ns=piece.arrival_ns, wall_offset_ns=piece.wall_offset_ns)
+
+    def resolution(self) -> tuple[float, ...]:
+        return self._line.resolution()
+
+
+def _header(path: Path) -> RawHeader:
+    """Read a recording's header as a driver does. Raises DriverConfigError."""
+    try:
+        if path.suffix != blocks.SUFFIX:
+            return heard.read_header(path)
+        with path.open("rb") as file:
+            return blocks.read_header(file, path)
+    except RecordingError as error:
+        raise DriverConfigError(str(error)) from error
+    except OSError as error:
+        raise DriverConfigError(f"{path}: {error.strerror or error}") from error
+
+
+def _places(path: Path, header: RawHeader, fields: tuple[str, ...]) -> tuple[int, ...]:
+    lacking = [name for name in fields if name not in header.fields]
+    if lacking:
+        held = ", ".join(header.fields)
+        raise DriverConfigError(f"{path}: has no field {', '.join(lacking)}; fields are {held}")
+    return tuple(header.fields.index(name) for name in fields)
+
+
+def is_own(path: Path) -> bool:
+    """Tell whether a file is one of the agent's own recordings."""
+    return path.suffix == blocks.SUFFIX or heard.index_of(path).is_file()
+
+
+def without_indexes(paths: Sequence[Path]) -> list[Path]:
+    """Return the recordings among the files of a folder: an index belongs to the log of its name."""
+    return [path for path in paths if path.suffix != heard.INDEX or not path.with_suffix("").is_file()]
+
+
+def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
+    """Return the drivers that play the agent's own recordings, by the name of the source; not open.
+
+    Raises RecordingError for one of no source of the configuration, and for a source with none.
+    """
+    files: dict[str, list[Path]] = {}
+    for path in paths:
+        files.setdefault(_source_of(rig, path).name, []).append(path.absolute())
+    lacking = [source.name for source in rig.source if source.name not in files]
+    if lacking:
+        advice = "give the recordings of every source"
+        raise RecordingError.at("", f"{paths[0]}: the source {', '.join(lacking)} is not in the recordings", advice)
+    fields = {source.name: tuple(source.map.values()) for source in rig.source}
+    return {source.name: _driver(rig, source, files[source.name], fields[source.name]) for source in rig.source}
+
+
+def own_recording(rig: RigConfig, path: Path) -> Driver:
+    """Return the driver that plays one recording, its columns in the order of the rig's channels; not open.
+
+    Raises RecordingError when no source with every channel was recorded there.
+    """
+    source = _source_of(rig, path)
+    channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
+    lacking = [name for name in channels if name not in source.map]
+    if lacking:
+        raise RecordingError.at("", f"{path}: {source.name} does not carry {', '.join(lacking)}", "replay all sources")
+    return _driver(rig, source, [path.absolute()], tuple(source.map[name] for name in channels))
+
+
+def _source_of(rig: RigConfig, path: Path) -> Source:
+    """Return the source that a recording is of: one whose fields it has, of the name it was recorded under if any."""
+    try:
+        header = _header(path)
+    except DriverConfigError as error:
+        raise RecordingError.at("", str(error), "give one of the agent's own recordings") from error
+    able = [source for source in rig.source if set(source.map.values()) <= set(header.fields)]
+    named = [source for source in able if source.name == header.source] or able
+    if not named:
+        advice = "replay it with the configuration it was recorded with"
+        raise RecordingError.at("", f"{path}: no source of the configuration was recorded there", advice)
+    if header.config_sha256 != rig.sha256:
+        log.info("%s: was recorded with another configuration (%s)", path, header.config_sha256[:12])
+    return named[0]
+
+
+def _driver(rig: RigConfig, source: Source, paths: Sequence[Path], fields: tuple[str, ...]) -> Driver:
+    """Return the driver that plays the recordings of a source, which are all of one form. Raises RecordingError."""
+    request = SourceRequest(source.name, RawSettings(paths=tuple(paths)), fields)
+    if all(path.suffix == blocks.SUFFIX for path in paths):
+        return RawDriver(request)
+    if any(path.suffix == blocks.SUFFIX for path in paths):
+        raise RecordingError.at("", f"{paths[0]}: recordings of {source.name} have two forms", "replay each by itself")
+    own = SourceRequest(source.name, source.settings, fields, source.counter, rig.folder)
+    return HeardDriver(request, driver_class(source.driver)(own))

@@ -1,0 +1,141 @@
+"""From a configuration to the acquisition that its sources need."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from math import pi
+
+import numpy as np
+
+from agent.blocks.acquisition.alignment import Alignment, AlignmentPlan, StreamPlan
+from agent.blocks.acquisition.single_source import Acquisition, ChannelScale, SourcePlan, source_plan
+from agent.blocks.acquisition.skew_watch import SkewGroup, SkewWatch
+from agent.blocks.friction import friction_inputs, signals
+from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_model, window_settings
+from agent.config import RigConfig
+from agent.config.tables import Channel, Source
+from agent.numerics.faults.skew import Group, SkewMeter
+from agent.numerics.model.sensors import with_constant
+from agent.types import FloatArray
+
+SHORTEST_S, LONGEST_S = 0.5, 4.0
+MOST_SAMPLES = 4000
+Maps = Mapping[str, Mapping[str, str]]
+
+
+def make_acquisition(
+    config: RigConfig, sources: Maps, resolution: FloatArray, *, keep_incomplete: bool = True
+) -> Acquisition | Alignment:
+    """Return the acquisition of a rig.
+
+    Args:
+        config: the rig's configuration.
+        sources: names of the sources that deliver, with their channel -> field maps.
+        resolution: (p,) smallest step of each output's wire, SI.
+        keep_incomplete: hand on rows that lack some reading.
+    """
+    channels = channels_of(config)
+    names = [channel.name for channel in channels]
+    scales = {c.name: ChannelScale(c.scale, c.offset, c.si_factor) for c in channels}
+    plans = [source_plan(name, fields, names, scales) for name, fields in sources.items()]
+    groups = skew_groups(config)
+    late = configured_delays(config)
+    if len(plans) == 1 and not groups and not late.any():
+        rig, inputs = config.rig, len(config.inputs)
+        return Acquisition(plans[0], inputs, rig.clock, rig.sample_rate_hz, keep_incomplete=keep_incomplete)
+    watch = _watch(config, groups, resolution) if groups else None
+    remeasure = partial(_watch, config, _all_groups(config), resolution) if len(plans) > 1 else None
+    return Alignment(_plan(config, plans, late), watch, remeasure, keep_incomplete=keep_incomplete)
+
+
+def channels_of(config: RigConfig) -> list[Channel]:
+    """Return the channels in the order that the blocks know them by: inputs, then outputs."""
+    return [*config.inputs, *config.outputs]
+
+
+def reference_source(config: RigConfig) -> Source | None:
+    """Return the source whose samples make rows: the one of the first input, else the first; None without sources."""
+    first = config.inputs[0].name if config.inputs else ""
+    return next((s for s in config.source if first in s.map), config.source[0] if config.source else None)
+
+
+def configured_delays(config: RigConfig) -> FloatArray:
+    """Return how late each channel is read (c,), s: its own delay, and the skew of its source where that is given."""
+    given = {name: s.skew_s for s in config.source for name in s.map if isinstance(s.skew_s, float)}
+    return np.array([channel.delay_s + given.get(channel.name, 0.0) for channel in channels_of(config)])
+
+
+def skew_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
+    """Return the sources whose skew is to be measured, with their channels."""
+    wanted = {source.name for source in config.source if source.skew_s == "auto"}
+    return tuple(group for group in _all_groups(config) if group.source in wanted)
+
+
+def _all_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
+    reference, names = reference_source(config), [channel.name for channel in channels_of(config)]
+    others = [source for source in config.source if source is not reference]
+    return tuple(SkewGroup(s.name, tuple(names.index(name) for name in s.map)) for s in others)
+
+
+def _plan(config: RigConfig, plans: list[SourcePlan], late: FloatArray) -> AlignmentPlan:
+    known, rate = {source.name: source for source in config.source}, config.rig.sample_rate_hz
+    streams = []
+    for plan in plans:
+        source = known.get(plan.name)
+        own_rate = source.rate_hz if source is not None else None
+        own_clock = source is not None and (source.own_clock or own_rate is not None)
+        streams.append(StreamPlan(plan, own_rate or rate, own_clock))
+    reference = next((i for i, plan in enumerate(plans) if 0 in plan.columns), 0)
+    first = min(plans[reference].columns)
+    return AlignmentPlan(
+        tuple(streams), reference, len(late), len(config.inputs), config.rig.clock, rate,
+        delay_s=late - late[first], late_s=float(late[first]),
+    )  # fmt: skip
+
+
+def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewWatch:
+    meter = skew_meter(config, groups, resolution)
+    reference = reference_source(config)
+    return SkewWatch(
+        meter, groups, "" if reference is None else reference.name, len(channels_of(config)), len(config.inputs),
+        *stretch_samples(config), config.rig.sample_rate_hz, complete_inputs(config, resolution),
+    )  # fmt: skip
+
+
+def complete_inputs(config: RigConfig, resolution: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Return what makes all of the model's inputs of outputs and measured inputs: signs of dry friction, the 1."""
+    friction, model = friction_inputs(config, resolution), rig_model(config).model
+    columns = model.continuous(model.nominal).m
+
+    def complete(y: FloatArray, u: FloatArray) -> FloatArray:
+        if friction is not None:
+            friction.start_segment()
+            u = friction.beside(y, u)
+        return with_constant(u, columns)
+
+    return complete
+
+
+def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewMeter:
+    """Return what measures the skews of groups of channels; resolution (p,) is that of the outputs' wires, SI."""
+    rig, inputs = rig_model(config), len(config.inputs)
+    settings = window_settings(config, rig, resolution)
+    late = tuple(
+        Group(tuple(c for c in group.channels if c < inputs), tuple(c - inputs for c in group.channels if c >= inputs))
+        for group in groups
+    )
+    return SkewMeter(
+        rig.model, late, signals(config), settings.period_s, config.estimator.hold,
+        observer_gains(config, rig, hop_plan(config).window), known_noise(config, resolution),
+        settings.scale, settings.scale_column, settings.lower,
+    )  # fmt: skip
+
+
+def stretch_samples(config: RigConfig) -> tuple[int, int]:
+    """Return how long a stretch that tells a skew is at first, as the shortest window, and at most, half a period."""
+    model, rate = rig_model(config).model, config.rig.sample_rate_hz
+    speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
+    slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))
+    unknowns = len(model.state_names) + len(model.parameters) + 1
+    least = max(hop_plan(config).window, 20 * unknowns // max(len(config.outputs), 1))
+    longest = round(float(np.clip(pi / max(slowest, 1e-9), SHORTEST_S, LONGEST_S)) * rate)
+    return min(least, MOST_SAMPLES), max(min(longest, MOST_SAMPLES), min(least, MOST_SAMPLES))

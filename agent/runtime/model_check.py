@@ -1,0 +1,167 @@
+"""Whether a rig's channels show its states and let its parameters be told apart; what `run` and `replay` insist on."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from agent.blocks.friction import mechanics_of, signals
+from agent.blocks.rig_model import SENSOR_KINDS, RigModel
+from agent.config import RigConfig
+from agent.config.tables import Parameter
+from agent.errors import Fault, ModelError
+from agent.numerics.model.identifiability import Identifiability, identifiability
+from agent.numerics.model.mechanics import MassSpringDamper, Output
+from agent.numerics.model.observer import unobservable_states
+from agent.numerics.model.sensors import SensedModel
+from agent.numerics.model.statespace import Model
+from agent.runtime.number_checks import number_faults, observer_faults
+from agent.types import FloatArray
+
+ESTIMATE = "estimator.estimate"
+
+
+def require_observable(config: RigConfig, rig: RigModel) -> None:
+    """Raise ModelError with every fault unless states are observable and parameters can be told apart."""
+    faults = model_faults(config, rig)
+    if faults:
+        raise ModelError(faults)
+
+
+def model_faults(config: RigConfig, rig: RigModel) -> list[Fault]:
+    """Return what the structure of the model makes impossible, each with what would help."""
+    if faults := number_faults(config, rig):
+        return faults
+    hidden = hidden_states(rig.model)
+    faults = [_hidden_fault(hidden, rig)] if hidden else []
+    return faults + list(_parameter_faults(config, rig)) or observer_faults(config, rig)
+
+
+def hidden_states(model: Model) -> list[str]:
+    """Return the names of the states that no channel shows."""
+    return unobservable_states(model.continuous(model.nominal), model.state_names)
+
+
+def _hidden_fault(hidden: list[str], rig: RigModel) -> Fault:
+    nodes = _nodes_that_help(rig, lambda model: not hidden_states(model))
+    places = [name.removeprefix("displacement of ") for name in hidden if name.startswith("displacement of ")]
+    where = _either(nodes) if nodes else _listed(places) if places else ""
+    advice = f"measure the displacement of {where}" if where else "measure where these move, or leave them out"
+    return Fault("model", f"no channel shows the {_listed(hidden)}", advice)
+
+
+def _parameter_faults(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
+    measured, scale = signals(config), _scale(rig)
+    found = identifiability(rig.model, measured, scale)
+    for number in found.silent:
+        name = rig.parameters[number].name
+        what = f'"{name}" leaves no trace: however it changes, the channels read the same'
+        yield Fault(ESTIMATE, what, _silent_advice(rig, measured, number))
+    for blend in found.blends:
+        what = f"{_named(rig, blend)} cannot be told apart: {_in_words(rig, blend)} changes no reading"
+        yield Fault(ESTIMATE, what, _blend_advice(config, rig, blend, found))
+
+
+def _scale(rig: RigModel) -> FloatArray:
+    nominal = np.abs(rig.model.nominal)
+    return np.where(nominal > 0, nominal, np.maximum(rig.limits, 0.0))
+
+
+def _named(rig: RigModel, blend: FloatArray) -> str:
+    return _listed([f'"{p.name}"' for p, change in zip(rig.parameters, blend, strict=True) if change])
+
+
+def _in_words(rig: RigModel, blend: FloatArray) -> str:
+    """Write a change that leaves no trace: "k1 by +1 % with k3 by -0.62 %", offsets in their own units."""
+    sized = [abs(p.nominal) for p, change in zip(rig.parameters, blend, strict=True) if change]
+    if not any(sized):
+        blend = blend / blend[np.flatnonzero(blend)[0]]
+    pairs = zip(rig.parameters, blend.tolist(), strict=True)
+    return " with ".join(_change(parameter, change, share=any(sized)) for parameter, change in pairs if change)
+
+
+def _change(parameter: Parameter, change: float, *, share: bool) -> str:
+    if parameter.nominal:
+        return f"{parameter.name} by {change / abs(parameter.nominal):+.2g} %"
+    return f"{parameter.name} by {change / 100 if share else change:+.2g} {parameter.unit}"
+
+
+def _silent_advice(rig: RigModel, measured: int, number: int) -> str:
+    nodes = _nodes_that_help(rig, lambda model: number not in identifiability(model, measured, _scale(rig)).silent)
+    leave = f'leave "{rig.parameters[number].name}" out of estimator.estimate'
+    return f"measure the displacement of {_either(nodes)}, or {leave}" if nodes else leave
+
+
+def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Identifiability) -> str:
+    """Say what would separate a blend: another measurement, a known load or length, or fixing one of its parameters."""
+    chosen = [p for p, change in zip(rig.parameters, blend, strict=True) if change]
+    ways = []
+
+    def fewer(model: Model, measured: int) -> bool:
+        return len(identifiability(model, measured, _scale(rig)).blends) < len(found.blends)
+
+    if not config.inputs and (forced := _with_force(rig)) is not None and fewer(forced, 1):
+        ways.append("measure a force that moves it")
+    if nodes := _nodes_that_help(rig, lambda model: fewer(model, signals(config))):
+        ways.append(f"measure the displacement of {_either(nodes)}")
+    if any(p.kind == "bias" for p in chosen):
+        ways.append("measure the rest position or the unloaded force")
+    if any(p.kind == "gain" for p in chosen):
+        ways.append("check one of these sensors against a load or a length that is known")
+    if _side_by_side(rig, {p.name for p in chosen}):
+        ways.append("measure the force that one of them carries and enter what that makes of it")
+    return ", ".join([*ways, ""]) + f"{'or ' if ways else ''}leave {_out(chosen)} out of the estimate"
+
+
+def _side_by_side(rig: RigModel, names: set[str]) -> bool:
+    """Tell whether some springs, or some dampers, of these names join the same two nodes: they always move alike."""
+    mechanics = mechanics_of(rig.model)
+    if mechanics is None:
+        return False
+    structure = mechanics.structure
+    for elements in (structure.springs, structure.dampers, structure.frictions):
+        joined = [frozenset(e.between) for e in elements if e.name in names]
+        if len(set(joined)) < len(joined):
+            return True
+    return False
+
+
+def _out(chosen: list[Parameter]) -> str:
+    """One parameter to give up: a sensor constant before a physical one."""
+    constants = [p.name for p in chosen if p.kind in SENSOR_KINDS]
+    return f'"{constants[-1]}"' if constants else "one of them"
+
+
+def _nodes_that_help(rig: RigModel, helped: Callable[[Model], bool]) -> list[str]:
+    """Return the masses whose displacement, measured as well, would help."""
+    mechanics = mechanics_of(rig.model)
+    if mechanics is None:
+        return []
+    outputs = mechanics.outputs
+    known = {output.at for output in outputs if output.quantity == "displacement"}
+    nodes = [m.name for m in mechanics.structure.masses if m.name not in known]
+    return [n for n in nodes if helped(_put(rig.model, replace(mechanics, outputs=(*outputs, _place(n)))))]
+
+
+def _place(node: str) -> Output:
+    return Output("displacement", node)
+
+
+def _put(model: Model, mechanics: MassSpringDamper) -> Model:
+    return replace(model, model=mechanics) if isinstance(model, SensedModel) else mechanics
+
+
+def _with_force(rig: RigModel) -> Model | None:
+    """Return the model with a measured force on its last mass."""
+    mechanics = mechanics_of(rig.model)
+    if mechanics is None:
+        return None
+    return _put(rig.model, replace(mechanics, forces=(mechanics.structure.masses[-1].name,)))
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _either(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -1,0 +1,243 @@
+"""The tables of the store and how a file of an earlier version becomes one of this version.
+
+Tables are the product's own and may change; the views (agent.storage.database.views) are what outsiders query. A row of
+an estimate is spread over three tables so that a year fits a small flash: `hops` says which run and when, `estimates`
+holds one row a parameter (its seq is the hop's seq times 1024 plus its column), and what seldom changes (series,
+fits, verdicts) is named by number.
+"""
+
+import sqlite3
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from functools import cache
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
+
+from agent import __version__
+from agent.storage.database.checksum import row_crc
+from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
+from agent.storage.database.views_of_parts import STEPS
+
+if TYPE_CHECKING:
+    from sqlite_utils import Database
+    from sqlite_utils.migrations import Migrations
+
+APPLICATION_ID = 0x64744B31
+"""Bytes 68 to 71 of the file: "dtK1"."""
+SCHEMA_VERSION = 5
+"""Counts up; a program refuses files of a version greater than its own."""
+PAGE_SIZE = 1024
+"""Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
+COLUMN_BITS = 10
+"""estimates.seq = hops.seq << COLUMN_BITS | column."""
+
+TABLES: dict[str, str] = {
+    "meta": "key TEXT NOT NULL UNIQUE, value TEXT NOT NULL",
+    "rigs": "name TEXT NOT NULL UNIQUE",
+    "runs": "rig_id INTEGER NOT NULL, kind TEXT NOT NULL, started_ns INTEGER NOT NULL, code_version TEXT NOT NULL, "
+    "config_sha256 TEXT NOT NULL, baseline_id INTEGER, boot_id TEXT, full_from_ns INTEGER, minute_from_ns INTEGER",
+    "series": "run_id INTEGER NOT NULL, parameter TEXT NOT NULL, unit TEXT NOT NULL, method TEXT NOT NULL, "
+    "reference REAL, baseline_id INTEGER",
+    "fits": "window_s REAL, n_used INTEGER NOT NULL, n_missing INTEGER NOT NULL, dof REAL, t95 REAL, "
+    "chosen INTEGER NOT NULL",
+    "verdicts": "status TEXT NOT NULL, reason TEXT",
+    "hops": "run_id INTEGER NOT NULL, span INTEGER NOT NULL, t_ns INTEGER NOT NULL",
+    "estimates": "series_id INTEGER NOT NULL, fit_id INTEGER NOT NULL, verdict_id INTEGER NOT NULL, value REAL, "
+    "sd REAL, lower REAL, upper REAL, held REAL, held_age_s REAL",
+    "spreads": "n INTEGER NOT NULL, n_valid INTEGER NOT NULL, worst_id INTEGER NOT NULL, low REAL, high REAL",
+    "overlaps": "run_id INTEGER NOT NULL, by_run INTEGER NOT NULL, from_ns INTEGER NOT NULL, to_ns INTEGER NOT NULL",
+    "alarms": "run_id INTEGER NOT NULL, kind TEXT NOT NULL, parameter TEXT NOT NULL, priority TEXT NOT NULL, "
+    "state TEXT NOT NULL, raised_ns INTEGER NOT NULL, cleared_ns INTEGER, acked_ns INTEGER, acked_by TEXT, "
+    "shelved_until_ns INTEGER, delta REAL, sd REAL, limit_value REAL, probability REAL, message TEXT NOT NULL",
+    "alarm_events": "alarm_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, from_state TEXT NOT NULL, "
+    "to_state TEXT NOT NULL, cause TEXT NOT NULL, by_whom TEXT, comment TEXT",
+    "health": "run_id INTEGER NOT NULL, source TEXT NOT NULL, t_ns INTEGER NOT NULL, received INTEGER NOT NULL, "
+    "used INTEGER NOT NULL, rejected INTEGER NOT NULL, dropped INTEGER NOT NULL, gaps INTEGER NOT NULL, lag_s REAL, "
+    "reasons TEXT",
+    "events": "run_id INTEGER NOT NULL, source TEXT NOT NULL, t_ns INTEGER NOT NULL, cause TEXT NOT NULL, "
+    "message TEXT NOT NULL",
+    "counters": "name TEXT NOT NULL UNIQUE, count INTEGER NOT NULL",
+    "sequences": "name TEXT NOT NULL UNIQUE, high INTEGER NOT NULL",
+    "event_records": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, kind TEXT NOT NULL, parameter TEXT NOT NULL, "
+    "alarms INTEGER NOT NULL, file TEXT NOT NULL, state TEXT NOT NULL, from_ns INTEGER NOT NULL, "
+    "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, baseline_id INTEGER, "
+    "message TEXT NOT NULL",
+    "calibrations": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, content TEXT NOT NULL",
+    "clocks": "run_id INTEGER NOT NULL, part_of INTEGER NOT NULL, offset_ns INTEGER, from_ns INTEGER NOT NULL",
+}
+"""Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
+_SINCE = {"event_records": 2, "calibrations": 4, "clocks": 5}
+"""The version that brought a table, of those that version 1 did not have."""
+
+_CALLED = frozenset({"json_each"})  # table-valued functions in our views
+
+_CONSUMERS = (
+    "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, last_seq INTEGER NOT NULL DEFAULT 0, "
+    "topic TEXT NOT NULL DEFAULT 'estimates', UNIQUE (name, topic)) STRICT"
+)
+
+_INDEXES = (
+    "CREATE INDEX hops_by_time ON hops (run_id, span, t_ns)",
+    "CREATE INDEX runs_by_rig ON runs (rig_id)",
+    "CREATE INDEX series_by_run ON series (run_id)",
+    "CREATE INDEX overlaps_by_run ON overlaps (run_id)",
+    "CREATE INDEX alarms_by_run ON alarms (run_id)",
+    "CREATE INDEX alarm_events_by_alarm ON alarm_events (alarm_id)",
+    "CREATE INDEX health_by_run ON health (run_id, t_ns)",
+)
+
+
+def columns_of(table: str) -> list[str]:
+    """Return the columns of a table in order, with seq and crc."""
+    return ["seq", *(part.strip().split()[0] for part in TABLES[table].split(",")), "crc"]
+
+
+def insert_sql(table: str, verb: str = "INSERT") -> str:
+    """Return the statement that inserts whole rows of a table; verb: "INSERT" or "INSERT OR REPLACE"."""
+    names = columns_of(table)
+    return f"{verb} INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"
+
+
+def _tables_views_and_marks(db: "Database") -> None:
+    """Make everything of version 1 in the transaction that the migration runs in."""
+    for table in TABLES:
+        if table not in _SINCE:
+            _create(db.conn, table)
+    for statement in (_CONSUMERS, *_INDEXES, *VIEWS):
+        db.conn.execute(statement)
+    for number, (key, value) in enumerate((("schema_version", "1"), ("created_by", f"deltak {__version__}")), 1):
+        db.conn.execute(insert_sql("meta"), (number, key, value, row_crc((number, key, value))))
+    _mark(db.conn, 1)
+
+
+def _event_records(db: "Database") -> None:
+    """Version 2: the index of the samples kept around alarms."""
+    _create(db.conn, "event_records")
+    db.conn.execute("CREATE INDEX alarms_by_time ON alarms (run_id, raised_ns)")
+    db.conn.execute(EVENT_RECORDS)
+    _mark(db.conn, 2)
+
+
+def _clocks(db: "Database") -> None:
+    """Version 3: drift and skew of sources in v_health."""
+    for statement in CLOCKS:
+        db.conn.execute(statement)
+    _mark(db.conn, 3)
+
+
+def _calibrations(db: "Database") -> None:
+    """Version 4: what was learnt of a rig's disturbances."""
+    _create(db.conn, "calibrations")
+    _mark(db.conn, 4)
+
+
+def _steps(db: "Database") -> None:
+    """Version 5: which rows of a run were stamped by one setting of the wall clock, so that ages are true.
+
+    Earlier programs told of a step in an event; the stamps of a run without one are its own true times.
+    """
+    _create(db.conn, "clocks")
+    db.conn.execute("CREATE INDEX clocks_by_run ON clocks (run_id)")
+    for seq, (run_id, first) in enumerate(db.conn.execute(_UNSTEPPED).fetchall(), 1):
+        cells = (seq, run_id, run_id, None, first)
+        db.conn.execute(insert_sql("clocks"), (*cells, row_crc(cells)))
+    for statement in STEPS:
+        db.conn.execute(statement)
+    _mark(db.conn, 5)
+
+
+_UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r.seq AND h.span IN (0, 60, 3600)) AS a
+ FROM runs r WHERE a IS NOT NULL AND NOT EXISTS (SELECT 1 FROM events e WHERE e.run_id = r.seq
+ AND e.source = 'clock' AND e.cause = 'clock step') ORDER BY r.seq"""
+
+_STEPS: dict[str, Callable[["Database"], None]] = {
+    "0001_tables_views_and_marks": _tables_views_and_marks,
+    "0002_event_records": _event_records,
+    "0003_clocks": _clocks,
+    "0004_calibrations": _calibrations,
+    "0005_steps": _steps,
+}
+"""The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
+
+
+def _create(connection: sqlite3.Connection, table: str) -> None:
+    columns = TABLES[table]
+    connection.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
+
+
+def _mark(connection: sqlite3.Connection, version: int) -> None:
+    """Write the file's marks; they are part of the transaction like any row."""
+    (seq,) = connection.execute("SELECT seq FROM meta WHERE key = 'schema_version'").fetchone()
+    cells = (seq, "schema_version", str(version))
+    connection.execute(insert_sql("meta", "INSERT OR REPLACE"), (*cells, row_crc(cells)))
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {version_mark(version)}")
+
+
+def version_mark(version: int) -> int:
+    """Return the file's user_version: the version, and its complement so that a flipped bit is no other version."""
+    return (0x7FFF ^ version) << 16 | version
+
+
+def version_of(connection: sqlite3.Connection) -> int:
+    """Return the version of an open file; 0 when it has none."""
+    return int(connection.execute("PRAGMA user_version").fetchone()[0]) & 0xFFFF
+
+
+def migrations() -> "Migrations":
+    """Return the ordered set; each step is one transaction together with the row that records it."""
+    from sqlite_utils.migrations import Migrations
+
+    steps = Migrations("deltak")
+    for name, step in _STEPS.items():
+        steps(name=name)(step)
+    return steps
+
+
+@cache
+def own_schema() -> dict[tuple[str, str], tuple[str, str | None]]:
+    """Return what a file of this version consists of: (type, name) -> table, text."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        for step in _STEPS.values():
+            step(cast("Database", SimpleNamespace(conn=connection)))
+        return _schema(connection)
+
+
+def _schema(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str, str | None]]:
+    rows = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
+    return {(kind, name): (table, text) for kind, name, table, text in rows}
+
+
+def _bare(entry: tuple[str, str | None] | None) -> tuple[str, ...]:
+    """Return an entry of a schema without spaces: earlier programs broke their lines elsewhere."""
+    return () if entry is None else (entry[0], "".join((entry[1] or "").split()))
+
+
+def strange_schema(connection: sqlite3.Connection) -> list[str]:
+    """Return in words what of a file's schema is not this program's own text; none of it is executed.
+
+    Tables, indexes and views of others are left alone, but for those that stand in for what our views call.
+    """
+    found = _schema(connection)
+    words = [f"the text of {kind} {name} is not its own" for (kind, name), own in own_schema().items()
+             if _bare(found.get((kind, name))) != _bare(own)]  # fmt: skip
+    others = (name for kind, name in found if kind == "trigger" or name.lower() in _CALLED)
+    return words + [f"{name} does not belong there" for name in others]
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Bring an open file to SCHEMA_VERSION; does nothing when it is there already.
+
+    sqlite-utils takes half a second to import, so it is not touched on an ordinary start.
+    """
+    if version_of(connection) == SCHEMA_VERSION:
+        return
+    absent = sys.modules.setdefault("pandas", None)  # type: ignore[arg-type]  # sqlite-utils would load it: a second
+    try:
+        from sqlite_utils import Database
+    finally:
+        if absent is None:
+            del sys.modules["pandas"]
+
+    migrations().apply(Database(connection, execute_plugins=False))

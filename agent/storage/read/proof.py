@@ -1,0 +1,200 @@
+# ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
+"""Rows proved before they are shown: a view's row counts if every table row that it is made of has its checksum.
+
+A view is asked with the numbers of those rows beside its own columns, and with what it read of them from an index,
+which has no checksum: the rows are then read once more by their numbers, and must say the same.
+"""
+
+import json
+import re
+import sqlite3
+from collections.abc import Iterator, Sequence
+from functools import cache
+from itertools import compress
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.storage.database.connect import Reader, damaged
+from agent.storage.database.schema import TABLES, columns_of, own_schema
+from agent.storage.database.verify import bad_rows, good_columns, good_rows
+from agent.storage.tables.ages import Part
+from agent.types import FloatArray, IntArray, Status
+
+Cells = tuple[Any, ...]
+_INDEXED = {
+    "hops": ("run_id", "span", "t_ns"), "runs": ("rig_id",), "series": ("run_id",), "rigs": ("name",),
+    "alarms": ("run_id", "raised_ns"), "alarm_events": ("alarm_id",), "health": ("run_id", "t_ns"),
+}  # fmt: skip
+"""Columns that an index holds as well, by table."""
+_WHOLE = {"overlaps": "overlaps_by_run", "alarms": "alarms_by_time", "clocks": "clocks_by_run"}
+"""Short tables that views look into for a row that may not be there, and by which index."""
+_AT_ONCE = 20_000
+
+
+def proven(reader: Reader, view: str, condition: str, values: Sequence[object]) -> tuple[list[str], Iterator[Cells]]:
+    """Return the columns of a view and those of its rows under a condition that prove themselves."""
+    query, parts = _traced(view)
+    width = sum(1 + len(_INDEXED.get(table, ())) for table in parts)
+    for table in _WHOLE:
+        if re.search(rf"\b{table}\b", query):
+            prove_whole(reader, table)
+    cursor = reader.execute(f"SELECT * FROM ({query}) WHERE {condition}", tuple(values))
+    return [column[0] for column in cursor.description][width:], _sound(reader, cursor, parts, width)
+
+
+def row_of(alias: str) -> str:
+    """Return the column in which `proven` says the number of a table's row, for a condition."""
+    return f'"proof {alias} seq"'
+
+
+def prove_whole(reader: Reader, table: str) -> None:
+    """Count the wrong rows of a short table, once; raises sqlite3.DatabaseError where its index leaves one out."""
+    if table not in reader.whole:
+        reader.whole.add(table)
+        reader.refuse(bad_rows(reader, table, -(2**63), 2**63 - 1))
+        listed = f"SELECT 1 FROM {table} i INDEXED BY {_WHOLE[table]} WHERE i.run_id = t.run_id AND i.seq = t.seq"
+        if reader.execute(f"SELECT 1 FROM {table} t NOT INDEXED WHERE NOT EXISTS ({listed}) LIMIT 1").fetchone():
+            raise damaged("an index does not list what its table holds")
+
+
+def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:
+    """See that the parts of a rig's runs are what they say; raises sqlite3.DatabaseError where one is not.
+
+    A wrong one would move the rows of others in time.
+    """
+    if not parts:
+        return
+    refused = reader.refused
+    prove_whole(reader, "clocks")
+    named = reader.execute("SELECT seq FROM rigs NOT INDEXED WHERE name = ?", (rig,)).fetchall()
+    edges = set[Cells]()
+    for part in parts:
+        for t_ns in (part.last_ns,) if part.known else (part.from_ns, part.last_ns):
+            edges.update(reader.execute(_EDGE, (part.seq, t_ns)).fetchall())
+    wrong = (
+        differing(reader, "rigs", ("name",), {(seq, rig) for (seq,) in named}),
+        differing(reader, "runs", ("rig_id",), {(part.seq, seq) for part in parts for (seq,) in named}),
+        differing(reader, "hops", ("run_id", "span", "t_ns"), edges),
+    )
+    if any(wrong) or reader.refused > refused:
+        raise damaged("a row that says when a run was has a wrong checksum")
+
+
+_EDGE = "SELECT seq, run_id, span, t_ns FROM hops WHERE run_id = ? AND span IN (0, 60, 3600) AND t_ns = ? LIMIT 1"
+
+
+def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int) -> Iterator[Cells]:
+    while rows := cursor.fetchmany(_AT_ONCE):
+        said = list(zip(*(row[:width] for row in rows), strict=True))
+        wrong, place = set[int](), 0
+        for table in parts:
+            columns = _INDEXED.get(table, ())
+            seen = list(zip(*said[place : place + 1 + len(columns)], strict=True))
+            bad = differing(reader, table, columns, set(seen))
+            if bad:
+                wrong.update(i for i, cells in enumerate(seen) if cells in bad)
+            place += 1 + len(columns)
+        reader.refuse(len(wrong))
+        yield from (row[width:] for i, row in enumerate(rows) if i not in wrong)
+
+
+def differing(reader: sqlite3.Connection, table: str, columns: Sequence[str], seen: set[Cells]) -> set[Cells]:
+    """Return those of (seq, what columns said ...) that no row of a table with a right checksum says."""
+    names = columns_of(table)
+    places = [0, *(names.index(column) for column in columns)]
+    query = f"SELECT {', '.join(names)} FROM {table} WHERE seq IN (SELECT value FROM json_each(?))"
+    rows = reader.execute(query, (json.dumps([cells[0] for cells in seen]),)).fetchall()
+    right = good_rows(table, rows)
+    sound = rows if right.all() else [row for row, fine in zip(rows, right, strict=True) if fine]
+    cells = list(zip(*sound, strict=True))
+    return seen.difference(zip(*(cells[p] for p in places), strict=True)) if sound else seen
+
+
+class Found(NamedTuple):
+    """Valid estimates: (n,) stamp ns (of an aggregate, the middle of what it covers), value, standard deviation."""
+
+    t_ns: IntArray
+    value: FloatArray
+    sd: FloatArray
+
+
+NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+_VALID = int(Status.VALID) << 8
+_SAID = [name for name in columns_of("estimates") if name != "verdict_id"]
+_POINTS = f"""SELECT h.seq, h.t_ns, h.crc, {", ".join(f"e.{name}" for name in _SAID)} FROM hops h
+ CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 CROSS JOIN fits f ON f.seq = e.fit_id
+ WHERE h.run_id = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND e.series_id IN ({{}})
+ AND e.verdict_id = {_VALID} AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o
+ WHERE o.run_id = h.run_id AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"""
+
+
+def series_of(reader: Reader, parameter: str) -> dict[int, list[int]]:
+    """Return the numbers of a parameter's series by run; no index is asked, which may leave one out."""
+    found: dict[int, list[int]] = {}
+    for seq, run in reader.execute("SELECT seq, run_id FROM series NOT INDEXED WHERE parameter = ?", (parameter,)):
+        found.setdefault(run, []).append(seq)
+    return found
+
+
+def sound_points(reader: Reader, run: int, series: Sequence[int], span: int, first: int, last: int) -> Found:
+    """Return the valid estimates of some series, of one tier, that prove themselves.
+
+    Args:
+        reader: of a file where `prove_parts` found nothing wrong with the run.
+        run: number of a part of a run.
+        series: their numbers.
+        span: of the tier, s.
+        first: the first stamp, ns.
+        last: the last one, ns.
+    """
+    prove_whole(reader, "overlaps")
+    query = _POINTS.format(", ".join(map(str, series)))
+    rows = reader.execute(query, (run, span, first, last)).fetchall() if series else []
+    if not rows:
+        return NOTHING
+    columns = list(zip(*rows, strict=True))
+    right = _right(reader, run, span, columns)
+    stamps, values, sds = (columns[place] for place in (1, 3 + _SAID.index("value"), 3 + _SAID.index("sd")))
+    if not right.all():
+        reader.refuse(int((~right).sum()))
+        stamps, values, sds = (tuple(compress(column, right)) for column in (stamps, values, sds))
+    middle = np.array(stamps, dtype=np.int64) + span * 500_000_000
+    return Found(middle, np.array(values, dtype=np.float64), np.array(sds, dtype=np.float64))
+
+
+def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDArray[np.bool_]:
+    """Tell of each row of `_POINTS` whether it proves itself, and what it names.
+
+    What its condition fixes needs no reading: of a row that says otherwise the checksum is another.
+    """
+    seq, t_ns, hop_crc, own, series, fits, *cells = columns
+    count = len(seq)
+    right = good_columns("hops", (seq, np.full(count, run), np.full(count, span), t_ns, hop_crc))
+    right &= good_columns("estimates", (own, series, fits, np.full(count, _VALID), *cells))
+    for table, named in (("series", series), ("fits", fits)):
+        bad = differing(reader, table, (), {(number,) for number in set(named)})
+        if bad:
+            right &= [(number,) not in bad for number in named]
+    return right
+
+
+@cache
+def _traced(view: str) -> tuple[str, tuple[str, ...]]:
+    """Return the text of a view with the numbers and indexed columns of its rows before its own; and their tables.
+
+    What is joined by LEFT JOIN is of `_WHOLE`: there may be no row to be read once more.
+    """
+    _, text = own_schema()["view", view]
+    columns = re.split(r"\bSELECT\b", str(text), maxsplit=1)[1]
+    rest = columns
+    while "(" in rest:
+        rest = re.sub(r"\([^()]*\)", "", rest)
+    parts = [(t, alias) for t, alias in re.findall(r"\b(?<!LEFT )(?:FROM|JOIN) (\w+) (\w)\b", rest) if t in TABLES]
+    traced = (
+        f'{alias}.{name} AS "proof {alias} {name}"'
+        for table, alias in parts
+        for name in ("seq", *_INDEXED.get(table, ()))
+    )
+    return f"SELECT {', '.join(traced)}, {columns}", tuple(table for table, _ in parts)

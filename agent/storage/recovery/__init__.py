@@ -1,0 +1,1 @@
+"""Damaged files: salvage, page carving, an estimate of what was lost."""

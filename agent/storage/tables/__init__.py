@@ -1,0 +1,1 @@
+"""Records as rows, one file a table. No transaction is opened here."""

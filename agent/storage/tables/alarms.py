@@ -1,0 +1,91 @@
+# ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
+"""Alarm rows: one an activation, updated by the transitions of its life, each of which is kept as an event."""
+
+import sqlite3
+from dataclasses import dataclass, replace
+
+from agent.storage.database.checksum import Cell
+from agent.storage.database.schema import columns_of
+from agent.storage.tables.rows import Numbers, Plan
+from agent.types import AlarmTransition
+
+_CLEAR = frozenset({"NORM", "RTNUN"})
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmRow:
+    """One activation of an alarm, in the order of the columns of table `alarms`; figures as at raising."""
+
+    seq: int
+    run_id: int
+    kind: str
+    parameter: str
+    priority: str
+    state: str
+    raised_ns: int
+    cleared_ns: int | None
+    acked_ns: int | None
+    acked_by: str | None
+    shelved_until_ns: int | None
+    delta: float | None
+    sd: float | None
+    limit_value: float | None
+    probability: float | None
+    message: str
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.kind, self.parameter
+
+    def cells(self) -> tuple[Cell, ...]:
+        return tuple(getattr(self, name) for name in columns_of("alarms")[:-1])
+
+
+class AlarmBook:
+    """The alarms of one run that are not back to normal, by kind and parameter."""
+
+    def __init__(self, run_id: int, standing: list[AlarmRow]) -> None:
+        self._run_id = run_id
+        self._open = {row.key: row for row in standing}
+
+    def apply(self, plan: Plan, step: AlarmTransition, numbers: Numbers) -> None:
+        """Add the event, and the alarm row as it is after it, to a plan."""
+        row = self._open.pop((step.kind, step.parameter), None)
+        if row is None or step.to_state == "UNACK":  # raised again before it was acknowledged: an activation of its own
+            row = self._raised(step, numbers)
+        row = _after(row, step)
+        if row.state != "NORM":
+            self._open[row.key] = row
+        plan.sealed("alarms", *row.cells())
+        event = (step.t_ns, step.from_state, step.to_state, step.cause, step.by, step.comment)
+        plan.sealed("alarm_events", numbers.take("alarm_events"), row.seq, *event)
+
+    def _raised(self, step: AlarmTransition, numbers: Numbers) -> AlarmRow:
+        figures = (step.delta, step.sd, step.limit_value, step.probability)
+        delta, sd, limit, probability = (None if f is None or f - f != 0 else float(f) for f in figures)  # NaN, inf
+        return AlarmRow(
+            numbers.take("alarms"), self._run_id, step.kind, step.parameter, step.priority, step.to_state, step.t_ns,
+            None, None, None, None, delta, sd, limit, probability, step.message,
+        )  # fmt: skip
+
+
+def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
+    """Return the row as a transition leaves it."""
+    row = replace(row, state=step.to_state)
+    if step.to_state in _CLEAR and row.cleared_ns is None:
+        row = replace(row, cleared_ns=step.t_ns)
+    acknowledged = step.to_state == "ACKED" or (step.from_state, step.to_state) == ("RTNUN", "NORM")
+    if acknowledged and row.acked_ns is None:
+        row = replace(row, acked_ns=step.t_ns, acked_by=step.by)
+    return row
+
+
+def standing_alarms(connection: sqlite3.Connection, rig: str, kind: str) -> list[AlarmRow]:
+    """Return the newest activation of each alarm of a rig that is not back to normal, over the runs of one kind."""
+    names = ", ".join(f"a.{name}" for name in columns_of("alarms")[:-1])
+    query = (
+        f"SELECT {names} FROM alarms a JOIN runs r ON r.seq = a.run_id JOIN rigs g ON g.seq = r.rig_id "
+        "WHERE g.name = ? AND r.kind = ? ORDER BY a.seq"
+    )
+    newest = {row.key: row for row in (AlarmRow(*cells) for cells in connection.execute(query, (rig, kind)))}
+    return [row for row in newest.values() if row.state != "NORM"]

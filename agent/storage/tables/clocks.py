@@ -1,0 +1,87 @@
+"""The settings of the wall clock that the rows of one run were stamped by: each has a row of its own in `runs`.
+
+So stamps of one such part never go back, and a tier, a purge or a replay that covers one of them touches no other.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.storage.tables.batches import take
+from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.types import STEP_NS, ClockRecord, EstimateBatch, RunInfo
+
+_MOST_ANCHORS = 1000
+
+
+@dataclass(slots=True)
+class _Part:
+    seq: int
+    offset_ns: int | None
+
+
+class ClockBook:
+    """The parts of one run, by the samples from which their stamps begin.
+
+    Args:
+        run_id, rig_id: the run's and its rig's numbers.
+        run: what it is.
+    """
+
+    def __init__(self, run_id: int, rig_id: int, run: RunInfo) -> None:
+        self._run_id, self._rig_id, self.run = run_id, rig_id, run
+        self._parts = [_Part(run_id, run.offset_ns)]
+        self._anchors: list[tuple[int, _Part]] = [(-(2**62), self._parts[0])]
+        self._begun: set[int] = set()
+        self.records: list[ClockRecord] = []
+        """What was taken in."""
+
+    def apply(self, record: ClockRecord, numbers: Numbers) -> int:
+        """Take in that stamps follow another setting of the clock; return their part, which may be an earlier one."""
+        self.records.append(record)
+        part = next((p for p in reversed(self._parts) if _same(p.offset_ns, record.offset_ns)), None)
+        if len(self._anchors) == 1:
+            part = self._parts[0]  # whatever the clock was set to before the first sample
+        elif part is None:
+            part = _Part(numbers.take("runs"), record.offset_ns)
+            self._parts.append(part)
+        part.offset_ns = record.offset_ns
+        self._anchors.append((record.index, part))
+        del self._anchors[1:-_MOST_ANCHORS], self.records[:-_MOST_ANCHORS]
+        return part.seq
+
+    def split(self, batch: EstimateBatch, names: Names, numbers: Numbers) -> list[tuple[int, EstimateBatch]]:
+        """Return the rows of a batch by part; the next commit takes along the parts that begin with them."""
+        pieces = list(self._pieces(batch))
+        for part, piece in pieces:
+            if part.seq not in self._begun:
+                self._begin(names.fresh, part, int(np.min(piece.t_ns)), numbers)
+        return [(part.seq, piece) for part, piece in pieces]
+
+    def _pieces(self, batch: EstimateBatch) -> Iterator[tuple[_Part, EstimateBatch]]:
+        first, newest = self._anchors[-1]
+        if int(np.min(batch.index)) >= first:
+            yield newest, batch
+            return
+        number = np.searchsorted([first for first, _ in self._anchors], batch.index, side="right") - 1
+        for one in np.unique(number):
+            yield self._anchors[one][1], take(batch, number == one)
+
+    @property
+    def newest(self) -> int:
+        """The part that stamps are of now, if it has rows; else the run itself."""
+        seq = self._anchors[-1][1].seq
+        return seq if seq in self._begun else self._run_id
+
+    def _begin(self, plan: Plan, part: _Part, from_ns: int, numbers: Numbers) -> None:
+        self._begun.add(part.seq)
+        if part.seq != self._run_id:
+            run = self.run
+            facts = (run.kind, from_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
+            plan.sealed("runs", part.seq, self._rig_id, *facts, None, None)
+        plan.sealed("clocks", numbers.take("clocks"), part.seq, self._run_id, part.offset_ns, from_ns)
+
+
+def _same(one: int | None, other: int) -> bool:
+    return one is not None and abs(one - other) <= STEP_NS

@@ -1,0 +1,122 @@
+"""Estimate batches to rows: whole columns at a time, because a replay writes tens of thousands of rows a second."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.storage.database.checksum import column_crc
+from agent.storage.database.schema import COLUMN_BITS
+from agent.storage.tables.rows import FitKey, Names, Numbers, Plan
+from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Status
+
+_DIVERGED = (int(Status.INVALID) << 8) | int(Reason.DIVERGED)
+_VALID = int(Status.VALID)
+_SAME = 1e-9  # of an sd: what lower and upper may differ from value -+ t95 sd and still be left out
+_MANY = 1e9  # degrees of freedom from which on Student's t is normal; the file holds no infinity
+
+
+def add_estimates(plan: Plan, batch: EstimateBatch, run_id: int, names: Names, numbers: Numbers) -> None:
+    """Add the rows of a batch to a plan: one in `hops` an instant, one in `estimates` an instant and parameter."""
+    if not len(batch):
+        return
+    first = numbers.take("hops", len(batch))
+    hops = np.arange(first, first + len(batch), dtype=np.int64)
+    _add_hops(plan, hops, run_id, batch.t_ns.astype(np.int64))
+    _add_rows(plan, batch, hops, run_id, names, None)
+    room = (1 << COLUMN_BITS) // len(batch.parameters) - 1
+    for place, other in enumerate(batch.others[:room], 1):
+        _add_rows(plan, other, hops, run_id, names, place)
+
+
+def _add_rows(
+    plan: Plan, batch: EstimateBatch, hops: IntArray, run_id: int, names: Names, place: int | None
+) -> None:
+    """Add the estimates of the window that was chosen, or those that another one, its place known, has."""
+    width = len(batch.parameters)
+    first = width * (place or 0)
+    seq = ((hops << COLUMN_BITS)[:, None] + np.arange(first, first + width)).ravel()
+    value, sd, lower, upper, held, age = (
+        _finite(a) for a in (batch.value, batch.sd, batch.lower, batch.upper, batch.held, batch.held_age_s)
+    )
+    dof = _few_digits(np.minimum(batch.dof, _MANY))
+    symmetric = _symmetric(value, sd, lower, upper, dof)
+    fits = _fits(batch, dof, symmetric, names, chosen=place is None)
+    numbered = (seq, _series(batch, run_id, names), fits, _verdicts(batch, value, sd, names))
+    bare = (value, sd, np.where(symmetric, np.nan, lower), np.where(symmetric, np.nan, upper), held, age)
+    columns = (*numbered, *(a.ravel() for a in bare))
+    if place is not None:
+        told = np.isfinite(value.ravel())
+        columns = tuple(column[told] for column in columns)
+    plan.add("estimates", *zip(*(c.tolist() for c in (*columns, column_crc(*columns))), strict=True))
+
+
+def _add_hops(plan: Plan, hops: IntArray, run_id: int, t_ns: IntArray) -> None:
+    run, span = np.full_like(hops, run_id), np.zeros_like(hops)
+    columns = (hops, run, span, t_ns)
+    plan.add("hops", *zip(*(c.tolist() for c in (*columns, column_crc(*columns))), strict=True))
+
+
+def _finite(numbers: FloatArray) -> FloatArray:
+    """Return a copy in which everything that is not a number is NaN, which SQLite stores as NULL."""
+    return np.where(np.isfinite(numbers), numbers, np.nan)
+
+
+def _few_digits(dof: FloatArray) -> FloatArray:
+    """Return whole degrees of freedom as they are, others (N,) to two digits.
+
+    White noise leaves whole ones, the same over the years. Coloured noise leaves a new fraction each window; a row in
+    `fits` for each would outgrow the estimates. Intervals are not made of what is lost: they stand in the row itself.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        step = 10.0 ** (np.floor(np.log10(dof)) - 1)
+        return np.where((dof == np.rint(dof)) | ~(dof > 0), dof, np.rint(dof / step) * step)
+
+
+def _symmetric(
+    value: FloatArray, sd: FloatArray, lower: FloatArray, upper: FloatArray, dof: FloatArray
+) -> NDArray[np.bool_]:
+    """Tell where lower and upper follow from value, sd and Student's t; (N, q)."""
+    from scipy.special import stdtrit
+
+    half = np.asarray(stdtrit(np.where(dof > 0, dof, np.nan), 0.975))[:, None] * sd
+    slack = _SAME * sd
+    follows = (np.abs(value - half - lower) <= slack) & (np.abs(value + half - upper) <= slack)
+    nothing = np.isnan(value) & np.isnan(lower) & np.isnan(upper)
+    answer: NDArray[np.bool_] = follows | nothing
+    return answer
+
+
+def _series(batch: EstimateBatch, run_id: int, names: Names) -> IntArray:
+    references = [None if not np.isfinite(r) else float(r) for r in batch.reference]
+    described = zip(batch.parameters, batch.units, references, strict=True)
+    ids = [names.series((run_id, p, unit, batch.method, ref, batch.baseline_id)) for p, unit, ref in described]
+    return np.tile(np.array(ids, dtype=np.int64), len(batch))
+
+
+def _verdicts(batch: EstimateBatch, value: FloatArray, sd: FloatArray, names: Names) -> IntArray:
+    """Return status and reason as one number; a valid row without a number is stored as diverged, never as valid."""
+    codes = (batch.status.astype(np.int64) << 8) | batch.reason.astype(np.int64)
+    lie = (batch.status == _VALID) & (np.isnan(value) | np.isnan(sd))
+    codes = np.where(lie, _DIVERGED, codes).ravel()
+    names.verdicts(set(np.unique(codes).tolist()))
+    return codes
+
+
+def _fits(
+    batch: EstimateBatch, dof: FloatArray, symmetric: NDArray[np.bool_], names: Names, *, chosen: bool
+) -> IntArray:
+    """Return (N q,) numbers of fits; looked up only where something changes from one hop to the next."""
+    out = np.empty(batch.value.shape, dtype=np.int64)
+    shared = (batch.n_used, batch.n_missing, dof)
+    for column in range(len(batch.parameters)):
+        keys = np.column_stack((batch.window_s[:, column], *shared, symmetric[:, column])).astype(np.float64)
+        keys = np.where(np.isnan(keys), -1.0, keys)
+        starts = np.flatnonzero(np.r_[True, (keys[1:] != keys[:-1]).any(axis=1)])
+        ids = [names.fit(_fit_key(keys[start].tolist(), chosen=chosen)) for start in starts]
+        out[:, column] = np.repeat(ids, np.diff(np.r_[starts, len(keys)]))
+    return out.ravel()
+
+
+def _fit_key(cells: list[float], *, chosen: bool) -> FitKey:
+    window, used, missing, dof, symmetric = cells
+    plain_dof, known = dof if dof > 0 else None, window if window >= 0 else None
+    return (known, max(0, int(used)), max(0, int(missing)), plain_dof, bool(symmetric), int(chosen))

@@ -1,0 +1,56 @@
+"""Rows of health and events: the conservation ledger of each source, and what happened once."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+
+from agent.storage.tables.rows import Numbers, Plan
+from agent.types import Health, HealthEvent, SourceClock
+
+
+class HealthBook:
+    """Which row each source's ledger has at its newest instant.
+
+    There is one row an instant and source, and the last one told counts: while no sample comes the instant stays, and
+    what else was counted changes that row instead of adding more of them.
+    """
+
+    def __init__(self) -> None:
+        self._rows: dict[tuple[int, str], tuple[int, int]] = {}
+
+    def apply(self, plan: Plan, record: Health, run_id: int, numbers: Numbers) -> None:
+        """Add a ledger's row to a plan; the reasons travel in it as JSON, which the view takes apart."""
+        sums = (record.received, record.used, sum(record.rejected.values()), sum(record.dropped.values()), record.gaps)
+        lag = None if record.lag_s is None or record.lag_s - record.lag_s != 0 else float(record.lag_s)
+        cells = (record.source, record.t_ns, *(int(n) for n in sums), lag, _reasons(record))
+        plan.sealed("health", self._seq(record, run_id, numbers), run_id, *cells)
+
+    def _seq(self, record: Health, run_id: int, numbers: Numbers) -> int:
+        t_ns, seq = self._rows.get((run_id, record.source), (None, 0))
+        if t_ns != record.t_ns:
+            seq = numbers.take("health")
+            self._rows[run_id, record.source] = record.t_ns, seq
+        return seq
+
+
+def _reasons(record: Health) -> str | None:
+    kinds = {
+        "rejected": _counted(record.rejected), "dropped": _counted(record.dropped), "faults": _counted(record.faults),
+        "clock": _figures(record.clock),
+    }  # fmt: skip
+    known = {kind: reasons for kind, reasons in kinds.items() if reasons}
+    return json.dumps(known, sort_keys=True) if known else None
+
+
+def _figures(clock: SourceClock | None) -> dict[str, float]:
+    """What is known of a source's time; v_health takes it out again."""
+    return {} if clock is None else {name: value for name, value in asdict(clock).items() if value is not None}
+
+
+def _counted(reasons: Mapping[str, int]) -> dict[str, int]:
+    return {reason: int(count) for reason, count in reasons.items() if count}
+
+
+def add_event(plan: Plan, record: HealthEvent, run_id: int, numbers: Numbers) -> None:
+    """Add something that happened once."""
+    plan.sealed("events", numbers.take("events"), run_id, record.source, record.t_ns, record.cause, record.message)

@@ -1,0 +1,103 @@
+"""Records that wait for the disk: bounded, and of what does not fit the oldest estimates go, never an alarm."""
+
+import time
+from collections import Counter, deque
+from collections.abc import Sequence
+from math import ceil
+
+import numpy as np
+
+from agent.storage.tables.batches import joined_runs, take
+from agent.types import AlarmTransition, ClockRecord, EstimateBatch, Record
+
+SHORTEST_S, LONGEST_S = 0.2, 5.0
+_FEW = 64  # so many small batches are joined into one, so that waiting rows cost their bytes and little more
+
+
+def cells_of(record: Record) -> int:
+    """Return how many rows a record makes."""
+    return len(record) * len(record.parameters) if isinstance(record, EstimateBatch) else 1
+
+
+class Backlog:
+    """What one rig has to store, in order.
+
+    Args:
+        most_cells: rows kept at most; alarm transitions, and what stamps mean, are kept beyond it.
+    """
+
+    def __init__(self, most_cells: int) -> None:
+        self._most = most_cells
+        self._records: deque[Record] = deque()
+        self._cells = 0
+        self._small = 0
+        self.dropped: Counter[str] = Counter()
+
+    def __len__(self) -> int:
+        return self._cells
+
+    def add(self, records: Sequence[Record], reason: str) -> None:
+        """Append records; reason: why rows are waiting, under which those pushed out are counted."""
+        self._records.extend(records)
+        self._cells += sum(map(cells_of, records))
+        self._small += len(records)
+        if self._small > _FEW:
+            self._join()
+        while self._cells > self._most and self._drop_oldest(reason):
+            pass
+
+    def take(self) -> list[Record]:
+        """Return everything that waits, and wait for nothing any more."""
+        taken = list(self._records)
+        self._records.clear()
+        self._cells = self._small = 0
+        return taken
+
+    def _join(self) -> None:
+        batches = [r for r in self._records if isinstance(r, EstimateBatch)]
+        others = [r for r in self._records if not isinstance(r, EstimateBatch)]
+        self._records = deque([*joined_runs(batches), *others])
+        self._small = 0
+
+    def _drop_oldest(self, reason: str) -> bool:
+        for place, record in enumerate(self._records):
+            if not isinstance(record, AlarmTransition | ClockRecord):
+                self._drop(place, record, reason)
+                return True
+        return False
+
+    def _drop(self, place: int, record: Record, reason: str) -> None:
+        """Drop a record, but of estimates no more instants than are too many: joined ones may be all that waits."""
+        gone = cells_of(record)
+        many = 0 if not isinstance(record, EstimateBatch) else ceil((self._cells - self._most) * len(record) / gone)
+        if isinstance(record, EstimateBatch) and many < len(record):
+            self._records[place] = take(record, np.arange(many, len(record)))
+            gone -= cells_of(self._records[place])
+        else:
+            del self._records[place]
+        self._cells -= gone
+        self.dropped[reason] += gone
+
+
+class Pause:
+    """How long to leave a failing disk alone: 0.2 s, doubling to 5 s."""
+
+    def __init__(self) -> None:
+        self.cause: str | None = None
+        self.length_s = SHORTEST_S
+        self._since = self._last = 0.0
+
+    def failed(self, cause: str) -> None:
+        now = time.monotonic()
+        if self.cause is None:
+            self._since, self.length_s = now, SHORTEST_S / 2
+        self.cause, self._last = cause, now
+        self.length_s = min(LONGEST_S, 2 * self.length_s)
+
+    def over(self) -> bool:
+        return time.monotonic() >= self._last + self.length_s
+
+    def passed(self) -> tuple[str, float]:
+        """Forget the failure; return its cause and how long it lasted, s."""
+        cause, self.cause = self.cause or "", None
+        return cause, time.monotonic() - self._since

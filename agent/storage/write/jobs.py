@@ -1,0 +1,67 @@
+"""What other threads want done with the store: it is done in the writer's thread, between two of its commits."""
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from agent.errors import StoreError
+from agent.storage.write.store import Store
+
+Errand = Callable[[Store], Any]
+
+
+class Errands:
+    """A queue of errands; each asker waits for its own.
+
+    Args:
+        place: what the errors of refused errands name.
+        wake: called when one has come.
+    """
+
+    def __init__(self, place: str, wake: Callable[[], None]) -> None:
+        self._place, self._wake = place, wake
+        self._waiting: SimpleQueue[tuple[Errand, Future[Any]]] = SimpleQueue()
+        self._over = False
+
+    def __bool__(self) -> bool:
+        return not self._waiting.empty()
+
+    def ask(self, errand: Errand) -> Any:
+        """Have something done with the store; returns what it returns, and raises what it raises.
+
+        Raises:
+            StoreError: the store cannot be written at present, or the agent is ending.
+        """
+        answer: Future[Any] = Future()
+        self._waiting.put((errand, answer))
+        if self._over:
+            self.refuse("its agent is ending", "ask again when it has ended")
+        self._wake()
+        return answer.result()
+
+    def run(self, store: Store) -> None:
+        """Do what was asked for."""
+        for errand, answer in self._taken():
+            try:
+                answer.set_result(errand(store))
+            except Exception as error:  # noqa: BLE001 - the asker is told; the writer goes on
+                answer.set_exception(error)
+
+    def refuse(self, message: str, advice: str) -> None:
+        """Tell everybody who waits that it cannot be done."""
+        for _, answer in self._taken():
+            answer.set_exception(StoreError.at(self._place, message, advice))
+
+    def end(self) -> None:
+        """Refuse what waits, and what may still come."""
+        self._over = True
+        self.refuse("its agent is ending", "ask again when it has ended")
+
+    def _taken(self) -> list[tuple[Errand, "Future[Any]"]]:
+        taken = []
+        try:
+            while True:
+                taken.append(self._waiting.get_nowait())
+        except Empty:
+            return taken

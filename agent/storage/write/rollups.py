@@ -1,0 +1,150 @@
+"""Minutes and hours: what is kept of estimates when the single rows are gone.
+
+An aggregate is the information-weighted mean of the valid rows of a period. Windows that overlap share samples, so a
+row counts for no more than the share of its window that is new since the row before; the mean's standard deviation
+then is that of independent windows however densely rows were kept.
+"""
+
+import sqlite3
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.storage.database.checksum import column_crc
+from agent.storage.database.schema import COLUMN_BITS
+from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.types import FloatArray, IntArray, Status
+
+SECOND = 1_000_000_000
+MINUTE, HOUR = 60, 3600
+_VALID = int(Status.VALID) << 8
+_SEVERITY = {Status.VALID: 0, Status.WARMING: 1, Status.UNEXCITED: 2, Status.INVALID: 3}
+_LEAST_SD = 1e-150  # a noise-free replay may claim an sd of zero, whose weight would be infinite
+_NORMAL_DOF = 1e9
+
+_FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used, f.n_missing,
+ 1, e.verdict_id = 256, e.value, e.value, e.verdict_id
+ FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
+ CROSS JOIN fits f ON f.seq = e.fit_id
+ WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? AND f.chosen = 1 ORDER BY e.series_id, h.t_ns"""
+
+_MINUTE_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used,
+ f.n_missing, p.n, p.n_valid, p.low, p.high, p.worst_id
+ FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
+ CROSS JOIN fits f ON f.seq = e.fit_id
+ CROSS JOIN spreads p ON p.seq = e.seq
+ WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? ORDER BY e.series_id, h.t_ns"""
+
+
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """Aggregates, one a series and period; arrays of one length."""
+
+    period_ns: IntArray
+    series: IntArray
+    value: FloatArray
+    sd: FloatArray
+    low: FloatArray
+    high: FloatArray
+    n: IntArray
+    n_valid: IntArray
+    worst: IntArray
+    window_s: FloatArray
+    n_used: IntArray
+    n_missing: IntArray
+
+
+def aggregate(connection: sqlite3.Connection, run_id: int, span: int, first_ns: int, end_ns: int) -> Groups | None:
+    """Return the aggregates of a run's rows with first_ns <= t < end_ns; minutes from rows, hours from minutes."""
+    query, source = (_FULL_ROWS, 0) if span == MINUTE else (_MINUTE_ROWS, MINUTE)
+    rows = connection.execute(query, (run_id, source, first_ns, end_ns)).fetchall()
+    if not rows:
+        return None
+    return grouped(list(zip(*rows, strict=True)), span, source)
+
+
+def grouped(columns: list[tuple[Any, ...]], span: int, source: int) -> Groups:
+    """Aggregate columns (t_ns, series, verdict, value, sd, window_s, n_used, n_missing, n, n_valid, low, high, worst).
+
+    The rows are in order of series, then time. span, source: lengths of the new periods and of the rows' own, s.
+    """
+    t_ns, series, verdict = (np.array(c, dtype=np.int64) for c in columns[:3])
+    value, sd, window = (np.array(c, dtype=np.float64) for c in columns[3:6])
+    used, missing, n, n_valid = (np.array(c, dtype=np.int64) for c in columns[6:10])
+    low, high = (np.array(c, dtype=np.float64) for c in columns[10:12])
+    period = (t_ns // (span * SECOND)) * (span * SECOND)
+    starts = np.flatnonzero(np.r_[True, (series[1:] != series[:-1]) | (period[1:] != period[:-1])])
+    valid = (verdict == _VALID) & np.isfinite(value) & np.isfinite(sd)
+    mean, mean_sd = _weighted(value, sd, _new_share(t_ns, series, window, source), valid, starts)
+    return Groups(
+        period[starts], series[starts], mean, mean_sd,
+        _least(np.where(valid, low, np.nan), starts, np.fmin), _least(np.where(valid, high, np.nan), starts, np.fmax),
+        np.add.reduceat(n, starts), np.add.reduceat(n_valid, starts),
+        np.maximum.reduceat(_ranked(np.array(columns[12], dtype=np.int64)), starts) & 0xFFFF,
+        np.maximum.reduceat(window, starts), np.add.reduceat(used, starts), np.add.reduceat(missing, starts),
+    )  # fmt: skip
+
+
+def _new_share(t_ns: IntArray, series: IntArray, window_s: FloatArray, source: int) -> FloatArray:
+    """Return the share of each row's window that the row before it does not cover; 1 for aggregates."""
+    share = np.ones(len(t_ns))
+    if source == 0 and len(t_ns) > 1:
+        step_s = np.diff(t_ns) / SECOND
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = np.where(window_s[1:] > 0, step_s / window_s[1:], 1.0)
+        share[1:] = np.where(series[1:] == series[:-1], np.clip(part, 0.0, 1.0), 1.0)
+    return share
+
+
+def _weighted(
+    value: FloatArray, sd: FloatArray, share: FloatArray, valid: NDArray[np.bool_], starts: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the weighted mean and its sd in each group; NaN where no row is valid."""
+    weight = np.where(valid, share / np.maximum(np.where(valid, sd, 1.0), _LEAST_SD) ** 2, 0.0)
+    total = np.add.reduceat(weight, starts)
+    # Deviations from the group's first valid value are averaged: weights may differ by many powers of ten.
+    anchor = np.repeat(_least(np.where(valid, value, np.nan), starts, np.fmin), np.diff(np.r_[starts, len(value)]))
+    offset = np.where(valid, value - anchor, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = anchor[starts] + np.add.reduceat(weight * offset, starts) / total
+        mean_sd = 1.0 / np.sqrt(total)
+    return np.where(total > 0, mean, np.nan), np.where(total > 0, mean_sd, np.nan)
+
+
+def _least(numbers: FloatArray, starts: IntArray, choose: np.ufunc) -> FloatArray:
+    """Return the smallest or largest number of each group, passing over NaN."""
+    found: FloatArray = choose.reduceat(numbers, starts)
+    return found
+
+
+def _ranked(verdict: IntArray) -> IntArray:
+    """Return verdicts with their severity in the bits above, so that the greatest is the worst."""
+    severity = np.array([_SEVERITY[status] for status in Status], dtype=np.int64)
+    ranked: IntArray = (severity[np.minimum(verdict >> 8, len(severity) - 1)] << 16) | verdict
+    return ranked
+
+
+def add_groups(plan: Plan, groups: Groups, run_id: int, span: int, names: Names, numbers: Numbers) -> None:
+    """Add aggregates to a plan: a hop a period, and in it a row a series."""
+    order = np.lexsort((groups.series, groups.period_ns))
+    period = groups.period_ns[order]
+    fresh = np.r_[True, period[1:] != period[:-1]]
+    hop = numbers.take("hops", int(fresh.sum())) + np.cumsum(fresh) - 1
+    place = np.arange(len(period)) - np.maximum.accumulate(np.where(fresh, np.arange(len(period)), 0))
+    _seal(plan, "hops", hop[fresh], np.full(fresh.sum(), run_id), np.full(fresh.sum(), span), period[fresh])
+    seq = (hop << COLUMN_BITS) | place
+    worst, valid = groups.worst[order], groups.n_valid[order]
+    verdict = np.where(valid > 0, _VALID, worst)
+    names.verdicts(set(np.unique(np.r_[verdict, worst]).tolist()))
+    fits = zip(*(a[order].tolist() for a in (groups.window_s, groups.n_used, groups.n_missing)), strict=True)
+    fit = np.array([names.fit((window or None, used, lost, _NORMAL_DOF, True, 1)) for window, used, lost in fits])
+    none = np.full(len(seq), np.nan)
+    value, sd = groups.value[order], groups.sd[order]
+    _seal(plan, "estimates", seq, groups.series[order], fit, verdict, value, sd, none, none, none, none)
+    _seal(plan, "spreads", seq, groups.n[order], valid, worst, groups.low[order], groups.high[order])
+
+
+def _seal(plan: Plan, table: str, *columns: NDArray[Any]) -> None:
+    plan.add(table, *zip(*(c.tolist() for c in (*columns, column_crc(*columns))), strict=True))

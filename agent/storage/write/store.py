@@ -1,0 +1,367 @@
+"""The single writer of the database: what `write` returned from is on the disk, whatever happens next."""
+
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+from agent.errors import StoreError
+from agent.storage.database.checksum import row_crc
+from agent.storage.database.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writer, create, is_damage, may_pass
+from agent.storage.database.files import (
+    Ballast,
+    Kind,
+    Lock,
+    beside,
+    check_place,
+    check_writable,
+    kind_of,
+    refuse,
+    refuse_links,
+    renew,
+    sync_folder,
+)
+from agent.storage.database.schema import insert_sql, upgrade
+from agent.storage.database.verify import Scrubber, problems_at_start
+from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
+from agent.storage.tables.alarms import AlarmBook, AlarmRow, standing_alarms
+from agent.storage.tables.calibrations import newest_calibration
+from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.storage.tables.run_rows import Books
+from agent.storage.write.retention import Retention, TierKeeper
+from agent.storage.write.spill import merge, open_spill
+from agent.storage.write.watermark import Receipts
+from agent.types import AlarmTransition, Calibrated, ClockRecord, HealthEvent, Record, RunInfo
+
+_COMMITS_A_CHECKPOINT = 300
+_CELLS_A_CHECKPOINT = 20_000
+_FRAMES_BEFORE_SPILL = WAL_BOUND * 5 // 8 // FRAME_BYTES
+_FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
+
+
+class Store:
+    """One open database, owned by this process through its lock file; one thread at a time uses it.
+
+    Made by `Store.open`. Writing raises sqlite3.Error (or OSError) when the disk refuses; nothing of that call is then
+    acknowledged, and the same plans may be committed again after `reopen`.
+    """
+
+    def __init__(self, path: Path, lock: Lock, keep: Retention) -> None:
+        self.path = path
+        self._lock = lock
+        self._receipts = Receipts(lock.handle, private=lock.private)
+        self._mutex = threading.RLock()
+        self._connection: sqlite3.Connection | None = None
+        self._side: sqlite3.Connection | None = None
+        self._ballast = Ballast(path)
+        self.numbers = Numbers()
+        self.names = Names(self.numbers)
+        self._tiers = TierKeeper(self, keep)
+        self._books = self._new_books({})
+        self._since_checkpoint = [0, 0]
+        self._keep = keep
+        self._scrubber = Scrubber()
+        self._missing: str | None = None
+        self.recovery: Recovery | None = None
+        """What became of a damaged file that was found here; told in the next run that begins."""
+
+    @classmethod
+    def open(cls, path: Path | str, keep: Retention = _FOR_EVER) -> Self:
+        """Open or create the database at a path and take its lock.
+
+        keep: how long rows are kept and how large the file may grow; without it, for ever.
+
+        Raises:
+            StoreError: a directory, no folder, no permission, not ours, newer, or another process writes to it.
+            sqlite3.Error, OSError: the disk refuses; trying again later may help (see `connect.may_pass`).
+        """
+        path = Path(path)
+        check_place(path)
+        refuse_links(path)
+        refuse(path, kind_of(path))
+        check_writable(path)
+        store = cls(path, Lock(path), keep)
+        try:
+            store._attach()
+        except BaseException:
+            store.close()
+            raise
+        return store
+
+    def _new_books(self, settings: dict[str, list[ClockRecord]]) -> Books:
+        return Books(self.names, self.numbers, lambda: self.connection, self._tiers.watch, settings)
+
+    def _attach(self) -> None:
+        """Open the file; on a full disk after dropping the ballast and the oldest hour of rows.
+
+        A file that was opened in part is closed again: what it acknowledged might not outlive a power cut.
+        """
+        try:
+            self._attach_file()
+        except BaseException:
+            self._disconnect()
+            raise
+        self._ballast.lay()
+
+    def _attach_file(self) -> None:
+        try:
+            self._open_file()
+        except (sqlite3.Error, OSError):
+            if self._ballast.room() or not self._ballast.drop():
+                raise
+            self._disconnect()
+            self._open_file()
+            self._tiers.make_room()
+            self.checkpoint("TRUNCATE")
+
+    def _open_file(self) -> None:
+        """Open the file, bring it up to date and learn what it names; a damaged one is replaced by what it tells."""
+        aside = finish_interrupted(self.path)
+        if aside is not None:
+            self.recovery = Recovery(aside, "its replacement had been interrupted", 0, 0)
+        kind = kind_of(self.path)
+        refuse(self.path, kind)
+        if kind is Kind.MISSING:
+            create(self.path)
+            self._receipts.forget()
+        damage = "its header is damaged" if kind is Kind.DAMAGED else self._torn() or self._connect()
+        if damage:
+            self._replace(damage)
+        self.numbers.leap(self._receipts.highs)
+        sync_folder(self.path.parent)  # SQLite does so for its log, but does not mind when it fails
+
+    def _torn(self) -> str | None:
+        """Return what was acknowledged and only a torn log holds; what no log holds is told by the next run."""
+        words, torn = self._receipts.missing(self.path)
+        self._missing = None if torn else words
+        return words if torn else None
+
+    def _connect(self) -> str | None:
+        """Open the file; returns what is wrong with it, None when nothing was found."""
+        try:
+            renew(beside(self.path, "-wal"))
+            self._connection = connect_writer(self.path)
+            upgrade(self._connection)
+            found = problems_at_start(self._connection)
+            if found:
+                return found[0]
+            merge(self.path, self._connection)
+            self.numbers.load(self._connection)
+            self.names.load(self._connection)
+            self._tiers.load()
+        except sqlite3.Error as error:
+            if is_damage(error) or (not may_pass(error) and isinstance(error, sqlite3.OperationalError)):
+                return str(error)
+            raise
+        except UnicodeDecodeError:  # SQLite quotes the damaged schema in its message
+            return "its schema is damaged"
+        return None
+
+    def _replace(self, damage: str) -> None:
+        """Go on in a new file with the rows that could be saved; runs must be begun again."""
+        self._disconnect()
+        self.recovery = recover(self.path, damage, self._receipts.highs)
+        self.names = Names(self.numbers)
+        self._tiers = TierKeeper(self, self._keep)
+        self._books = self._new_books(self._books.settings())
+        problem = self._connect()
+        if problem is not None:
+            raise StoreError.at(str(self.path), f"the database cannot be repaired ({problem})", "replace its disk")
+
+    def recover(self, cause: str) -> None:
+        """Replace the file because damage was met while it was open; runs must be begun again."""
+        with self._mutex:
+            self._replace(cause)
+
+    @property
+    def connection(self) -> sqlite3.Connection:
+        """The writing connection; StoreError when the store is closed."""
+        if self._connection is None:
+            raise StoreError.at(str(self.path), "the database is closed", "open it again")
+        return self._connection
+
+    def begin_run(self, run: RunInfo) -> int:
+        """Record a run and return its number; the alarms that earlier live runs left standing go on in a live run."""
+        with self._mutex:
+            run_id = self.numbers.take("runs")
+            plan = Plan()
+            facts = (run.kind, run.started_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
+            plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
+            self.commit([plan])
+            self.adopt_run(run_id, run)
+            self._tell_recovery(run_id, run)
+            return run_id
+
+    def _tell_recovery(self, run_id: int, run: RunInfo) -> None:
+        """Record that a damaged file was replaced: an event, and an alarm that is over but not acknowledged."""
+        if self._missing is not None:
+            self.write(run_id, [HealthEvent(run.rig, "store", run.started_ns, "rows missing", self._missing)])
+            self._missing = None
+        if self.recovery is None:
+            return
+        told, t_ns = str(self.recovery), run.started_ns
+        raised = AlarmTransition(run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", told)
+        over = replace(raised, from_state="UNACK", to_state="RTNUN", cause="replaced")
+        self.write(run_id, [HealthEvent(run.rig, "store", t_ns, "damaged", told), raised, over])
+        self.recovery = None
+
+    def adopt_run(self, run_id: int, run: RunInfo) -> None:
+        """Go on with a run that is in the file already."""
+        standing = self.open_alarms(run.rig) if run.kind == "live" else []
+        self._books.open(run_id, run, AlarmBook(run_id, standing))
+
+    def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
+        """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""
+        with self._mutex:
+            return standing_alarms(self.connection, rig, kind)
+
+    def calibration(self, run: RunInfo) -> Calibrated | None:
+        """Return what earlier runs like this one learnt of the rig's disturbances; None for nothing."""
+        with self._mutex:
+            return newest_calibration(self.connection, run)
+
+    def write(self, run_id: int, records: Sequence[Record]) -> None:
+        """Store records of a run; on return they are committed and survive a power cut.
+
+        All of them in one transaction, but that more than 20,000 estimates are cut into several.
+        """
+        with self._mutex:
+            self.commit(self.encode(run_id, records))
+
+    def encode(self, run_id: int, records: Sequence[Record]) -> list[Plan]:
+        """Turn records into the rows of one or several transactions; nothing is written yet."""
+        if run_id not in self._books:
+            raise StoreError.at(str(self.path), f"there is no run {run_id} open for writing", "begin a run first")
+        return self._books.plans(run_id, records)
+
+    def commit(self, plans: Sequence[Plan]) -> None:
+        """Write plans, a transaction each; on return they are on the disk. Committing a plan again is harmless."""
+        with self._mutex:
+            for plan in plans:
+                self._transaction(plan)
+            self._checkpoint_if_due()
+
+    def _transaction(self, plan: Plan) -> None:
+        with self.transaction(self._side) as connection:
+            for source in (self.names.fresh, plan):
+                for table, rows in source.rows.items():
+                    connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
+        self.names.saved()
+        self._receipts.note(plan.rows)
+        self._since_checkpoint[0] += 1
+        self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
+
+    @contextmanager
+    def transaction(self, side: sqlite3.Connection | None = None) -> Iterator[sqlite3.Connection]:
+        """Run what stands inside as one transaction: committed at its end, undone when it raises.
+
+        side: another connection than the file's own.
+        """
+        with self._mutex:
+            connection = side or self.connection
+            connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield connection
+                connection.execute("COMMIT")
+            except BaseException:
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                raise
+
+    def _checkpoint_if_due(self) -> None:
+        commits, cells = self._since_checkpoint
+        if commits >= _COMMITS_A_CHECKPOINT or cells >= _CELLS_A_CHECKPOINT:
+            frames, moved = self.checkpoint()
+            if self._side is None and moved < frames > _FRAMES_BEFORE_SPILL:
+                self._side = open_spill(self.path)
+            elif self._side is not None and moved == frames:
+                self._unspill()
+
+    def checkpoint(self, mode: str = "PASSIVE") -> tuple[int, int]:
+        """Move the write-ahead log into the file; returns the frames it holds and those of them moved."""
+        self._since_checkpoint = [0, 0]
+        if self._side is not None:
+            self._side.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+        _, frames, moved = self.connection.execute(f"PRAGMA wal_checkpoint({mode})").fetchone()
+        return frames, moved
+
+    @property
+    def spilling(self) -> bool:
+        """Tell whether rows go to the side file, because a reader has not ended for too long."""
+        return self._side is not None
+
+    def _unspill(self) -> None:
+        """Take the rows of the side file in, now that the log can be emptied."""
+        if self._side is not None:
+            self._side.close()
+            self._side = None
+        merge(self.path, self.connection)
+
+    def count(self, name: str, more: int) -> None:
+        """Add to a counter that the file keeps (rows purged before they were sent ...)."""
+        with self._mutex:
+            known = self.connection.execute("SELECT seq, count FROM counters WHERE name = ?", (name,)).fetchone()
+            seq, total = known or (self.numbers.take("counters"), 0)
+            plan = Plan()
+            plan.add("counters", (seq, name, total + more, row_crc((seq, name, total + more))))
+            self.commit([plan])
+
+    def reopen(self) -> None:
+        """Close the connection and open the file anew, keeping the lock; for after a failed write."""
+        with self._mutex:
+            self._disconnect()
+            self._attach()
+
+    def revive(self, error: BaseException, *, pressed: bool = False) -> None:
+        """Do what can be done after a failed write, then open the file anew.
+
+        A full disk is waited for. Only when `pressed` (what waits in memory would soon be lost) the ballast is dropped,
+        which gives the room to delete the oldest hour of rows, whose place the new ones then take.
+        """
+        with self._mutex:
+            if cause_of(error) != "disk full":
+                self.reopen()
+            elif pressed:
+                self._ballast.drop()
+                self.reopen()
+                self._tiers.make_room()
+                self.checkpoint("TRUNCATE")
+
+    def compact(self) -> None:
+        """Give free pages back to the disk; needs room for a second copy, and no other transaction meanwhile."""
+        with self._mutex:
+            self.connection.execute("VACUUM")
+            self.checkpoint("TRUNCATE")
+
+    def maintain(self, *, finish: bool = False) -> None:
+        """Make the minutes and hours that are over and purge what is too old or too much; cheap when nothing is due."""
+        with self._mutex:
+            if self.spilling:
+                self._checkpoint_if_due()
+                return
+            self._tiers.step(finish=finish)
+            self._scrubber.step(self.connection)
+            self._ballast.lay()
+
+    def _disconnect(self) -> None:
+        connections, self._connection, self._side = (self._side, self._connection), None, None
+        for connection in connections:
+            if connection is not None:
+                connection.close()
+
+    def close(self) -> None:
+        """Close the file (which empties the write-ahead log) and give the lock back; harmless when closed."""
+        with self._mutex:
+            try:
+                self._disconnect()
+            finally:
+                self._lock.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

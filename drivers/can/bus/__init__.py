@@ -1,0 +1,1 @@
+"""CAN interfaces: the kernel, a socketcand daemon, serial adapters, python-can."""

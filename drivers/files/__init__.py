@@ -1,0 +1,1 @@
+"""Recordings in files: CSV tables and NPZ arrays, streamed in blocks."""

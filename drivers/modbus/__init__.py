@@ -1,0 +1,1 @@
+"""Modbus over TCP and RTU: rings, registers to poll, queues. Read requests only."""

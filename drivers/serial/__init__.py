@@ -1,0 +1,1 @@
+"""Serial lines: binary frames, delimited frames, lines of text. Nothing is ever written."""

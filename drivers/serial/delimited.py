@@ -1,0 +1,95 @@
+"""Frames that an end divides (COBS, SLIP) on a serial line to samples. Pure: no I/O."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.crc import Crc
+from drivers.fields import ByteArray, Layout
+from drivers.port import Counts
+from drivers.serial.codec import Samples, SerialDecoder, Skipped
+from drivers.serial.framing import Framing
+
+
+class EndedDecoder(SerialDecoder):
+    """Frames of one length once their coding is taken off: packed fields, check (low byte first, over the fields).
+
+    Rejects by "crc", by "length" and by "coding" (a COBS length that leads out of the frame, a SLIP escape of
+    nothing); what is no frame is counted by its bytes, as so many frames as they make up.
+    """
+
+    def __init__(
+        self,
+        framing: Framing,
+        layout: Layout,
+        crc: Crc | None,
+        names: Sequence[str],
+        counter: str | None,
+        counts: Counts,
+    ) -> None:
+        self._framing = framing
+        self._layout = layout
+        self._crc = crc
+        self._names = tuple(names)
+        self._counter = counter
+        self._counts = counts
+        self._size = layout.size + (crc.size if crc else 0)
+        self._longest = 2 * self._size + 2
+        self._steps = layout.resolution(self._names)
+        self.modulus = layout.counter_field(counter).modulus if counter else None
+        self._skipped = Skipped(counts, self._size + 2)
+        self.restart()
+
+    def restart(self) -> None:
+        self._rest = b""
+        self._overlong = False
+        self._skipped.restart()
+
+    def resolution(self) -> tuple[float, ...]:
+        return self._steps
+
+    def feed(self, data: bytes) -> Samples:
+        *pieces, rest = (self._rest + data).split(self._framing.end)
+        frames = [self._frame(piece) for piece in pieces]
+        self._rest = self._shortened(rest)
+        if self._skipped.many():
+            self._skipped.settle()
+        return self._samples([frame for frame in frames if frame is not None])
+
+    def _frame(self, piece: bytes) -> bytes | None:
+        """Return the fields and check of what stands between two ends; None when it is no frame of this length."""
+        overlong, self._overlong = self._overlong, False
+        frame = None if overlong else self._framing.decode(piece)
+        if frame is not None and len(frame) == self._size:
+            self._skipped.good()
+            return frame
+        self._skipped.add(len(piece) + bool(piece), "coding" if frame is None and not overlong else "length")
+        return None
+
+    def _shortened(self, rest: bytes) -> bytes:
+        """Return what may become a frame; what is too long for one is none, and neither is its end still to come."""
+        if len(rest) <= self._longest and not self._overlong:
+            return rest
+        self._overlong = True
+        self._skipped.add(len(rest), "length")
+        return b""
+
+    def _samples(self, frames: list[bytes]) -> Samples:
+        rows = np.frombuffer(b"".join(frames), np.uint8).reshape(len(frames), self._size)
+        good = self._sound(rows)
+        self._counts.received += len(rows)
+        if not good.all():
+            self._counts.rejected["crc"] += int((~good).sum())
+            rows = rows[good]
+        body = rows[:, : self._layout.size]
+        counter = self._layout.counter(body, self._counter) if self._counter else None
+        return self._layout.values(body, self._names), counter
+
+    def _sound(self, rows: ByteArray) -> NDArray[np.bool_]:
+        if self._crc is None or not len(rows):
+            return np.ones(len(rows), np.bool_)
+        good: NDArray[np.bool_] = (
+            self._crc.bytes_of(rows[:, : self._layout.size]) == rows[:, self._layout.size :]
+        ).all(axis=1)
+        return good

@@ -1,0 +1,1 @@
+"""Simulated CAN devices and the buses and adapters that they sit on."""

@@ -1,0 +1,105 @@
+"""What every simulated device has: a life, a place in the ledger, a clock shared with the others."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+from pydantic import BaseModel
+
+from sim_bus.clock import PlayClock
+from sim_bus.devices.oscillator import OwnClock, OwnTape, Pace
+from sim_bus.errors import SimUsageError
+from sim_bus.rig.faults import LineFaults, strikes
+from sim_bus.rig.rigfile import RigFile, Source, checked
+from sim_bus.rig.scenario import Scenario
+from sim_bus.rig.trajectory import Tape
+
+SettingsType = TypeVar("SettingsType", bound=BaseModel)
+
+
+class Ledgered(Protocol):
+    """Whoever can tell what was shown."""
+
+    def ledger(self) -> Mapping[str, dict[str, Any]]:
+        """Return what was shown, by source."""
+        ...
+
+
+class Device(ABC):
+    """A device, or several on one line, that readers reach over a real protocol."""
+
+    def __init__(self, clock: PlayClock) -> None:
+        self.clock = clock
+
+    @abstractmethod
+    def start(self) -> None:
+        """Make the device readable; return when it is. Raises SimBusError when the bus cannot be opened."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Let go of the bus; harmless when stopped already."""
+
+    @abstractmethod
+    def ledger(self) -> Mapping[str, dict[str, Any]]:
+        """Return what was shown, by source."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What devices are made from.
+
+    Attributes:
+        rig: the configuration.
+        tape: what is played.
+        clock: how much of it there is by now.
+        scenario: its faults and seed.
+        own_tapes: what devices with clocks of their own read, by source.
+    """
+
+    rig: RigFile
+    tape: Tape
+    clock: PlayClock
+    scenario: Scenario
+    own_tapes: dict[int, OwnTape] = field(default_factory=dict)
+
+    def pace(self, number: int) -> Pace | None:
+        """Return how a source's device samples; None where it does so with the rig."""
+        name, rigs_rate = self.rig.source_names[number], self.rig.rig.sample_rate_hz
+        own = next((own for own in self.scenario.device if own.source in {None, name}), None)
+        if own is None and name not in self.rig.slow_or_fast:
+            return None
+        slowness, jitter_s = (1.0, 0.0) if own is None else (own.slowness, own.jitter_s)
+        return Pace(rigs_rate, self.rig.rate_hz(number), slowness, jitter_s)
+
+    def clock_of(self, number: int) -> PlayClock:
+        """Return what paces a source's device."""
+        pace = self.pace(number)
+        if pace is None:
+            return self.clock
+        if self.clock.fast and self.rig.slow_or_fast:
+            raise SimUsageError("--fast: devices that sample at other rates (rate_hz) are played in real time only")
+        return OwnClock(self.clock, pace)
+
+    def tape_of(self, number: int) -> Tape:
+        """Return what a source's device reads."""
+        pace = self.pace(number)
+        if pace is None:
+            return self.tape
+        made = OwnTape(self.tape, pace, self.scenario.seed + number)
+        self.own_tapes[number] = made
+        return made
+
+    def faults(self, number: int, *, text: bool = False) -> LineFaults:
+        """Return the faults of a source; text: its line carries text."""
+        source = self.source(number)
+        struck = strikes(self.scenario, source.driver, source.name, self.rig.rate_hz(number))
+        return LineFaults(struck, self.scenario.seed + number, text=text)
+
+    def settings(self, model: type[SettingsType], number: int) -> SettingsType:
+        """Return a source's own keys as the driver's settings; SimUsageError lists every fault."""
+        return checked(model, self.rig.source[number].keys, f"source[{number}]")
+
+    def source(self, number: int) -> Source:
+        """Return a source with its name filled in."""
+        return self.rig.source[number].model_copy(update={"name": self.rig.source_names[number]})

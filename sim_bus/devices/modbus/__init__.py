@@ -1,0 +1,1 @@
+"""Simulated Modbus devices: registers, replies, faults of replies, servers."""

@@ -1,0 +1,183 @@
+"""From what a sensor reads to the number that goes over the wire, and what does not fit it.
+
+reading in the channel's unit → minus channel offset, over channel scale → minus field offset, over field scale →
+rounded half to even → held at the ends of the field's range, and counted there.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bus.devices.wire_faults import NumberFaults
+from sim_bus.errors import SimUsageError
+from sim_bus.rig.faults import Strike
+from sim_bus.rig.rigfile import RigFile, Source
+from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Tape
+
+FloatArray = NDArray[np.float64]
+NumberArray = NDArray[np.int64] | NDArray[np.float64]
+Raw = Mapping[str, NumberArray]
+Pack = Callable[[Raw], Sequence[bytes]]
+
+
+@dataclass(frozen=True, slots=True)
+class WireNumber:
+    """One field on the wire: an integer between low and high, or, without them, a float; value = raw·scale + offset."""
+
+    name: str
+    low: int | None
+    high: int | None
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @classmethod
+    def of_type(cls, name: str, type_name: str, scale: float = 1.0, offset: float = 0.0) -> "WireNumber":
+        """Return a field by its type's name: int8 .. int64, uint8 .. uint64, float32, float64."""
+        dtype = np.dtype(type_name)
+        if dtype.kind == "f":
+            return cls(name, None, None, scale, offset)
+        limits = np.iinfo(dtype)
+        return cls(name, int(limits.min), int(limits.max), scale, offset)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The least and the largest value that it can carry."""
+        if self.low is None or self.high is None:
+            return -np.inf, np.inf
+        ends = [self.low * self.scale + self.offset, self.high * self.scale + self.offset]
+        return min(ends), max(ends)
+
+    @property
+    def modulus(self) -> int:
+        """After how many steps a counter in this field begins again."""
+        return 1 if self.low is None or self.high is None else self.high - self.low + 1
+
+    def encode(self, values: FloatArray) -> tuple[NumberArray, NDArray[np.bool_]]:
+        """Return the raw numbers of the field's values and where they had to be held at an end of the range."""
+        scaled = (values - self.offset) / self.scale
+        if self.low is None or self.high is None:
+            return scaled, np.zeros(len(values), dtype=np.bool_)
+        rounded = np.rint(scaled)
+        # the largest 64-bit numbers are no floats: one step inwards keeps them from wrapping
+        top = float(self.high) if self.high < 2**53 else float(np.nextafter(float(min(self.high, 2**63 - 1)), 0.0))
+        held = np.clip(rounded, float(self.low), top)
+        return held.astype(np.int64), held != rounded
+
+    def count(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return sample numbers as this field counts them: from 0 on, wrapping in the bits that it has."""
+        if self.high is None or self.modulus >= 2**63:
+            return index
+        wrapped = index % self.modulus
+        return np.where(wrapped > self.high, wrapped - self.modulus, wrapped)
+
+
+class Feed:
+    """One source's samples as bytes: a row a sample, chunk by chunk, kept as long as the tape keeps them.
+
+    Args:
+        tape: what is played.
+        rig: the configuration.
+        source: the source whose fields are filled.
+        numbers: the fields on the wire.
+        pack: makes rows of bytes from the raw numbers of every field.
+        strikes: the source's faults.
+    """
+
+    def __init__(
+        self, tape: Tape, rig: RigFile, source: Source, numbers: Sequence[WireNumber], pack: Pack,
+        strikes: Sequence[Strike] = (),
+    ) -> None:  # fmt: skip
+        self._tape = tape
+        self._numbers = tuple(numbers)
+        self._pack = pack
+        self._channels = list(rig.channel)
+        self._columns = _columns(rig, source, {number.name for number in numbers})
+        tape.rig.carried.update({self._columns[n.name]: n.bounds for n in numbers if n.name in self._columns})
+        self._counters = _counters(source, self._numbers)
+        tops = {number.name: number.high for number in numbers}
+        self._faults = NumberFaults(strikes, [(field, tops[field]) for field in source.map.values()])
+        self._rows: deque[tuple[int, Sequence[bytes]]] = deque(maxlen=KEPT)
+        self._saturated: dict[int, dict[str, NDArray[np.bool_]]] = {}
+        self._past: Counter[str] = Counter()
+
+    def raw(self, chunk: Chunk) -> tuple[dict[str, NumberArray], dict[str, NDArray[np.bool_]]]:
+        """Return every field's raw numbers, and where a field could not hold its value."""
+        index = np.arange(chunk.first, chunk.first + len(chunk))
+        counted = self._faults.counted(index)
+        raw: dict[str, NumberArray] = {}
+        held: dict[str, NDArray[np.bool_]] = {}
+        for number in self._numbers:
+            if number.name in self._counters:
+                raw[number.name] = number.count(counted)
+            elif number.name in self._columns:
+                column = self._columns[number.name]
+                channel = self._channels[column]
+                values = (chunk.readings[:, column] - channel.offset) / channel.scale
+                raw[number.name], held[number.name] = number.encode(values)
+            else:
+                raw[number.name] = np.zeros(len(chunk), dtype=np.int64)
+        self._faults.spoil(index, raw)
+        return raw, held
+
+    def rows(self, first: int, end: int) -> list[bytes]:
+        """Return samples first .. end − 1, one bytes object each."""
+        out: list[bytes] = []
+        while first < end:
+            number, into = divmod(first, CHUNK)
+            rows = self._chunk(number)[into : into + end - first]
+            out.extend(rows)
+            first += len(rows)
+        return out
+
+    def _chunk(self, number: int) -> Sequence[bytes]:
+        for made, rows in reversed(self._rows):
+            if made == number:
+                return rows
+        raw, held = self.raw(self._tape.chunk(number))
+        rows = self._pack(raw)
+        self._rows.append((number, rows))
+        self._remember(number, held)
+        return rows
+
+    def _remember(self, number: int, held: dict[str, NDArray[np.bool_]]) -> None:
+        self._saturated[number] = {name: where for name, where in held.items() if where.any()}
+        for old in [made for made in self._saturated if made <= number - KEPT]:
+            self._past.update({name: int(where.sum()) for name, where in self._saturated.pop(old).items()})
+
+    def saturated(self, played: int) -> dict[str, int]:
+        """Return how many of the first `played` samples each field could not hold."""
+        total = Counter(self._past)
+        for number, held in self._saturated.items():
+            for name, where in held.items():
+                total[name] += int(where[: max(0, played - number * CHUNK)].sum())
+        return {name: count for name, count in total.items() if count}
+
+
+def _columns(rig: RigFile, source: Source, fields: set[str]) -> dict[str, int]:
+    """Return the channel's number for each field that carries one."""
+    names = [channel.name for channel in rig.channel]
+    lost = [field for field in source.map.values() if field not in fields]
+    if lost:
+        known = ", ".join(sorted(fields))
+        raise SimUsageError(f'source "{source.name}": no field is called {", ".join(lost)}; fields are {known}')
+    return {field: names.index(channel) for channel, field in source.map.items()}
+
+
+def _counters(source: Source, numbers: Sequence[WireNumber]) -> frozenset[str]:
+    """Return the fields that count samples: the configured one, and in every other message the signal of its name."""
+    if source.counter is None:
+        return frozenset()
+    signal = source.counter.rpartition(".")[2]
+    mapped = set(source.map.values())
+    same = {
+        n.name for n in numbers if n.name.rpartition(".")[2] == signal and n.name not in mapped and n.low is not None
+    }
+    return frozenset(same)
+
+
+def split(data: bytes, size: int) -> list[bytes]:
+    """Return bytes as rows of `size`."""
+    return [data[start : start + size] for start in range(0, len(data), size)]

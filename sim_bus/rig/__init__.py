@@ -1,0 +1,1 @@
+"""The simulated rig: plant, excitation, sensors, wear, faults, scenarios. No bus."""

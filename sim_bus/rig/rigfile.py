@@ -1,0 +1,237 @@
+"""What the simulator needs of a rig's configuration: model, channels, sources. Other keys are left to the agent."""
+
+import tomllib
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sim_bus.errors import SimUsageError
+from sim_bus.rig.plant import GROUND, Graph, Hold, Link
+from sim_bus.rig.units import si_factor
+
+Quantity = Literal["force", "displacement", "velocity", "acceleration"]
+ModelType = TypeVar("ModelType", bound=BaseModel)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class Named(_Part):
+    """A mass: name and value, kg."""
+
+    name: str
+    value: float = Field(ge=0, allow_inf_nan=False)
+
+
+class Element(_Part):
+    """A spring, damper or dry friction between two nodes."""
+
+    name: str
+    between: tuple[str, str]
+    nominal: float = Field(allow_inf_nan=False)
+
+
+class Channel(_Part):
+    """One signal: what is sensed where, and how a reading is written in the channel's unit."""
+
+    name: str
+    quantity: Quantity
+    at: str
+    unit: str
+    scale: float = 1.0
+    offset: float = 0.0
+    noise_sd: float | None = None
+    delay_s: float = Field(default=0.0, ge=0)
+
+    @property
+    def si_factor(self) -> float:
+        """SI value of one of the channel's units."""
+        return si_factor(self.quantity, self.unit)
+
+    @model_validator(mode="after")
+    def _scale_is_usable(self) -> Self:
+        if self.scale == 0.0:
+            raise ValueError("scale 0 cannot be undone; the simulator cannot tell what the device would send")
+        return self
+
+
+class Mechanics(_Part):
+    """Masses, springs, dampers and dry friction."""
+
+    kind: str = "mass-spring-damper"
+    mass: tuple[Named, ...] = ()
+    spring: tuple[Element, ...] = ()
+    damper: tuple[Element, ...] = ()
+    friction: tuple[Element, ...] = ()
+
+    @model_validator(mode="after")
+    def _can_be_played(self) -> Self:
+        if self.kind != "mass-spring-damper":
+            raise ValueError(f'kind "{self.kind}" cannot be simulated; "mass-spring-damper" can')
+        if not self.mass:
+            raise ValueError("there is no mass; nothing could move")
+        if self.friction:
+            raise ValueError("dry friction cannot be simulated; leave friction empty")
+        known = {GROUND, *(mass.name for mass in self.mass)}
+        lost = [f"{e.name}: {end}" for e in (*self.spring, *self.damper) for end in e.between if end not in known]
+        if lost:
+            raise ValueError(f"no mass is called so: {', '.join(lost)}; masses are {', '.join(sorted(known))}")
+        return self
+
+    @property
+    def graph(self) -> Graph:
+        """The graph for the plant."""
+        return Graph(
+            nodes=tuple(mass.name for mass in self.mass),
+            springs=tuple(Link(e.name, e.between) for e in self.spring),
+            dampers=tuple(Link(e.name, e.between) for e in self.damper),
+            massless=frozenset(mass.name for mass in self.mass if mass.value == 0.0),
+        )
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Every constant by name."""
+        return {mass.name: mass.value for mass in self.mass} | {e.name: e.nominal for e in (*self.spring, *self.damper)}
+
+
+class Rig(_Part):
+    """The [rig] table."""
+
+    name: str
+    sample_rate_hz: float = Field(gt=0, allow_inf_nan=False)
+
+
+class Estimator(_Part):
+    """Of [estimator]: what the input does between samples."""
+
+    hold: Hold = "first"
+
+
+class Source(BaseModel):
+    """One [[source]]; the driver's own keys are in `keys`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: str = ""
+    driver: str
+    map: dict[str, str] = {}
+    counter: str | None = None
+    stale_s: float = 2.0
+    record: bool = False
+    skew_s: float | str = "auto"
+    own_clock: bool = False
+    rate_hz: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """The driver's own keys."""
+        return dict(self.model_extra or {})
+
+
+class RigFile(_Part):
+    """A configuration as far as the simulator reads it."""
+
+    rig: Rig
+    model: Mechanics
+    channel: tuple[Channel, ...] = Field(min_length=1)
+    source: tuple[Source, ...] = Field(min_length=1)
+    estimator: Estimator = Estimator()
+    folder: Path = Path()
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        nodes, channels = self.model.graph.nodes, {channel.name for channel in self.channel}
+        lost = [f'{c.name}: no mass is called "{c.at}"' for c in self.channel if c.at not in nodes]
+        lost += [
+            f'source "{s.name or s.driver}": no channel is called "{name}"'
+            for s in self.source
+            for name in s.map
+            if name not in channels
+        ]
+        if lost:
+            raise ValueError("; ".join(lost))
+        return self
+
+    def named(self, name: str) -> Channel:
+        """Return a channel by name."""
+        return next(channel for channel in self.channel if channel.name == name)
+
+    def rate_hz(self, number: int) -> float:
+        """Return how many samples a second a source's device takes, by its own clock."""
+        return self.source[number].rate_hz or self.rig.sample_rate_hz
+
+    @property
+    def slow_or_fast(self) -> tuple[str, ...]:
+        """The sources whose devices sample at another rate than the rig's."""
+        rates = {name: self.rate_hz(number) for number, name in enumerate(self.source_names)}
+        return tuple(name for name, rate in rates.items() if rate != self.rig.sample_rate_hz)
+
+    @property
+    def drivers(self) -> dict[str, str]:
+        """The sources' drivers, by the sources' names."""
+        return {name: source.driver for name, source in zip(self.source_names, self.source, strict=True)}
+
+    @property
+    def source_names(self) -> tuple[str, ...]:
+        """Names of the sources; an unnamed one is called after its driver, a second of a kind gets a number."""
+        taken = {source.name for source in self.source if source.name}
+        names: list[str] = []
+        for source in self.source:
+            names.append(source.name or _free_name(source.driver, taken))
+            taken.add(names[-1])
+        return tuple(names)
+
+
+def _free_name(stem: str, taken: set[str]) -> str:
+    number = 1
+    while (name := stem if number == 1 else f"{stem}-{number}") in taken:
+        number += 1
+    return name
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return a TOML file's content; SimUsageError says what is wrong with it."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SimUsageError(f"{path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise SimUsageError(f"{path}: is no text in UTF-8 (byte {error.start})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise SimUsageError(f"{path}: {error}") from error
+
+
+def checked(model: type[ModelType], content: Any, where: str) -> ModelType:
+    """Return content as a model; SimUsageError lists every fault with its key path after `where`."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise SimUsageError([_line(where, fault["loc"], _words(fault, model)) for fault in error.errors()]) from error
+
+
+def _words(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
+    if fault["type"] != "extra_forbidden":
+        return str(fault["msg"])
+    known = list(model.model_fields) if len(fault["loc"]) == 1 else []
+    close = get_close_matches(str(fault["loc"][-1]), known, 1)
+    return f'there is no such key; did you mean "{close[0]}"?' if close else "there is no such key"
+
+
+def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
+    path = ""
+    message = "is missing" if message == "Field required" else message
+    for part in location:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
+    return ": ".join(text for text in (where, path, message.removeprefix("Value error, ")) if text)
+
+
+def read_rig(path: Path) -> RigFile:
+    """Read a configuration file."""
+    content = read_toml(path)
+    if not content.get("source"):
+        raise SimUsageError(f"{path}: source: there is no [[source]]; add one for each device that is to be played")
+    return checked(RigFile, content | {"folder": path.resolve().parent}, str(path))

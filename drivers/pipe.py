@@ -9,8 +9,7 @@ import select
 import socket
 from abc import ABC, abstractmethod
 
-from drivers import clock
-from drivers import write_gate as listening
+from drivers import clock, write_gate
 from drivers.port import DriverIOError
 from drivers.serial_port import SerialKeys, close_port, open_port
 
@@ -80,7 +79,7 @@ class TcpPipe(Pipe):
 
     def send(self, protocol: str, data: bytes) -> None:
         try:
-            listening.send(protocol, self._socket, data)
+            write_gate.send(protocol, self._socket, data)
         except OSError as error:
             raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
 
@@ -109,7 +108,7 @@ class SerialPipe(Pipe):
 
     def send(self, protocol: str, data: bytes) -> None:
         try:
-            _write_all(self.fileno(), listening.check(protocol, data))
+            _write_all(self.fileno(), write_gate.check(protocol, data))
         except OSError as error:
             raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
 

@@ -97,13 +97,13 @@ class Counts:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Capture:
     """What a bus carried since it was last asked for, as other tools read it; for recording.
 
     Attributes:
         text: makes the text, whole lines; may be called later, in another thread.
         lines: how many they are.
-        beside: what the text cannot carry, as JSON can; for `Driver.hear`.
+        beside: what the text cannot carry, as JSON can; for `Driver.decode_capture`.
     """
 
     text: Callable[[], bytes]
@@ -154,7 +154,7 @@ class Driver(ABC):
     """Whether samples carry time stamps of the device or the kernel (`SampleBlock.t_ns`); None: not told."""
     finite: ClassVar[bool] = False
     """True for recordings: `read` raises EOFError at the end."""
-    heard_suffix: ClassVar[str | None] = None
+    capture_suffix: ClassVar[str | None] = None
     """Suffix of files that hold what the bus carried, such as ".log"; None: recordings hold the samples."""
 
     def __init__(self, request: SourceRequest) -> None:
@@ -196,14 +196,14 @@ class Driver(ABC):
         reports, self._reports = self._reports, []
         return reports
 
-    def keep_heard(self) -> None:  # noqa: B027 - drivers without such a form have nothing to do
-        """Begin to keep what the bus carries, for `take_heard`; only where there is a heard_suffix."""
+    def keep_capture(self) -> None:  # noqa: B027 - drivers without such a form have nothing to do
+        """Begin to keep what the bus carries, for `take_capture`; only where there is a heard_suffix."""
 
-    def take_heard(self) -> Heard | None:
+    def take_capture(self) -> Capture | None:
         """Return what the bus carried since the last call; None when that was nothing or is not kept."""
         return None
 
-    def hear(self, text: bytes, beside: Mapping[str, Any]) -> SampleBlock:
+    def decode_capture(self, text: bytes, beside: Mapping[str, Any]) -> SampleBlock:
         """Return what `read` made of this when it was heard. The driver is not open; its counts go on as they did.
 
         Raises DriverConfigError.

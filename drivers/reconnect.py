@@ -93,7 +93,7 @@ class ReconnectingDriver:
         self._stop = stop or threading.Event()
         self._backoff = Backoff(rng or random.Random(), ceiling_s=driver.retry_s)  # noqa: S311 (jitter keeps no secret)
         self._retry_at = clock()
-        self._heard_at = clock()
+        self._received_at = clock()
         self._bad_before: Counter[str] = Counter()
         self._fault: str | None = None
         self._events: list[LinkEvent] = []
@@ -123,7 +123,7 @@ class ReconnectingDriver:
         except DriverIOError as error:
             self._lose("lost", str(error), error.kind)
             return self._nothing()
-        self._judge(len(block))
+        self._assess(len(block))
         self._pass_on()
         return block
 
@@ -136,20 +136,20 @@ class ReconnectingDriver:
         if not self.is_open:
             self.driver.open()
             self.is_open = True
-            self._hear(self._clock())
+            self._receive(self._clock())
         return self.driver.read(timeout_s)
 
-    def _judge(self, samples: int) -> None:
+    def _assess(self, samples: int) -> None:
         now = self._clock()
         if samples:
-            self._hear(now)
+            self._receive(now)
             self._backoff.reset()
             self._recover(now)
-        elif now - self._heard_at > self._stale_s and not self.driver.finite:
+        elif now - self._received_at > self._stale_s and not self.driver.finite:
             self._lose("stale", f"{self.driver.request.name}: {self._silence()}")
 
-    def _hear(self, now: float) -> None:
-        self._heard_at = now
+    def _receive(self, now: float) -> None:
+        self._received_at = now
         self._bad_before = self._bad()
 
     def _bad(self) -> Counter[str]:

@@ -68,7 +68,7 @@ def sim(
         player = _make(config, scenario, fault or [], duration, truth, fast=fast)
         ledger = _play(player, duration, signals)
     except SimError as error:
-        _tell(error.lines, as_json=as_json)
+        _report(error.lines, as_json=as_json)
         raise typer.Exit(error.exit_code) from error
     if as_json:
         sys.stdout.write(json.dumps(ledger) + "\n")
@@ -76,7 +76,7 @@ def sim(
         raise typer.Exit(128 + signal.SIGINT)
 
 
-def _tell(lines: Sequence[str], *, as_json: bool) -> None:
+def _report(lines: Sequence[str], *, as_json: bool) -> None:
     """Say what is wrong on stderr, a line each, and where JSON is asked for there as well."""
     for line in lines:
         sys.stderr.write(f"deltak: error: {line}\n")

@@ -13,7 +13,7 @@ from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import check
 from sim_bus.rig.rigfile import RigFile
 from sim_bus.rig.scenario import Scenario
-from sim_bus.rig.trajectory import CHUNK, Rig, Tape
+from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
 from sim_bus.rig.truth import TruthRecorder
 
 _TICK_S = 0.05
@@ -53,11 +53,11 @@ class Player:
         self.rig = Rig(rig_file, scenario)
         self._truth_file = truth
         self._truth = TruthRecorder(self.rig, rate)
-        self.tape = Tape(self.rig, self._truth.keep if truth else None)
+        self.trajectory = Trajectory(self.rig, self._truth.keep if truth else None)
         total = round(seconds * rate) if seconds else None
         self.clock = PlayClock(rate, total, rig_file.source_names, scenario.start, fast=fast)
         self.clock.grain_s = grain_s
-        self.devices: Sequence[Device] = make_devices(Bench(rig_file, self.tape, self.clock, scenario))
+        self.devices: Sequence[Device] = make_devices(Bench(rig_file, self.trajectory, self.clock, scenario))
         self._open: list[Device] = []
 
     def start(self) -> None:
@@ -88,7 +88,7 @@ class Player:
         played = self.clock.played()
         self.stop()
         if played:
-            self.tape.chunk((played - 1) // CHUNK)
+            self.trajectory.chunk((played - 1) // CHUNK)
         ledger = self.ledger(played)
         if self._truth_file is not None:
             self._truth.write(self._truth_file, played, ledger)

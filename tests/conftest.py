@@ -56,9 +56,9 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     seen, forbidden = tracing.end(session.config.stash[_REPORT])
     others_seen, others_forbidden = session.config.stash.get(_WRITES, (0, []))
     writes = session.config.stash[_WRITES] = (seen + others_seen, forbidden + others_forbidden)
-    told = getattr(session.config, "workeroutput", None)
-    if told is not None:
-        told["deltak"] = {"writes": writes, "figures": figures.FIGURES, "not tested": peers.NOT_TESTED}
+    reported = getattr(session.config, "workeroutput", None)
+    if reported is not None:
+        reported["deltak"] = {"writes": writes, "figures": figures.FIGURES, "not tested": peers.NOT_TESTED}
     elif writes[1]:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
@@ -66,14 +66,14 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any, error: object) -> None:
     """Take over what one of several processes that share a run has to say at its end."""
-    told = getattr(node, "workeroutput", {}).get("deltak")
-    if told is None:
+    reported = getattr(node, "workeroutput", {}).get("deltak")
+    if reported is None:
         return
-    seen, forbidden = told["writes"]
+    seen, forbidden = reported["writes"]
     before_seen, before_forbidden = node.config.stash.get(_WRITES, (0, []))
     node.config.stash[_WRITES] = (before_seen + seen, before_forbidden + list(forbidden))
-    figures.FIGURES.extend(told["figures"])
-    peers.NOT_TESTED.extend(told["not tested"])
+    figures.FIGURES.extend(reported["figures"])
+    peers.NOT_TESTED.extend(reported["not tested"])
 
 
 def pytest_report_header() -> list[str]:

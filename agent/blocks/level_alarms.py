@@ -59,7 +59,7 @@ class _Timers:
         self.held: IntArray = np.zeros(rules, dtype=np.int64)
         self.met: BoolArray = np.zeros(rules, dtype=np.bool_)
 
-    def advance(self, steps: IntArray, met: BoolArray, judged: BoolArray) -> IntArray:
+    def advance(self, steps: IntArray, met: BoolArray, assessed: BoolArray) -> IntArray:
         """Return for how many samples the condition has held at each row, (N, r).
 
         steps (N, 1) samples since the row before, met (N, r) rows that meet the condition, judged (N, r) rows that
@@ -67,7 +67,7 @@ class _Timers:
         """
         before = np.vstack([self.met, met[:-1]])
         total = self.held + np.cumsum(np.where(met & before, steps, 0), axis=0)
-        elapsed: IntArray = total - np.maximum.accumulate(np.where(judged & ~met, total, 0), axis=0)
+        elapsed: IntArray = total - np.maximum.accumulate(np.where(assessed & ~met, total, 0), axis=0)
         self.held, self.met = elapsed[-1].copy(), met[-1].copy()
         return elapsed
 
@@ -171,8 +171,8 @@ class LevelAlarms:
 
     def _due_on(self, judgement: "_Judgement", steps: IntArray) -> BoolArray:
         """Return the rows (N, r) at which the condition for raising has held for its delay."""
-        met = judgement.deviations.exceed(judgement.limit, self._confidence, judgement.judged)
-        held = self._on.advance(steps, met, judgement.judged)
+        met = judgement.deviations.exceed(judgement.limit, self._confidence, judgement.assessed)
+        held = self._on.advance(steps, met, judgement.assessed)
         due: BoolArray = met & (held >= self._samples(judgement.on_delay_s()))
         return due
 
@@ -181,9 +181,9 @@ class LevelAlarms:
 
         Alarms that neither stand nor are raised in this batch are left out: raising starts their timer anew.
         """
-        among = judgement.judged & (raising | np.array([state in _CLEARED for state in self._states]))
+        among = judgement.assessed & (raising | np.array([state in _CLEARED for state in self._states]))
         met = judgement.deviations.stay_within(judgement.level, self._confidence, among)
-        held = self._off.advance(steps, met, judgement.judged)
+        held = self._off.advance(steps, met, judgement.assessed)
         delay = np.array([rule.off_delay_s or 0.0 for rule in self._rules])
         due: BoolArray = met & (held >= self._samples(delay))
         return due
@@ -219,7 +219,7 @@ class _Judgement:
     ) -> None:
         value, sd = batch.value[:, columns], batch.sd[:, columns]
         self.batch, self.columns, self.rules = batch, columns, rules
-        self.judged: BoolArray = (batch.status[:, columns] == Status.VALID) & np.isfinite(value) & np.isfinite(sd)
+        self.assessed: BoolArray = (batch.status[:, columns] == Status.VALID) & np.isfinite(value) & np.isfinite(sd)
         self.deviations = Deviations(value - batch.reference[columns], sd, batch.dof, up, down)
         origins = zip(rules, batch.reference[columns], strict=True)
         self.limit = np.array([_limit(rule, float(origin)) for rule, origin in origins])

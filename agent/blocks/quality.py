@@ -139,8 +139,8 @@ class Quality:
             self._silent[:] = 0 if len(rest) else self._silent
             return len(missing)
         number = np.arange(1, len(rest) + 1)[:, None]
-        heard = np.maximum.accumulate(np.where(rest, 0, number), axis=0)
-        silent = np.where(heard > 0, number - heard, number + self._silent)
+        received = np.maximum.accumulate(np.where(rest, 0, number), axis=0)
+        silent = np.where(received > 0, number - received, number + self._silent)
         late = (silent > self.settings.bridge).any(axis=1)
         row = int(np.argmax(late)) if late.any() else len(rest)
         self._silent = np.zeros_like(self._silent) if late.any() else silent[-1]

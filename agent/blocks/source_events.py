@@ -67,7 +67,7 @@ class SourceEvents:
     def __init__(self) -> None:
         self._episodes: dict[str, _Episode] = {}
 
-    def told(self, source: str, now_ns: int, *, away: bool) -> None:
+    def reported(self, source: str, now_ns: int, *, away: bool) -> None:
         """Note that the driver told by itself what is wrong, or (not away) that its source is back."""
         episode = self._episodes.setdefault(source, _Episode(Signs(0, {}, {}, 0).ranked()))
         episode.begun_ns = now_ns if episode.begun_ns is None else episode.begun_ns

@@ -16,7 +16,7 @@ EXPORTS = ("estimates", "alarms", "alarm_events", "health", "runs", "event_recor
 
 def check(db: Path, *, as_json: bool) -> None:
     """Read a whole file and print what is wrong with it. Raises StoreError when something is."""
-    with maintenance.told(db):
+    with maintenance.reported(db):
         report = maintenance.check(db)
     if as_json:
         print_json({"db": str(db), "problems": report.problems, "bytes": report.bytes, "rows": report.rows})
@@ -30,7 +30,7 @@ def check(db: Path, *, as_json: bool) -> None:
 
 def repair(db: Path, *, as_json: bool) -> None:
     """Replace a damaged file by one of the rows that prove themselves; print what came of it."""
-    with maintenance.told(db):
+    with maintenance.reported(db):
         found = maintenance.repair(db)
     words = "sound; nothing was changed" if found is None else f"repaired: {found}"
     document: Document = {"db": str(db), "repaired": found is not None}
@@ -41,7 +41,7 @@ def repair(db: Path, *, as_json: bool) -> None:
 
 def compact(db: Path, *, as_json: bool) -> None:
     """Give the file's free pages back to the disk."""
-    with maintenance.told(db):
+    with maintenance.reported(db):
         before, after = maintenance.compact(db)
     document = {"db": str(db), "bytes_before": before, "bytes_after": after}
     _say(as_json, document, f"{db}: {before} bytes before, {after} after")
@@ -49,7 +49,7 @@ def compact(db: Path, *, as_json: bool) -> None:
 
 def backup(db: Path, target: Path, *, as_json: bool) -> None:
     """Copy a file, also while an agent writes to it."""
-    with maintenance.told(db):
+    with maintenance.reported(db):
         size = maintenance.backup(db, target)
     _say(as_json, {"db": str(db), "target": str(target), "bytes": size}, f"{target}: {size} bytes")
 

@@ -126,9 +126,9 @@ def _sources(config: RigConfig) -> Iterator[Fault]:
 
 def _clocks(config: RigConfig) -> Iterator[Fault]:
     """Warn where a source has nothing of what the rig's clock orders samples by."""
-    lacks = "no counter" if config.rig.clock == "counter" else "no time stamps"
+    misses = "no counter" if config.rig.clock == "counter" else "no time stamps"
     for number in unordered_sources(config):
-        what = f'{config.source[number].name} has {lacks}, but clock = "{config.rig.clock}": lost samples are not seen'
+        what = f'{config.source[number].name} has {misses}, but clock = "{config.rig.clock}": lost samples are not seen'
         yield Fault(f"source[{number}]", what, 'name its counter, or set clock = "arrival"')
 
 

@@ -18,7 +18,7 @@ LEVELS = 10
 """Different readings that two channels must show: coarse ones may well agree on fewer."""
 
 
-def plain_suspicions(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
+def plain_findings(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
     """Return what is suspected of readings v (N, c), inputs first; a rig of which nothing moves is not suspected."""
     y = v[:, len(config.inputs) :]
     # at rest a coarse sensor may well read the same while a fine one shows its noise

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.commissioning.misassignment import suspicions, warnings_of
+from agent.commissioning.misassignment import findings, warnings_of
 from agent.commissioning.probe import LISTEN_S, listen
 from agent.commissioning.progress import Progress, silent
 from agent.commissioning.readings import Recorded
@@ -43,8 +43,8 @@ class Evidence:
             return recorded
         probed = self._probed(config)
         # a recording was chosen for its excitation; a probe hears whatever there is
-        judged = recorded.recorded or probed.recorded
-        return Gathered(judged, recorded.recording, probed.probe, [*recorded.warnings, *probed.warnings])
+        assessed = recorded.recorded or probed.recorded
+        return Gathered(assessed, recorded.recording, probed.probe, [*recorded.warnings, *probed.warnings])
 
     def _recorded(self, config: RigConfig) -> Gathered:
         recorded = read_recording(config, self.recording or Path())
@@ -67,7 +67,7 @@ class Evidence:
 
     def _examined(self, config: RigConfig, recorded: Recorded) -> list[dict[str, Any]]:
         self.progress("examining channels")
-        return suspicions(config, recorded.measured, recorded.pieces, self.progress)
+        return findings(config, recorded.measured, recorded.pieces, self.progress)
 
 
 def _sources(config: RigConfig, sources: Sequence[dict[str, Any]]) -> Iterator[Fault]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from agent.blocks.advice import words
 from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_model, window_settings
-from agent.commissioning.channel_checks import plain_suspicions, suspicion
+from agent.commissioning.channel_checks import plain_findings, suspicion
 from agent.config import RigConfig
 from agent.config.tables import Channel
 from agent.errors import Fault
@@ -31,7 +31,7 @@ KINDS = {"bias": "offset", "gain": "scale", "input gain": "scale"}
 Progress = Callable[[str], None]
 
 
-def suspicions(
+def findings(
     config: RigConfig, v: FloatArray, pieces: Sequence[tuple[int, int]], progress: Progress
 ) -> list[dict[str, Any]]:
     """Return what is suspected of readings v (N, c), inputs first, with uninterrupted pieces as (first, end) rows.
@@ -46,7 +46,7 @@ def suspicions(
     def said(done: int, everything: int) -> None:
         progress(f"examining channels: {done} of {everything} explanations")
 
-    if plain := plain_suspicions(config, v):
+    if plain := plain_findings(config, v):
         return plain
     finding = _examiner(config, said).examine(stretches)
     return _mistaken(config, stretches[0]) if finding is None else [_row(config, finding)]

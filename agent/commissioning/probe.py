@@ -44,19 +44,19 @@ def _listen(
     gathering: Gathering, connections: Sequence[Connection], wake: threading.Event, progress: Progress, listen_s: float
 ) -> None:
     """Hand on what arrives until every source has been heard for listen_s, or one stays away."""
-    started, heard = monotonic_ns(), set[str]()
+    started, received = monotonic_ns(), set[str]()
     until = started + round((PATIENCE_S + listen_s) * 1e9)
     complete = False
     while (now := monotonic_ns()) < until:
         progress(f"listening: {(now - started) / 1e9:.0f} s of about {listen_s:.0f} s")
         wake.wait(TURN_S)
         wake.clear()
-        _turn(gathering, connections, heard)
-        if not complete and len(heard) == len(gathering.counts):
+        _turn(gathering, connections, received)
+        if not complete and len(received) == len(gathering.counts):
             complete, until = True, monotonic_ns() + round(listen_s * 1e9)
 
 
-def _turn(gathering: Gathering, connections: Sequence[Connection], heard: set[str]) -> None:
+def _turn(gathering: Gathering, connections: Sequence[Connection], received: set[str]) -> None:
     """Hand on what has arrived, in order of arrival; note which sources were heard, raise for those that cannot be."""
     taken = [(connection, *connection.take()) for connection in connections]
     for connection in connections:
@@ -64,14 +64,14 @@ def _turn(gathering: Gathering, connections: Sequence[Connection], heard: set[st
     arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
     for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
         for use in connection.uses:
-            heard.add(use.source)
+            received.add(use.source)
             gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)
     lost = [
         Fault(use.source, event.message, OPEN_ADVICE)
         for connection, _, events in taken
         for event in events
         for use in connection.uses
-        if event.cause == "lost" and use.source not in heard
+        if event.cause == "lost" and use.source not in received
     ]
     if lost:
         raise BusError(lost)

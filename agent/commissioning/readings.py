@@ -88,9 +88,9 @@ class Gathering:
             self._missing[channel] += int((~np.isfinite(block.values[:, column])).sum())
         self._aligned += _paired(self.acquisition.step(source, block, modulus))
         if block.wall_offset_ns is not None:
-            self._heard(self.acquisition.sources[source], block.arrival_ns)
+            self._received(self.acquisition.sources[source], block.arrival_ns)
 
-    def _heard(self, state: SourceState, arrival_ns: int) -> None:
+    def _received(self, state: SourceState, arrival_ns: int) -> None:
         self._clocks.observe(state, arrival_ns)
         if state.newest is not None:
             first = self._span_ns.get(state.plan.name, (state.newest, arrival_ns, 0))

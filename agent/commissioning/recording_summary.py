@@ -7,7 +7,7 @@ from agent.commissioning.readings import Gathering, Recorded
 from agent.config import RigConfig
 from agent.errors import RecordingError
 from agent.runtime.replay import SOURCE, opened
-from agent.runtime.usability import Evidence, judge
+from agent.runtime.usability import Evidence, assess
 from drivers.port import Driver, DriverError
 
 log = logging.getLogger(__name__)
@@ -24,7 +24,7 @@ def read_recording(config: RigConfig, path: Path) -> Recorded:
         driver.close()
     recorded = gathering.recorded(path.name)
     evidence.notes, evidence.estimates = driver.take_notes(), recorded is not None
-    for fault in judge(config, str(path), evidence, driver.counts, gathering.acquisition.sources[SOURCE].refusals()):
+    for fault in assess(config, str(path), evidence, driver.counts, gathering.acquisition.sources[SOURCE].refusals()):
         log.warning("%s", fault)
     if recorded is None:
         raise RecordingError.at(str(path), "holds no sample with every channel", "see that channels and columns fit")

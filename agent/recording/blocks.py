@@ -27,7 +27,7 @@ import numpy as np
 from agent.errors import RecordingError
 from agent.recording.header import RawHeader
 from agent.storage.database.files import created
-from drivers.port import Heard, SampleBlock
+from drivers.port import Capture, SampleBlock
 
 MAGIC = b"DELTAKRAW1\n"
 SUFFIX = ".raw"
@@ -108,7 +108,7 @@ class BlockSegment:
         self._file = created(path)
         self._file.write(encode_header(header))
 
-    def add(self, block: SampleBlock, heard: Heard | None) -> None:
+    def add(self, block: SampleBlock, capture: Capture | None) -> None:
         """Append a block of samples."""
         if len(block):
             self._file.write(encode_block(block))

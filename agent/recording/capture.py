@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 from agent.errors import RecordingError
 from agent.recording.header import RawHeader
 from agent.storage.database.files import created
-from drivers.port import Heard, SampleBlock
+from drivers.port import Capture, SampleBlock
 
 FORMAT = "DELTAKHEARD1"
 INDEX = ".idx"
@@ -75,7 +75,7 @@ def read_pieces(path: Path) -> Iterator[Piece]:
                 return
 
 
-class HeardSegment:
+class CaptureSegment:
     """A log and its index while they are written."""
 
     def __init__(self, path: Path, header: RawHeader) -> None:
@@ -91,15 +91,15 @@ class HeardSegment:
     def _line(self, facts: dict[str, Any]) -> None:
         self._index.write(json.dumps(facts, separators=(",", ":")).encode() + b"\n")
 
-    def add(self, block: SampleBlock, heard: Heard | None) -> None:
+    def add(self, block: SampleBlock, capture: Capture | None) -> None:
         """Append what was heard; the block says when."""
-        if heard is None:
+        if capture is None:
             return
-        text = heard.text()
+        text = capture.text()
         self._log.write(text)
-        facts = {"lines": heard.lines, "crc": zlib.crc32(text)}
+        facts = {"lines": capture.lines, "crc": zlib.crc32(text)}
         times = {"arrival_ns": block.arrival_ns, "wall_offset_ns": block.wall_offset_ns}
-        self._line(facts | times | ({"beside": dict(heard.beside)} if heard.beside else {}))
+        self._line(facts | times | ({"beside": dict(capture.beside)} if capture.beside else {}))
 
     def size(self) -> int:
         return self._log.tell() + self._index.tell()

@@ -124,7 +124,7 @@ class EventKeeper:
         self._open: Open | None = None
         self._baseline_id: int | None = None
         self._begun: deque[float] = deque()
-        self._told_s = float("-inf")
+        self._reported_s = float("-inf")
         self.skipped = 0
         """Alarms for which there is no record, because there had been too many within the hour."""
 
@@ -209,8 +209,8 @@ class EventKeeper:
             self._begun.append(now)
             return True
         self.skipped += 1
-        if now - self._told_s > _HOUR_S:
-            self._told_s = now
+        if now - self._reported_s > _HOUR_S:
+            self._reported_s = now
             words = f"{len(self._begun)} event records were made within the hour; alarms go on without"
             self._publish([HealthEvent(self._config.rig.name, "events", wall_ns(), "event records skipped", words)])
         return False

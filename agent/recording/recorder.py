@@ -9,12 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from agent.recording import blocks
-from agent.recording import capture as heard
+from agent.recording import blocks, capture
 from agent.recording.folder import Shelf, make_folder, room
 from agent.recording.header import RawHeader
 from agent.storage.database.files import sync_folder
-from drivers.port import Heard, SampleBlock
+from drivers.port import Capture, SampleBlock
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +36,7 @@ class Segment(Protocol):
 
     path: Path
 
-    def add(self, block: SampleBlock, heard: Heard | None) -> None: ...
+    def add(self, block: SampleBlock, capture: Capture | None) -> None: ...
     def size(self) -> int: ...
     def sync(self) -> None: ...
     def close(self) -> None: ...
@@ -65,16 +64,16 @@ class Recorder:
         most: int = 4096,
         tell: Callable[[str, str], None] = lambda _cause, _words: None,
     ) -> None:
-        self._header, self._suffix, self._most, self._tell = header, suffix, most, tell
+        self._header, self._suffix, self._most, self._report = header, suffix, most, tell
         self._limits = limits or Limits()
         self._shelf = shelf(folder, header, suffix, self._limits)
-        self._queue: deque[tuple[SampleBlock, Heard | None]] = deque()
+        self._queue: deque[tuple[SampleBlock, Capture | None]] = deque()
         self._condition = threading.Condition()
         self._stopping = False
         self._segment: Segment | None = None
         self._begun_s = 0.0
         self._failing: str | None = None
-        self._told_dropped = 0
+        self._reported_dropped = 0
         self._thread = threading.Thread(target=self._work, name=f"recorder-{header.source}", daemon=True)
         self.progress = 0
         self.recorded = 0
@@ -85,7 +84,7 @@ class Recorder:
     def start(self) -> None:
         self._thread.start()
 
-    def record(self, block: SampleBlock, what: Heard | None = None) -> None:
+    def record(self, block: SampleBlock, what: Capture | None = None) -> None:
         """Hand over a block and what was heard of it; what does not fit is counted as dropped."""
         with self._condition:
             if len(self._queue) >= self._most:
@@ -114,7 +113,7 @@ class Recorder:
             self._write(waiting)
         self._abandon()
 
-    def _write(self, waiting: list[tuple[SampleBlock, Heard | None]]) -> None:
+    def _write(self, waiting: list[tuple[SampleBlock, Capture | None]]) -> None:
         """Append deliveries and sync; after a failure the next ones go to a new file."""
         samples = sum(len(block) for block, _ in waiting)
         try:
@@ -145,7 +144,7 @@ class Recorder:
         self._abandon()
         self._failed(cause)
 
-    def _append(self, waiting: list[tuple[SampleBlock, Heard | None]]) -> None:
+    def _append(self, waiting: list[tuple[SampleBlock, Capture | None]]) -> None:
         self._make_room()
         for block, what in waiting:
             self._open().add(block, what)
@@ -170,7 +169,7 @@ class Recorder:
             self._close()
         if self._segment is None:
             path = self._shelf.next(self._suffix or blocks.SUFFIX)
-            make = blocks.BlockSegment if self._suffix is None else heard.HeardSegment
+            make = blocks.BlockSegment if self._suffix is None else capture.CaptureSegment
             self._segment, self._begun_s = make(path, self._header), time.monotonic()
             sync_folder(path.parent)
         return self._segment
@@ -191,21 +190,21 @@ class Recorder:
 
     def _failed(self, cause: str) -> None:
         if self._failing is None:
-            self._failing, self._told_dropped = cause, self.dropped
-            self._tell("recording stopped", f"{self._header.source}: cannot be recorded: {cause}")
+            self._failing, self._reported_dropped = cause, self.dropped
+            self._report("recording stopped", f"{self._header.source}: cannot be recorded: {cause}")
 
     def _recovered(self) -> None:
         """Say once that recording goes on, and what the failure or a slow disk cost."""
-        lost = self.dropped - self._told_dropped
+        lost = self.dropped - self._reported_dropped
         if self._failing is None and not lost:
             return
         why = self._failing or "the disk was too slow"
-        self._failing, self._told_dropped = None, self.dropped
-        self._tell("recording resumed", f"{self._header.source}: recorded again; {lost} samples were not ({why})")
+        self._failing, self._reported_dropped = None, self.dropped
+        self._report("recording resumed", f"{self._header.source}: recorded again; {lost} samples were not ({why})")
 
 
 def shelf(folder: Path, header: RawHeader, suffix: str | None, limits: Limits) -> Shelf:
     """Return where the files of a source are; all forms count as one recording, so that none outlives its bounds."""
     suffixes = (blocks.SUFFIX,) if suffix is None else (blocks.SUFFIX, suffix)
     name = f"{header.rig}-{header.source}" if header.rig else header.source
-    return Shelf(folder, name, suffixes, (heard.INDEX,), limits.max_bytes, limits.max_age_s)
+    return Shelf(folder, name, suffixes, (capture.INDEX,), limits.max_bytes, limits.max_age_s)

@@ -37,7 +37,7 @@ def recorder(config: RigConfig, db: Path, source: str, publish: Publish, driver:
         publish([HealthEvent(rig, source, wall_ns(), cause, message)])
 
     bounds = Limits(limits.max_mb * 1e6, limits.keep)
-    return Recorder(db.with_name(db.name + FOLDER), header, driver.heard_suffix, bounds, tell=tell)
+    return Recorder(db.with_name(db.name + FOLDER), header, driver.capture_suffix, bounds, tell=tell)
 
 
 def event_writer(config: RigConfig, db: Path, publish: Publish) -> EventWriter:

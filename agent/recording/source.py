@@ -11,8 +11,7 @@ from typing import ClassVar
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
 from agent.errors import RecordingError
-from agent.recording import blocks
-from agent.recording import capture as heard
+from agent.recording import blocks, capture
 from agent.recording.header import RawHeader
 from drivers.port import Driver, DriverConfigError, DriverSettings, SampleBlock, SourceRequest
 
@@ -73,7 +72,7 @@ class RawDriver(OwnRecording):
         return (0.0,) * len(self.request.fields)
 
 
-class HeardDriver(OwnRecording):
+class CaptureDriver(OwnRecording):
     """Plays what a bus carried: the source's own driver makes samples of it, as it did when it was heard.
 
     Args:
@@ -87,8 +86,8 @@ class HeardDriver(OwnRecording):
         self.counts = line.counts
 
     def blocks(self, path: Path, header: RawHeader) -> Iterator[SampleBlock]:
-        for piece in heard.read_pieces(path):
-            block = self._line.hear(piece.text, piece.beside)
+        for piece in capture.read_pieces(path):
+            block = self._line.decode_capture(piece.text, piece.beside)
             if len(block):
                 yield replace(block, arrival_ns=piece.arrival_ns, wall_offset_ns=piece.wall_offset_ns)
 
@@ -100,7 +99,7 @@ def _header(path: Path) -> RawHeader:
     """Read a recording's header as a driver does. Raises DriverConfigError."""
     try:
         if path.suffix != blocks.SUFFIX:
-            return heard.read_header(path)
+            return capture.read_header(path)
         with path.open("rb") as file:
             return blocks.read_header(file, path)
     except RecordingError as error:
@@ -110,21 +109,21 @@ def _header(path: Path) -> RawHeader:
 
 
 def _places(path: Path, header: RawHeader, fields: tuple[str, ...]) -> tuple[int, ...]:
-    lacking = [name for name in fields if name not in header.fields]
-    if lacking:
+    missing = [name for name in fields if name not in header.fields]
+    if missing:
         held = ", ".join(header.fields)
-        raise DriverConfigError(f"{path}: has no field {', '.join(lacking)}; fields are {held}")
+        raise DriverConfigError(f"{path}: has no field {', '.join(missing)}; fields are {held}")
     return tuple(header.fields.index(name) for name in fields)
 
 
 def is_own(path: Path) -> bool:
     """Tell whether a file is one of the agent's own recordings."""
-    return path.suffix == blocks.SUFFIX or heard.index_of(path).is_file()
+    return path.suffix == blocks.SUFFIX or capture.index_of(path).is_file()
 
 
 def without_indexes(paths: Sequence[Path]) -> list[Path]:
     """Return the recordings among the files of a folder: an index belongs to the log of its name."""
-    return [path for path in paths if path.suffix != heard.INDEX or not path.with_suffix("").is_file()]
+    return [path for path in paths if path.suffix != capture.INDEX or not path.with_suffix("").is_file()]
 
 
 def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
@@ -135,10 +134,10 @@ def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
     files: dict[str, list[Path]] = {}
     for path in paths:
         files.setdefault(_source_of(rig, path).name, []).append(path.absolute())
-    lacking = [source.name for source in rig.source if source.name not in files]
-    if lacking:
+    missing = [source.name for source in rig.source if source.name not in files]
+    if missing:
         advice = "give the recordings of every source"
-        raise RecordingError.at("", f"{paths[0]}: the source {', '.join(lacking)} is not in the recordings", advice)
+        raise RecordingError.at("", f"{paths[0]}: the source {', '.join(missing)} is not in the recordings", advice)
     fields = {source.name: tuple(source.map.values()) for source in rig.source}
     return {source.name: _driver(rig, source, files[source.name], fields[source.name]) for source in rig.source}
 
@@ -150,9 +149,9 @@ def own_recording(rig: RigConfig, path: Path) -> Driver:
     """
     source = _source_of(rig, path)
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
-    lacking = [name for name in channels if name not in source.map]
-    if lacking:
-        raise RecordingError.at("", f"{path}: {source.name} does not carry {', '.join(lacking)}", "replay all sources")
+    missing = [name for name in channels if name not in source.map]
+    if missing:
+        raise RecordingError.at("", f"{path}: {source.name} does not carry {', '.join(missing)}", "replay all sources")
     return _driver(rig, source, [path.absolute()], tuple(source.map[name] for name in channels))
 
 
@@ -180,4 +179,4 @@ def _driver(rig: RigConfig, source: Source, paths: Sequence[Path], fields: tuple
     if any(path.suffix == blocks.SUFFIX for path in paths):
         raise RecordingError.at("", f"{paths[0]}: recordings of {source.name} have two forms", "replay each by itself")
     own = SourceRequest(source.name, source.settings, fields, source.counter, rig.folder)
-    return HeardDriver(request, driver_class(source.driver)(own))
+    return CaptureDriver(request, driver_class(source.driver)(own))

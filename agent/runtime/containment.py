@@ -34,7 +34,7 @@ class IsolatedPipeline(Pipeline):
         self._given: Counter[str] = Counter()
         self._used_before = 0
         self._rejected_before: dict[str, Counter[str]] = {source: Counter() for source in sources}
-        self._told: list[Record] = []
+        self._reported: list[Record] = []
         self._standing = False
         self._now_ns, self._resumes_ns = 0, 0
         self._pause_ns = PAUSE_NS[0]
@@ -76,7 +76,7 @@ class IsolatedPipeline(Pipeline):
             return None
 
     def _with_news(self, records: Sequence[Record] | None) -> list[Record]:
-        found, self._told = [*self._told, *(records or ())], []
+        found, self._reported = [*self._reported, *(records or ())], []
         failed = next((record for record in found if _failed(record)), None)
         if failed is not None and not self._standing:
             self._standing = True
@@ -92,10 +92,10 @@ class IsolatedPipeline(Pipeline):
         self._pause_ns = min(2 * self._pause_ns, PAUSE_NS[1]) if again else PAUSE_NS[0]
         self._resumes_ns = self._now_ns + self._pause_ns
         message = f"the estimation failed and starts anew after {self._pause_ns / 1e9:g} s: {words}"
-        self._told.append(HealthEvent(self.config.rig.name, ESTIMATION, self.newest_ns, FAILURE, message))
+        self._reported.append(HealthEvent(self.config.rig.name, ESTIMATION, self.newest_ns, FAILURE, message))
         if not self._standing:
             self._standing = True
-            self._told.append(self._alarm(message, lost=True))
+            self._reported.append(self._alarm(message, lost=True))
         self._renew()
         for source in self._rejected_before:
             self._settle(source)

@@ -19,7 +19,7 @@ from agent.recording.source import is_own, own_recording, own_recordings, withou
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
 from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
-from agent.runtime.usability import Evidence, judge
+from agent.runtime.usability import Evidence, assess
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
 from agent.types import ClockRecord, Record, RunInfo
@@ -64,7 +64,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
             evidence.see(records)
             if writer is not None:
                 writer.publish(records)
-        faults = judge(rig, str(recordings[0]), evidence, *_whole_counts(pipeline, tracks, evidence))
+        faults = assess(rig, str(recordings[0]), evidence, *_whole_counts(pipeline, tracks, evidence))
     for fault in faults:
         log.warning("%s", fault)
         summary.advise(str(fault))
@@ -154,9 +154,9 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
         raise RecordingError.at(str(path), "a CAN log needs the CAN source it was heard on", advice)
     source, recording = sources[0], driver_class("can-log")
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
-    lacking = [name for name in channels if name not in source.map]
-    if lacking:
-        raise RecordingError.at(str(path), f"the CAN source does not carry {', '.join(lacking)}", "map every channel")
+    missing = [name for name in channels if name not in source.map]
+    if missing:
+        raise RecordingError.at(str(path), f"the CAN source does not carry {', '.join(missing)}", "map every channel")
     keys = recording.settings_model.model_fields.keys() & source.settings.model_fields_set
     layout = {key: getattr(source.settings, key) for key in keys}
     settings = recording.settings_model(path=path.absolute(), **layout)  # type: ignore[call-arg]

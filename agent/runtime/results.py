@@ -13,7 +13,7 @@ from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, Status
 
 _COLUMNS = ("value", "sd", "lower", "upper")
-MOST_TOLD = 10_000
+MOST_REPORTED = 10_000
 """Activations of alarms, and words of advice, that the document of a run tells, the newest; the database has all."""
 
 
@@ -47,7 +47,7 @@ class RunSummary:
     def advise(self, words: str) -> None:
         """Add words to the document's advice."""
         self._advice.append(words)
-        del self._advice[:-MOST_TOLD]
+        del self._advice[:-MOST_REPORTED]
 
     def _estimates(self, batch: EstimateBatch) -> None:
         valid = (batch.status == Status.VALID).sum(axis=0)
@@ -59,7 +59,7 @@ class RunSummary:
     def _alarm(self, change: AlarmTransition) -> None:
         if change.to_state == "UNACK":
             self._alarms.append(self._activation(change))
-            del self._alarms[:-MOST_TOLD]
+            del self._alarms[:-MOST_REPORTED]
             return
         for alarm in reversed(self._alarms):
             if (alarm["kind"], alarm["parameter"]) == (change.kind, change.parameter):

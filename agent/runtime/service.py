@@ -126,13 +126,13 @@ class RigRuntime:
             self._note_steps()
             self._emit(self.pipeline.compute())
             for source, arrival in taken:
-                self._judge(source, arrival, arrival.block.arrival_ns)
+                self._assess(source, arrival, arrival.block.arrival_ns)
 
     def finish(self) -> None:
         """Publish what the last samples lead to."""
         self._emit(self.pipeline.finish())
         for source, (cause, count) in self._episodes.finish().items():
-            self._tell(source, cause, count)
+            self._report(source, cause, count)
         if self.events is not None:
             self.events.finish()
 
@@ -141,7 +141,7 @@ class RigRuntime:
         if self.events is not None:
             self.events.poll()
 
-    def _judge(self, source: str, arrival: Arrival, now_ns: int) -> None:
+    def _assess(self, source: str, arrival: Arrival, now_ns: int) -> None:
         """Tell what was counted about a source, once an episode."""
         state = self.pipeline.acquisition.sources[source]
         restarts = state.indexer.restarts
@@ -152,19 +152,19 @@ class RigRuntime:
         restarts += faults.pop("restart", 0)
         due = self._episodes.step(source, Signs(restarts, lost, faults, state.gaps), now_ns)
         if due is not None:
-            self._tell(source, *due)
+            self._report(source, *due)
 
-    def _tell(self, source: str, cause: str, count: int) -> None:
+    def _report(self, source: str, cause: str, count: int) -> None:
         words = f"{source}: {cause}, counted {count} times" if count > 1 else f"{source}: {cause}"
         log.warning("%s: %s", source, words)
         self._emit([HealthEvent(self.config.rig.name, source, self._wall(), cause, words)])
 
     def _note_lateness(self, waited_ns: int) -> None:
-        told = self._lateness.step(waited_ns, self._wall())
-        for record in told:
+        reported = self._lateness.step(waited_ns, self._wall())
+        for record in reported:
             if isinstance(record, HealthEvent):
                 log.warning("%s", record.message)
-        self._emit(told)
+        self._emit(reported)
 
     def _note_steps(self) -> None:
         """Publish what time stamps mean from now on, before the rows that carry them, and each step of the clock."""
@@ -185,7 +185,7 @@ class RigRuntime:
         t_ns, lost, back = self._wall(), event.away, event.cause == "recovered"
         if back and not self._lost.get(source, False):
             return  # its samples have told already
-        self._episodes.told(source, round(event.at_s * 1e9), away=lost)
+        self._episodes.reported(source, round(event.at_s * 1e9), away=lost)
         log.warning("%s: %s", source, event.message)
         cause = event.kind or event.cause
         records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, cause, event.message)]
@@ -420,8 +420,8 @@ def run(
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:
-    lacking = [rig for rig in rigs if not rig.source]
-    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in lacking]
+    missing = [rig for rig in rigs if not rig.source]
+    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in missing]
     for rig in rigs:
         for i, source in enumerate(rig.source):
             if driver_class(source.driver).finite:

@@ -13,7 +13,7 @@ from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
 from agent.recording.recorder import Recorder
-from drivers.port import Counts, Driver, DriverConfigError, Heard, SampleBlock, SourceRequest
+from drivers.port import Capture, Counts, Driver, DriverConfigError, SampleBlock, SourceRequest
 from drivers.reconnect import LinkEvent, ReconnectingDriver
 
 QUEUE_SAMPLES = 120_000
@@ -58,7 +58,7 @@ class Connection:
         self.progress = 0
         self.make_recorder: Callable[[Driver], Recorder] | None = None
         self._recorder: Recorder | None = None
-        self._heard = False
+        self._received = False
         self._stop = threading.Event()
         self._wake = wake
         self._driver = driver
@@ -74,7 +74,7 @@ class Connection:
     def start(self) -> None:
         """Begin to read."""
         if self.make_recorder is not None:
-            self._driver.keep_heard()
+            self._driver.keep_capture()
         self._thread.start()
 
     def end(self) -> None:
@@ -133,26 +133,26 @@ class Connection:
             log.info("%s: %s", self._driver.request.name, note)
         noted = replace(block, wall_offset_ns=wall_ns() - monotonic_ns())
         if self.make_recorder is not None:
-            self._record(noted, self._driver.take_heard())
+            self._record(noted, self._driver.take_capture())
         if len(block):
-            self._tell_first()
+            self._report_first()
             self._put(noted)
         elif self._driver.counts != self._counted:
             self._count()
 
-    def _tell_first(self) -> None:
-        if not self._heard:
-            self._heard = True
+    def _report_first(self) -> None:
+        if not self._received:
+            self._received = True
             log.info("%s: delivers samples", self._driver.request.name)
 
-    def _record(self, block: SampleBlock, heard: Heard | None) -> None:
-        if heard is None and not len(block):
+    def _record(self, block: SampleBlock, received: Capture | None) -> None:
+        if received is None and not len(block):
             return
         if self._recorder is None and self.make_recorder is not None:
             self._recorder = self.make_recorder(self._driver)
             self._recorder.start()
         if self._recorder is not None:
-            self._recorder.record(block, heard)
+            self._recorder.record(block, received)
 
     def _say(self, event: LinkEvent) -> None:
         with self._lock:
@@ -223,8 +223,8 @@ def unordered_sources(config: RigConfig) -> list[int]:
     for number, source in enumerate(config.source):
         driver = _own_driver(config, source)
         counted = source.counter is not None or driver.counter_modulus is not None
-        lacking = {"device": True, "counter": not counted}.get(config.rig.clock, False)
-        if driver.stamped is False and lacking:
+        missing = {"device": True, "counter": not counted}.get(config.rig.clock, False)
+        if driver.stamped is False and missing:
             found.append(number)
     return found
 

@@ -23,7 +23,7 @@ UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LATEST_S = 9.2e9
 """Seconds that nanoseconds in 64 bits can count."""
 _CELL = re.compile(r'"([^"]*)" is no number')
-_UNFIT = re.compile(r"(.*?): (none of its \d+ frames fits: .*)")
+_UNUSABLE = re.compile(r"(.*?): (none of its \d+ frames fits: .*)")
 _COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
 
@@ -65,10 +65,10 @@ class Evidence:
             found += self._pace()
         return [Fault(name, what, advice) for what, advice in found]
 
-    def unfit(self) -> list[Fault]:
+    def unusable(self) -> list[Fault]:
         """Return the CAN logs that hold nothing of what is looked for."""
         advice = "see that the log is of this bus, and what the DBC file, source_address and j1939 ask for"
-        return [Fault(match[1], match[2], advice) for match in map(_UNFIT.fullmatch, self.notes) if match]
+        return [Fault(match[1], match[2], advice) for match in map(_UNUSABLE.fullmatch, self.notes) if match]
 
     def _pace(self) -> Iterator[tuple[str, str]]:
         steps = np.concatenate(self._steps) if self._steps else np.zeros(0, dtype=np.int64)
@@ -105,7 +105,7 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
         yield f'most of its rows cannot be read: "{text}" is no number', "see that columns and delimiter fit"
 
 
-def judge(config: RigConfig, name: str, evidence: Evidence, counts: Counts, refused: Counter[str]) -> list[Fault]:
+def assess(config: RigConfig, name: str, evidence: Evidence, counts: Counts, refused: Counter[str]) -> list[Fault]:
     """Return what to tell the user of a recording that was read; raise RecordingError where nothing of it is of use.
 
     counts: of its drivers. refused: samples that acquisition refused, by reason.
@@ -113,11 +113,11 @@ def judge(config: RigConfig, name: str, evidence: Evidence, counts: Counts, refu
     rejected = counts.rejected + refused
     faults = evidence.faults(name, counts.received, rejected) if config.rig.clock != "uniform" else []
     if not counts.received:
-        raise RecordingError(evidence.unfit() or [Fault(name, "holds no sample", "see what it holds")])
+        raise RecordingError(evidence.unusable() or [Fault(name, "holds no sample", "see what it holds")])
     left = counts.received - rejected.total()
     if left <= LITTLE * counts.received or (faults and not evidence.estimates):
         raise RecordingError(faults or [Fault(name, _counted(counts.received, rejected), "see what it holds")])
-    return faults + evidence.unfit()
+    return faults + evidence.unusable()
 
 
 def _counted(received: int, rejected: Counter[str]) -> str:

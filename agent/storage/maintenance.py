@@ -29,7 +29,7 @@ from agent.storage.read.proof import proven
 from agent.storage.recovery.salvage import Recovery, recover
 from agent.storage.write.command_socket import ask
 from agent.storage.write.store import Store
-from agent.storage.write.watermark import Receipts
+from agent.storage.write.watermark import Watermarks
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -49,7 +49,7 @@ _COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_he
 
 
 @contextmanager
-def told(path: Path | str) -> Iterator[None]:
+def reported(path: Path | str) -> Iterator[None]:
     """Turn what a disk refuses into a StoreError."""
     try:
         yield
@@ -103,11 +103,11 @@ def repair(path: Path | str) -> Recovery | None:
     except StoreHeldError as held:
         return _recovery(_ask_holder(path, "repair", held)["repaired"])
     try:
-        receipts = Receipts(lock.handle, private=lock.private)
-        words, torn = receipts.missing(path)
+        watermarks = Watermarks(lock.handle, private=lock.private)
+        words, torn = watermarks.missing(path)
         lost = "its header is damaged" if kind is Kind.DAMAGED else words if torn else None
         found = [lost] if lost else _problems_of(path)
-        return recover(path, found[0], receipts.highs) if found else None
+        return recover(path, found[0], watermarks.highs) if found else None
     finally:
         lock.release()
 

@@ -9,7 +9,7 @@ from drivers.can.bus import netlink as can_link
 from drivers.can.bus.bus import BusKeys, CanBus, DaemonBus, Filters, PythonCanBus
 from drivers.can.bus.kernel import KernelBus
 from drivers.can.bus.slcan import SlcanBus
-from drivers.can.codec.capture import HeardOnCan
+from drivers.can.codec.capture import CanCapture
 from drivers.can.codec.database import MessageCodec, load, message_codecs
 from drivers.can.codec.decoder import FrameDecoder
 from drivers.can.codec.error_frames import ErrorWatch
@@ -36,7 +36,7 @@ class CanSettings(BusKeys, FrameKeys):
     """Keys of a CAN source: the bus, the DBC file that describes it, and how samples lie in its frames."""
 
 
-class DbcDriver(HeardOnCan):
+class DbcDriver(CanCapture):
     """What live and recorded CAN share: the codecs of the messages asked for."""
 
     stamped: ClassVar[bool | None] = True
@@ -91,7 +91,7 @@ class CanDriver(DbcDriver):
         self._bus: CanBus | None = None
         self._opened = False
         self._due = 0.0
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     @property
     def retry_s(self) -> float:
@@ -124,8 +124,8 @@ class CanDriver(DbcDriver):
 
     def _look(self) -> None:
         """Report, once each, what is amiss about how the interface was set up."""
-        for hint in set(self.hints()) - self._told:
-            self._told.add(hint)
+        for hint in set(self.hints()) - self._reported:
+            self._reported.add(hint)
             self.report("bus setup", f"{self.request.name}: {hint}")
 
     def read(self, timeout_s: float) -> SampleBlock:

@@ -17,7 +17,7 @@ from weakref import WeakValueDictionary
 from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus.frames import ADDRESS, FIFO, MAX_REGISTERS, REMEMBERED, VALUE, Frames, ReplyError, Request
-from drivers.modbus.line_lock import Turns
+from drivers.modbus.line_lock import LineLock
 from drivers.modbus.units import POLITE_S, ROUNDING_S, SHORTEST_S, USUAL, LaterError, Unit
 from drivers.pipe import Pipe
 from drivers.port import DriverConfigError, DriverIOError
@@ -68,22 +68,22 @@ class ModbusLine:
         self.manner = ""
         self._connect = connect
         self._pause_s = pause_s
-        self._turns = Turns()
+        self._line_lock = LineLock()
         self._units: dict[int, Unit] = {}
         self._usual_s = 0.0
         self._unanswered = 0
-        self._heard_at = 0.0
+        self._received_at = 0.0
         self._newest: _Asked | None = None
         self._given_up: dict[int, _Asked] = {}
 
     def open(self) -> None:
         """Connect unless that is done; raises DriverIOError."""
-        with self._turns.taken(clock.monotonic()):
+        with self._line_lock.taken(clock.monotonic()):
             self._connected()
 
     def close(self) -> None:
         """Let go of the connection; the next request makes it anew."""
-        with self._turns.taken(clock.monotonic()):
+        with self._line_lock.taken(clock.monotonic()):
             self._drop()
 
     def ask(
@@ -102,7 +102,7 @@ class ModbusLine:
         line to the others, ReplyError for a missing or wrong answer, DriverIOError when the line is gone.
         """
         unit = self._units.setdefault(request.unit, Unit())
-        with self._turns.taken(clock.monotonic() + POLITE_S if unit.is_lost else urgent_at):
+        with self._line_lock.taken(clock.monotonic() + POLITE_S if unit.is_lost else urgent_at):
             self._wait_for(unit)
             if request.count in unit.lost:
                 self._come_level(request, unit, timeout_s, faults, spare)
@@ -176,7 +176,7 @@ class ModbusLine:
         """Leave the silence that RTU wants between frames, and forget what came unasked: whose turn it was sent it."""
         if self._pause_s is None:
             return
-        clock.sleep(max(0.0, self._heard_at + self._pause_s - clock.monotonic()))
+        clock.sleep(max(0.0, self._received_at + self._pause_s - clock.monotonic()))
         stray, sender = pipe.drain(0.0), self._newest
         if stray:
             (faults if sender is None else sender.faults)["stray bytes"] += stray
@@ -201,7 +201,7 @@ class ModbusLine:
         except DriverIOError as error:
             raise _EndedError(str(error), amid=self.frames.partial(data)) from error
         finally:
-            self._heard_at = clock.monotonic()
+            self._received_at = clock.monotonic()
             for number in self.frames.late if data else ():
                 self._came_late(self._given_up.get(number, asked))
         if answer is None:
@@ -210,7 +210,7 @@ class ModbusLine:
 
     def _came_late(self, asked: _Asked) -> None:
         asked.faults["late reply"] += 1
-        asked.unit.late(self._heard_at - min(asked.unit.lost.values(), default=asked.at))
+        asked.unit.late(self._received_at - min(asked.unit.lost.values(), default=asked.at))
 
     def _silence(self, data: bytes, request: Request) -> ReplyError:
         if self._pause_s is None and self.frames.partial(data):

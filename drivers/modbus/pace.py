@@ -79,7 +79,7 @@ class Pace:
         self._late = 0
         self.carried = Carried(0, 0, 0.0, 0.0)
         """What the link carried in the newest read, or in all since the first of those that came too late in a row."""
-        self._slow_until = self._told_until = -inf
+        self._slow_until = self._reported_until = -inf
 
     @property
     def slow(self) -> bool:
@@ -97,11 +97,11 @@ class Pace:
         if self.carried.keeps_up:
             return False
         now = clock.monotonic()
-        told = now < self._told_until
-        news = not told and self.carried.carries < self.carried.needed
+        reported = now < self._reported_until
+        news = not reported and self.carried.carries < self.carried.needed
         self._slow_until = now + SLOW_S
-        if told or news:
-            self._told_until = now + SLOW_S
+        if reported or news:
+            self._reported_until = now + SLOW_S
         return news
 
     def resume(self, head: int) -> int:

@@ -104,11 +104,11 @@ class ModbusSettings(DriverSettings):
     @model_validator(mode="after")
     def _fields_have_addresses(self) -> Self:
         wants = self.mode == "poll"
-        lacking = [field.name for field in self.fields if (field.address is None) == wants]
-        if lacking and self.mode == "poll":
-            raise ValueError(f'mode "poll" needs an address for every field; {", ".join(lacking)} have none')
-        if lacking:
-            raise ValueError(f'mode "{self.mode}" packs its fields; {", ".join(lacking)} must not have an address')
+        absent = [field.name for field in self.fields if (field.address is None) == wants]
+        if absent and self.mode == "poll":
+            raise ValueError(f'mode "poll" needs an address for every field; {", ".join(absent)} have none')
+        if absent:
+            raise ValueError(f'mode "{self.mode}" packs its fields; {", ".join(absent)} must not have an address')
         return self
 
     @model_validator(mode="after")

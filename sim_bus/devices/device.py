@@ -8,12 +8,12 @@ from typing import Any, Protocol, TypeVar
 from pydantic import BaseModel
 
 from sim_bus.clock import PlayClock
-from sim_bus.devices.oscillator import OwnClock, OwnTape, Pace
+from sim_bus.devices.oscillator import OwnClock, OwnTrajectory, Pace
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import LineFaults, strikes
 from sim_bus.rig.rigfile import RigFile, Source, checked
 from sim_bus.rig.scenario import Scenario
-from sim_bus.rig.trajectory import Tape
+from sim_bus.rig.trajectory import Trajectory
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
 
@@ -58,10 +58,10 @@ class Bench:
     """
 
     rig: RigFile
-    tape: Tape
+    trajectory: Trajectory
     clock: PlayClock
     scenario: Scenario
-    own_tapes: dict[int, OwnTape] = field(default_factory=dict)
+    own_trajectories: dict[int, OwnTrajectory] = field(default_factory=dict)
 
     def pace(self, number: int) -> Pace | None:
         """Return how a source's device samples; None where it does so with the rig."""
@@ -81,13 +81,13 @@ class Bench:
             raise SimUsageError("--fast: devices that sample at other rates (rate_hz) are played in real time only")
         return OwnClock(self.clock, pace)
 
-    def tape_of(self, number: int) -> Tape:
+    def trajectory_of(self, number: int) -> Trajectory:
         """Return what a source's device reads."""
         pace = self.pace(number)
         if pace is None:
-            return self.tape
-        made = OwnTape(self.tape, pace, self.scenario.seed + number)
-        self.own_tapes[number] = made
+            return self.trajectory
+        made = OwnTrajectory(self.trajectory, pace, self.scenario.seed + number)
+        self.own_trajectories[number] = made
         return made
 
     def faults(self, number: int, *, text: bool = False) -> LineFaults:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bus.clock import PlayClock
-from sim_bus.rig.trajectory import CHUNK, Chunk, Rig, Tape
+from sim_bus.rig.trajectory import CHUNK, Chunk, Rig, Trajectory
 
 FloatArray = NDArray[np.float64]
 _MOST_JITTER = 0.45
@@ -41,7 +41,7 @@ class Pace:
         return self.rigs_hz / self.rate_hz * self.slowness
 
 
-class OwnTape(Tape):
+class OwnTrajectory(Trajectory):
     """What one device reads of the rig by its own clock, in the same chunks.
 
     Args:
@@ -52,12 +52,12 @@ class OwnTape(Tape):
     Its chunks hold readings and nothing else.
     """
 
-    def __init__(self, tape: Tape, pace: Pace, seed: int) -> None:
-        super().__init__(tape.rig)
-        self._rigs = tape
+    def __init__(self, trajectory: Trajectory, pace: Pace, seed: int) -> None:
+        super().__init__(trajectory.rig)
+        self._rigs = trajectory
         self._pace = pace
         self._rng = np.random.default_rng([seed, 7])
-        self._sensors = tape.rig.more_sensors(pace.rate_hz)
+        self._sensors = trajectory.rig.more_sensors(pace.rate_hz)
         self.readings: list[FloatArray] = []
 
     def _make(self) -> None:

@@ -161,7 +161,7 @@ def make_stream(bench: Bench, number: int) -> Stream:
     else:
         numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
         pack = binary_packer(settings)
-    feed = Feed(bench.tape_of(number), bench.rig, source, numbers, pack, faults.strikes)
+    feed = Feed(bench.trajectory_of(number), bench.rig, source, numbers, pack, faults.strikes)
     return Stream(source.name, feed, bench.clock_of(number), lambda _index, row: row, faults)
 
 

@@ -134,8 +134,8 @@ class Stream:
             self._clock.take(self.source, self._next)
 
     def _fast_head(self) -> int:
-        heard = self.outlets and not any(outlet.pending for outlet in self.outlets)
-        return self._clock.head_for(self.source, FAST_ROOM) if heard else self._next
+        received = self.outlets and not any(outlet.pending for outlet in self.outlets)
+        return self._clock.head_for(self.source, FAST_ROOM) if received else self._next
 
     def _emit(self, first: int, end: int) -> None:
         if not self._clock.fast:

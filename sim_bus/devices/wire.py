@@ -15,7 +15,7 @@ from sim_bus.devices.wire_faults import NumberFaults
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import Strike
 from sim_bus.rig.rigfile import RigFile, Source
-from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Tape
+from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Trajectory
 
 FloatArray = NDArray[np.float64]
 NumberArray = NDArray[np.int64] | NDArray[np.float64]
@@ -87,15 +87,15 @@ class Feed:
     """
 
     def __init__(
-        self, tape: Tape, rig: RigFile, source: Source, numbers: Sequence[WireNumber], pack: Pack,
+        self, trajectory: Trajectory, rig: RigFile, source: Source, numbers: Sequence[WireNumber], pack: Pack,
         strikes: Sequence[Strike] = (),
     ) -> None:  # fmt: skip
-        self._tape = tape
+        self._trajectory = trajectory
         self._numbers = tuple(numbers)
         self._pack = pack
         self._channels = list(rig.channel)
         self._columns = _columns(rig, source, {number.name for number in numbers})
-        tape.rig.carried.update({self._columns[n.name]: n.bounds for n in numbers if n.name in self._columns})
+        trajectory.rig.carried.update({self._columns[n.name]: n.bounds for n in numbers if n.name in self._columns})
         self._counters = _counters(source, self._numbers)
         tops = {number.name: number.high for number in numbers}
         self._faults = NumberFaults(strikes, [(field, tops[field]) for field in source.map.values()])
@@ -136,7 +136,7 @@ class Feed:
         for made, rows in reversed(self._rows):
             if made == number:
                 return rows
-        raw, held = self.raw(self._tape.chunk(number))
+        raw, held = self.raw(self._trajectory.chunk(number))
         rows = self._pack(raw)
         self._rows.append((number, rows))
         self._remember(number, held)

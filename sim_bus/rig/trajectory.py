@@ -204,7 +204,7 @@ def _paths(scenario: Scenario, rate: float) -> list[WearPath]:
     return [WearPath(wear, rate, (scenario.seed, 6, number)) for number, wear in enumerate(scenario.wear)]
 
 
-class Tape:
+class Trajectory:
     """Chunks by number, made in order on demand, the newest kept; safe to be shared by the devices' threads.
 
     Args:

@@ -17,13 +17,13 @@ from sim_bus.devices.can import device as can_device
 from sim_bus.devices.can import slcan as slcan_device
 from sim_bus.devices.device import Bench
 from sim_bus.devices.modbus.units import make_unit
-from sim_bus.devices.oscillator import OwnTape
+from sim_bus.devices.oscillator import OwnTrajectory
 from sim_bus.errors import SimUsageError
 from sim_bus.player import ledger_of
 from sim_bus.rig.faults import check, strikes
 from sim_bus.rig.rigfile import RigFile, read_rig
 from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario, scenario_path
-from sim_bus.rig.trajectory import CHUNK, Rig, Tape
+from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
 from sim_bus.rig.truth import TruthRecorder
 from sim_bus.virtual_time.played import START_NS, Line, ModbusLine, PlayedSource, PlayedTime, StreamLine
 
@@ -52,13 +52,13 @@ class PlayedBench:
         rate = self._file.rig.sample_rate_hz
         self._rig = Rig(self._file, scenario)
         self._truth = TruthRecorder(self._rig, rate)
-        self._tape = Tape(self._rig, self._truth.keep)
+        self._trajectory = Trajectory(self._rig, self._truth.keep)
         self.total = round(scenario.duration_s * rate)
         if not self.total:
             raise SimUsageError(f"duration_s: {scenario.duration_s:g} s are less than a sample of {1.0 / rate:g} s")
         self._times = {name: PlayedTime() for name in self.sources}
         self._lines: dict[str, Line] = {}
-        self._own: dict[int, OwnTape] = {}
+        self._own: dict[int, OwnTrajectory] = {}
         self._machines = {name: self._machine(number, name) for number, name in enumerate(self.sources)}
 
     @property
@@ -80,10 +80,10 @@ class PlayedBench:
         time = self._times[name]
         clock = PlayClock(self._file.rig.sample_rate_hz, self.total, (name,), "ready", now_ns=time)
         clock.ready()
-        bench = Bench(self._file, self._tape, clock, self.scenario)
+        bench = Bench(self._file, self._trajectory, clock, self.scenario)
         self._lines[name] = self._line(bench, number, time)
         time.begin()
-        self._own |= bench.own_tapes
+        self._own |= bench.own_trajectories
         return PlayedSource(time, self._lines[name])
 
     def _line(self, bench: Bench, number: int, time: PlayedTime) -> Line:
@@ -121,12 +121,12 @@ class PlayedBench:
 
     def finish(self) -> Mapping[str, Any]:
         """Return what a truth file holds of the whole scenario, the ledger as text in it."""
-        self._tape.chunk((self.total - 1) // CHUNK)
+        self._trajectory.chunk((self.total - 1) // CHUNK)
         ledger = ledger_of(self._file, self.scenario, self._rig, self._lines.values(), self.total)
         arrays = self._truth.arrays(self.total, ledger)
-        for number, tape in self._own.items():
-            tape.chunk((self.total - 1) // CHUNK)
-            self._own_readings(arrays["readings"], number, np.concatenate(tape.readings)[: self.total])
+        for number, trajectory in self._own.items():
+            trajectory.chunk((self.total - 1) // CHUNK)
+            self._own_readings(arrays["readings"], number, np.concatenate(trajectory.readings)[: self.total])
         return arrays
 
     def _own_readings(self, readings: Any, number: int, own: Any) -> None:

@@ -53,7 +53,7 @@ class Line(ABC):
         """Meet a reader; DriverIOError while there is nothing to be opened."""
 
     @abstractmethod
-    def hear(self, data: bytes) -> None:
+    def take_bytes(self, data: bytes) -> None:
         """Take what the reader wrote."""
 
     @abstractmethod
@@ -82,7 +82,7 @@ class PlayedPipe(Pipe):
         raise DriverIOError(f"{self.name}: a played line has no descriptor")
 
     def send(self, protocol: str, data: bytes) -> None:
-        self._line.hear(data)
+        self._line.take_bytes(data)
 
     def _read(self) -> bytes:
         return self._line.take()
@@ -152,9 +152,9 @@ class StreamLine(Line):
             self._reader = _Called(self._stream, self._channel)
             self._reader.greet()
 
-    def hear(self, data: bytes) -> None:
+    def take_bytes(self, data: bytes) -> None:
         if isinstance(self._reader, _Called):
-            self._reader.hear(data)
+            self._reader.take_bytes(data)
 
     def take(self) -> bytes:
         self._stream.step()
@@ -187,28 +187,28 @@ class ModbusLine(Line):
         self._sent = 0
 
     def _gone(self) -> bool:
-        return self._unit.suffers("disconnect")
+        return self._unit.has_fault("disconnect")
 
     def open(self, name: str) -> None:
         if self._gone():
             raise DriverIOError(f"{name}: {'No such file or directory' if self._serial else 'Connection refused'}")
-        if self._unit.suffers("black-hole"):
+        if self._unit.has_fault("black-hole"):
             self._time.pass_until(self._time.now_ns + round(self._unit.settings.timeout_s * 1e9))
             raise DriverIOError(f"{name}: timed out")
         if not self._serial:
             self._coming.clear()
         self._opened = self._unit.newest()
 
-    def hear(self, data: bytes) -> None:
+    def take_bytes(self, data: bytes) -> None:
         adu = self._answers.reply(data)
         if adu is None:
             return
-        for delay_s, piece in self._faults.deliveries(adu, self._unit.suffering(self._opened)):
+        for delay_s, piece in self._faults.deliveries(adu, self._unit.active_faults(self._opened)):
             self._sent += 1
             heapq.heappush(self._coming, (self._time.now_ns + round((ANSWER_S + delay_s) * 1e9), self._sent, piece))
 
     def take(self) -> bytes:
-        if self._gone() or self._unit.suffers("accept-close"):
+        if self._gone() or self._unit.has_fault("accept-close"):
             raise DriverIOError("the device closed the connection")
         data = b""
         while self._coming and self._coming[0][0] <= self._time.now_ns:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario
-from sim_bus.rig.trajectory import CHUNK, Rig, Tape
+from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
 from tests.peers import ROOT
 
 EXAMPLES = ROOT / "deploy" / "examples"
@@ -86,8 +86,8 @@ def configure(folder: Path, each: int) -> Path:
 
 def readings(config: Path, samples: int) -> NDArray[np.int64]:
     """Return (samples, 3) raw numbers of a healthy rig under a random force."""
-    tape = Tape(Rig(read_rig(config), load_scenario("steady", {})))
-    values = np.concatenate([tape.chunk(number).readings for number in range(-(-samples // CHUNK))])[:samples]
+    trajectory = Trajectory(Rig(read_rig(config), load_scenario("steady", {})))
+    values = np.concatenate([trajectory.chunk(number).readings for number in range(-(-samples // CHUNK))])[:samples]
     return np.clip(np.rint(values / STEPS), -(2**15), 2**15 - 1).astype(np.int64)
 
 
@@ -128,7 +128,7 @@ def replayed(config: Path, raw: NDArray[np.int64], each: int) -> tuple[dict[str,
     return document, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def told(found: Cost) -> str:
+def reported(found: Cost) -> str:
     """Return a measurement in words."""
     counted = f"{found.frames:,} frames, {found.samples:,} samples, {found.rows:,} rows"
     start = f"the start of {found.start:.1f} s"
@@ -138,4 +138,4 @@ def told(found: Cost) -> str:
 
 if __name__ == "__main__":
     for some in PARTS:
-        print(told(measure(some)), flush=True)
+        print(reported(measure(some)), flush=True)

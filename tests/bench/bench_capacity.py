@@ -211,9 +211,9 @@ def measure(bus: str, rigs: int) -> Capacity:
         assert _line(player) == "ready\n"
         listener = _part(stack, "agent", name, *configs)
         assert _line(listener) == "warm\n"
-        _tell(player)
+        _report(player)
         found = json.loads(_line(listener))
-        _tell(player)
+        _report(player)
         played = json.loads(_line(player))
     lost: Counter[str] = Counter()
     for one in found["samples"]:
@@ -237,13 +237,13 @@ def _line(process: "subprocess.Popen[str]") -> str:
     return process.stdout.readline()
 
 
-def _tell(process: "subprocess.Popen[str]") -> None:
+def _report(process: "subprocess.Popen[str]") -> None:
     assert process.stdin is not None
     process.stdin.write("\n")
     process.stdin.flush()
 
 
-def told(bus: str, found: Capacity) -> str:
+def reported(bus: str, found: Capacity) -> str:
     """Return a measurement in words."""
     ranked = sorted(found.cost.items(), key=lambda item: -item[1])
     costs = ", ".join(f"{stage} {100 * cost:.1f} %" for stage, cost in ranked)
@@ -264,7 +264,7 @@ def main(arguments: list[str]) -> None:
     elif arguments[0] == "agent":
         agent(arguments[2:], Path(arguments[1]))
     else:
-        print(told(arguments[0], measure(arguments[0], int(arguments[1]))))
+        print(reported(arguments[0], measure(arguments[0], int(arguments[1]))))
 
 
 if __name__ == "__main__":

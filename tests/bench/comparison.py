@@ -56,32 +56,32 @@ def score(found: Estimates, record: Record) -> Score:
     behind = np.min([np.where(found.index >= s, found.index - s, END) for s, _ in JUMPS], axis=0)
     after_jump = (found.index < DRIFT_FROM) & (behind >= WINDOW - 1)
     in_drift = found.index >= DRIFT_FROM + WINDOW
-    judged = found.valid & np.isfinite(error)
+    assessed = found.valid & np.isfinite(error)
     inside = np.abs(error) <= found.half
-    counted = judged & after_jump[:, None]
-    shown, everything = found.shown - record.theta[found.index], np.ones_like(judged)
+    counted = assessed & after_jump[:, None]
+    shown, everything = found.shown - record.theta[found.index], np.ones_like(assessed)
     return Score(
-        jump=_rms(error, judged, after_jump),
+        jump=_rms(error, assessed, after_jump),
         jump_shown=_rms(shown, everything, after_jump),
-        drift=_rms(error, judged, in_drift),
+        drift=_rms(error, assessed, in_drift),
         drift_shown=_rms(shown, everything, in_drift),
-        bad=1.0 - float(np.mean(judged[after_jump | in_drift])),
-        delay_s=float(np.mean([_delay(found, error, judged, start) for start, _ in JUMPS[1:]])),
+        bad=1.0 - float(np.mean(assessed[after_jump | in_drift])),
+        delay_s=float(np.mean([_delay(found, error, assessed, start) for start, _ in JUMPS[1:]])),
         coverage=float(np.mean(inside[counted])) if counted.any() else float("nan"),
         microseconds=found.microseconds,
     )
 
 
-def _rms(error: FloatArray, judged: NDArray[np.bool_], rows: NDArray[np.bool_]) -> float:
+def _rms(error: FloatArray, assessed: NDArray[np.bool_], rows: NDArray[np.bool_]) -> float:
     """Per cent of nominal, mean over parameters; nan where a parameter has no row that counts."""
-    columns = [error[judged[:, i] & rows, i] / NOMINAL[i] for i in range(error.shape[1])]
+    columns = [error[assessed[:, i] & rows, i] / NOMINAL[i] for i in range(error.shape[1])]
     return float(np.mean([100.0 * np.sqrt(np.mean(c**2)) if len(c) else np.nan for c in columns]))
 
 
-def _delay(found: Estimates, error: FloatArray, judged: NDArray[np.bool_], start: int) -> float:
+def _delay(found: Estimates, error: FloatArray, assessed: NDArray[np.bool_], start: int) -> float:
     """Seconds from a jump to the row from which nothing leaves its limit; 1 where that does not come."""
     rows = (found.index >= start) & (found.index < start + 1000)
-    wrong = np.any(judged[rows] & ~(np.abs(error[rows]) <= LIMITS), axis=1) | ~np.any(judged[rows], axis=1)
+    wrong = np.any(assessed[rows] & ~(np.abs(error[rows]) <= LIMITS), axis=1) | ~np.any(assessed[rows], axis=1)
     last = np.flatnonzero(wrong)
     first = 0 if not len(last) else int(last[-1]) + 1
     times = found.index[rows]
@@ -92,8 +92,10 @@ def tuning_score(record: Record) -> Callable[[Estimates], float]:
     """What tuning minimises: the mean of both errors, rows that are not given or not finite count as 100 per cent."""
 
     def total(found: Estimates) -> float:
-        judged = score(found, record)
-        return float(np.nan_to_num(judged.jump, nan=1e9) + np.nan_to_num(judged.drift, nan=1e9) + 100.0 * judged.bad)
+        assessed = score(found, record)
+        return float(
+            np.nan_to_num(assessed.jump, nan=1e9) + np.nan_to_num(assessed.drift, nan=1e9) + 100.0 * assessed.bad
+        )
 
     return total
 
@@ -135,8 +137,8 @@ def shift_by_past(contender: Contender, sigma: float) -> float:
     records = two_pasts(theta, other, contender.window + 1750, contender.window, sigma)
     one, two = (contender.run(record) for record in records)
     shift = 100.0 * np.abs(one.theta[-1] - two.theta[-1]) / NOMINAL
-    judged = one.valid[-1] & two.valid[-1]
-    return float(np.max(shift[judged])) if judged.any() else float("nan")
+    assessed = one.valid[-1] & two.valid[-1]
+    return float(np.max(shift[assessed])) if assessed.any() else float("nan")
 
 
 def joint_ekf_and_filterpys_own() -> tuple[float, float]:

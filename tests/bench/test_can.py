@@ -30,10 +30,10 @@ FIELDS = ("RIG_SAMPLE.Force", "RIG_SAMPLE.X1", "RIG_SAMPLE.X2")
 COUNTER = "RIG_SAMPLE.Counter"
 
 
-def least(turns: int, work: Callable[[], object]) -> float:
+def least(line_lock: int, work: Callable[[], object]) -> float:
     """Return the shortest time of some turns, s."""
     found = float("inf")
-    for _ in range(turns):
+    for _ in range(line_lock):
         begun = time.perf_counter()
         work()
         found = min(found, time.perf_counter() - begun)

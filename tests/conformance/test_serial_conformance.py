@@ -36,7 +36,7 @@ class BinaryLine(Line):
         self.folder = Path(tempfile.mkdtemp())
         self.played = 0
         self.master = -1
-        self.heard: list[bytes] = []
+        self.captured: list[bytes] = []
         self.restore()
 
     def keys(self) -> dict[str, Any]:
@@ -77,13 +77,13 @@ class BinaryLine(Line):
         (self.folder / "line").symlink_to(os.ttyname(self.slave))
 
     def written(self) -> Sequence[bytes]:
-        return self.heard
+        return self.captured
 
     def close(self) -> None:
         if self.master >= 0:
             os.set_blocking(self.master, False)
             with contextlib.suppress(BlockingIOError):
-                self.heard.append(os.read(self.master, 4096))
+                self.captured.append(os.read(self.master, 4096))
         self.kill()
         shutil.rmtree(self.folder)
 

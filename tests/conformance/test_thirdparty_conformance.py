@@ -43,7 +43,7 @@ class GatewayLine(Line):
         self.folder = tempfile.TemporaryDirectory()
         self.path = str(Path(self.folder.name) / "s")
         self.played = 0
-        self.heard: list[bytes] = []
+        self.captured: list[bytes] = []
         self.clients: list[socket.socket] = []
         self.changed = threading.Condition()
         self.up = False
@@ -72,18 +72,18 @@ class GatewayLine(Line):
             self.listener.close()
             Path(self.path).unlink()
             for client in self.clients:
-                self.hear(client)
+                self.decode_capture(client)
                 client.close()
             self.clients.clear()
 
-    def hear(self, client: socket.socket) -> None:
+    def decode_capture(self, client: socket.socket) -> None:
         client.setblocking(False)
         try:
             data = client.recv(4096)
         except OSError:
             data = b""
         if data:
-            self.heard.append(data)
+            self.captured.append(data)
 
     def restore(self) -> None:
         self.accepted = self.seen = 0
@@ -106,7 +106,7 @@ class GatewayLine(Line):
                 self.changed.notify_all()
 
     def written(self) -> Sequence[bytes]:
-        return self.heard
+        return self.captured
 
     def bad_requests(self) -> Sequence[Callable[[], SourceRequest]]:
         return [lambda: replace(self.request(), fields=("force", "humidity"))]

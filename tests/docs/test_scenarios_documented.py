@@ -29,8 +29,8 @@ def test_every_key_of_a_scenario_is_documented(part: type[BaseModel]) -> None:
 def test_every_fault_is_documented_as_it_is(driver: str) -> None:
     for name, kind in KNOWN[driver].items():
         lasts = f"{kind.lasts_s:g} s" if kind.lasts_s else "a sample"
-        told = kind.cause or "(nothing to tell)"
-        assert f"| `{driver}.{name}` | {kind.words} | {lasts} | {told} |" in TEXT
+        reported = kind.cause or "(nothing to tell)"
+        assert f"| `{driver}.{name}` | {kind.words} | {lasts} | {reported} |" in TEXT
 
 
 def test_every_fault_stands_beside_what_happens_in_the_field() -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agent.evaluation.score.measures import Judge
+from agent.evaluation.score.measures import Assessment
 from agent.evaluation.score.play import play
 from sim_bus.rig.scenario import load_scenario
 from sim_bus.virtual_time.bench import PlayedBench
@@ -161,13 +161,13 @@ displacement = 1e-6
 class Run:
     """What came of a fault."""
 
-    judge: Judge
+    assess: Assessment
     found: dict[str, Any]
 
     @property
     def lost(self) -> set[int]:
         """The samples of which nothing was used."""
-        matched = self.judge.matched
+        matched = self.assess.matched
         return set(range(self.found["samples"]["played"])) - set(matched.number[matched.whole].tolist())
 
     @property
@@ -196,5 +196,5 @@ def run(line: str, faults: list[str], folder: Path, duration_s: float = 4.0) -> 
     scenario = folder / "scenario.toml"
     scenario.write_text(SCENARIO.format(duration=duration_s), encoding="utf-8")
     bench = PlayedBench(write_rig(line, folder), load_scenario(str(scenario), {}).with_faults(faults))
-    judge = Judge(play(bench, lambda _share: None), bench.strikes())
-    return Run(judge, judge.document())
+    assess = Assessment(play(bench, lambda _share: None), bench.strikes())
+    return Run(assess, assess.document())

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from agent.evaluation.score.measures import Judge
+from agent.evaluation.score.measures import Assessment
 from agent.evaluation.score.play import open_bench, play
 from sim_bus.rig.fault_names import KNOWN, names
 from tests.faults.played import RATE, Run, run
@@ -87,7 +87,7 @@ def test_fault_is_counted_to_the_sample_told_once_and_in_no_estimate(name: str, 
     assert samples["balanced"], samples
     assert found.causes == ([CAUSES[name]] if CAUSES[name] else [])
     assert found.found["spoilt_rows"] == 0
-    assert len(found.judge.matched.number) > AT_S * RATE
+    assert len(found.assess.matched.number) > AT_S * RATE
     assert found.found["faults"][0]["recovery_s"] < 2.0
     refused = samples["rejected"].get("backwards", 0) if name.partition(".")[2] in STRANGE_COUNT else 0
     spikes = samples["rejected"].get("spike", 0)
@@ -105,26 +105,26 @@ def gaps(found: Run) -> int:
 def test_shadow_shows_the_wrong_bits_that_a_line_without_a_check_lets_through(tmp_path: Path) -> None:
     """What holds above would hold for a blind oracle too: this one sees."""
     found = run("bare", [f"serial.corrupt@{AT_S}s+0.3s"], tmp_path, AT_S + 0.8)
-    assert int(found.judge.matched.spoilt.sum()) >= 3
+    assert int(found.assess.matched.spoilt.sum()) >= 3
 
 
 NOT_TOLD_FROM_OTHERS = {"sensor.drift"}
 """What bends the fit so slowly that which channel it was cannot be said in a second and a half."""
 
 
-def sensor_run(name: str) -> tuple[Judge, dict[str, Any], list[tuple[int, int]]]:
+def sensor_run(name: str) -> tuple[Assessment, dict[str, Any], list[tuple[int, int]]]:
     """Play two masses at 1 kHz with a sensor that fails; return the verdict, and the runs of wrong readings."""
     bench = open_bench("healthy", [f"{name}@1.5s+1.5s"])
-    judge = Judge(play(bench, lambda _share: None), bench.strikes())
-    touched = judge.truth.ledger["sensors"]["x2"]["affected"]
-    return judge, judge.document(), [run for runs in touched.values() for run in runs] or [(1500, 2999)]
+    assess = Assessment(play(bench, lambda _share: None), bench.strikes())
+    touched = assess.truth.ledger["sensors"]["x2"]["affected"]
+    return assess, assess.document(), [run for runs in touched.values() for run in runs] or [(1500, 2999)]
 
 
-def valid_over(judge: Judge, runs: list[tuple[int, int]]) -> int:
+def valid_over(assess: Assessment, runs: list[tuple[int, int]]) -> int:
     """Count the rows with a valid estimate whose windows hold a wrong reading."""
-    assert judge.rows is not None
-    index, valid = judge.rows.index, judge.rows.valid.any(axis=1)
-    first = index - judge.rows.window.max(axis=1) + 1
+    assert assess.rows is not None
+    index, valid = assess.rows.index, assess.rows.valid.any(axis=1)
+    first = index - assess.rows.window.max(axis=1) + 1
     assert valid[index < 1500].any()
     return int(sum(((index >= begin) & (first <= end) & valid).sum() for begin, end in runs))
 
@@ -132,18 +132,18 @@ def valid_over(judge: Judge, runs: list[tuple[int, int]]) -> int:
 @pytest.mark.parametrize("name", [name for name in OF_SENSORS if name != "sensor.spikes"])
 def test_fault_of_a_sensor_is_an_alarm_of_its_channel_and_in_no_estimate(name: str) -> None:
     """From the first wrong reading on no estimate is valid, whether the other channels can tell which it was or not."""
-    judge, found, runs = sensor_run(name)
+    assess, found, runs = sensor_run(name)
     assert found["sensors"] == ([] if name in NOT_TOLD_FROM_OTHERS else ["x2"])
     assert found["samples"]["balanced"]
     assert (found["events"], found["alarms"]["false"]) == ([], [])
-    assert valid_over(judge, runs) == 0
+    assert valid_over(assess, runs) == 0
 
 
 def test_spikes_of_a_sensor_are_refused_one_by_one_and_estimates_go_on() -> None:
-    judge, found, runs = sensor_run("sensor.spikes")
+    assess, found, runs = sensor_run("sensor.spikes")
     spikes = sum(last - first + 1 for first, last in runs)
     assert found["samples"]["rejected"] == {"spike": spikes}
     assert [cause for _, cause in found["events"]] == ["spike"]
     assert (found["sensors"], found["alarms"]["false"], found["spoilt_rows"]) == ([], [], 0)
-    assert valid_over(judge, runs) > 20
+    assert valid_over(assess, runs) > 20
     assert max(of["rms_sd"] for of in found["parameters"].values()) < 1.5

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from agent.config import load
-from agent.evaluation.score.measures import Judge
+from agent.evaluation.score.measures import Assessment
 from agent.evaluation.score.play import Outcome, open_bench, play
 from agent.evaluation.score.score import _expectation, _failures
 from agent.runtime.replay import _ledger, _records, _tracks, make_pipeline
@@ -71,7 +71,7 @@ def shipped(name: str) -> tuple[Outcome, list[str]]:
     """Play a scenario that ships; return what the agent made of it, and in words what it expects and is not so."""
     bench = open_bench(name, [])
     outcome = play(bench, _unseen)
-    measures = Judge(outcome, bench.strikes()).document()
+    measures = Assessment(outcome, bench.strikes()).document()
     return outcome, _failures(_expectation(name, bench.expect), measures)
 
 

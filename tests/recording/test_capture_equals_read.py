@@ -75,14 +75,14 @@ def read_live(live: CanDriver, script: Sequence[Frames], seed: int) -> list[tupl
     """Read a bus to its end, with it going down and up on the way; return each block with what was heard of it."""
     rng = np.random.default_rng(seed)
     live.prepare()
-    live.keep_heard()
+    live.keep_capture()
     bus = live._bus = Script(script, live.counts, rng)
     found = []
     while bus.pieces:
         if rng.random() < 0.02:
             live.restart()
             live.counts.reopened += 1
-        found.append((live.read(0.0), live.take_heard()))
+        found.append((live.read(0.0), live.take_capture()))
     return found
 
 
@@ -90,11 +90,11 @@ def read_live(live: CanDriver, script: Sequence[Frames], seed: int) -> list[tupl
 @pytest.mark.parametrize("asked", [SINGLE, SPREAD, PAGES, ONE_PAGE])
 def test_recording_makes_the_samples_counts_and_notes_of_the_live_bus(asked: tuple[Any, str], seed: int) -> None:
     live, again = driver(*asked), driver(*asked)
-    for block, heard in read_live(live, pieces(seed, 300), seed):
-        if heard is None:
+    for block, capture in read_live(live, pieces(seed, 300), seed):
+        if capture is None:
             assert not len(block)
             continue
-        other = again.hear(heard.text(), heard.beside)
+        other = again.decode_capture(capture.text(), capture.beside)
         np.testing.assert_array_equal(other.values, block.values)
         for name in ("counter", "t_ns"):
             np.testing.assert_array_equal(getattr(other, name), getattr(block, name))
@@ -111,4 +111,4 @@ def test_driver_that_is_not_recorded_keeps_nothing() -> None:
     live.prepare()
     live._bus = Script(pieces(1, 10), live.counts, np.random.default_rng(1))
     live.read(0.0)
-    assert live.take_heard() is None
+    assert live.take_capture() is None

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from agent.errors import RecordingError
-from agent.recording import capture as heard
+from agent.recording import capture
 from agent.recording.header import RawHeader
 from agent.recording.recorder import Limits, Recorder, shelf
 from agent.recording.source import is_own
-from drivers.can.codec.capture import Keeper, candump_text, frames_heard, interface_name
+from drivers.can.codec.capture import Keeper, candump_text, captured_frames, interface_name
 from drivers.can.codec.frames import ERROR, EXTENDED, FD_FLAG, REMOTE, Frames, candump_frames, frames_of, pack_frame
-from drivers.port import DriverConfigError, Heard, SampleBlock
+from drivers.port import Capture, DriverConfigError, SampleBlock
 from tests import peers
 
 START = 1_767_225_600_123_456_789
@@ -47,7 +47,7 @@ def random_frames(count: int, seed: int = 3) -> Frames:
     return frames_of(rows, START + np.cumsum(rng.integers(1, 10**6, count)))
 
 
-def kept(pieces: Sequence[Frames], **counts: Any) -> list[Heard]:
+def kept(pieces: Sequence[Frames], **counts: Any) -> list[Capture]:
     keeper, found = Keeper("vcan0"), []
     for frames in pieces:
         keeper.add(frames, counts.get("dropped", {}), counts.get("text", 0), counts.get("reopened", 0))
@@ -57,7 +57,7 @@ def kept(pieces: Sequence[Frames], **counts: Any) -> list[Heard]:
     return found
 
 
-def recorded(folder: Path, pieces: Sequence[Heard]) -> Path:
+def recorded(folder: Path, pieces: Sequence[Capture]) -> Path:
     recorder = Recorder(folder, HEADER, ".log")
     recorder.start()
     for number, piece in enumerate(pieces):
@@ -87,7 +87,7 @@ def test_text_is_the_notation_of_can_utils() -> None:
 def test_text_is_read_back_as_the_same_frames() -> None:
     sent = every_kind()
     (piece,) = kept([sent])
-    got = frames_heard(piece.text(), piece.beside)
+    got = captured_frames(piece.text(), piece.beside)
     np.testing.assert_array_equal(got.t_ns, sent.t_ns)
     for name in ("id", "length", "data"):
         np.testing.assert_array_equal(got.table[name], sent.table[name])
@@ -143,12 +143,12 @@ def test_log2asc_turns_every_frame_into_vectors_form(tmp_path: Path) -> None:
 def test_pieces_come_back_byte_for_byte_with_their_times(tmp_path: Path) -> None:
     sent = kept([random_frames(1 + i % 9, seed=i) for i in range(100)], dropped={"kernel queue": 3})
     path = recorded(tmp_path, sent)
-    got = list(heard.read_pieces(path))
+    got = list(capture.read_pieces(path))
     assert [piece.text for piece in got] == [piece.text() for piece in sent]
     assert [piece.beside for piece in got] == [dict(piece.beside) for piece in sent]
     assert [piece.arrival_ns for piece in got] == [10**9 + i for i in range(100)]
     assert {piece.wall_offset_ns for piece in got} == {5}
-    assert heard.read_header(path) == HEADER
+    assert capture.read_header(path) == HEADER
     assert is_own(path)
 
 
@@ -172,7 +172,7 @@ def test_what_the_bus_lost_is_kept_as_it_grows() -> None:
 
 
 def short_index(path: Path) -> None:
-    index = heard.index_of(path)
+    index = capture.index_of(path)
     index.write_bytes(index.read_bytes()[:-3])
 
 
@@ -191,15 +191,15 @@ def test_damaged_recording_is_read_up_to_its_last_whole_piece(tmp_path: Path, da
     sent = kept([random_frames(4, seed=i) for i in range(5)])
     path = recorded(tmp_path, sent)
     damage(path)
-    assert [piece.text for piece in heard.read_pieces(path)] == [piece.text() for piece in sent[:4]]
+    assert [piece.text for piece in capture.read_pieces(path)] == [piece.text() for piece in sent[:4]]
 
 
 @pytest.mark.parametrize("line", ["", "{}", "[]", '{"format": "DELTAKHEARD9"}', "(1.0) can0 1#"])
 def test_index_that_is_none_is_refused(tmp_path: Path, line: str) -> None:
     path = recorded(tmp_path, kept([random_frames(4)]))
-    heard.index_of(path).write_text(line, encoding="utf-8")
+    capture.index_of(path).write_text(line, encoding="utf-8")
     with pytest.raises(RecordingError) as caught:
-        heard.read_header(path)
+        capture.read_header(path)
     assert caught.value.exit_code == 2
 
 
@@ -207,12 +207,12 @@ def test_index_that_is_none_is_refused(tmp_path: Path, line: str) -> None:
 def test_times_beside_that_make_no_sense_are_an_error(beside: dict[str, Any]) -> None:
     text = candump_text(random_frames(2), "can0")
     with pytest.raises(DriverConfigError, match="beside"):
-        frames_heard(text, beside)
+        captured_frames(text, beside)
 
 
 def test_text_that_is_no_frame_is_an_error() -> None:
     with pytest.raises(DriverConfigError, match="no frame"):
-        frames_heard(b"(1.0) can0 12#\n", {})
+        captured_frames(b"(1.0) can0 12#\n", {})
 
 
 @pytest.mark.parametrize(
@@ -224,6 +224,6 @@ def test_interface_names_are_such_that_tools_take_them(channel: str, name: str) 
 
 def test_index_is_lines_of_json_that_anybody_reads(tmp_path: Path) -> None:
     path = recorded(tmp_path, kept([random_frames(4)]))
-    header, piece = map(json.loads, heard.index_of(path).read_text(encoding="utf-8").splitlines())
+    header, piece = map(json.loads, capture.index_of(path).read_text(encoding="utf-8").splitlines())
     assert (header["format"], header["rig"], header["byte_order"]) == ("DELTAKHEARD1", "press-7", "little")
     assert piece["lines"] == 4

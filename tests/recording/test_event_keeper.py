@@ -41,8 +41,8 @@ class Rig:
     def __init__(self, config: RigConfig) -> None:
         self.now_s = 100.0
         self.pen = Pen()
-        self.told: list[Record] = []
-        self.keeper = EventKeeper(config, self.pen, self.told.extend, lambda: self.now_s)
+        self.reported: list[Record] = []
+        self.keeper = EventKeeper(config, self.pen, self.reported.extend, lambda: self.now_s)
         self.at = 0
 
     def feed(self, samples: int, cut: int = 10, raised: Sequence[int] = (), at_once: int = 1) -> None:
@@ -130,7 +130,7 @@ def test_more_records_than_an_hour_may_have_are_counted_and_told_once(rig: Rig) 
     rig.feed(10_000, 10, raised=range(1000, 10_000, 1000))
     assert rig.pen.names == 3
     assert rig.keeper.skipped == 6
-    assert [event.cause for event in rig.told if isinstance(event, HealthEvent)] == ["event records skipped"]
+    assert [event.cause for event in rig.reported if isinstance(event, HealthEvent)] == ["event records skipped"]
     rig.now_s += 3601.0
     rig.feed(2000, 10, raised=[11_000])
     assert rig.pen.names == 4

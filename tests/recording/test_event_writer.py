@@ -48,14 +48,14 @@ class Told:
 
 
 @pytest.fixture
-def told() -> Told:
+def reported() -> Told:
     return Told()
 
 
 def made(
-    folder: Path, told: Told, facts: Facts = ONE, known: Sequence[EventRecord] = (), **limits: float
+    folder: Path, reported: Told, facts: Facts = ONE, known: Sequence[EventRecord] = (), **limits: float
 ) -> EventWriter:
-    return EventWriter(folder / "rig.db", facts, Events(**limits), told, lambda: known)  # type: ignore[arg-type]
+    return EventWriter(folder / "rig.db", facts, Events(**limits), reported, lambda: known)  # type: ignore[arg-type]
 
 
 def job(name: str, state: str = "complete", samples: int = 500, source: str = "can", columns: int = 2) -> Job:
@@ -68,13 +68,13 @@ def job(name: str, state: str = "complete", samples: int = 500, source: str = "c
     return Job(record, items, labels, (0, samples), {source: 65536})
 
 
-def written(folder: Path, told: Told, count: int, **limits: float) -> EventWriter:
-    writer = made(folder, told, **limits)
+def written(folder: Path, reported: Told, count: int, **limits: float) -> EventWriter:
+    writer = made(folder, reported, **limits)
     writer.start()
     for _ in range(count):
         name = writer.name("level", "k1")
         writer.submit(job(name))
-        told.wait(lambda: any(Path(name).name == row for row, _ in told.rows()))  # noqa: B023 - called at once
+        reported.wait(lambda: any(Path(name).name == row for row, _ in reported.rows()))  # noqa: B023 - called at once
     writer.stop()
     return writer
 
@@ -83,8 +83,8 @@ def files(folder: Path) -> list[str]:
     return sorted(path.name for path in (folder / "rig.db.events").iterdir())
 
 
-def test_file_holds_time_stamps_readings_and_provenance(tmp_path: Path, told: Told) -> None:
-    written(tmp_path, told, 1)
+def test_file_holds_time_stamps_readings_and_provenance(tmp_path: Path, reported: Told) -> None:
+    written(tmp_path, reported, 1)
     sent = job("")
     with np.load(tmp_path / "rig.db.events" / "press-7-00000000-level-k1.npz", allow_pickle=False) as file:
         assert file["t"].dtype == "datetime64[ns]"
@@ -98,40 +98,40 @@ def test_file_holds_time_stamps_readings_and_provenance(tmp_path: Path, told: To
     assert meta.items() >= expected.items()
 
 
-def test_index_is_told_of_what_was_written(tmp_path: Path, told: Told) -> None:
-    written(tmp_path, told, 1)
-    (row,) = [r for r in told.records if isinstance(r, EventRecord)]
+def test_index_is_told_of_what_was_written(tmp_path: Path, reported: Told) -> None:
+    written(tmp_path, reported, 1)
+    (row,) = [r for r in reported.records if isinstance(r, EventRecord)]
     path = tmp_path / row.file
     assert (row.samples, row.from_ns, row.to_ns) == (500, START, START + 499_000_000)
     assert row.bytes == path.stat().st_size
     assert row.file == "rig.db.events/press-7-00000000-level-k1.npz"
 
 
-def test_file_says_that_it_is_cut_until_it_is_complete(tmp_path: Path, told: Told) -> None:
-    writer = made(tmp_path, told)
+def test_file_says_that_it_is_cut_until_it_is_complete(tmp_path: Path, reported: Told) -> None:
+    writer = made(tmp_path, reported)
     name = writer.name("level", "k1")
     writer.start()
     for state, found in (("recording", "cut"), ("complete", "complete")):
         writer.submit(job(name, state))
-        told.wait(lambda: told.rows()[-1:] == [(Path(name).name, state)])  # noqa: B023 - called at once
+        reported.wait(lambda: reported.rows()[-1:] == [(Path(name).name, state)])  # noqa: B023 - called at once
         assert read_meta(tmp_path / name)["state"] == found
     writer.stop()
     assert files(tmp_path) == ["press-7-00000000-level-k1.npz"]
 
 
-def test_numbers_go_on_after_a_restart(tmp_path: Path, told: Told) -> None:
-    written(tmp_path, told, 2)
-    assert "00000002" in made(tmp_path, told).name("sensor", "x1")
+def test_numbers_go_on_after_a_restart(tmp_path: Path, reported: Told) -> None:
+    written(tmp_path, reported, 2)
+    assert "00000002" in made(tmp_path, reported).name("sensor", "x1")
 
 
-def test_rig_of_several_sources_keeps_a_raw_recording_of_each(tmp_path: Path, told: Told) -> None:
-    writer = made(tmp_path, told, TWO)
+def test_rig_of_several_sources_keeps_a_raw_recording_of_each(tmp_path: Path, reported: Told) -> None:
+    writer = made(tmp_path, reported, TWO)
     name = writer.name("level", "k1")
     both = job(name, columns=1)
     plc = replace(both.items[0]._asdict()["block"], arrival_ns=9)
     writer.start()
     writer.submit(replace(both, items=[*both.items, both.items[0]._replace(source="plc", block=plc)]))
-    told.wait(lambda: bool(told.rows()))
+    reported.wait(lambda: bool(reported.rows()))
     writer.stop()
     assert files(tmp_path) == ["press-7-00000000-level-k1.can.raw", "press-7-00000000-level-k1.plc.raw"]
     path = tmp_path / "rig.db.events" / "press-7-00000000-level-k1.plc.raw"
@@ -143,82 +143,82 @@ def test_rig_of_several_sources_keeps_a_raw_recording_of_each(tmp_path: Path, to
 
 @pytest.mark.parametrize(("limits", "left"), [({"max_count": 3}, 3), ({"max_mb": 0.02}, 1), ({"keep": 1e-9}, 1)])
 def test_oldest_records_go_first_and_the_index_says_so(
-    tmp_path: Path, told: Told, limits: dict[str, float], left: int
+    tmp_path: Path, reported: Told, limits: dict[str, float], left: int
 ) -> None:
-    written(tmp_path, told, 6, **limits)
+    written(tmp_path, reported, 6, **limits)
     assert [name[8:16] for name in files(tmp_path)] == [f"{n:08d}" for n in range(6 - left, 6)]
-    gone = [name[8:16] for name, state in told.rows() if state == "purged"]
+    gone = [name[8:16] for name, state in reported.rows() if state == "purged"]
     assert gone == [f"{n:08d}" for n in range(6 - left)]
 
 
-def test_records_of_other_rigs_and_other_files_are_left_alone(tmp_path: Path, told: Told) -> None:
+def test_records_of_other_rigs_and_other_files_are_left_alone(tmp_path: Path, reported: Told) -> None:
     folder = tmp_path / "rig.db.events"
     folder.mkdir()
     others = ["press-00000000-level-k1.npz", "press-77-00000000-level-k1.npz", "notes.txt", "press-7-1-level-k1.npz"]
     for name in others:
         (folder / name).write_bytes(b"x")
-    written(tmp_path, told, 3, max_count=1)
+    written(tmp_path, reported, 3, max_count=1)
     assert set(files(tmp_path)) == {*others, "press-7-00000002-level-k1.npz"}
 
 
 def test_full_disk_is_counted_and_told_once_and_records_go_on_after_it(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, reported: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(_self: EventFolder, _name: str, _content: bytes) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    writer = made(tmp_path, told)
+    writer = made(tmp_path, reported)
     writer.start()
     monkeypatch.setattr(EventFolder, "write", full)
     names = [writer.name("level", "k1") for _ in range(3)]
     for name in names[:2]:
         writer.submit(job(name))
-    told.wait(lambda: len(told.rows()) == 2)
+    reported.wait(lambda: len(reported.rows()) == 2)
     monkeypatch.undo()
     writer.submit(job(names[2]))
-    told.wait(lambda: len(told.rows()) == 3)
+    reported.wait(lambda: len(reported.rows()) == 3)
     writer.stop()
-    assert [state for _, state in told.rows()] == ["failed", "failed", "complete"]
-    assert told.causes() == ["event records stopped", "event records resumed"]
+    assert [state for _, state in reported.rows()] == ["failed", "failed", "complete"]
+    assert reported.causes() == ["event records stopped", "event records resumed"]
     assert writer.lost == 2
-    (row,) = [r for r in told.records if isinstance(r, EventRecord) and r.file == names[0]]
+    (row,) = [r for r in reported.records if isinstance(r, EventRecord) and r.file == names[0]]
     assert row.message == "not all could be kept: No space left on device"
 
 
 def test_full_disk_after_the_alarm_leaves_what_was_before_it(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, reported: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writer = made(tmp_path, told)
+    writer = made(tmp_path, reported)
     name = writer.name("level", "k1")
     writer.start()
     writer.submit(job(name, "recording", samples=300))
-    told.wait(lambda: len(told.rows()) == 1)
+    reported.wait(lambda: len(reported.rows()) == 1)
     monkeypatch.setattr(event_writer, "room", lambda _: 0)
     monkeypatch.setattr(EventWriter, "_delete", lambda *_: None)
     writer.submit(job(name, "complete"))
-    told.wait(lambda: len(told.rows()) == 2)
+    reported.wait(lambda: len(reported.rows()) == 2)
     writer.stop()
-    assert told.rows()[-1] == (Path(name).name, "cut")
+    assert reported.rows()[-1] == (Path(name).name, "cut")
     meta = read_meta(tmp_path / name)
     assert (meta["state"], meta["samples"]) == ("cut", 300)
 
 
 def test_nearly_full_disk_costs_the_oldest_records_first(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, reported: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written(tmp_path, told, 3)
+    written(tmp_path, reported, 3)
     monkeypatch.setattr(event_writer, "room", lambda _: 1 if len(files(tmp_path)) < 3 else 0)
-    written(tmp_path, told, 1)
+    written(tmp_path, reported, 1)
     assert [name[8:16] for name in files(tmp_path)] == ["00000001", "00000002", "00000003"]
 
 
-def test_slow_disk_costs_records_that_are_told_and_never_waits(tmp_path: Path, told: Told) -> None:
-    writer = made(tmp_path, told)
+def test_slow_disk_costs_records_that_are_told_and_never_waits(tmp_path: Path, reported: Told) -> None:
+    writer = made(tmp_path, reported)
     for number in range(event_writer.MOST_JOBS + 2):
         writer.submit(job(f"rig.db.events/press-7-{number:08d}-level-k1.npz"))
     assert writer.lost == 2
-    assert [state for _, state in told.rows()] == ["failed", "failed"]
-    assert told.causes() == ["event records stopped"]
+    assert [state for _, state in reported.rows()] == ["failed", "failed"]
+    assert reported.causes() == ["event records stopped"]
     writer.start()
     writer.stop()
     assert len(files(tmp_path)) == event_writer.MOST_JOBS
@@ -250,51 +250,51 @@ def test_file_is_on_the_disk_before_it_has_its_name_and_its_name_before_it_is_to
     assert done[0] == f"sync {tmp_path.name}"
 
 
-def test_restart_says_what_became_of_the_records_of_the_run_before(tmp_path: Path, told: Told) -> None:
-    written(tmp_path, told, 3)
-    told.records.clear()
+def test_restart_says_what_became_of_the_records_of_the_run_before(tmp_path: Path, reported: Told) -> None:
+    written(tmp_path, reported, 3)
+    reported.records.clear()
     (tmp_path / "rig.db.events" / "press-7-00000009-level-k1.npz.part").write_bytes(b"half")
     names = [f"press-7-0000000{n}-level-k1.npz" for n in range(6)]
     known = [row(names[0], "complete"), row(names[1], "recording"), row(names[4], "complete"), row(names[5], "failed")]
-    writer = made(tmp_path, told, known=known)
+    writer = made(tmp_path, reported, known=known)
     writer.start()
     writer.stop()
     # one was being made, one was deleted by hand, and of one the power went before the index knew of it
-    assert sorted(told.rows()) == [(names[1], "cut"), (names[2], "complete"), (names[4], "purged")]
+    assert sorted(reported.rows()) == [(names[1], "cut"), (names[2], "complete"), (names[4], "purged")]
     assert files(tmp_path) == names[:3]
 
 
-def test_restart_on_a_damaged_record_goes_on(tmp_path: Path, told: Told) -> None:
-    written(tmp_path, told, 1)
+def test_restart_on_a_damaged_record_goes_on(tmp_path: Path, reported: Told) -> None:
+    written(tmp_path, reported, 1)
     path = tmp_path / "rig.db.events" / "press-7-00000000-level-k1.npz"
     path.write_bytes(path.read_bytes()[:-100])
     (path.parent / "press-7-00000003-level-k1.npz").write_bytes(b"")
     np.savez(path.parent / "press-7-00000004-level-k1.npz", meta=np.array(json.dumps({"format": "DELTAKEVENT1"})))
-    told.records.clear()
-    written(tmp_path, told, 1)
-    assert told.rows() == [("press-7-00000005-level-k1.npz", "complete")]
+    reported.records.clear()
+    written(tmp_path, reported, 1)
+    assert reported.rows() == [("press-7-00000005-level-k1.npz", "complete")]
 
 
-def test_channel_may_be_called_like_an_array_of_the_file(tmp_path: Path, told: Told) -> None:
-    writer = made(tmp_path, told, replace(ONE, channels={"can": ("meta", "index")}))
+def test_channel_may_be_called_like_an_array_of_the_file(tmp_path: Path, reported: Told) -> None:
+    writer = made(tmp_path, reported, replace(ONE, channels={"can": ("meta", "index")}))
     writer.start()
     name = writer.name("level", "k1")
     writer.submit(job(name))
-    told.wait(lambda: bool(told.rows()))
+    reported.wait(lambda: bool(reported.rows()))
     writer.stop()
     with np.load(tmp_path / name) as file:
         np.testing.assert_array_equal(file["meta"], job("").items[0].block.values[:, 0])
     assert read_meta(tmp_path / name)["parameter"] == "k1"
 
 
-def test_record_of_a_source_that_never_came_is_an_empty_file_and_nothing_fails(tmp_path: Path, told: Told) -> None:
-    writer = made(tmp_path, told)
+def test_record_of_a_source_that_never_came_is_an_empty_file_and_nothing_fails(tmp_path: Path, reported: Told) -> None:
+    writer = made(tmp_path, reported)
     writer.start()
     whole = job(writer.name("source", "can"))
     writer.submit(replace(whole, items=(), labels=()))
-    told.wait(lambda: bool(told.rows()))
+    reported.wait(lambda: bool(reported.rows()))
     writer.stop()
-    (row,) = [r for r in told.records if isinstance(r, EventRecord)]
+    (row,) = [r for r in reported.records if isinstance(r, EventRecord)]
     assert (row.state, row.samples, writer.lost) == ("complete", 0, 0)
     with np.load(tmp_path / row.file, allow_pickle=False) as file:
         assert file["force"].shape == file["t"].shape == (0,)

@@ -65,15 +65,15 @@ def test_recorder_on_a_full_disk_goes_on_once_there_is_room_and_what_was_synced_
 
 def test_event_record_on_a_full_disk_leaves_nothing_half_written(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(event_writer, "room", lambda _: 1)
-    told = Told()
-    writer = made(disk, told)
+    reported = Told()
+    writer = made(disk, reported)
     (disk / "rig.db.events").mkdir()
     fill(disk)
     writer.start()
     writer.submit(job(writer.name("level", "k1")))
-    told.wait(lambda: bool(told.rows()))
+    reported.wait(lambda: bool(reported.rows()))
     writer.stop()
-    assert [state for _, state in told.rows()] == ["failed"]
+    assert [state for _, state in reported.rows()] == ["failed"]
     assert files(disk) == []
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.recording import capture as heard
+from agent.recording import capture
 from agent.recording.event_files import read_meta
 from agent.recording.recorder import Limits, shelf
 from tests import peers
@@ -47,8 +47,8 @@ def after_cuts(library: Path, work: Path, kind: str, count: int, care: str = "ca
 
 def lost_records(folder: Path, acknowledged: list[str]) -> int:
     """Start on the folder, as the agent does; return how many acknowledged records are not there, whole."""
-    told = Told()
-    writer = made(folder.parent, told)
+    reported = Told()
+    writer = made(folder.parent, reported)
     writer._take_stock()
     states = {name: (state, int(samples)) for name, state, samples in map(str.split, acknowledged)}
     there = {path.name: read_meta(path) for path in folder.iterdir()}
@@ -73,8 +73,8 @@ def test_power_cut_leaves_every_acknowledged_event_record_whole(shim: Path, tmp_
 
 def recorded_pieces(folder: Path) -> list[bytes]:
     files = shelf(folder, HEADER, ".log", Limits()).files()
-    own = [path for path in files if heard.index_of(path).exists()]
-    return [piece.text for path in own for piece in heard.read_pieces(path)]
+    own = [path for path in files if capture.index_of(path).exists()]
+    return [piece.text for path in own for piece in capture.read_pieces(path)]
 
 
 @cache

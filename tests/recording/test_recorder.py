@@ -150,7 +150,7 @@ class Told:
 
 
 @pytest.fixture
-def told() -> Told:
+def reported() -> Told:
     return Told()
 
 
@@ -159,9 +159,9 @@ def no_space(_path: object, _header: object) -> None:
 
 
 def test_failing_disk_costs_samples_that_are_counted_and_told_once_and_the_next_are_recorded(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, reported: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorder = Recorder(tmp_path, HEADER, tell=told)
+    recorder = Recorder(tmp_path, HEADER, tell=reported)
     monkeypatch.setattr("agent.recording.blocks.BlockSegment", no_space)
     for one in ([block(0), block(1)], [block(2)]):
         recorder._write([(b, None) for b in one])
@@ -170,15 +170,15 @@ def test_failing_disk_costs_samples_that_are_counted_and_told_once_and_the_next_
     recorder._write([(block(4), None)])
     recorder._abandon()
     assert (recorder.dropped, recorder.recorded) == (150, 100)
-    assert [cause for cause, _ in told.events] == ["recording stopped", "recording resumed"]
-    assert told.events[0][1] == "can: cannot be recorded: No space left on device"
+    assert [cause for cause, _ in reported.events] == ["recording stopped", "recording resumed"]
+    assert reported.events[0][1] == "can: cannot be recorded: No space left on device"
     assert [b.arrival_ns for b in read_blocks(segments(tmp_path)[0])] == [10**9 + 3, 10**9 + 4]
 
 
 def test_after_a_failed_sync_recording_goes_on_in_a_new_file(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, reported: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorder = Recorder(tmp_path, HEADER, tell=told)
+    recorder = Recorder(tmp_path, HEADER, tell=reported)
     recorder._write([(block(0), None)])
 
     def failing(_: int) -> None:
@@ -195,9 +195,9 @@ def test_after_a_failed_sync_recording_goes_on_in_a_new_file(
 
 
 def test_samples_that_are_on_the_disk_count_as_recorded_where_old_files_cannot_be_deleted(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, reported: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorder = Recorder(tmp_path, HEADER, limits=Limits(max_bytes=1, segment_bytes=1), tell=told)
+    recorder = Recorder(tmp_path, HEADER, limits=Limits(max_bytes=1, segment_bytes=1), tell=reported)
 
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EACCES, "Permission denied")
@@ -216,18 +216,18 @@ def disk_with(monkeypatch: pytest.MonkeyPatch, free: Callable[[], int]) -> None:
 
 
 def test_nearly_full_disk_costs_the_oldest_recordings_first_and_is_left_to_the_database(
-    tmp_path: Path, told: Told, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, reported: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for i in range(3):
         recorded(tmp_path, [block(i)])
     disk_with(monkeypatch, lambda: 1 if len(segments(tmp_path)) < 3 else 0)
-    recorder = recorded(tmp_path, [block(3)], tell=told)
+    recorder = recorded(tmp_path, [block(3)], tell=reported)
     assert [p.name[-12:-4] for p in segments(tmp_path)] == ["00000001", "00000002", "00000003"]
     disk_with(monkeypatch, lambda: 0)
-    recorder = recorded(tmp_path, [block(4)], tell=told)
+    recorder = recorded(tmp_path, [block(4)], tell=reported)
     assert segments(tmp_path) == []
     assert (recorder.recorded, recorder.dropped) == (0, 50)
-    assert told.events == [
+    assert reported.events == [
         ("recording stopped", "can: cannot be recorded: the disk is nearly full; what is left is the database's")
     ]
 
@@ -256,14 +256,14 @@ def test_recorder_writes_and_syncs_no_more_often_than_once_a_period(
     assert len(synced) == 1
 
 
-def test_recorder_never_blocks_and_counts_and_tells_what_does_not_fit(tmp_path: Path, told: Told) -> None:
-    recorder = Recorder(tmp_path, HEADER, most=3, tell=told)
+def test_recorder_never_blocks_and_counts_and_tells_what_does_not_fit(tmp_path: Path, reported: Told) -> None:
+    recorder = Recorder(tmp_path, HEADER, most=3, tell=reported)
     for i in range(10):
         recorder.record(block(i))
     assert recorder.dropped == 350
     recorder.start()
     recorder.stop(20)
     assert recorder.recorded == 150
-    assert told.events == [
+    assert reported.events == [
         ("recording resumed", "can: recorded again; 350 samples were not (the disk was too slow)")
     ]

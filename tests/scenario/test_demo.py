@@ -103,14 +103,14 @@ def test_demo_paper_scenario_finds_every_parameter_to_a_ten_thousandth(tmp_path:
     found = rows(tmp_path / "paper.db", "SELECT t_ns, parameter, value FROM v_estimates ORDER BY t_ns")
     origin = found[0][0] - 49_000_000
     nominal = {"k1": 25.0, "k2": 100.0, "B1": 5.0, "B2": 5.0}
-    judged = 0
+    assessed = 0
     for t_ns, name, value in found:
         sample = round((t_ns - origin) / 1e6)
         if sample % SECOND >= 249:
             true = document["truth"][sample // SECOND]["parameters"][name]["true"]
             assert abs(value - true) <= 1e-4 * nominal[name], (name, sample)
-            judged += 1
-    assert judged == 3 * 16 * 4
+            assessed += 1
+    assert assessed == 3 * 16 * 4
 
 
 @pytest.mark.parametrize("seed", [7, 21])

@@ -55,7 +55,7 @@ class Told:
 
 
 @pytest.fixture
-def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Told]:
+def reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Told]:
     db = tmp_path / "rig.db"
     service = Service([load(example("modbus", tmp_path))], db, "live")
     (writer,) = service.writers.values()
@@ -75,15 +75,15 @@ def overrun(counts: Counts) -> None:
     counts.dropped["overrun"] += 70
 
 
-def test_ledger_of_a_silent_source_is_one_row(told: Told) -> None:
-    told.samples(0, 50)
-    assert [told.ledger() for _ in range(4)] == [[(50, 50, 0, 0)]] * 4
-    told.samples(50, 50)
-    assert told.ledger() == [(50, 50, 0, 0), (100, 100, 0, 0)]
+def test_ledger_of_a_silent_source_is_one_row(reported: Told) -> None:
+    reported.samples(0, 50)
+    assert [reported.ledger() for _ in range(4)] == [[(50, 50, 0, 0)]] * 4
+    reported.samples(50, 50)
+    assert reported.ledger() == [(50, 50, 0, 0), (100, 100, 0, 0)]
 
 
-def test_ledger_of_a_source_that_was_never_heard_is_one_row(told: Told) -> None:
-    assert [told.ledger() for _ in range(4)] == [[(0, 0, 0, 0)]] * 4
+def test_ledger_of_a_source_that_was_never_heard_is_one_row(reported: Told) -> None:
+    assert [reported.ledger() for _ in range(4)] == [[(0, 0, 0, 0)]] * 4
 
 
 def test_replay_ends_with_one_row_of_the_ledger(tmp_path: Path) -> None:
@@ -97,31 +97,31 @@ def test_replay_ends_with_one_row_of_the_ledger(tmp_path: Path) -> None:
     assert document["samples"]["received"] == 400
 
 
-def test_ledger_tells_what_was_refused_after_the_last_good_sample(told: Told) -> None:
-    told.samples(0, 50)
-    told.ledger()
-    told.nothing_but(refused)
-    told.nothing_but(overrun)
-    assert told.ledger() == [(150, 50, 30, 70)]
-    (rig,) = told.service.rigs.values()
+def test_ledger_tells_what_was_refused_after_the_last_good_sample(reported: Told) -> None:
+    reported.samples(0, 50)
+    reported.ledger()
+    reported.nothing_but(refused)
+    reported.nothing_but(overrun)
+    assert reported.ledger() == [(150, 50, 30, 70)]
+    (rig,) = reported.service.rigs.values()
     assert rig.summary.samples() == {
         "received": 150, "used": 50, "rejected": {"crc": 30}, "dropped": {"overrun": 70}, "gaps": 0,
     }  # fmt: skip
 
 
-def test_ledger_tells_what_was_refused_of_a_source_without_any_good_sample(told: Told) -> None:
-    told.nothing_but(refused)
-    assert told.ledger() == [(30, 0, 30, 0)]
-    told.nothing_but(overrun)
-    assert told.ledger() == [(100, 0, 30, 70)]
-    told.samples(0, 50)
-    assert told.ledger()[-1] == (150, 50, 30, 70)
+def test_ledger_tells_what_was_refused_of_a_source_without_any_good_sample(reported: Told) -> None:
+    reported.nothing_but(refused)
+    assert reported.ledger() == [(30, 0, 30, 0)]
+    reported.nothing_but(overrun)
+    assert reported.ledger() == [(100, 0, 30, 70)]
+    reported.samples(0, 50)
+    assert reported.ledger()[-1] == (150, 50, 30, 70)
 
 
-def test_ledger_balances_in_every_row_while_samples_wait_and_frames_are_refused(told: Told) -> None:
+def test_ledger_balances_in_every_row_while_samples_wait_and_frames_are_refused(reported: Told) -> None:
     for number in range(5):
-        told.samples(50 * number, 50)
-        told.nothing_but(refused)
-        found = told.ledger()
+        reported.samples(50 * number, 50)
+        reported.nothing_but(refused)
+        found = reported.ledger()
         assert found[-1] == (80 * (number + 1), 50 * (number + 1), 30 * (number + 1), 0)
-    assert told.connection.counts.rejected == Counter(crc=150)
+    assert reported.connection.counts.rejected == Counter(crc=150)

@@ -52,8 +52,8 @@ class Device:
             for number in np.unique(epoch[piece]) if self.tells else [None]:
                 mine = piece[sent[piece] & ((epoch[piece] == number) | (number is None))]
                 if len(mine):
-                    told = int(number or 0)
-                    yield SampleBlock(values[mine, self.columns], arrival, count[mine] % self.modulus, epoch=told)
+                    reported = int(number or 0)
+                    yield SampleBlock(values[mine, self.columns], arrival, count[mine] % self.modulus, epoch=reported)
 
 
 def outcome(

@@ -98,8 +98,8 @@ def test_skew_over_both_buses_live_is_measured_stored_and_replays_to_the_same_ro
     skew, sd = rows(db, "SELECT skew_s, skew_sd_s FROM v_health WHERE source = 'modbus' ORDER BY t_ns DESC LIMIT 1")[0]
     figure(f"skew of 3.7 ms live, CAN and Modbus: {1e3 * skew:.3f} ± {1e3 * sd:.3f} ms")
     assert abs(skew - SKEW_S) < 2e-4
-    (told,) = rows(db, "SELECT message FROM v_events WHERE cause = 'skew'")
-    assert "later than can; compensated" in told[0]
+    (reported,) = rows(db, "SELECT message FROM v_events WHERE cause = 'skew'")
+    assert "later than can; compensated" in reported[0]
     assert document["samples"]["received"] == 12_000
     assert document["estimates"]["k2"]["status"] == "valid"
     ours = _rows_of(db)

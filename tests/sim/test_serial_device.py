@@ -145,9 +145,9 @@ def test_line_is_paced_and_what_nobody_heard_is_in_the_ledger(tmp_path: Path) ->
     assert 0.35 < took < 2.0
     start = second.index(b"\xaa\x55")
     resumed = struct.unpack_from("<H", second, start + 2)[0]
-    heard = len(first) // 18
+    received = len(first) // 18
     ledger = sim.ledger()["sources"]["line"]
-    assert any(a >= heard and b == resumed - 1 for a, b in ledger["unheard"])
+    assert any(a >= received and b == resumed - 1 for a, b in ledger["unheard"])
     assert ledger["lost"] == []
 
 

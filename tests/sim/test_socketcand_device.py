@@ -141,11 +141,11 @@ def test_daemon_samples_without_a_reader_are_in_the_ledger(tmp_path: Path) -> No
             second = again.frames(50)
         assert sim.stop() == 0
     unheard = sim.ledger()["sources"]["canbus"]["unheard"]
-    heard = [int.from_bytes(data[:2], "little") for _, _, data in (*first, *second)]
+    received = [int.from_bytes(data[:2], "little") for _, _, data in (*first, *second)]
     assert unheard[0][0] == 0
-    assert unheard[0][1] == heard[0] - 1
-    assert any(last == heard[len(first)] - 1 for _, last in unheard)
-    assert not any(first <= number <= last for number in heard for first, last in unheard)
+    assert unheard[0][1] == received[0] - 1
+    assert any(last == received[len(first)] - 1 for _, last in unheard)
+    assert not any(first <= number <= last for number in received for first, last in unheard)
 
 
 def test_daemon_fast_is_held_back_by_its_reader(tmp_path: Path) -> None:

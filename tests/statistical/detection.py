@@ -78,10 +78,10 @@ def raised(found: Sequence[Record]) -> list[tuple[str, int]]:
 def verdict(seed: int) -> Verdict:
     """Play a run into the pipeline and judge it."""
     play = played(seed)
-    return judged(seed, play, raised(records(pipeline(), play.readings)))
+    return assessed(seed, play, raised(records(pipeline(), play.readings)))
 
 
-def judged(seed: int, play: Play, alarms: list[tuple[str, int]]) -> Verdict:
+def assessed(seed: int, play: Play, alarms: list[tuple[str, int]]) -> Verdict:
     """Judge what was raised in a run, (parameter, sample) of every activation."""
     right = [sample - play.at for parameter, sample in alarms if parameter == play.spring and sample >= play.at]
     wrong = tuple(p for p, sample in alarms if p != play.spring or sample < play.at)

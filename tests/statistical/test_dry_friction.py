@@ -16,7 +16,7 @@ SLIDING = {
 STICKING = Case(15.0, 15.0, strength=0.25)
 
 
-def judge(name: str, seeds: range, request: pytest.FixtureRequest) -> None:
+def assess(name: str, seeds: range, request: pytest.FixtureRequest) -> None:
     found = each(_Sliding(name), seeds)
     valid = np.concatenate([f[0] for f in found])
     wrong = np.concatenate([f[1] for f in found])
@@ -44,13 +44,13 @@ class _Sliding:
 
 @pytest.mark.parametrize("name", ["3 N", "15 N"])
 def test_intervals_under_dry_friction_hold_the_truth(name: str, request: pytest.FixtureRequest) -> None:
-    judge(name, range(2), request)
+    assess(name, range(2), request)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", SLIDING)
 def test_intervals_under_dry_friction_hold_the_truth_in_40_runs(name: str, request: pytest.FixtureRequest) -> None:
-    judge(name, range(100, 140), request)
+    assess(name, range(100, 140), request)
 
 
 def test_windows_in_which_dry_friction_holds_the_mass_are_not_valid() -> None:

@@ -16,7 +16,7 @@ def quarter(seed: int) -> Shift:
     return shift(seed, QUARTER)
 
 
-def judge(found: list[Shift], request: pytest.FixtureRequest) -> None:
+def assess(found: list[Shift], request: pytest.FixtureRequest) -> None:
     days = sum(part.samples for part in found) / DAY
     alarms = [alarm for part in found for alarm in part.alarms]
     _, valid, unexcited, invalid = np.mean([part.shares for part in found], axis=0)
@@ -34,12 +34,12 @@ def judge(found: list[Shift], request: pytest.FixtureRequest) -> None:
 
 @pytest.mark.timeout(480)
 def test_false_alarms_in_a_rig_day_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
-    judge(each(quarter, range(4)), request)
+    assess(each(quarter, range(4)), request)
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
 def test_false_alarms_in_30_rig_days_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
-    judge(each(quarter, range(1000, 1120)), request)
+    assess(each(quarter, range(1000, 1120)), request)
     spent = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     say(request, f"largest process {spent:.0f} MB")

@@ -60,7 +60,7 @@ def joined(batches: list[EstimateBatch], part: str) -> FloatArray:
     return np.concatenate([getattr(batch, part) for batch in batches])
 
 
-def judged(seed: int) -> tuple[int, int, float, float, int]:
+def assessed(seed: int) -> tuple[int, int, float, float, int]:
     """Samples spoilt and refused, shares of valid and covering estimates, alarms."""
     v, spoilt = spiked(seed)
     pipe, batches, alarms = run(v)
@@ -75,7 +75,7 @@ def judged(seed: int) -> tuple[int, int, float, float, int]:
 
 
 def measured(runs: range, request: pytest.FixtureRequest) -> None:
-    spoilt, refused, valid, inside, alarms = np.array(each(judged, runs)).T
+    spoilt, refused, valid, inside, alarms = np.array(each(assessed, runs)).T
     say(
         request,
         f"spikes of {SPIKE_N:g} N in the force, {len(runs)} runs: {refused.sum():.0f} of {spoilt.sum():.0f} refused, "

@@ -76,7 +76,7 @@ def learnt(job: tuple[str, int]) -> Run:
     )
 
 
-def judge(where: str, runs: list[Run], request: pytest.FixtureRequest) -> None:
+def assess(where: str, runs: list[Run], request: pytest.FixtureRequest) -> None:
     understood = 100 * float(np.mean([run.understood for run in runs]))
     valid, hold = (sum(float(getattr(run, part).sum()) for run in runs) for part in ("valid", "hold"))
     alarms = sum(run.alarms > 0 for run in runs)
@@ -92,13 +92,13 @@ def judge(where: str, runs: list[Run], request: pytest.FixtureRequest) -> None:
 
 @pytest.mark.parametrize("where", WEIGHTS)
 def test_forces_that_begin_are_learnt_after_ten_windows(where: str, request: pytest.FixtureRequest) -> None:
-    judge(where, each(learnt, [(where, seed) for seed in range(QUICK)]), request)
+    assess(where, each(learnt, [(where, seed) for seed in range(QUICK)]), request)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("where", WEIGHTS)
 def test_forces_that_begin_are_learnt_in_100_runs(where: str, request: pytest.FixtureRequest) -> None:
-    judge(where, each(learnt, [(where, 1000 + seed) for seed in range(FULL)]), request)
+    assess(where, each(learnt, [(where, 1000 + seed) for seed in range(FULL)]), request)
 
 
 def test_forces_that_cease_are_forgotten_at_the_next_look(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,6 +137,6 @@ def test_channel_that_goes_wrong_for_long_is_not_taken_for_forces(kind: str) -> 
     found = records(pipeline(), v)
     rows = Rows.of(found)
     assert not rows.valid[rows.index >= BEFORE + 1.1 * SECOND].any()
-    told = [r.message for r in found if isinstance(r, HealthEvent) and r.source == "model"]
-    told += [str(r.parameter) for r in found if isinstance(r, AlarmTransition)]
-    assert any(words in message for message in told), told
+    reported = [r.message for r in found if isinstance(r, HealthEvent) and r.source == "model"]
+    reported += [str(r.parameter) for r in found if isinstance(r, AlarmTransition)]
+    assert any(words in message for message in reported), reported

@@ -61,7 +61,7 @@ def rows_are_right(found: list[Record], at: int) -> bool:
     return bool(np.isin(reason[stuck], AT_FAULT).all() and (status[sound] == Status.VALID).all())
 
 
-def judge(kind: str, found: list[tuple[bool, bool, float]], request: pytest.FixtureRequest) -> None:
+def assess(kind: str, found: list[tuple[bool, bool, float]], request: pytest.FixtureRequest) -> None:
     named, right, delays = zip(*found, strict=True)
     say(
         request,
@@ -74,13 +74,13 @@ def judge(kind: str, found: list[tuple[bool, bool, float]], request: pytest.Fixt
 
 @pytest.mark.parametrize("kind", SPOILT)
 def test_channel_that_freezes_is_named(kind: str, request: pytest.FixtureRequest) -> None:
-    judge(kind, each(one, [(kind, seed) for seed in range(QUICK)]), request)
+    assess(kind, each(one, [(kind, seed) for seed in range(QUICK)]), request)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", SPOILT)
 def test_channel_that_freezes_is_named_in_200_runs(kind: str, request: pytest.FixtureRequest) -> None:
-    judge(kind, each(one, [(kind, 10_000 + seed) for seed in range(FULL)]), request)
+    assess(kind, each(one, [(kind, 10_000 + seed) for seed in range(FULL)]), request)
 
 
 def test_force_that_read_the_same_from_the_first_sample_is_named_where_nothing_else_explains_the_motion() -> None:

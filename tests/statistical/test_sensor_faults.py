@@ -9,7 +9,7 @@ from tests.statistical.sensor_faults import FAULTS, Blame, one
 QUICK, FULL = 12, 200
 
 
-def judge(kind: str, found: list[Blame], request: pytest.FixtureRequest) -> None:
+def assess(kind: str, found: list[Blame], request: pytest.FixtureRequest) -> None:
     named = [run for run in found if run.right and run.sensors]
     wrong = [f"run {run.seed}: {run.channel} {run.sensors} {run.parameters}" for run in found if not run.right]
     blamed = [run for run in found if run.parameters]
@@ -26,10 +26,10 @@ def judge(kind: str, found: list[Blame], request: pytest.FixtureRequest) -> None
 
 @pytest.mark.parametrize("kind", FAULTS)
 def test_verdict_on_a_faulty_sensor_is_right(kind: str, request: pytest.FixtureRequest) -> None:
-    judge(kind, each(one, [(kind, seed) for seed in range(QUICK)]), request)
+    assess(kind, each(one, [(kind, seed) for seed in range(QUICK)]), request)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", FAULTS)
 def test_verdict_on_a_faulty_sensor_is_right_in_200_runs(kind: str, request: pytest.FixtureRequest) -> None:
-    judge(kind, each(one, [(kind, 10_000 + seed) for seed in range(FULL)]), request)
+    assess(kind, each(one, [(kind, 10_000 + seed) for seed in range(FULL)]), request)

@@ -87,7 +87,7 @@ def said(v: FloatArray) -> Said:
     )
 
 
-def judge(kinds: list[str], seeds: range, request: pytest.FixtureRequest, least: float) -> None:
+def assess(kinds: list[str], seeds: range, request: pytest.FixtureRequest, least: float) -> None:
     jobs = [(kind, seed) for kind in kinds for seed in seeds]
     found = each(one, jobs)
     right = [bool(re.search(WRONG[kind][1], " ".join(run.words))) for (kind, _), run in zip(jobs, found, strict=True)]
@@ -100,7 +100,7 @@ def judge(kinds: list[str], seeds: range, request: pytest.FixtureRequest, least:
 
 
 def test_channel_that_is_wrong_from_the_start_is_named_and_no_row_is_valid(request: pytest.FixtureRequest) -> None:
-    judge(list(WRONG), range(1), request, 0.99)
+    assess(list(WRONG), range(1), request, 0.99)
 
 
 @pytest.mark.parametrize("channel", [1, 2])
@@ -114,4 +114,4 @@ def test_channel_that_never_moves_is_named_for_that_alone(channel: int) -> None:
 
 @pytest.mark.soak
 def test_channel_that_is_wrong_from_the_start_is_named_in_150_runs(request: pytest.FixtureRequest) -> None:
-    judge(list(WRONG), range(100, 125), request, 0.9)
+    assess(list(WRONG), range(100, 125), request, 0.9)

@@ -14,7 +14,7 @@ def wrong(seeds: range, noises: range = range(len(NOISES))) -> list[Job]:
     return [Job(mass, share, noise, s) for mass in MASSES for share in SHARES for noise in noises for s in seeds]
 
 
-def judge(found: list[Said], request: pytest.FixtureRequest) -> None:
+def assess(found: list[Said], request: pytest.FixtureRequest) -> None:
     named, alarmed = sum(run.named for run in found), [run.job for run in found if run.alarms]
     mass, valid = (100 * np.mean([getattr(run, share) for run in found]) for share in ("mass", "valid"))
     odd = [(run.job, run.advice) for run in found if not run.named]
@@ -41,7 +41,7 @@ def right(seeds: range) -> list[Job]:
 
 
 def test_wrong_mass_is_named_and_nothing_alarmed(request: pytest.FixtureRequest) -> None:
-    judge(each(one, wrong(range(QUICK), range(1))), request)
+    assess(each(one, wrong(range(QUICK), range(1))), request)
 
 
 def test_right_mass_is_not_accused(request: pytest.FixtureRequest) -> None:
@@ -50,7 +50,7 @@ def test_right_mass_is_not_accused(request: pytest.FixtureRequest) -> None:
 
 @pytest.mark.soak
 def test_wrong_mass_is_named_and_nothing_alarmed_in_300_runs(request: pytest.FixtureRequest) -> None:
-    judge(each(one, wrong(range(10_000, 10_000 + FULL))), request)
+    assess(each(one, wrong(range(10_000, 10_000 + FULL))), request)
 
 
 @pytest.mark.soak

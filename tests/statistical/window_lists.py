@@ -53,7 +53,7 @@ def played(name: str, seed: int, seconds: float, sigma: float) -> Rows:
     return estimator(LISTS[name], sigma, learnt="learnt" in name).step(0, y, u)
 
 
-def told(name: str, seed: int, seconds: float, sigma: float) -> list[Told]:
+def reported(name: str, seed: int, seconds: float, sigma: float) -> list[Told]:
     """What each window of a list says in one run, and last what was chosen."""
     rows, windows = played(name, seed, seconds, sigma), LISTS[name]
     enough, found = 0.33 * LIMIT * NOMINAL, []
@@ -61,12 +61,12 @@ def told(name: str, seed: int, seconds: float, sigma: float) -> list[Told]:
     for number, window in enumerate(windows):
         whole = rows.index >= window - 1
         fits = (rows.each_fits[:, number] & short)[whole, None]
-        found.append(_told(rows.each_theta[whole, number], rows.each_sd[whole, number], fits, enough))
-    found.append(_told(rows.theta[rows.full], rows.sd[rows.full], short[rows.full, None], enough))
+        found.append(_reported(rows.each_theta[whole, number], rows.each_sd[whole, number], fits, enough))
+    found.append(_reported(rows.theta[rows.full], rows.sd[rows.full], short[rows.full, None], enough))
     return found
 
 
-def _told(theta: FloatArray, sd: FloatArray, fits: np.ndarray, enough: FloatArray) -> Told:
+def _reported(theta: FloatArray, sd: FloatArray, fits: np.ndarray, enough: FloatArray) -> Told:
     with np.errstate(invalid="ignore"):
         valid = fits & (sd < enough)
         return Told(valid, valid & (np.abs(theta - TRUTH) < 1.96 * sd))
@@ -82,4 +82,4 @@ def shares(name: str, runs: int, seconds: float = 40.0, sigma: float = 70e-6) ->
 
 
 def _one(name: str, seconds: float, sigma: float, seed: int) -> list[Told]:
-    return told(name, seed, seconds, sigma)
+    return reported(name, seed, seconds, sigma)

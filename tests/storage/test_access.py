@@ -177,8 +177,8 @@ def test_forged_note_of_what_was_acknowledged_is_no_damage(tmp_path: Path, mode:
     assert not list(tmp_path.glob("*.corrupt-*"))
     assert [a["kind"] for a in queries.alarms(path)] == []
     words = [(e["cause"], e["message"]) for e in queries.events(path)]
-    told = [("rows missing", "7 instants, 7 events that were acknowledged are missing")]
-    assert words == (told if (mode, ahead) == (0o600, 7) else [])
+    reported = [("rows missing", "7 instants, 7 events that were acknowledged are missing")]
+    assert words == (reported if (mode, ahead) == (0o600, 7) else [])
 
 
 @pytest.mark.parametrize("suffix", ["", "-wal", "-shm", "-journal", ".lock"])

@@ -11,7 +11,7 @@ from agent.storage import maintenance
 from agent.storage.database.files import beside
 from agent.storage.read import queries
 from agent.storage.write.command_socket import CommandServer, ask
-from agent.storage.write.jobs import Errands
+from agent.storage.write.jobs import JobQueue
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
@@ -78,7 +78,7 @@ def test_repair_of_a_sound_file_that_an_agent_holds_changes_nothing(path: Path, 
 def test_repair_of_a_damaged_file_that_an_agent_holds_goes_on_in_a_new_one(path: Path, agent: StoreWriter) -> None:
     agent.publish([step("NORM", "UNACK"), batch(5, first=10**6)])
     assert agent.flush(20)
-    agent._errands.ask(lambda store: store.connection.execute("UPDATE alarms SET message = 'k1 rose'"))
+    agent._jobs.ask(lambda store: store.connection.execute("UPDATE alarms SET message = 'k1 rose'"))
     recovery = maintenance.repair(path)
     assert recovery is not None
     assert (recovery.aside.exists(), recovery.refused) == (True, 2)
@@ -101,7 +101,7 @@ def test_command_that_fails_is_told_and_the_agent_goes_on(path: Path, agent: Sto
         raise error(13, "database or disk is full")
 
     with pytest.raises(Exception, match="database or disk is full"):
-        agent._errands.ask(fail)
+        agent._jobs.ask(fail)
     agent.publish([batch(1, first=10**6)])
     assert agent.flush(20)
 
@@ -109,23 +109,23 @@ def test_command_that_fails_is_told_and_the_agent_goes_on(path: Path, agent: Sto
 def test_ask_of_an_agent_that_ends_is_answered(path: Path, agent: StoreWriter) -> None:
     agent.stop()
     with pytest.raises(StoreError, match="is ending"):
-        agent._errands.ask(lambda _: None)
+        agent._jobs.ask(lambda _: None)
 
 
 def test_errands_refused_tell_whoever_waits() -> None:
-    errands = Errands("here", lambda: None)
+    jobs = JobQueue("here", lambda: None)
     answers: list[BaseException] = []
 
     def wait() -> None:
         with pytest.raises(StoreError) as caught:
-            errands.ask(lambda _: None)
+            jobs.ask(lambda _: None)
         answers.append(caught.value)
 
     thread = threading.Thread(target=wait)
     thread.start()
-    while not errands:
+    while not jobs:
         pass
-    errands.refuse("no", "later")
+    jobs.refuse("no", "later")
     thread.join(20)
     assert str(answers[0]) == "here: no; later"
 

@@ -129,8 +129,8 @@ def trial(whole: Path, folder: Path, mutate: Mutate, rng: np.random.Generator, t
         return "detected" if rows - new else "detected, all lost"
     if rows - new == truth[0]:
         return "harmless"
-    told = [e["cause"] for e in queries.events(path)] == ["rows missing"]  # there was nothing to be saved
-    return "detected" if told else "undetected"
+    reported = [e["cause"] for e in queries.events(path)] == ["rows missing"]  # there was nothing to be saved
+    return "detected" if reported else "undetected"
 
 
 @pytest.mark.parametrize("count", [500, pytest.param(20_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])

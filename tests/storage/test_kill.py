@@ -28,14 +28,14 @@ class Nursery:
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=peers.ROOT, bufsize=0
         )
-        self._told = b""
+        self._reported = b""
 
     def begin(self, path: Path, profile: str, until: Callable[[list[bytes]], bool]) -> int:
         """Start a life and read until a condition on its lines holds; returns its process id."""
         assert self._process.stdin is not None
-        self._told = b""
+        self._reported = b""
         self._process.stdin.write(f"{path} {profile}\n".encode())
-        lines = self.read(lambda told: bool(told) and until(told), 30.0)
+        lines = self.read(lambda reported: bool(reported) and until(reported), 30.0)
         return int(lines[0].split()[1])
 
     def read(self, until: Callable[[list[bytes]], bool], deadline_s: float) -> list[bytes]:
@@ -48,19 +48,19 @@ class Nursery:
                 break
             more = os.read(self._process.stdout.fileno(), 65536)
             assert more, "the nursery ended"
-            self._told += more
+            self._reported += more
         return self.lines
 
     @property
     def lines(self) -> list[bytes]:
-        return self._told.split(b"\n")[:-1]
+        return self._reported.split(b"\n")[:-1]
 
     def kill(self, pid: int) -> list[bytes]:
         """Kill the life; return every whole line that it had told."""
         os.kill(pid, signal.SIGKILL)
-        told = self.read(lambda lines: lines[-1:] == [b"dead"] or self._told.endswith(b"dead\n"), 30.0)
-        assert self._told.endswith(b"dead\n")
-        return told[:-1]
+        reported = self.read(lambda lines: lines[-1:] == [b"dead"] or self._reported.endswith(b"dead\n"), 30.0)
+        assert self._reported.endswith(b"dead\n")
+        return reported[:-1]
 
     def end(self) -> None:
         assert self._process.stdin is not None
@@ -106,11 +106,11 @@ def test_kill_of_the_writer_at_any_moment_loses_nothing_acknowledged(
         if number % 10 == 0:
             path = memory / f"rig-{number}.db"
             lives.clear()
-        pid = nursery.begin(path, profile, lambda told: len(told) > 1)
+        pid = nursery.begin(path, profile, lambda reported: len(reported) > 1)
         nursery.read(lambda _: False, float(rng.uniform(0.0, 0.06)))
-        _, run, *told = nursery.kill(pid)
-        lives.append((int(run.split()[1]), len(told) * PROFILES[profile].hops))
-        acknowledged += len(told)
+        _, run, *reported = nursery.kill(pid)
+        lives.append((int(run.split()[1]), len(reported) * PROFILES[profile].hops))
+        acknowledged += len(reported)
         reader = connect_reader(path)
         assert sum(missing_of(reader, run_id, hops, profile) for run_id, hops in lives[-3:]) == 0
         reader.close()
@@ -126,7 +126,7 @@ def test_kill_during_the_first_start_leaves_a_file_that_opens(
 ) -> None:
     for number in range(25):
         path = memory / f"rig-{number}.db"
-        pid = nursery.begin(path, "live", lambda told: len(told) > 0)
+        pid = nursery.begin(path, "live", lambda reported: len(reported) > 0)
         nursery.read(lambda _: False, float(rng.uniform(0.0, 0.04)))
         nursery.kill(pid)
         with Store.open(path) as store:

@@ -164,7 +164,7 @@ def live_from_nothing(command: list[str]) -> tuple[list[bytes], float, float]:
     return output.lines, first, work
 
 
-def lost(db: Path, told: Told) -> int:
+def lost(db: Path, reported: Told) -> int:
     """Return how many acknowledged rows a reader of the file misses."""
     reader = connect_reader(db)
     missing = 0
@@ -172,10 +172,10 @@ def lost(db: Path, told: Told) -> int:
         "SELECT count(*), sum((SELECT count(*) FROM estimates e WHERE e.seq BETWEEN h.seq << 10 AND (h.seq << 10) + "
         "1023)) FROM hops h WHERE h.run_id = ? AND h.span = 0 AND h.t_ns <= ?"
     )
-    for run, instants in told.instants.items():
-        found, cells = reader.execute(query, (run, told.newest[run])).fetchone()
+    for run, instants in reported.instants.items():
+        found, cells = reader.execute(query, (run, reported.newest[run])).fetchone()
         missing += max(0, instants - found) + max(0, PARAMETERS * instants - (cells or 0))
-    missing += max(0, told.steps - reader.execute("SELECT count(*) FROM alarm_events").fetchone()[0])
+    missing += max(0, reported.steps - reader.execute("SELECT count(*) FROM alarm_events").fetchone()[0])
     reader.close()
     return missing
 
@@ -205,16 +205,16 @@ def own_config(bus: Path, profile: str) -> Path:
 
 def lives(bus: Path, profile: str, kills: int, seed: int) -> Told:
     """Kill agents on one database, one after another."""
-    config, rng, told = own_config(bus, profile), np.random.default_rng(seed), Told()
+    config, rng, reported = own_config(bus, profile), np.random.default_rng(seed), Told()
     db, cradle = config.with_suffix(".db"), Cradle()
     for number in range(kills):
-        told.note(cradle.live(arguments(config, db), float(rng.uniform(0.0, 0.8))))
-        assert lost(db, told) == 0, f"{profile}, life {number}"
+        reported.note(cradle.live(arguments(config, db), float(rng.uniform(0.0, 0.8))))
+        assert lost(db, reported) == 0, f"{profile}, life {number}"
     cradle.end()
     with Store.open(db) as store:
         assert store.recovery is None
         assert problems(store.connection) == []
-    return told
+    return reported
 
 
 @pytest.mark.realtime
@@ -227,26 +227,26 @@ def test_kill_of_the_agent_at_any_moment_loses_nothing_acknowledged(
     seeds = rng.integers(2**31, size=len(PROFILES)).tolist()
     with ThreadPoolExecutor() as pool:
         done = list(pool.map(lives, [bus] * len(PROFILES), PROFILES, kills, seeds))
-    told = dict(zip(PROFILES, done, strict=True))
-    words = ", ".join(f"{name} {sum(t.instants.values())} instants, {t.steps} steps" for name, t in told.items())
+    reported = dict(zip(PROFILES, done, strict=True))
+    words = ", ".join(f"{name} {sum(t.instants.values())} instants, {t.steps} steps" for name, t in reported.items())
     figure(f"kill -9 of the agent: {sum(kills)} kills, nothing of what was acknowledged lost ({words})")
-    assert min(sum(t.instants.values()) for t in told.values()) >= kills[0]
-    assert told["alarms"].steps > 0
+    assert min(sum(t.instants.values()) for t in reported.values()) >= kills[0]
+    assert reported["alarms"].steps > 0
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("starts", [2, pytest.param(20, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
 def test_agent_has_its_first_sample_two_seconds_after_a_kill(bus: Path, starts: int) -> None:
     """Started as users do, on the file that the agent before it left when it was killed."""
-    config, told = own_config(bus, "all rows"), Told()
+    config, reported = own_config(bus, "all rows"), Told()
     took, worked = [], []
     db = config.with_name("starts.db")
     for _ in range(starts):
         lines, first_s, work_s = live_from_nothing(arguments(config, db))
-        told.note(lines)
+        reported.note(lines)
         took.append(first_s)
         worked.append(work_s)
-        assert lost(db, told) == 0
+        assert lost(db, reported) == 0
     alone = os.getloadavg()[0] < (os.cpu_count() or 1)
     figure(
         f"first sample after the start of the agent, {starts} starts after kill -9: {np.median(took):.2f} s (2 s), "

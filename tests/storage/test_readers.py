@@ -66,7 +66,7 @@ def test_side_file_left_by_a_kill_is_taken_in_at_the_next_start(path: Path) -> N
         other = path.with_name("other.db")
         with Store.open(other) as scratch:
             scratch.numbers, scratch.names = store.numbers, store.names
-            scratch._books = store._books
+            scratch._run_rows = store._run_rows
             scratch.write(run_id, [batch(10, first=10), step("UNACK", "RTNUN", START + 5)])
     other.rename(spill_path(path))
     for _ in range(2):

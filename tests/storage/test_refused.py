@@ -114,10 +114,10 @@ def test_commands_on_what_is_no_database_say_so_and_change_nothing(
     make(folder / "rig.db")
     before = state(folder)
     assert guarded(app, asked(command, folder)) == 3
-    out, told = capfd.readouterr()
-    assert told.startswith("deltak: error: ")
-    assert words in told
-    assert "; " in told
+    out, reported = capfd.readouterr()
+    assert reported.startswith("deltak: error: ")
+    assert words in reported
+    assert "; " in reported
     assert out == ""
     assert state(folder) == before
 
@@ -127,10 +127,10 @@ def test_command_without_permission_says_so_and_changes_nothing(folder: Path, co
     good(folder / "rig.db")
     give_away(folder)
     before = state(folder)
-    code, told = deltak(*asked(command, folder))
-    assert code == 3, told
-    assert told.startswith("deltak: error: ")
-    assert "permission denied" in told.lower()
+    code, reported = deltak(*asked(command, folder))
+    assert code == 3, reported
+    assert reported.startswith("deltak: error: ")
+    assert "permission denied" in reported.lower()
     assert state(folder) == before
 
 
@@ -144,8 +144,8 @@ def test_run_without_permission_ends_with_3_and_changes_nothing(folder: Path) ->
         beside(folder / "rig.db", ".lock").chmod(lock)
         (folder / "rig.db").chmod(mode)
         before = state(folder)
-        code, told = deltak("run", config, "--db", folder / "rig.db", "--duration", "5")
-        assert (code, words in told) == (expected, True), told
+        code, reported = deltak("run", config, "--db", folder / "rig.db", "--duration", "5")
+        assert (code, words in reported) == (expected, True), reported
         assert state(folder) == before
 
 
@@ -167,7 +167,7 @@ def test_sql_in_a_name_is_only_a_name_that_is_not_there(
     good(folder / "rig.db")
     before = state(folder)
     assert guarded(app, [word.format(db=folder / "rig.db") if "{db}" in word else word for word in arguments]) == 2
-    told = capfd.readouterr().err
-    assert words in told
-    assert EVIL in told
+    reported = capfd.readouterr().err
+    assert words in reported
+    assert EVIL in reported
     assert state(folder) == before

@@ -109,17 +109,17 @@ def test_flipped_bit_anywhere_shows_no_changed_row(
     shutil.copy(whole, path)
     truth = asked(path, caplog)
     assert None not in truth.values()
-    size, told, wrong = whole.stat().st_size, 0, []
+    size, reported, wrong = whole.stat().st_size, 0, []
     for _ in range(count):
         place, bit = int(rng.integers(size)), int(rng.integers(8))
         flip(path, place, bit)
         found = asked(path, caplog)
-        told += None in found.values()
+        reported += None in found.values()
         wrong += [
             (place, bit, name) for name, rows in found.items() if rows is not None and rows - (truth[name] or Shown())
         ]
         flip(path, place, bit)
-    figure(f"bits flipped anywhere: {count}, {told} said so by a question, {len(wrong)} answers with a changed row")
+    figure(f"bits flipped anywhere: {count}, {reported} said so by a question, {len(wrong)} answers with a changed row")
     assert wrong == []
 
 

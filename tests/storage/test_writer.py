@@ -117,8 +117,8 @@ def test_writer_stop_writes_what_is_left(path: Path, make: Callable[..., StoreWr
 def test_writer_keeps_at_it_while_the_disk_fails_and_says_so(
     path: Path, make: Callable[..., StoreWriter], caplog: pytest.LogCaptureFixture, problem: sqlite3.Error, cause: str
 ) -> None:
-    told: list[HealthEvent] = []
-    writer = make(on_event=told.append)
+    reported: list[HealthEvent] = []
+    writer = make(on_event=reported.append)
     Sick.cause = problem
     writer.publish([batch(10), step("NORM", "UNACK")])
     assert not writer.flush(0.3)
@@ -131,7 +131,7 @@ def test_writer_keeps_at_it_while_the_disk_fails_and_says_so(
     (event,) = [e for e in queries.events(path) if e["source"] == "store"]
     assert event["cause"] == cause
     assert event["t_ns"] == START + 19 * HOP
-    assert [e.cause for e in told] == [cause]
+    assert [e.cause for e in reported] == [cause]
     (alarm,) = [a for a in queries.alarms(path) if a["parameter"] == "store"]
     assert (alarm["kind"], alarm["priority"], alarm["state"]) == ("source", "high", "RTNUN")
     assert (alarm["raised_at"], alarm["cleared_at"]) == (iso_time(START + 9 * HOP), iso_time(START + 19 * HOP))

@@ -45,7 +45,7 @@ def _watched_socket(original: Callable[..., Any]) -> Callable[..., Any]:
     def call(self: socket.socket, data: Any, *rest: Any) -> Any:
         if _is_drivers(sys._getframe(1)):
             inet = self.family in {socket.AF_INET, socket.AF_INET6}
-            _judge("an internet socket" if inet else f"a socket of family {int(self.family)}", data)
+            _assess("an internet socket" if inet else f"a socket of family {int(self.family)}", data)
         return original(self, data, *rest)
 
     return call
@@ -54,7 +54,7 @@ def _watched_socket(original: Callable[..., Any]) -> Callable[..., Any]:
 def _watched_descriptor(original: Callable[..., Any]) -> Callable[..., Any]:
     def call(number: int, data: Any, *rest: Any) -> Any:
         if os.isatty(number) and _is_drivers(sys._getframe(1)):
-            _judge("a serial line", data)
+            _assess("a serial line", data)
         return original(number, data, *rest)
 
     return call
@@ -74,11 +74,11 @@ def _is_drivers(frame: FrameType | None) -> bool:
     return False
 
 
-def _judge(kind: str, data: Any) -> None:
-    from drivers import write_gate as listening
+def _assess(kind: str, data: Any) -> None:
+    from drivers import write_gate
 
     whole = bytes(data) if isinstance(data, bytes | bytearray | memoryview) else b"".join(map(bytes, data))
-    protocol = next((name for name in RULES.get(kind, ()) if listening.permitted(name, whole)), None)
+    protocol = next((name for name in RULES.get(kind, ()) if write_gate.permitted(name, whole)), None)
     if protocol is not None:
         permitted[protocol] += 1
     elif _purpose:

@@ -58,7 +58,7 @@ def until(condition: Callable[[], object], what: str) -> None:
         time.sleep(0.02)
 
 
-def heard(bus: str) -> bool:
+def received(bus: str) -> bool:
     """Tell whether any program listens to a bus."""
     tables = [table.read_text(encoding="ascii") for table in Path("/proc/net/can").glob("rcvlist_*")]
     rows = [line.split() for table in tables for line in table.splitlines()]
@@ -146,7 +146,7 @@ def main(results: Path) -> None:
     configs = [configure(rig, bus, folder) for rig, bus in BUSES.items()]
     db = folder / "live.db"
     with running(deltak("run", *configs, "--db", db, "--json"), folder / "run.json"):
-        until(lambda: all(map(heard, BUSES.values())), "listening to every bus")
+        until(lambda: all(map(received, BUSES.values())), "listening to every bus")
         watch_and_play(folder, db)
         play_log(folder, db)
         back = shake(folder, db)

@@ -15,10 +15,10 @@ def said(records: list[Record]) -> list[tuple[str, str]]:
 
 
 def test_lateness_over_two_seconds_is_told_once_and_its_end_once() -> None:
-    lateness, told = Lateness("press-7"), []
+    lateness, reported = Lateness("press-7"), []
     for waited in (0.01, 1.9, 2.5, 9.0, 3.0, 0.6, 0.3, 0.1):
-        told += lateness.step(round(waited * S), 0)
-    assert said(told) == [
+        reported += lateness.step(round(waited * S), 0)
+    assert said(reported) == [
         ("behind", "press-7: computing is 2.5 s behind its samples"), ("source computing", "UNACK"),
         ("recovered", "press-7: computing keeps up again"), ("source computing", "RTNUN"),
     ]  # fmt: skip

@@ -90,7 +90,7 @@ class KernelLine(can_lines.DaemonLine):
     def attached(self, driver: object) -> None:
         pass
 
-    def hear(self) -> None:
+    def receive(self) -> None:
         """Take down what is on the bus and was not sent from here."""
         while True:
             try:
@@ -101,7 +101,7 @@ class KernelLine(can_lines.DaemonLine):
                 self.foreign.append(frame)
 
     def kill(self) -> None:
-        self.hear()
+        self.receive()
         self.sender.close()
         self.monitor.close()
         ip("del", self.bus)
@@ -115,7 +115,7 @@ class KernelLine(can_lines.DaemonLine):
         return self.foreign
 
     def close(self) -> None:
-        self.hear()
+        self.receive()
         self.sender.close()
         self.monitor.close()
 

@@ -16,7 +16,7 @@ class DownLine(KernelLine):
     bus = "vcan1"
 
     def kill(self) -> None:
-        self.hear()
+        self.receive()
         ip("set", self.bus, "down")
 
     def restore(self) -> None:

@@ -97,7 +97,7 @@ class Indexer:
     _newest: int = -1  # newest accepted index
     _last: int | None = None  # an index ...
     _raw: int = 0  # ... its counter value or time stamp ...
-    _heard_ns: int = 0  # ... and its arrival
+    _received_ns: int = 0  # ... and its arrival
     _behind: int = 0
     _epoch: int = 0
     _line_ns: float | None = None  # arrival of index 0, had it been as punctual as the most punctual sample
@@ -125,7 +125,7 @@ class Indexer:
         if kept.any():
             newest = int(np.flatnonzero(kept)[-1])
             self._newest = self._last = int(index[newest])
-            self._raw, self._heard_ns = int(raw[newest]), arrival_ns
+            self._raw, self._received_ns = int(raw[newest]), arrival_ns
             self._line_ns = self._punctual_ns(arrival_ns)
         elif self._behind > RESTART_AFTER_S * self.rate_hz:
             if counted:
@@ -143,7 +143,7 @@ class Indexer:
         kept = self._forward(index)
         if kept.any():
             self._newest = self._last = int(index[kept][-1])
-            self._heard_ns = block.arrival_ns
+            self._received_ns = block.arrival_ns
         return index, kept
 
     def _readings(self, block: SampleBlock, *, counted: bool, numbered: bool) -> IntArray:
@@ -178,13 +178,13 @@ class Indexer:
     def _punctual_ns(self, arrival_ns: int) -> float:
         """When index 0 would have arrived, had it been as punctual as the most punctual sample was."""
         here = arrival_ns - self._newest * 1e9 / self.rate_hz
-        return here if self._line_ns is None else min(here, self._line_ns + LEAK * (arrival_ns - self._heard_ns))
+        return here if self._line_ns is None else min(here, self._line_ns + LEAK * (arrival_ns - self._received_ns))
 
     def _ahead(self, index: int, arrival_ns: int) -> bool:
         """Tell whether a sample would have come before its time: its device counts anew, from further on."""
         if self._line_ns is None:
             return False
-        due_ns = self._line_ns + LEAK * (arrival_ns - self._heard_ns) + index * 1e9 / self.rate_hz
+        due_ns = self._line_ns + LEAK * (arrival_ns - self._received_ns) + index * 1e9 / self.rate_hz
         return due_ns - arrival_ns > PUNCTUAL_S * 1e9
 
     def _shortest(self, steps: IntArray) -> IntArray:
@@ -198,7 +198,7 @@ class Indexer:
 
         counted: the samples up to the newest, by the counter alone. A long block is no silence before its first one.
         """
-        hidden = (arrival_ns - self._heard_ns) * self.rate_hz / 1e9 - counted
+        hidden = (arrival_ns - self._received_ns) * self.rate_hz / 1e9 - counted
         if self.modulus is None or hidden < max(self.modulus / 2, PUNCTUAL_S * self.rate_hz):
             return 0
         return self.modulus * round(hidden / self.modulus)
@@ -217,7 +217,7 @@ class Indexer:
 
     def _elapsed(self, arrival_ns: int) -> int:
         """Samples since the newest one by the monotonic clock; one at least."""
-        return max(1, round((arrival_ns - self._heard_ns) * self.rate_hz / 1e9))
+        return max(1, round((arrival_ns - self._received_ns) * self.rate_hz / 1e9))
 
     def _count_anew(self, raw: IntArray, arrival_ns: int) -> None:
         """Go on with another count, whose counters (n,) have just come: by time, or with a source that did so as well.
@@ -230,7 +230,7 @@ class Indexer:
             by_time = max(self._newest + 1, round((arrival_ns - self._line_ns) * self.rate_hz / 1e9))
         known = self.origin.renumber(self.generation, by_time, int(raw[-1]), self.modulus, JOIN_S * self.rate_hz)
         self._resumed, self.generation = known
-        self._raw, self._heard_ns, self._behind = int(raw[0]), arrival_ns, 0
+        self._raw, self._received_ns, self._behind = int(raw[0]), arrival_ns, 0
         self._last = self.began = self._resumed - int(self._shortest(np.diff(raw)).sum())
         self._line_ns = None
         self.restarts += 1
@@ -238,6 +238,6 @@ class Indexer:
     def _stamp_anew(self, raw: int, arrival_ns: int) -> None:
         """Go on after the time that passed on the monotonic clock, with the device's new time stamps."""
         self._newest = self._last = self.began = self._newest + self._elapsed(arrival_ns)
-        self._raw, self._heard_ns, self._behind = raw, arrival_ns, 0
+        self._raw, self._received_ns, self._behind = raw, arrival_ns, 0
         self.restarts += 1
         self.origin.value = raw - round(self._last * 1e9 / self.rate_hz)

@@ -82,12 +82,12 @@ def _modbus(_folder: Path, **_: bool) -> tuple[Marks, str]:
 
 
 def _can(_folder: Path, *, fast: bool) -> tuple[Marks, str]:
-    lacking = why_no_vcan() or ("vcan0 holds no sender back" if fast else "")
-    if not lacking:
+    missing = why_no_vcan() or ("vcan0 holds no sender back" if fast else "")
+    if not missing:
         return {"WHERE": 'interface = "socketcan"'}, f"CAN on the kernel's {VCAN}"
     port = free_port()
     where = f'interface = "socketcand"\nhost = "127.0.0.1"\nport = {port}'
-    return {"WHERE": where}, f"{lacking}: socketcand on 127.0.0.1:{port}"
+    return {"WHERE": where}, f"{missing}: socketcand on 127.0.0.1:{port}"
 
 
 def why_no_vcan() -> str:

@@ -54,7 +54,7 @@ def segments(config: RigConfig, truth: Truth, rows: Sequence[Row]) -> list[dict[
         last = max((i for i in index if start <= i < stop), default=None)
         chosen = {r["parameter"]: r for r, i in zip(rows, index, strict=True) if i == last}
         bounds = _bounds(config, truth, last) if last is not None else {}
-        parameters = {name: _judged(name, truth, stop - 1, chosen.get(name, {}), bounds) for name in _names(config)}
+        parameters = {name: _assessed(name, truth, stop - 1, chosen.get(name, {}), bounds) for name in _names(config)}
         found.append({"from_s": start / rate, "to_s": stop / rate, "parameters": parameters})
     return found
 
@@ -75,7 +75,7 @@ def _indices(config: RigConfig, rows: Sequence[Row]) -> list[int]:
     return [_sample(config, rows, row["t_ns"]) for row in rows]
 
 
-def _judged(name: str, truth: Truth, at: int, row: Row, bounds: Mapping[str, float]) -> dict[str, Any]:
+def _assessed(name: str, truth: Truth, at: int, row: Row, bounds: Mapping[str, float]) -> dict[str, Any]:
     true, value, sd = float(truth.parameters[name][at]), row.get("value"), row.get("sd")
     error = (value - true) / sd if value is not None and sd else None
     return {"true": true, "estimate": value, "sd": sd, "bound_sd": bounds.get(name), "error_sd": error,

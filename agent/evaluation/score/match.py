@@ -69,11 +69,11 @@ def match(samples: Sequence[Samples], truth: Played) -> Matched:
     for piece in samples:
         if not piece.usable:
             continue
-        values, lacking = _reading(piece)
-        if piece.segment != segment or _differs(truth, piece.index + shift, values, lacking).mean() > 0.5:
-            segment, shift = piece.segment, _shift(truth, piece.index, values, lacking, shift)
+        values, absent = _reading(piece)
+        if piece.segment != segment or _differs(truth, piece.index + shift, values, absent).mean() > 0.5:
+            segment, shift = piece.segment, _shift(truth, piece.index, values, absent, shift)
         number = piece.index + shift
-        rows.append((piece.index, number, ~lacking.any(axis=1), _differs(truth, number, values, lacking)))
+        rows.append((piece.index, number, ~absent.any(axis=1), _differs(truth, number, values, absent)))
     if not rows:
         none = np.zeros(0, dtype=np.int64)
         return Matched(none, none, none.astype(np.bool_), none.astype(np.bool_))
@@ -89,26 +89,26 @@ def _reading(piece: Samples) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.bo
 
 
 def _differs(
-    truth: Played, number: IntArray, values: FloatArray, lacking: np.ndarray[Any, np.dtype[np.bool_]]
+    truth: Played, number: IntArray, values: FloatArray, absent: np.ndarray[Any, np.dtype[np.bool_]]
 ) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Return which samples hold a reading that is not the sensor's."""
     there = (number >= 0) & (number < len(truth.readings))
     expected = truth.readings[np.where(there, number, 0)]
     room = truth.room(expected)
-    wrong = (np.abs(values - expected) > room) & ~lacking
+    wrong = (np.abs(values - expected) > room) & ~absent
     return np.asarray(wrong.any(axis=1) | ~there)
 
 
 def _shift(
-    truth: Played, index: IntArray, values: FloatArray, lacking: np.ndarray[Any, np.dtype[np.bool_]], guess: int
+    truth: Played, index: IntArray, values: FloatArray, absent: np.ndarray[Any, np.dtype[np.bool_]], guess: int
 ) -> int:
     """Return device's number minus agent's number for a stretch; the guess where it is found nowhere."""
-    whole = np.flatnonzero(~lacking.any(axis=1))[:_SEARCHED]
+    whole = np.flatnonzero(~absent.any(axis=1))[:_SEARCHED]
     if not len(whole):
         return guess
     near = (np.abs(truth.readings - values[whole[0]]) <= truth.room(truth.readings)).all(axis=1)
     shifts = np.flatnonzero(near) - index[whole[0]]
     agreeing = [
-        int(s) for s in shifts if not _differs(truth, index[whole] + s, values[whole], lacking[whole]).any()
+        int(s) for s in shifts if not _differs(truth, index[whole] + s, values[whole], absent[whole]).any()
     ]
     return min(agreeing, key=lambda s: abs(s - guess), default=guess)

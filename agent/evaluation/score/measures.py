@@ -57,7 +57,7 @@ class Rows:
         return np.asarray(self._all(name)[:, parameter])
 
 
-class Judge:
+class Assessment:
     """One run held against what was played.
 
     Args:
@@ -86,7 +86,7 @@ class Judge:
             "alarms": self.alarms(),
             "faults": self.faults(),
             "events": [[e.source, e.cause] for e in self._events() if e.cause not in _GOOD_NEWS],
-            "remarks": [record.cause for record in self._told() if record.source not in self._sources],
+            "remarks": [record.cause for record in self._reported() if record.source not in self._sources],
             "sensors": sorted({a.parameter for a in self._raised("sensor")}),
             "sources_lost": len(self._raised("source")),
         }
@@ -127,17 +127,17 @@ class Judge:
         assert rows is not None  # noqa: S101 (parameters() has looked)
         number = self._number_at(rows.index)
         first = number - rows.window[:, i] + 1
-        judged = rows.valid[:, i] & (first >= 0)
-        if not judged.any():
+        assessed = rows.valid[:, i] & (first >= 0)
+        if not assessed.any():
             return {"rows": 0, "rms_sd": None, "worst_sd": None, "rms_percent": None, "covered_percent": None}
         total = np.concatenate([[0.0], np.cumsum(self.truth.parameters[name])])
-        last, first = number[judged] + 1, first[judged]
+        last, first = number[assessed] + 1, first[assessed]
         true = (total[last] - total[first]) / (last - first)
-        error = rows.column("value", i)[judged] - true
-        sd = rows.column("sd", i)[judged]
-        low, high = rows.column("lower", i)[judged], rows.column("upper", i)[judged]
+        error = rows.column("value", i)[assessed] - true
+        sd = rows.column("sd", i)[assessed]
+        low, high = rows.column("lower", i)[assessed], rows.column("upper", i)[assessed]
         return {
-            "rows": int(judged.sum()),
+            "rows": int(assessed.sum()),
             "rms_sd": float(np.sqrt(np.mean((error / sd) ** 2))),
             "worst_sd": float(np.abs(error / sd).max()),
             "rms_percent": float(100.0 * np.sqrt(np.mean((error / true) ** 2))),
@@ -167,11 +167,11 @@ class Judge:
     def _sources(self) -> set[str]:
         return {source.name for source in self._config.source}
 
-    def _told(self) -> list[HealthEvent]:
+    def _reported(self) -> list[HealthEvent]:
         return [record for record in self._outcome.records if isinstance(record, HealthEvent)]
 
     def _events(self) -> list[HealthEvent]:
-        return [record for record in self._told() if record.source in self._sources]
+        return [record for record in self._reported() if record.source in self._sources]
 
     def _raised(self, kind: str) -> list[AlarmTransition]:
         changes = [record for record in self._outcome.records if isinstance(record, AlarmTransition)]
@@ -221,7 +221,7 @@ class Judge:
 
     def _overcome(self, source: str, name: str, first: int, end: int) -> dict[str, Any]:
         over = end / self._rate
-        heard = min((at for who, at, _ in self._outcome.heard if who == source and at >= over), default=None)
+        arrivals = min((at for who, at, _ in self._outcome.arrivals if who == source and at >= over), default=None)
         valid = None
         if self.rows is not None:
             number = self._number_at(self.rows.index)
@@ -229,7 +229,7 @@ class Judge:
             valid = None if not len(later) else (int(later[0]) - end) / self._rate
         return {
             "source": source, "fault": name, "from_s": first / self._rate, "to_s": over,
-            "recovery_s": None if heard is None else heard - over, "valid_again_s": valid,
+            "recovery_s": None if arrivals is None else arrivals - over, "valid_again_s": valid,
         }  # fmt: skip
 
 

@@ -63,7 +63,7 @@ class Outcome:
     truth: Mapping[str, Any] = field(default_factory=dict)
     records: list[Record] = field(default_factory=list)
     samples: list[Samples] = field(default_factory=list)
-    heard: list[tuple[str, float, int]] = field(default_factory=list)
+    arrivals: list[tuple[str, float, int]] = field(default_factory=list)
     health: list[Health] = field(default_factory=list)
 
 
@@ -85,7 +85,7 @@ class _Reader:
             while self._bench.now_s(self.source.name) < then_s:
                 block = self._link.read(READ_S)
                 if len(block):
-                    outcome.heard.append((self.source.name, self._bench.now_s(self.source.name), len(block)))
+                    outcome.arrivals.append((self.source.name, self._bench.now_s(self.source.name), len(block)))
                     whole = replace(block, wall_offset_ns=0)
                     rig.take(self._use, Arrival(whole, self.driver.counts.copy(), self.driver.counter_modulus))
                     rig.compute()

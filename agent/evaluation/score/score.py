@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from agent.errors import UsageError
-from agent.evaluation.score.measures import Judge
+from agent.evaluation.score.measures import Assessment
 from agent.evaluation.score.play import open_bench, play, shipped
 
 Report = Callable[[str, float], None]
@@ -55,8 +55,8 @@ def score(scenarios: Sequence[str], faults: Sequence[str], report: Report) -> di
 def _scored(name: str, faults: Sequence[str], report: Report) -> dict[str, Any]:
     bench = open_bench(name, faults)
     expect = _expectation(name, bench.expect)
-    judge = Judge(play(bench, lambda share: report(name, share)), bench.strikes())
-    measures = judge.document()
+    assess = Assessment(play(bench, lambda share: report(name, share)), bench.strikes())
+    measures = assess.document()
     failures = _failures(expect, measures)
     return {"scenario": name, "seconds": bench.duration_s, "ok": not failures, "failures": failures, **measures}
 

@@ -57,22 +57,22 @@ def identifiability(model: Model, measured: int, scale: FloatArray) -> Identifia
     """
     rng = np.random.default_rng(20)
     nearby = model.nominal * (1.0 + 0.02 * rng.uniform(0.5, 1.0, len(model.nominal)))
-    return judge(model.continuous(nearby), measured, scale)
+    return assess(model.continuous(nearby), measured, scale)
 
 
-def judge(model: StateSpace, measured: int, scale: FloatArray) -> Identifiability:
+def assess(model: StateSpace, measured: int, scale: FloatArray) -> Identifiability:
     """Judge one continuous-time model; arguments as for `identifiability`."""
     if not model.q:
         return Identifiability((), np.zeros((0, 0)), 1.0)
     jacobian, size = _jacobian(_balanced(model), measured)
     lengths = np.linalg.norm(jacobian, axis=0)
-    heard = lengths > SILENT * size
-    silent = tuple(np.flatnonzero(~heard).tolist())
-    if not heard.any():
+    received = lengths > SILENT * size
+    silent = tuple(np.flatnonzero(~received).tolist())
+    if not received.any():
         return Identifiability(silent, np.zeros((0, model.q)), 1.0)
-    _, values, vectors = np.linalg.svd(jacobian[:, heard] / lengths[heard], full_matrices=False)
+    _, values, vectors = np.linalg.svd(jacobian[:, received] / lengths[received], full_matrices=False)
     null = np.zeros((int(np.sum(values < TOLERANCE * values[0])), model.q))
-    null[:, heard] = vectors[len(values) - len(null) :] / lengths[heard]
+    null[:, received] = vectors[len(values) - len(null) :] / lengths[received]
     return Identifiability(silent, _readable(null, scale, lengths), float(values[-1] / values[0]))
 
 

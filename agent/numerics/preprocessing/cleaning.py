@@ -153,10 +153,10 @@ class Cleaner:
                     self._decided = place
                     return
                 # a spike leaves three large second differences; the first may just pass
-                self._judge(place, np.asarray(doubtful[place - first : place - first + 3].any(axis=0)))
+                self._assess(place, np.asarray(doubtful[place - first : place - first + 3].any(axis=0)))
         self._decided = len(x)
 
-    def _judge(self, place: int, doubtful: BoolArray) -> None:
+    def _assess(self, place: int, doubtful: BoolArray) -> None:
         """Look for a spike that begins at a sample, in the channels in doubt (c,)."""
         for channel in np.flatnonzero(doubtful).tolist():
             free = not (self._marked[place, channel] or self._suspect[place, channel])

@@ -97,7 +97,7 @@ class SensorWatch:
             else:
                 quiet = b + 1
                 self._done += self.block
-                found += self._judge(blocks, b)
+                found += self._assess(blocks, b)
             b = quiet
         start = self._context + whole * self.block
         self._context = min(start, ENTRY)
@@ -172,9 +172,9 @@ class SensorWatch:
         self._seen = seen[-1]
         return np.where(self._stated > 0, self._stated, np.where(np.isfinite(seen), seen, 0.0))
 
-    def _judge(self, blocks: _Blocks, b: int) -> list[Finding]:
+    def _assess(self, blocks: _Blocks, b: int) -> list[Finding]:
         low, high, noise, step = blocks.low[b], blocks.high[b], blocks.noise[b], blocks.step[b]
-        stuck = self._standing.judge(low, high, noise, step, self._speed_before(b))
+        stuck = self._standing.assess(low, high, noise, step, self._speed_before(b))
         self._rails.pass_by(low, high, self.block)
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
         clipped = self._clipped(blocks, b)

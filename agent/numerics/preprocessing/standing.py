@@ -55,8 +55,8 @@ class Standing:
         self._inputs, self._window, self._block = inputs, window, block
         self._alike = kinds[:, None] == kinds
         # a force tells of no course; it speaks only where no other output does
-        told_by = ~inputs if np.sum(~inputs) > 1 else np.ones(c, dtype=bool)
-        self._others = told_by & ~np.eye(c, dtype=bool)
+        shown_by = ~inputs if np.sum(~inputs) > 1 else np.ones(c, dtype=bool)
+        self._others = shown_by & ~np.eye(c, dtype=bool)
         self._usual, self._longest, self._speed = np.zeros(c), np.zeros(c), np.zeros(c)
         self._called = np.zeros(c, dtype=bool)
         self._low, self._high = np.full(c, np.inf), np.full(c, -np.inf)  # of the standstill, else of the newest block
@@ -82,7 +82,7 @@ class Standing:
             self._remember(low[start:stop].min(axis=0), high[start:stop].max(axis=0), stop - start)
             start = stop
 
-    def judge(
+    def assess(
         self, low: FloatArray, high: FloatArray, noise: FloatArray, step: FloatArray, speed: FloatArray
     ) -> BoolArray:  # fmt: skip
         """Take one block: (c,) outputs that have stood still for too long while others moved.

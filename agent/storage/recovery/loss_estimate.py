@@ -2,7 +2,7 @@
 """How many rows a damaged file has lost, as far as that can be known.
 
 What is known of rows that are gone: those that were read and were wrong, those that an index still lists, those that
-were acknowledged (see `Receipts`), and the estimates that a saved instant lacks. Pages that nothing can be read of may
+were acknowledged (see `Watermarks`), and the estimates that a saved instant lacks. Pages that cannot be read may
 have held more.
 """
 
@@ -11,13 +11,13 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-TOLD = ("estimates", "alarms", "alarm_events", "health", "events")
+REPORTED = ("estimates", "alarms", "alarm_events", "health", "events")
 """What people count as rows."""
 _INDEXES = {
     "hops": "hops_by_time", "alarms": "alarms_by_run", "alarm_events": "alarm_events_by_alarm",
     "health": "health_by_run",
 }  # fmt: skip
-_LACKING = """SELECT coalesce(sum(max(0, q.n - (SELECT count(*) FROM estimates e JOIN fits f ON f.seq = e.fit_id
+_MISSING = """SELECT coalesce(sum(max(0, q.n - (SELECT count(*) FROM estimates e JOIN fits f ON f.seq = e.fit_id
  WHERE e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 AND f.chosen = 1))), 0)
  FROM temp.reached h
  JOIN (SELECT run_id, count(DISTINCT parameter) AS n FROM series GROUP BY run_id) q ON q.run_id = h.run_id
@@ -25,7 +25,7 @@ _LACKING = """SELECT coalesce(sum(max(0, q.n - (SELECT count(*) FROM estimates e
 
 
 @dataclass(slots=True)
-class Losses:
+class LossEstimate:
     """What is known of the rows of a damaged file that could not be read from it.
 
     Attributes:
@@ -69,8 +69,8 @@ class Losses:
         gone = {table: self._gone(target, table, highs.get(table, 0), given.get(table, 0)) for table in tables}
         fewest = "SELECT min(n) FROM (SELECT count(DISTINCT parameter) AS n FROM series GROUP BY run_id)"
         width = int(target.execute(fewest).fetchone()[0] or 1)
-        lacking = int(target.execute(_LACKING).fetchone()[0]) + width * gone.pop("hops", 0)
-        return max(gone.pop("estimates", 0), lacking) + sum(gone.values())
+        missing = int(target.execute(_MISSING).fetchone()[0]) + width * gone.pop("hops", 0)
+        return max(gone.pop("estimates", 0), missing) + sum(gone.values())
 
     def _gone(self, target: sqlite3.Connection, table: str, high: int, given: int) -> int:
         """Return how many rows of a table were there and were not saved; high: the highest that was acknowledged."""

@@ -13,7 +13,7 @@ from agent.storage.database.connect import build, empty_log
 from agent.storage.database.files import beside, make_alike, sync_folder
 from agent.storage.database.schema import COLUMN_BITS, TABLES, columns_of, insert_sql
 from agent.storage.database.verify import good_rows
-from agent.storage.recovery.loss_estimate import TOLD, Losses
+from agent.storage.recovery.loss_estimate import REPORTED, LossEstimate
 from agent.storage.recovery.page_carving import scan
 from agent.storage.tables.rows import VERDICTS, Row
 
@@ -134,24 +134,24 @@ def _copy_rows(damaged: Path, fresh: Path, highs: Mapping[str, int]) -> tuple[in
     """
     with closing(sqlite3.connect(fresh, isolation_level=None)) as target:
         target.execute("PRAGMA synchronous = FULL")
-        losses = _copy_by_trees(damaged, target)
+        loss = _copy_by_trees(damaged, target)
         for table, rows in scan(damaged, beside(damaged, "-wal")):
             _insert(target, table, rows, "INSERT OR IGNORE")
         _drop_orphans(target)
-        lost = losses.count(target, highs)
+        lost = loss.count(target, highs)
         _complete(target, highs)
-        saved = sum(target.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in TOLD)  # noqa: S608 - own
+        saved = sum(target.execute(f"SELECT count(*) FROM {t}").fetchone()[0] for t in REPORTED)  # noqa: S608 - own
         empty_log(target)
-    return saved, lost, losses.unread
+    return saved, lost, loss.unread
 
 
-def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> Losses:
+def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> LossEstimate:
     """Copy what SQLite itself can reach; returns what is known of the rest.
 
     With the log first, then without: where a log is torn, what it replaced may still stand in the file.
     """
-    losses = Losses()
-    losses.begin(target)
+    loss = LossEstimate()
+    loss.begin(target)
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         for source in _readable_source(damaged, mode):
             with closing(source):
@@ -160,14 +160,14 @@ def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> Losses:
                     tree = _Tree(source, table)
                     for rows in tree.rows():
                         right = good_rows(table, rows)
-                        losses.note(table, (row[0] for row, fine in zip(rows, right, strict=True) if not fine))
+                        loss.note(table, (row[0] for row, fine in zip(rows, right, strict=True) if not fine))
                         good = [row for row, fine in zip(rows, right, strict=True) if fine]
                         _insert(target, table, good, "INSERT OR IGNORE")
                     failures += tree.failures
                 _insert_consumers(source, target)
                 if mode == "mode=ro":  # what the file alone lists may have been deleted since
-                    losses.settle(source, target, failures)
-    return losses
+                    loss.settle(source, target, failures)
+    return loss
 
 
 def _readable_source(path: Path, mode: str) -> Iterator[sqlite3.Connection]:

@@ -41,7 +41,7 @@ class AlarmRow:
         return tuple(getattr(self, name) for name in columns_of("alarms")[:-1])
 
 
-class AlarmBook:
+class AlarmRows:
     """The alarms of one run that are not back to normal, by kind and parameter."""
 
     def __init__(self, run_id: int, standing: list[AlarmRow]) -> None:

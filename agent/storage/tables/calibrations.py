@@ -8,7 +8,7 @@ from agent.storage.tables.rows import Numbers, Plan
 from agent.types import Calibrated, CalibrationRecord, RunInfo
 
 
-class CalibrationBook:
+class CalibrationRows:
     """Which row each run has; a run that learns more changes its row."""
 
     def __init__(self) -> None:

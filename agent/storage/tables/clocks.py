@@ -21,7 +21,7 @@ class _Part:
     offset_ns: int | None
 
 
-class ClockBook:
+class ClockRows:
     """The parts of one run, by the samples from which their stamps begin.
 
     Args:

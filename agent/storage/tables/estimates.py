@@ -44,8 +44,8 @@ def _add_rows(
     bare = (value, sd, np.where(symmetric, np.nan, lower), np.where(symmetric, np.nan, upper), held, age)
     columns = (*numbered, *(a.ravel() for a in bare))
     if place is not None:
-        told = np.isfinite(value.ravel())
-        columns = tuple(column[told] for column in columns)
+        reported = np.isfinite(value.ravel())
+        columns = tuple(column[reported] for column in columns)
     plan.add("estimates", *zip(*(c.tolist() for c in (*columns, column_crc(*columns))), strict=True))
 
 

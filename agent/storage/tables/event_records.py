@@ -6,7 +6,7 @@ from agent.storage.tables.rows import Numbers, Plan
 from agent.types import EventRecord
 
 
-class RecordBook:
+class EventRecordRows:
     """Which row each file has; a record that changes (complete, purged) changes its row."""
 
     def __init__(self) -> None:

@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from agent.storage.tables.ages import jump_words
-from agent.storage.tables.alarms import AlarmBook
+from agent.storage.tables.alarms import AlarmRows
 from agent.storage.tables.batches import joined_runs, take
-from agent.storage.tables.calibrations import CalibrationBook
-from agent.storage.tables.clocks import ClockBook
+from agent.storage.tables.calibrations import CalibrationRows
+from agent.storage.tables.clocks import ClockRows
 from agent.storage.tables.coverage import Coverage
 from agent.storage.tables.estimates import add_estimates
-from agent.storage.tables.event_records import RecordBook
+from agent.storage.tables.event_records import EventRecordRows
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tables.status import HealthBook, add_event
+from agent.storage.tables.status import HealthRows, add_event
 from agent.types import (
     AlarmTransition,
     CalibrationRecord,
@@ -33,7 +33,7 @@ _CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 log = logging.getLogger(__name__)
 
 
-class Books:
+class RunRows:
     """The open runs of one file.
 
     Args:
@@ -52,18 +52,18 @@ class Books:
         settings: dict[str, list[ClockRecord]],
     ) -> None:
         self._names, self._numbers, self._connection, self._watch = names, numbers, connection, watch
-        self._alarms: dict[int, AlarmBook] = {}
-        self._clocks: dict[int, ClockBook] = {}
+        self._alarms: dict[int, AlarmRows] = {}
+        self._clocks: dict[int, ClockRows] = {}
         self._settings = settings
         self._coverage: dict[int, Coverage] = {}
-        self._records, self._calibrations, self._health = RecordBook(), CalibrationBook(), HealthBook()
+        self._records, self._calibrations, self._health = EventRecordRows(), CalibrationRows(), HealthRows()
 
     def __contains__(self, run_id: int) -> bool:
         return run_id in self._alarms
 
-    def open(self, run_id: int, run: RunInfo, alarms: AlarmBook) -> None:
+    def open(self, run_id: int, run: RunInfo, alarms: AlarmRows) -> None:
         """Begin the books of a run; after the file was replaced its clock is as it was."""
-        self._alarms[run_id], self._clocks[run_id] = alarms, ClockBook(run_id, self._names.rig(run.rig), run)
+        self._alarms[run_id], self._clocks[run_id] = alarms, ClockRows(run_id, self._names.rig(run.rig), run)
         self._covered(run_id, run_id, run.rig)
         self._watch(run_id, run_id)
         for record in self._settings.pop(run.rig, ()):

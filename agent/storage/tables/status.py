@@ -8,7 +8,7 @@ from agent.storage.tables.rows import Numbers, Plan
 from agent.types import Health, HealthEvent, SourceClock
 
 
-class HealthBook:
+class HealthRows:
     """Which row each source's ledger has at its newest instant.
 
     There is one row an instant and source, and the last one told counts: while no sample comes the instant stays, and

@@ -41,7 +41,7 @@ class _Caller:
     line: bytes = b""
     since: float = field(default_factory=time.monotonic)
 
-    def hear(self) -> bool:
+    def receive(self) -> bool:
         """Take what has come; True when the line is complete."""
         try:
             more = self.peer.recv(4096)
@@ -94,12 +94,12 @@ class CommandServer:
             while not self._stopping.is_set():
                 self.progress += 1
                 for key, _ in selector.select(0.2):
-                    self._hear(selector, key.data)
+                    self._receive(selector, key.data)
                 self._cut_off(selector)
         for caller in self._callers:
             caller.peer.close()
 
-    def _hear(self, selector: selectors.BaseSelector, caller: _Caller | None) -> None:
+    def _receive(self, selector: selectors.BaseSelector, caller: _Caller | None) -> None:
         """Take the next caller (None), or what a caller said."""
         if caller is None:
             with suppress(OSError):
@@ -107,7 +107,7 @@ class CommandServer:
                 peer.setblocking(False)
                 self._callers.append(_Caller(peer))
                 selector.register(peer, selectors.EVENT_READ, self._callers[-1])
-        elif caller.hear():
+        elif caller.receive():
             self._callers.remove(caller)
             selector.unregister(caller.peer)
             self._begin(caller)

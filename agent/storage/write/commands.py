@@ -7,15 +7,15 @@ from typing import Any
 from agent.storage.database.verify import problems
 from agent.storage.recovery.salvage import Recovery
 from agent.storage.write.command_socket import CommandServer, Handler
-from agent.storage.write.jobs import Errands
+from agent.storage.write.jobs import JobQueue
 from agent.storage.write.store import Store
 
 
-def serve(path: Path, errands: Errands) -> CommandServer:
+def serve(path: Path, jobs: JobQueue) -> CommandServer:
     """Listen on the database's socket. Raises OSError where no socket can be made."""
 
     def through(act: Any) -> Handler:
-        return lambda _: dict(errands.ask(act))
+        return lambda _: dict(jobs.ask(act))
 
     server = CommandServer(path, {"compact": through(_compact), "repair": through(_repair)})
     server.start()

@@ -8,10 +8,10 @@ from typing import Any
 from agent.errors import StoreError
 from agent.storage.write.store import Store
 
-Errand = Callable[[Store], Any]
+Job = Callable[[Store], Any]
 
 
-class Errands:
+class JobQueue:
     """A queue of errands; each asker waits for its own.
 
     Args:
@@ -21,20 +21,20 @@ class Errands:
 
     def __init__(self, place: str, wake: Callable[[], None]) -> None:
         self._place, self._wake = place, wake
-        self._waiting: SimpleQueue[tuple[Errand, Future[Any]]] = SimpleQueue()
+        self._waiting: SimpleQueue[tuple[Job, Future[Any]]] = SimpleQueue()
         self._over = False
 
     def __bool__(self) -> bool:
         return not self._waiting.empty()
 
-    def ask(self, errand: Errand) -> Any:
+    def ask(self, job: Job) -> Any:
         """Have something done with the store; returns what it returns, and raises what it raises.
 
         Raises:
             StoreError: the store cannot be written at present, or the agent is ending.
         """
         answer: Future[Any] = Future()
-        self._waiting.put((errand, answer))
+        self._waiting.put((job, answer))
         if self._over:
             self.refuse("its agent is ending", "ask again when it has ended")
         self._wake()
@@ -42,9 +42,9 @@ class Errands:
 
     def run(self, store: Store) -> None:
         """Do what was asked for."""
-        for errand, answer in self._taken():
+        for job, answer in self._taken():
             try:
-                answer.set_result(errand(store))
+                answer.set_result(job(store))
             except Exception as error:  # noqa: BLE001 - the asker is told; the writer goes on
                 answer.set_exception(error)
 
@@ -58,7 +58,7 @@ class Errands:
         self._over = True
         self.refuse("its agent is ending", "ask again when it has ended")
 
-    def _taken(self) -> list[tuple[Errand, "Future[Any]"]]:
+    def _taken(self) -> list[tuple[Job, "Future[Any]"]]:
         taken = []
         try:
             while True:

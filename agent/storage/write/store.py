@@ -27,13 +27,13 @@ from agent.storage.database.files import (
 from agent.storage.database.schema import insert_sql, upgrade
 from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
-from agent.storage.tables.alarms import AlarmBook, AlarmRow, standing_alarms
+from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
 from agent.storage.tables.calibrations import newest_calibration
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tables.run_rows import Books
+from agent.storage.tables.run_rows import RunRows
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
-from agent.storage.write.watermark import Receipts
+from agent.storage.write.watermark import Watermarks
 from agent.types import AlarmTransition, Calibrated, ClockRecord, HealthEvent, Record, RunInfo
 
 _COMMITS_A_CHECKPOINT = 300
@@ -52,7 +52,7 @@ class Store:
     def __init__(self, path: Path, lock: Lock, keep: Retention) -> None:
         self.path = path
         self._lock = lock
-        self._receipts = Receipts(lock.handle, private=lock.private)
+        self._watermarks = Watermarks(lock.handle, private=lock.private)
         self._mutex = threading.RLock()
         self._connection: sqlite3.Connection | None = None
         self._side: sqlite3.Connection | None = None
@@ -60,7 +60,7 @@ class Store:
         self.numbers = Numbers()
         self.names = Names(self.numbers)
         self._tiers = TierKeeper(self, keep)
-        self._books = self._new_books({})
+        self._run_rows = self._new_run_rows({})
         self._since_checkpoint = [0, 0]
         self._keep = keep
         self._scrubber = Scrubber()
@@ -91,8 +91,8 @@ class Store:
             raise
         return store
 
-    def _new_books(self, settings: dict[str, list[ClockRecord]]) -> Books:
-        return Books(self.names, self.numbers, lambda: self.connection, self._tiers.watch, settings)
+    def _new_run_rows(self, settings: dict[str, list[ClockRecord]]) -> RunRows:
+        return RunRows(self.names, self.numbers, lambda: self.connection, self._tiers.watch, settings)
 
     def _attach(self) -> None:
         """Open the file; on a full disk after dropping the ballast and the oldest hour of rows.
@@ -126,16 +126,16 @@ class Store:
         refuse(self.path, kind)
         if kind is Kind.MISSING:
             create(self.path)
-            self._receipts.forget()
+            self._watermarks.forget()
         damage = "its header is damaged" if kind is Kind.DAMAGED else self._torn() or self._connect()
         if damage:
             self._replace(damage)
-        self.numbers.leap(self._receipts.highs)
+        self.numbers.leap(self._watermarks.highs)
         sync_folder(self.path.parent)  # SQLite does so for its log, but does not mind when it fails
 
     def _torn(self) -> str | None:
         """Return what was acknowledged and only a torn log holds; what no log holds is told by the next run."""
-        words, torn = self._receipts.missing(self.path)
+        words, torn = self._watermarks.missing(self.path)
         self._missing = None if torn else words
         return words if torn else None
 
@@ -163,10 +163,10 @@ class Store:
     def _replace(self, damage: str) -> None:
         """Go on in a new file with the rows that could be saved; runs must be begun again."""
         self._disconnect()
-        self.recovery = recover(self.path, damage, self._receipts.highs)
+        self.recovery = recover(self.path, damage, self._watermarks.highs)
         self.names = Names(self.numbers)
         self._tiers = TierKeeper(self, self._keep)
-        self._books = self._new_books(self._books.settings())
+        self._run_rows = self._new_run_rows(self._run_rows.settings())
         problem = self._connect()
         if problem is not None:
             raise StoreError.at(str(self.path), f"the database cannot be repaired ({problem})", "replace its disk")
@@ -192,26 +192,26 @@ class Store:
             plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
             self.commit([plan])
             self.adopt_run(run_id, run)
-            self._tell_recovery(run_id, run)
+            self._report_recovery(run_id, run)
             return run_id
 
-    def _tell_recovery(self, run_id: int, run: RunInfo) -> None:
+    def _report_recovery(self, run_id: int, run: RunInfo) -> None:
         """Record that a damaged file was replaced: an event, and an alarm that is over but not acknowledged."""
         if self._missing is not None:
             self.write(run_id, [HealthEvent(run.rig, "store", run.started_ns, "rows missing", self._missing)])
             self._missing = None
         if self.recovery is None:
             return
-        told, t_ns = str(self.recovery), run.started_ns
-        raised = AlarmTransition(run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", told)
+        reported, t_ns = str(self.recovery), run.started_ns
+        raised = AlarmTransition(run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", reported)
         over = replace(raised, from_state="UNACK", to_state="RTNUN", cause="replaced")
-        self.write(run_id, [HealthEvent(run.rig, "store", t_ns, "damaged", told), raised, over])
+        self.write(run_id, [HealthEvent(run.rig, "store", t_ns, "damaged", reported), raised, over])
         self.recovery = None
 
     def adopt_run(self, run_id: int, run: RunInfo) -> None:
         """Go on with a run that is in the file already."""
         standing = self.open_alarms(run.rig) if run.kind == "live" else []
-        self._books.open(run_id, run, AlarmBook(run_id, standing))
+        self._run_rows.open(run_id, run, AlarmRows(run_id, standing))
 
     def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
         """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""
@@ -233,9 +233,9 @@ class Store:
 
     def encode(self, run_id: int, records: Sequence[Record]) -> list[Plan]:
         """Turn records into the rows of one or several transactions; nothing is written yet."""
-        if run_id not in self._books:
+        if run_id not in self._run_rows:
             raise StoreError.at(str(self.path), f"there is no run {run_id} open for writing", "begin a run first")
-        return self._books.plans(run_id, records)
+        return self._run_rows.plans(run_id, records)
 
     def commit(self, plans: Sequence[Plan]) -> None:
         """Write plans, a transaction each; on return they are on the disk. Committing a plan again is harmless."""
@@ -250,7 +250,7 @@ class Store:
                 for table, rows in source.rows.items():
                     connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
         self.names.saved()
-        self._receipts.note(plan.rows)
+        self._watermarks.note(plan.rows)
         self._since_checkpoint[0] += 1
         self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
 

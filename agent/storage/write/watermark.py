@@ -23,7 +23,7 @@ _MOST_AHEAD = 4_000_000  # rows that a log and a side file can hold; a note furt
 _TABLES = {"hops": "instants", "alarm_events": "steps of alarms", "health": "ledger rows", "events": "events"}
 
 
-class Receipts:
+class Watermarks:
     """The highest numbers that were acknowledged, by table.
 
     Args:

@@ -15,7 +15,7 @@ from agent.storage.write.backlog import Backlog, Pause, cells_of
 from agent.storage.write.command_socket import CommandServer
 from agent.storage.write.commands import serve
 from agent.storage.write.decimation import Thinner
-from agent.storage.write.jobs import Errands
+from agent.storage.write.jobs import JobQueue
 from agent.storage.write.store import Store
 from agent.types import AlarmTransition, Calibrated, ClockRecord, EstimateBatch, HealthEvent, Record, RunInfo
 
@@ -74,7 +74,7 @@ class StoreWriter:
         self._spilling = False
         self._served = served
         self._server: CommandServer | None = None
-        self._errands = Errands("its agent", self._wake)
+        self._jobs = JobQueue("its agent", self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
         self.standing: dict[str, list[AlarmRow]] = {}
@@ -192,7 +192,7 @@ class StoreWriter:
         self.progress += 1
         self._collect(last)
         self._write_all(last)
-        self._run_errands()
+        self._run_jobs()
         with self._condition:
             if not self._waiting() or last:
                 self._answered = ticket
@@ -242,7 +242,7 @@ class StoreWriter:
                 self._write_once()
             if self._store is not None:
                 self._store.maintain(finish=last)
-                self._tell_spilling(self._store.spilling)
+                self._report_spilling(self._store.spilling)
         except _FAILURE as error:
             self._failed(error)
         else:
@@ -261,10 +261,10 @@ class StoreWriter:
         store.commit(self._plans)
         for rig, records in self._flight.items():
             self.written += sum(map(cells_of, records))
-            self._tell_stored(rig, records)
+            self._report_stored(rig, records)
         self._flight, self._plans = {}, []
 
-    def _tell_stored(self, rig: str, records: Sequence[Record]) -> None:
+    def _report_stored(self, rig: str, records: Sequence[Record]) -> None:
         """Log what is on the disk from now on, whatever happens next."""
         if log.isEnabledFor(logging.INFO):
             hops = sum(len(r) for r in records if isinstance(r, EstimateBatch))
@@ -277,11 +277,11 @@ class StoreWriter:
     def _newest_stored(records: Sequence[Record]) -> int:
         return max((int(r.t_ns[-1]) for r in records if isinstance(r, EstimateBatch)), default=0)
 
-    def _run_errands(self) -> None:
+    def _run_jobs(self) -> None:
         if self._store is None or self._pause.cause:
-            self._errands.refuse(f"cannot write to it at present ({self._pause.cause})", "look at its disk")
+            self._jobs.refuse(f"cannot write to it at present ({self._pause.cause})", "look at its disk")
         else:
-            self._errands.run(self._store)
+            self._jobs.run(self._store)
 
     def _attach(self) -> None:
         """See that the store is open, its socket is there and the runs are begun."""
@@ -300,7 +300,7 @@ class StoreWriter:
 
     def _serve(self, store: Store) -> CommandServer | None:
         try:
-            return serve(store.path, self._errands)
+            return serve(store.path, self._jobs)
         except OSError as error:
             log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
             return None
@@ -332,7 +332,7 @@ class StoreWriter:
         assert self._store is not None  # noqa: S101 - checked by the caller
         self._store.recover(cause)
 
-    def _tell_spilling(self, spilling: bool) -> None:
+    def _report_spilling(self, spilling: bool) -> None:
         """Say once when rows begin to go to the side file, and once when they are taken in again."""
         if spilling == self._spilling:
             return
@@ -361,7 +361,7 @@ class StoreWriter:
         log.warning("%s: can be written again after %.1f s", self._place(), since)
 
     def _end(self) -> None:
-        self._errands.end()
+        self._jobs.end()
         try:
             if self._server is not None:
                 self._server.stop()

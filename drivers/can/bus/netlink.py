@@ -5,7 +5,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from drivers import write_gate as listening
+from drivers import write_gate
 from drivers.can.bus.bus import BusKeys
 
 _GET_LINK, _REQUEST = 18, 1
@@ -46,7 +46,7 @@ def look(name: str) -> Link | None:
     try:
         with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as asked:
             asked.settimeout(_ANSWER_S)
-            listening.send("netlink", asked, question(name))
+            write_gate.send("netlink", asked, question(name))
             return read_answer(asked.recv(1 << 16))
     except (AttributeError, OSError):
         return None

@@ -33,17 +33,17 @@ from drivers.can.codec.frames import (
     joined,
     no_frames,
 )
-from drivers.port import Driver, DriverConfigError, Heard, IntArray, SampleBlock
+from drivers.port import Capture, Driver, DriverConfigError, IntArray, SampleBlock
 
 _BIT_RATE_AND_STATE = 0x03
 _FD = 0x07
 _LONGEST_NAME = 15
 
 
-class HeardOnCan(Driver):
+class CanCapture(Driver):
     """A driver that makes samples of frames, and can keep the frames for a recording."""
 
-    heard_suffix: ClassVar[str | None] = ".log"
+    capture_suffix: ClassVar[str | None] = ".log"
     _keeper: "Keeper | None" = None
 
     @abstractmethod
@@ -58,7 +58,7 @@ class HeardOnCan(Driver):
     def restart(self) -> None:
         """Forget samples that are not whole."""
 
-    def keep_heard(self) -> None:
+    def keep_capture(self) -> None:
         self._keeper = Keeper(getattr(self.request.settings, "channel", "can"))
 
     def keep(self, frames: Frames) -> None:
@@ -66,10 +66,10 @@ class HeardOnCan(Driver):
         if self._keeper is not None:
             self._keeper.add(frames, self.counts.dropped, self.counts.rejected["text"], self.counts.reopened)
 
-    def take_heard(self) -> Heard | None:
+    def take_capture(self) -> Capture | None:
         return None if self._keeper is None else self._keeper.take()
 
-    def hear(self, text: bytes, beside: Mapping[str, Any]) -> SampleBlock:
+    def decode_capture(self, text: bytes, beside: Mapping[str, Any]) -> SampleBlock:
         self.prepare()
         if beside.get("reopened"):
             self.restart()
@@ -79,7 +79,7 @@ class HeardOnCan(Driver):
         if bad:
             self.counts.received += bad
             self.counts.rejected["text"] += bad
-        return self.decoded(frames_heard(text, beside))
+        return self.decoded(captured_frames(text, beside))
 
 
 class Keeper:
@@ -100,7 +100,7 @@ class Keeper:
         self._beside |= {key: value for key, value in since.items() if value}
         self._frames = joined(self._frames, frames) if len(self._frames) else frames
 
-    def take(self) -> Heard | None:
+    def take(self) -> Capture | None:
         """Return what waits and forget it; None when that is nothing."""
         frames, beside = self._frames, self._beside
         self._frames, self._beside = no_frames(), {}
@@ -109,10 +109,10 @@ class Keeper:
         finer = (frames.t_ns % 1000).astype("<u2")
         if finer.any():
             beside["finer"] = base64.b64encode(finer.tobytes()).decode("ascii")
-        return Heard(lambda: candump_text(frames, self._channel), len(frames), beside)
+        return Capture(lambda: candump_text(frames, self._channel), len(frames), beside)
 
 
-def frames_heard(text: bytes, beside: Mapping[str, Any]) -> Frames:
+def captured_frames(text: bytes, beside: Mapping[str, Any]) -> Frames:
     """Return the frames of a recorded piece. Raises DriverConfigError when they are not what was recorded."""
     frames, bad = candump_frames(text.decode("latin-1").splitlines())
     if bad:

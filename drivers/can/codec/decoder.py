@@ -79,13 +79,13 @@ class FrameDecoder:
     def _sound(self, message: MessageCodec, frames: Frames) -> Frames:
         """Return the message's frames that can be read; the others are counted by the first thing wrong with them."""
         frames = _picked(frames, message.mine(frames.table))
-        for reason, judge in (
+        for reason, assess in (
             ("remote frame", lambda table: ~is_remote(table)),
             ("dlc", message.right_length),
             ("checksum", message.right_sum),
             ("counter", message.right_counter),
         ):
-            right = judge(frames.table)
+            right = assess(frames.table)
             self._reject(reason, int(np.count_nonzero(~right)), len(message.samples))
             if not right.all():
                 self._counts.first.setdefault(reason, shown(frames.table[int(np.argmin(right))]))

@@ -78,9 +78,9 @@ class ErrorWatch:
             identifier, data = int(row["id"]), row["data"]
             for name in names_of(identifier, int(data[1])):
                 self._counts.faults[name] += 1
-                self._tell(name, _counters(identifier, data.tolist()), int(t_ns[number]))
+                self._describe(name, _counters(identifier, data.tolist()), int(t_ns[number]))
 
-    def _tell(self, name: str, counters: str, t_ns: int) -> None:
+    def _describe(self, name: str, counters: str, t_ns: int) -> None:
         if name in _STATES:
             if name != self._state:
                 self._report(name, f"{self._bus}: {name}: {_STATES[name]}{counters}")

@@ -17,7 +17,7 @@ from drivers.can.driver import DbcDriver
 from drivers.can.log.channels import channel_of, shown
 from drivers.can.log.interfaces import wire_of
 from drivers.can.log.text import candump_block
-from drivers.can.log.unmatched import Unfit
+from drivers.can.log.unmatched import UnmatchedFrames
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
 from drivers.timestamps import seconds_to_ns
 
@@ -52,12 +52,12 @@ class CanLogDriver(DbcDriver):
     settings_model: ClassVar[type[DriverSettings]] = CanLogSettings
     finite: ClassVar[bool] = True
     _frames: Iterator[Frames] | None = None
-    _unfit: Unfit
+    _unmatched: UnmatchedFrames
 
     def open(self) -> None:
         self.prepare()
         self._decoder.restart()
-        self._unfit = Unfit()
+        self._unmatched = UnmatchedFrames()
         path = self.request.folder / self.request.settings.path
         if _kind(path) not in SUFFIXES:
             raise DriverConfigError(f"{path}: is no CAN log that can be read; {', '.join(SUFFIXES)} are")
@@ -79,13 +79,13 @@ class CanLogDriver(DbcDriver):
             return self.block_of(rest)
         block = self.decoded(frames)
         if not self.counts.received:
-            self._unfit.see(frames.table)
+            self._unmatched.see(frames.table)
         return block
 
     def _end(self) -> None:
         """Note what a log holds that has nothing of what is looked for, before all other remarks."""
         if not self.counts.received:
-            words = f"{self.request.folder / self.request.settings.path}: {self._unfit.words(self._messages)}"
+            words = f"{self.request.folder / self.request.settings.path}: {self._unmatched.words(self._messages)}"
             self._notes = [words, *(note for note in self._notes if note != words)]
 
     def close(self) -> None:

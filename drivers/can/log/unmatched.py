@@ -12,7 +12,7 @@ _NAMED = 5
 """Identifiers that are named, those seen most often first."""
 
 
-class Unfit:
+class UnmatchedFrames:
     """Counts the frames of a log, by identifier, until one fits."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@ from sim_bus.devices import guard
 from sim_bus.devices.can.kernel import KernelFrames, KernelOutlet
 from sim_bus.devices.can.packing import Packing, load_database
 from sim_bus.devices.can.slcan import SlcanDevice, SlcanText
-from sim_bus.devices.can.socketcand import ADAPTERS_TELL, Endpoint, FrameText, SocketcandDevice
+from sim_bus.devices.can.socketcand import ADAPTERS_REPORT, Endpoint, FrameText, SocketcandDevice
 from sim_bus.devices.device import Bench, Device
 from sim_bus.devices.pty_line import PtyLine
 from sim_bus.devices.stream import Stream
@@ -30,7 +30,7 @@ class KernelDevice(Device):
         self._stream = stream
         self._channel = channel
         self._outlet = KernelOutlet(channel, frame_size)
-        self._heard = False
+        self._received = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="can device", daemon=True)
 
@@ -42,8 +42,8 @@ class KernelDevice(Device):
 
     def _run(self) -> None:
         while not self._stop.wait(self._stream.wait_s()):
-            if not self._heard and self._outlet.has_listener():
-                self._heard = True
+            if not self._received and self._outlet.has_listener():
+                self._received = True
                 self._stream.add(self._outlet)
             self._stream.step()
 
@@ -64,9 +64,9 @@ def make_stream(bench: Bench, number: int) -> Stream:
     packing, faults = _packing(bench, number, keys), bench.faults(number, text=True)
     text = FrameText(packing.kinds, bench.clock_of(number))
     faults.strange = text.strange
-    faults.refuse(ADAPTERS_TELL, "a daemon does not pass it on; play an adapter (slcan)")
+    faults.refuse(ADAPTERS_REPORT, "a daemon does not pass it on; play an adapter (slcan)")
     _refuse_checksum(faults, keys)
-    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    feed = Feed(bench.trajectory_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
     return Stream(source.name, feed, bench.clock_of(number), text, faults)
 
 
@@ -85,7 +85,7 @@ def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
         "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
     )
     render = KernelFrames(packing.kinds)
-    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    feed = Feed(bench.trajectory_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
     stream = Stream(source.name, feed, bench.clock_of(number), render, faults)
     return KernelDevice(bench.clock, stream, keys.channel, render.size)
 
@@ -99,7 +99,7 @@ def make_adapter_stream(bench: Bench, number: int) -> Stream:
     faults.refuse(("checksum",), "cannot be caused behind an adapter; play a socketcand")
     if any(kind.fd for kind in packing.kinds):
         faults.refuse(("remote", "dlc"), "is for classic frames")
-    feed = Feed(bench.tape_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
+    feed = Feed(bench.trajectory_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
     return Stream(source.name, feed, bench.clock_of(number), text, faults)
 
 

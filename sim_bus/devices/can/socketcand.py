@@ -72,7 +72,7 @@ class FrameText:
 FOREIGN = b"7E5"
 _CROWDS = {"foreign": 1, "flood": 100}
 _LAST_DIGIT = re.compile(rb"([0-9A-F]) >")
-ADAPTERS_TELL = ("error-warning", "error-passive", "overrun")
+ADAPTERS_REPORT = ("error-warning", "error-passive", "overrun")
 """What a daemon does not pass on: it names no more than the class of an error."""
 _WHOLE = re.compile(rb"(< frame [^<>]*?)[0-9A-F]{2} >")
 _BUS_OFF, _BUS_ERROR, _RESTARTED = 0x40, 0x80, 0x100
@@ -101,7 +101,7 @@ class Session(Outlet):
         """Say that the daemon is there."""
         self._answer(b"< hi >")
 
-    def hear(self, data: bytes) -> None:
+    def take_bytes(self, data: bytes) -> None:
         """Carry out what the client asks."""
         self._input = (self._input + data)[-4096:]
         while match := _COMMAND.search(self._input):
@@ -146,7 +146,7 @@ class Client(Session):
         except OSError:
             data = b""
         self.gone = self.gone or not data
-        self.hear(data)
+        self.take_bytes(data)
 
     def _send(self, data: bytes) -> int:
         try:

@@ -41,7 +41,7 @@ class Answers:
             return bytes([function | 0x80, _ILLEGAL_FUNCTION])
         if not self._there(address, count):
             return bytes([function | 0x80, _ILLEGAL_ADDRESS])
-        if not self._unit.suffers("hang"):
+        if not self._unit.has_fault("hang"):
             self._unit.bring_up(self._memory, self._start, address, count)
         values = self._memory[address - self._start : address - self._start + count]
         return bytes([function, 2 * count]) + _bytes(values)

@@ -40,7 +40,7 @@ def _sim_device(unit: Unit) -> SimDevice:
         unit.asked()
         if function not in _READ or values is not None:
             return ExcCodes.ILLEGAL_FUNCTION
-        if not unit.suffers("hang"):
+        if not unit.has_fault("hang"):
             unit.bring_up(memory, start, address, count)
         return None
 
@@ -99,7 +99,7 @@ class ModbusDevice(Device):
         """Let the server die, and come back, when faults say so."""
         while True:
             await asyncio.sleep(_LOOK_S)
-            gone = any(unit.suffers("disconnect") or unit.suffers("black-hole") for unit in self.units)
+            gone = any(unit.has_fault("disconnect") or unit.has_fault("black-hole") for unit in self.units)
             if gone and self._server is not None:
                 server, self._server = self._server, None
                 await self._unplug(server)
@@ -116,14 +116,14 @@ class ModbusDevice(Device):
 
     def opened(self) -> int | None:
         """Return the newest sample at which a connection is made; None where it is closed at once."""
-        if any(unit.suffers("accept-close") for unit in self.units):
+        if any(unit.has_fault("accept-close") for unit in self.units):
             return None
         return max(unit.newest() for unit in self.units)
 
     def deliveries(self, adu: bytes, opened: int) -> Deliveries:
         """Return what goes out instead of a reply."""
         unit = self._by_number.get(split(adu, self.framing)[1])
-        return [(0.0, adu)] if unit is None else self._faults.deliveries(adu, unit.suffering(opened))
+        return [(0.0, adu)] if unit is None else self._faults.deliveries(adu, unit.active_faults(opened))
 
     def _custom(self) -> list[type[ModbusPDU]]:
         return [_fifo_request(self._by_number)]
@@ -189,7 +189,7 @@ class ModbusTcpDevice(ModbusDevice):
                 raise SimBusError(f'source "{self.units[0].source}": {words}') from error
 
     async def _unplug(self, server: ModbusBaseServer) -> None:
-        if not any(unit.suffers("black-hole") for unit in self.units):
+        if not any(unit.has_fault("black-hole") for unit in self.units):
             await super()._unplug(server)
             return
         # its connections stay, and whoever wants a new one stands in a queue that is full

@@ -75,11 +75,11 @@ class Unit(ABC):
         """Return the newest sample by now; -1 before the first."""
         return self.clock.played() - 1 if self.clock.started.is_set() else -1
 
-    def suffers(self, name: str) -> bool:
+    def has_fault(self, name: str) -> bool:
         """Tell whether a fault lasts at this time."""
         return self.faults.at_time(name, self.newest())
 
-    def suffering(self, opened: int = 0) -> frozenset[str]:
+    def active_faults(self, opened: int = 0) -> frozenset[str]:
         """Return the faults that last at this time, on a connection made when `opened` was the newest sample."""
         newest = self.newest()
         dead = [strike for strike in self.faults.strikes if strike.name == "half-open"]
@@ -172,7 +172,7 @@ class RingUnit(Unit):
         if self._taken < oldest:
             self.lost.add(self._taken, oldest - 1)
             self._taken = oldest
-        if self.suffering() - _ANSWERED:
+        if self.active_faults() - _ANSWERED:
             return
         offset, size = address - self._ring.address, self._ring.registers
         first, end = -(-offset // size), (offset + count) // size
@@ -245,7 +245,7 @@ class FifoUnit(Unit):
         return registers(b"".join(rows))
 
 
-UNFIT = {
+UNREPRESENTABLE = {
     "tcp": ("corrupt",),
     "rtu": ("wrong-transaction", "wrong-protocol", "half-open", "black-hole", "reset", "hang-up", "accept-close"),
 }
@@ -258,10 +258,10 @@ def make_unit(bench: Bench, number: int, settings: ModbusSettings) -> Unit:
     source = bench.source(number)
     numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
     faults = bench.faults(number)
-    faults.refuse(UNFIT[settings.transport], f"cannot be caused on Modbus {settings.transport.upper()}")
+    faults.refuse(UNREPRESENTABLE[settings.transport], f"cannot be caused on Modbus {settings.transport.upper()}")
     if settings.mode != "ring":
         faults.refuse(("restart",), "only a ring begins anew")
-    feed = Feed(bench.tape_of(number), bench.rig, source, numbers, _packer(settings), faults.strikes)
+    feed = Feed(bench.trajectory_of(number), bench.rig, source, numbers, _packer(settings), faults.strikes)
     return UNITS[settings.mode](source.name, settings, feed, bench.clock_of(number), faults)
 
 

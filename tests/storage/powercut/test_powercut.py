@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.storage.write import watermark as receipts
+from agent.storage.write import watermark as watermarks
 from agent.storage.write.store import Store
 from tests import peers
 from tests.figures import figure
@@ -122,7 +122,7 @@ class Starts:
         return len(self._found)
 
     def _start(self, path: Path) -> Found:
-        highs = receipts._highs(path) if path.exists() else {}
+        highs = watermarks._highs(path) if path.exists() else {}
         with Store.open(path, self._profile.keep) as store:
             damaged = store.recovery is not None
             execute = store.connection.execute
@@ -145,7 +145,7 @@ def _digest(files: dict[str, bytes]) -> tuple[bytes, dict[str, int]]:
     digest, note = hashlib.sha256(), {}
     for name, content in sorted(files.items()):
         if name.endswith(".lock"):
-            note = receipts._parsed(content[receipts._PLACE :])
+            note = watermarks._parsed(content[watermarks._PLACE :])
         elif not name.endswith(("-shm", ".ballast")):
             digest.update(f"{name} {len(content)} ".encode() + content)
     return digest.digest(), note
@@ -166,7 +166,7 @@ def test_power_cut_at_any_moment_loses_nothing_acknowledged(
 def test_power_cuts_with_synchronous_normal_lose_rows(shim: Path, memory: Path, rng: np.random.Generator) -> None:
     """The red twin: were the store set to NORMAL, this suite would see it."""
     starts, operations = Starts(memory / "cut", "live"), record(shim, memory, "live", "NORMAL")
-    lost = [starts.lost(files, told) for _, files, told in cuts(operations, 200, rng)]
+    lost = [starts.lost(files, reported) for _, files, reported in cuts(operations, 200, rng)]
     assert sum(n > 0 for n in lost) > 50
 
 

@@ -143,7 +143,7 @@ def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(ward: Ward,
         shutil.copytree(before.parent, path.parent, dirs_exist_ok=True)
         return path, ward.live(path, kind, error, first, count, number=number)
 
-    told: Counter[str] = Counter()
+    reported: Counter[str] = Counter()
     for kind, error, first, count in plan(trial()[1].seen, every):
         path, life = trial(kind, error, first, count)
         missing, events, alarms = whole(path, life.acknowledged)
@@ -155,8 +155,8 @@ def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(ward: Ward,
         assert alarms == ({"RTNUN"} if events else set()), case
         retried = kind == "O" and count == 1  # by SQLite itself, or for reading only
         assert events or retried or EXPENDABLE.fullmatch(life.failed), f"nothing was told of it: {case}"
-        told.update(events or ["nothing failed" if not life.failed else "expendable"])
-    figure(f"a disk that fails, {start} start: {sum(told.values())} operations, nothing lost; told as {dict(told)}")
+        reported.update(events or ["nothing failed" if not life.failed else "expendable"])
+    figure(f"a disk that fails, {start} start: {sum(reported.values())} operations, nothing lost; {dict(reported)}")
 
 
 @pytest.mark.parametrize(("kind", "mended"), [("S", True), ("S", False), ("D", True), ("D", False)])
@@ -173,8 +173,8 @@ def test_sync_that_failed_is_never_taken_for_done(
         path, begin = ward.fresh("trial"), ward.log.stat().st_size
         ward.live(path, kind, errno.EIO, first, 1 if mended else 10**6, stop=False, patience_s=0.05)
         ward.live(path, "-", 0, 0, 0, number=WRITES, stop=False)
-        for moment, files, told in cuts(read_log(ward.log, begin), count, rng):
-            assert starts.lost(files, told) == 0, f"{kind} {first}, cut at {moment}"
+        for moment, files, reported in cuts(read_log(ward.log, begin), count, rng):
+            assert starts.lost(files, reported) == 0, f"{kind} {first}, cut at {moment}"
     figure(f"power cuts after a sync ({kind}) that failed and a kill -9: {starts.cuts}, nothing acknowledged lost")
 
 

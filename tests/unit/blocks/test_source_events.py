@@ -24,8 +24,8 @@ def test_step_first_block_is_what_later_counts_are_held_against() -> None:
 def test_step_broken_frame_and_its_gap_are_one_event_named_after_the_frame() -> None:
     events = begun()
     assert events.step("line", signs(crc=3, gaps=1), 100 * MS) is None
-    told = [events.step("line", signs(crc=3, gaps=1), 100 * MS + k * SETTLE_NS) for k in (1, 2, 3)]
-    assert told == [("crc", 1), None, None]
+    reported = [events.step("line", signs(crc=3, gaps=1), 100 * MS + k * SETTLE_NS) for k in (1, 2, 3)]
+    assert reported == [("crc", 1), None, None]
 
 
 def test_step_gap_that_is_seen_before_its_cause_does_not_name_the_episode() -> None:
@@ -38,16 +38,16 @@ def test_step_gap_that_is_seen_before_its_cause_does_not_name_the_episode() -> N
 
 def test_step_trouble_that_goes_on_is_told_once_and_again_after_quiet() -> None:
     events = begun()
-    told = [events.step("line", signs(crc=2 + min(k, 20)), (k + 1) * 100 * MS) for k in range(60)]
-    told.append(events.step("line", signs(crc=30), 7000 * MS))
-    told.append(events.step("line", signs(crc=30), 7300 * MS))
-    assert [one for one in told if one] == [("crc", 4), ("crc", 8)]
+    reported = [events.step("line", signs(crc=2 + min(k, 20)), (k + 1) * 100 * MS) for k in range(60)]
+    reported.append(events.step("line", signs(crc=30), 7000 * MS))
+    reported.append(events.step("line", signs(crc=30), 7300 * MS))
+    assert [one for one in reported if one] == [("crc", 4), ("crc", 8)]
 
 
 def test_told_link_that_was_lost_explains_what_is_counted_until_it_has_been_back_for_a_while() -> None:
     events = begun()
-    events.told("line", 100 * MS, away=True)
-    events.told("line", 9_000 * MS, away=False)
+    events.reported("line", 100 * MS, away=True)
+    events.reported("line", 9_000 * MS, away=False)
     assert events.step("line", signs(crc=2, gaps=1, faults={"stray bytes": 5}), 9_000 * MS) is None
     assert events.step("line", signs(crc=2, gaps=1, faults={"stray bytes": 5}), 9_500 * MS) is None
     assert events.finish() == {}

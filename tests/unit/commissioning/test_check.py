@@ -91,7 +91,7 @@ def test_check_placed_poles_are_where_they_were_asked_for(tmp_path: Path) -> Non
 
 def test_check_predicted_sd_is_what_windows_then_deliver(tmp_path: Path) -> None:
     """Played with 5 N rms instead of the 1 N that is assumed: a fifth of the sd, by the median over windows."""
-    told = predicted(checked(edited(tmp_path)))
+    reported = predicted(checked(edited(tmp_path)))
     calm = '[[force]]\nkind = "random"\nrms = 5.0\n[noise]\ndisplacement = 1e-6\n'
     (tmp_path / "calm.toml").write_text(calm, encoding="utf-8")
     seen: dict[str, list[float]] = {}
@@ -101,13 +101,13 @@ def test_check_predicted_sd_is_what_windows_then_deliver(tmp_path: Path) -> None
             for name, (_, sd, _) in played.row(index).items():
                 seen.setdefault(name, []).append(sd)
     for name, sds in seen.items():
-        assert 0.6 < told[0.25, name] / 5.0 / np.median(sds) < 1.6, name
+        assert 0.6 < reported[0.25, name] / 5.0 / np.median(sds) < 1.6, name
 
 
 def test_check_longer_windows_tell_more_and_more_force_tells_in_proportion(tmp_path: Path) -> None:
-    told = predicted(checked(edited(tmp_path, ("window_s = 0.25", "window_s = [0.25, 1.0, 4.0]"))))
+    reported = predicted(checked(edited(tmp_path, ("window_s = 0.25", "window_s = [0.25, 1.0, 4.0]"))))
     for name in ("k1", "k2", "B1", "B2"):
-        assert told[0.25, name] > 1.5 * told[1.0, name] > 2 * told[4.0, name]
+        assert reported[0.25, name] > 1.5 * reported[1.0, name] > 2 * reported[4.0, name]
 
 
 def test_check_without_known_noise_assumes_the_wire_and_says_so(tmp_path: Path) -> None:
@@ -233,13 +233,13 @@ def test_check_model_that_grows_beyond_all_measure_is_warned_of_without_a_word_o
     assert all(np.isnan(row["sd"]) and "grows" in row["assumes"] for row in document["predicted_sd"])
 
 
-@pytest.mark.parametrize(("clock", "lacks"), [("counter", "no counter"), ("device", "no time stamps")])
-def test_check_warns_of_a_clock_that_the_source_does_not_have(tmp_path: Path, clock: str, lacks: str) -> None:
+@pytest.mark.parametrize(("clock", "misses"), [("counter", "no counter"), ("device", "no time stamps")])
+def test_check_warns_of_a_clock_that_the_source_does_not_have(tmp_path: Path, clock: str, misses: str) -> None:
     text = example("serial", tmp_path).read_text(encoding="utf-8")
     (counter,) = re.findall(r"(?m)^counter = .*$", text)
     path = tmp_path / "clock.toml"
     text = re.sub(r"(?m)^clock = .*$", f'clock = "{clock}"', text)
     path.write_text(text.replace(counter, ""), encoding="utf-8")
-    assert any(lacks in message for message in warned(checked(path), "source[0]"))
+    assert any(misses in message for message in warned(checked(path), "source[0]"))
     path.write_text(re.sub(r"(?m)^clock = .*$", 'clock = "arrival"', text).replace(counter, ""), encoding="utf-8")
     assert not warned(checked(path), "source[0]")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.commissioning.check import check
-from agent.commissioning.misassignment import suspicions
+from agent.commissioning.misassignment import findings
 from agent.commissioning.progress import silent
 from agent.config import load
 from agent.errors import BusError, UsageError
@@ -42,7 +42,7 @@ def readings(seed: int, *, worn: bool = False, noise_m: float = 1e-5, force: For
 
 def suspected(values: FloatArray) -> list[dict[str, Any]]:
     config = load(EXAMPLES / "modbus.toml")
-    return suspicions(config, values, [(0, len(values))], silent)
+    return findings(config, values, [(0, len(values))], silent)
 
 
 SWEEP = Force(kind="sweep", amplitude=5.0, from_hz=0.2, to_hz=5.0, over_s=4.0)

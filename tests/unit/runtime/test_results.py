@@ -15,7 +15,7 @@ from tests.scenario.live import example
 def test_summary_of_a_run_of_years_holds_its_newest_alarms_and_advice_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(results, "MOST_TOLD", 10)
+    monkeypatch.setattr(results, "MOST_REPORTED", 10)
     summary = RunSummary(load(example("modbus", tmp_path)))
     for t_ns in range(25):
         raised = AlarmTransition("rig", "level", "k1", "high", t_ns, "NORM", "UNACK", "raise", "k1 fell")

@@ -3,7 +3,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.modbus.line_lock import Turns
+from drivers.modbus.line_lock import LineLock
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -16,47 +16,47 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_turns_of_many_who_wait_come_by_their_deadlines(rng: np.random.Generator) -> None:
-    turns, order = Turns(), []
+    line_lock, order = LineLock(), []
     deadlines = rng.permutation(40).tolist()
 
     def work(deadline: float) -> None:
-        with turns.taken(deadline):
+        with line_lock.taken(deadline):
             order.append(deadline)
 
     threads = [threading.Thread(target=work, args=(deadline,)) for deadline in deadlines]
-    with turns.taken(-1.0):
+    with line_lock.taken(-1.0):
         for number, thread in enumerate(threads, 1):
             thread.start()
-            until(lambda number=number: turns.waiting == number)  # type: ignore[misc]
+            until(lambda number=number: line_lock.waiting == number)  # type: ignore[misc]
     for thread in threads:
         thread.join()
     assert order == sorted(deadlines)
 
 
 def test_turns_with_equal_deadlines_come_in_the_order_of_asking() -> None:
-    turns, order = Turns(), []
+    line_lock, order = LineLock(), []
 
     def work(number: int) -> None:
-        with turns.taken(5.0):
+        with line_lock.taken(5.0):
             order.append(number)
 
     threads = [threading.Thread(target=work, args=(number,)) for number in range(10)]
-    with turns.taken(0.0):
+    with line_lock.taken(0.0):
         for number, thread in enumerate(threads, 1):
             thread.start()
-            until(lambda number=number: turns.waiting == number)  # type: ignore[misc]
+            until(lambda number=number: line_lock.waiting == number)  # type: ignore[misc]
     for thread in threads:
         thread.join()
     assert order == list(range(10))
 
 
 def test_turn_that_ends_in_an_error_is_given_on() -> None:
-    turns = Turns()
+    line_lock = LineLock()
     for _ in range(2):
         try:
-            with turns.taken(0.0):
+            with line_lock.taken(0.0):
                 raise KeyError
         except KeyError:
             pass
-    with turns.taken(0.0):
-        assert turns.waiting == 0
+    with line_lock.taken(0.0):
+        assert line_lock.waiting == 0

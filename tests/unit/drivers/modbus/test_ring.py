@@ -29,7 +29,7 @@ class Link:
     delay: Delay
     slots: int = 1024
     first: int = 5000
-    told: list[str] = field(default_factory=list)
+    reported: list[str] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     delivered: list[IntArray] = field(default_factory=list)
     oldest: int | None = None
@@ -40,11 +40,11 @@ class Link:
         )
         request = SourceRequest("press", settings, ("n",))
         self.reader = RingReader(request, settings, self.counts, lambda _: None)
-        self.reader.report = self._told
+        self.reader.report = self._reported
         self.begun_ns = self.line.now_ns
 
-    def _told(self, cause: str, words: str) -> None:
-        self.told.append(f"{cause}: {words}")
+    def _reported(self, cause: str, words: str) -> None:
+        self.reported.append(f"{cause}: {words}")
 
     @property
     def time_s(self) -> float:
@@ -104,9 +104,9 @@ def test_ring_behind_a_gateway_too_slow_for_its_rate_delivers_what_the_link_carr
     assert len(found) > 0.7 * 60.0 * RATE
     stretches = np.diff(np.flatnonzero(np.diff(found, prepend=-1, append=-1) != 1))
     assert stretches[stretches > 2.0 * RATE].sum() > 0.9 * len(found)
-    (told,) = link.told
-    assert told.startswith("too slow: press: the link is too slow for the device")
-    assert "of the 1000 samples a second" in told
+    (reported,) = link.reported
+    assert reported.startswith("too slow: press: the link is too slow for the device")
+    assert "of the 1000 samples a second" in reported
 
 
 def test_ring_whose_every_request_takes_a_fifth_of_it_still_delivers(line: PlayedLine) -> None:
@@ -114,14 +114,14 @@ def test_ring_whose_every_request_takes_a_fifth_of_it_still_delivers(line: Playe
     link.run(60.0)
     assert len(link.numbers()) > 0.05 * 60.0 * RATE
     assert max(len(part) for part in link.delivered) > 0
-    assert len(link.told) == 1
+    assert len(link.reported) == 1
 
 
 def test_ring_that_no_answer_comes_in_time_for_says_so_once_a_minute_at_most(line: PlayedLine) -> None:
     link = Link(line, lambda _: 0.2, slots=64)
     link.run(60.0)
     assert len(link.numbers()) == 0
-    assert len(link.told) == 1
+    assert len(link.reported) == 1
 
 
 def test_ring_after_a_stall_longer_than_itself_loses_no_more_than_was_overwritten(line: PlayedLine) -> None:
@@ -130,7 +130,7 @@ def test_ring_after_a_stall_longer_than_itself_loses_no_more_than_was_overwritte
     found = link.numbers()
     lost = int(found[-1] - found[0]) + 1 - len(found)
     assert 300 < lost < 700
-    assert link.told == []
+    assert link.reported == []
 
 
 def test_ring_whose_link_recovers_is_read_without_a_gap_again(line: PlayedLine) -> None:
@@ -147,7 +147,7 @@ def test_ring_that_grows_slow_again_after_a_good_while_says_so_again(line: Playe
     link = Link(line, lambda now: 0.04 if now < 20.0 or now > 120.0 else 0.004)
     link.run(140.0)
     link.numbers()
-    assert len(link.told) == 2
+    assert len(link.reported) == 2
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -199,7 +199,7 @@ def test_ring_of_which_one_reply_in_twenty_is_lost_is_read_whole_where_it_is_lon
     # at first contact the oldest slots are about to be overwritten
     assert link.counts.dropped.total() + link.counts.rejected.total() < 500
     assert len(found) > 0.95 * 40.0 * RATE
-    assert link.told == []
+    assert link.reported == []
 
 
 def test_ring_too_short_for_what_lost_replies_cost_is_not_called_behind_a_slow_link(line: PlayedLine) -> None:
@@ -207,14 +207,14 @@ def test_ring_too_short_for_what_lost_replies_cost_is_not_called_behind_a_slow_l
     link.run(60.0)
     assert link.counts.rejected["overrun"] > 0
     assert len(link.numbers()) > 0.2 * 60.0 * RATE
-    assert link.told == []
+    assert link.reported == []
 
 
 def test_ring_behind_a_slow_link_that_loses_replies_too_is_still_called_so(line: PlayedLine) -> None:
     link = BadLink(line, lambda _: 0.1)
     link.run(60.0)
-    (told,) = link.told
-    carried = int(told.partition("about ")[2].split()[0])
+    (reported,) = link.reported
+    carried = int(reported.partition("about ")[2].split()[0])
     assert 200 < carried < 450
 
 
@@ -222,4 +222,4 @@ def test_ring_behind_a_link_that_just_keeps_up_is_called_slow_by_nobody(line: Pl
     link = Link(line, lambda _: 0.03)
     link.run(60.0)
     assert len(link.numbers()) > 0.95 * 60.0 * RATE
-    assert link.told == []
+    assert link.reported == []

@@ -223,15 +223,15 @@ def test_shrinkage_of_an_unknown_without_trace_takes_nothing_away() -> None:
 
 
 def test_lacking_counts_samples_in_windows_and_forgets_old_ones() -> None:
-    lacking = Lacking(2)
+    absent = Lacking(2)
     missing = np.zeros((10, 3), dtype=bool)
     missing[[2, 3], :] = missing[7, 1] = True
-    lacking.append(100, missing)
-    assert lacking.count(np.array([101, 102, 105, 107, 112, 117]), 10).tolist() == [0, 1, 2, 3, 2, 0]
-    assert lacking.bridge(np.zeros((5, 3)), 108) is not None
-    assert lacking.bridge(np.zeros((3, 3)), 107) is None
-    lacking.trim(105)
-    assert lacking.count(np.array([109]), 10).tolist() == [1]
+    absent.append(100, missing)
+    assert absent.count(np.array([101, 102, 105, 107, 112, 117]), 10).tolist() == [0, 1, 2, 3, 2, 0]
+    assert absent.bridge(np.zeros((5, 3)), 108) is not None
+    assert absent.bridge(np.zeros((3, 3)), 107) is None
+    absent.trim(105)
+    assert absent.count(np.array([109]), 10).tolist() == [1]
 
 
 def test_windows_without_any_information_answer_with_nothing_known() -> None:

@@ -106,8 +106,8 @@ def test_watch_of_batches_finds_what_a_watch_of_each_block_finds(played) -> None
 
 def test_watch_of_a_force_that_is_held_looks_at_few_blocks_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     looked: list[int] = []
-    judge = SensorWatch._judge
-    monkeypatch.setattr(SensorWatch, "_judge", lambda self, blocks, b: looked.append(b) or judge(self, blocks, b))
+    assess = SensorWatch._assess
+    monkeypatch.setattr(SensorWatch, "_assess", lambda self, blocks, b: looked.append(b) or assess(self, blocks, b))
     v, steps = under(held_levels(0))
     assert watch(v, steps) == []
     assert len(looked) < 0.15 * len(v) / 15

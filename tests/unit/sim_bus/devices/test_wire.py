@@ -10,7 +10,7 @@ from sim_bus.devices import guard
 from sim_bus.devices.wire import Feed, Raw, WireNumber
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.scenario import Scenario, load_scenario
-from sim_bus.rig.trajectory import CHUNK, Rig, Tape
+from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
 from tests.sim.rigs import rig, ring_config
 
 
@@ -56,7 +56,7 @@ def feed(scenario: Scenario, scale: float) -> Feed:
         rows = zip(*(raw[name].tolist() for name in ("F", "X1", "X2")), strict=True)
         return [struct.pack(">hhh", *row) for row in rows]
 
-    return Feed(Tape(Rig(file, scenario)), file, file.source[0], numbers, pack)
+    return Feed(Trajectory(Rig(file, scenario)), file, file.source[0], numbers, pack)
 
 
 def test_feed_rows_across_chunks_hold_the_readings() -> None:
@@ -86,15 +86,15 @@ def test_feed_channel_scale_and_offset_are_undone_before_the_field() -> None:
     text = ring_config(1).replace('unit = "m"\n', 'unit = "m"\nscale = 1e-6\noffset = 0.5\n', 1)
     file = rig(text)
     numbers = [WireNumber.of_type(name, "int32") for name in ("F", "X1", "X2")]
-    tape = Tape(Rig(file, Scenario.model_validate({"initial": {"all": 0.01}})))
-    raw, _ = Feed(tape, file, file.source[0], numbers, lambda _: []).raw(tape.chunk(0))
+    trajectory = Trajectory(Rig(file, Scenario.model_validate({"initial": {"all": 0.01}})))
+    raw, _ = Feed(trajectory, file, file.source[0], numbers, lambda _: []).raw(trajectory.chunk(0))
     assert raw["X1"][0] * 1e-6 + 0.5 == pytest.approx(0.01, abs=1e-6)
 
 
 def test_feed_field_that_is_not_there_is_named() -> None:
     file = rig(ring_config(1))
     with pytest.raises(SimUsageError, match="X2"):
-        Feed(Tape(Rig(file, Scenario())), file, file.source[0], [WireNumber.of_type("F", "int16")], lambda _: [])
+        Feed(Trajectory(Rig(file, Scenario())), file, file.source[0], [WireNumber.of_type("F", "int16")], lambda _: [])
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.1", "::1", "localhost"])

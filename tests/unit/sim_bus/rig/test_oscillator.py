@@ -5,11 +5,11 @@ import pytest
 
 from sim_bus.clock import PlayClock
 from sim_bus.devices.device import Bench
-from sim_bus.devices.oscillator import OwnClock, OwnTape, Pace, _cubic
+from sim_bus.devices.oscillator import OwnClock, OwnTrajectory, Pace, _cubic
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.plant import equations, step
 from sim_bus.rig.scenario import Scenario
-from sim_bus.rig.trajectory import CHUNK, Rig, Tape
+from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
 from tests.sim.rigs import rig, ring_config
 
 RIG = rig(ring_config(1502))
@@ -18,13 +18,15 @@ SCENARIO = Scenario.model_validate(
 )
 
 
-def tape(rate_hz: float = 1000.0, slowness: float = 1.0, jitter_s: float = 0.0) -> tuple[Tape, OwnTape]:
-    whole = Tape(Rig(RIG, SCENARIO))
-    return whole, OwnTape(whole, Pace(1000.0, rate_hz, slowness, jitter_s), 1)
+def trajectory(
+    rate_hz: float = 1000.0, slowness: float = 1.0, jitter_s: float = 0.0
+) -> tuple[Trajectory, OwnTrajectory]:
+    whole = Trajectory(Rig(RIG, SCENARIO))
+    return whole, OwnTrajectory(whole, Pace(1000.0, rate_hz, slowness, jitter_s), 1)
 
 
 def test_own_tape_without_drift_or_jitter_reads_what_the_rig_reads() -> None:
-    whole, own = tape()
+    whole, own = trajectory()
     np.testing.assert_allclose(own.chunk(1).readings, whole.chunk(1).readings, rtol=0, atol=1e-15)
 
 
@@ -33,7 +35,7 @@ def test_own_tape_without_drift_or_jitter_reads_what_the_rig_reads() -> None:
 def test_own_tape_of_another_rate_and_a_drifting_clock_reads_the_motion_at_its_own_moments(
     ppm: float, rate_hz: float
 ) -> None:
-    whole, own = tape(rate_hz, 1.0 + 1e-6 * ppm)
+    whole, own = trajectory(rate_hz, 1.0 + 1e-6 * ppm)
     here = whole.chunk(0)
     motion = equations(RIG.model.graph, RIG.model.nominal)
     for k in (10, 250, 700):
@@ -47,7 +49,7 @@ def test_own_tape_of_another_rate_and_a_drifting_clock_reads_the_motion_at_its_o
 
 
 def test_own_tape_of_half_the_rate_reads_every_second_sample_of_the_rig_for_as_long_as_it_plays() -> None:
-    whole, own = tape(500.0)
+    whole, own = trajectory(500.0)
     for number in (0, 1, 200):
         read = own.chunk(number).readings
         np.testing.assert_array_equal(read[:512], whole.chunk(2 * number).readings[::2])
@@ -56,14 +58,14 @@ def test_own_tape_of_half_the_rate_reads_every_second_sample_of_the_rig_for_as_l
 
 
 def test_own_tape_goes_on_over_chunks_without_a_step() -> None:
-    _, own = tape(slowness=1.0003)
+    _, own = trajectory(slowness=1.0003)
     x1 = np.concatenate([own.chunk(n).readings[:, 1] for n in range(3)])
     curl = np.abs(np.diff(x1, 3))
     assert curl[CHUNK - 5 : CHUNK + 5].max() <= 2.0 * np.median(curl) + 1e-9
 
 
 def test_own_tape_jitter_has_the_spread_that_was_asked_for() -> None:
-    whole, own = tape(jitter_s=1e-4)
+    whole, own = trajectory(jitter_s=1e-4)
     late = own.chunk(0).readings[:, 0] - whole.chunk(0).readings[:, 0]
     slope = np.gradient(whole.chunk(0).readings[:, 0], 1e-3)
     steep = np.abs(slope) > np.percentile(np.abs(slope), 50)
@@ -95,7 +97,7 @@ def bench(fast: bool = False, **keys: object) -> Bench:
     clock = PlayClock(1000.0, 3000, ("plc",), "ready", fast=fast, now_ns=lambda: 0)
     file = RIG.model_copy(update={"source": (source,)})
     scenario = Scenario.model_validate({"fault": [{"name": "modbus.nan", "at_s": 1.0, "for_s": 0.5}]})
-    return Bench(file, Tape(Rig(RIG, SCENARIO)), clock, scenario)
+    return Bench(file, Trajectory(Rig(RIG, SCENARIO)), clock, scenario)
 
 
 def test_device_of_another_rate_counts_plays_and_errs_by_its_own_clock() -> None:
@@ -103,13 +105,13 @@ def test_device_of_another_rate_counts_plays_and_errs_by_its_own_clock() -> None
     assert slow.clock_of(0).sample_rate_hz == 500.0
     assert slow.clock_of(0).total == 1500
     assert [(strike.first, strike.end) for strike in slow.faults(0).strikes] == [(500, 750)]
-    assert isinstance(slow.tape_of(0), OwnTape)
+    assert isinstance(slow.trajectory_of(0), OwnTrajectory)
 
 
 def test_device_of_the_rigs_rate_plays_by_the_rigs_clock() -> None:
     same = bench(rate_hz=1000.0)
     assert same.clock_of(0) is same.clock
-    assert same.tape_of(0) is same.tape
+    assert same.trajectory_of(0) is same.trajectory
 
 
 def test_devices_of_different_rates_cannot_be_hurried() -> None:

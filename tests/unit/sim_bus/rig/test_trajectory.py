@@ -6,7 +6,7 @@ import pytest
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.rigfile import RigFile
 from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario
-from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Rig, Tape
+from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Rig, Trajectory
 from tests.sim.rigs import rig, ring_config
 
 
@@ -130,13 +130,15 @@ def test_rig_sensor_fault_is_in_the_ledger_with_its_samples() -> None:
 
 def test_tape_chunk_is_made_once_and_old_ones_are_refused() -> None:
     seen: list[int] = []
-    tape = Tape(Rig(rig(ring_config(1)), load_scenario("steady", {})), lambda chunk: seen.append(chunk.first))
-    assert tape.chunk(2).first == 2 * CHUNK
-    assert tape.chunk(0) is tape.chunk(0)
+    trajectory = Trajectory(
+        Rig(rig(ring_config(1)), load_scenario("steady", {})), lambda chunk: seen.append(chunk.first)
+    )
+    assert trajectory.chunk(2).first == 2 * CHUNK
+    assert trajectory.chunk(0) is trajectory.chunk(0)
     assert seen == [0, CHUNK, 2 * CHUNK]
-    tape.chunk(KEPT)
+    trajectory.chunk(KEPT)
     with pytest.raises(LookupError, match="are gone"):
-        tape.chunk(0)
+        trajectory.chunk(0)
 
 
 @pytest.mark.parametrize(

@@ -157,13 +157,13 @@ def test_log_damaged_further_on_is_read_up_to_there_and_says_so(tmp_path: Path, 
 def two_buses(folder: Path, *wires: str) -> Path:
     """Write 200 frames, those of each interface with its place among `wires` in byte 7, and a line that is none."""
     path = folder / "buses.log"
-    turns = [(i, i % len(wires)) for i in range(200)]
-    frames = [f"({1 + i / 1000:.6f}) {wires[turn]} 009#{i:02X}{'00' * 6}{turn:02X}" for i, turn in turns]
+    line_lock = [(i, i % len(wires)) for i in range(200)]
+    frames = [f"({1 + i / 1000:.6f}) {wires[turn]} 009#{i:02X}{'00' * 6}{turn:02X}" for i, turn in line_lock]
     path.write_text("\n".join([*frames[:150], "# stopped", *frames[150:], ""]), encoding="ascii")
     return path
 
 
-def heard(log: Path, dbc: Path, channel: str) -> list[int]:
+def captured(log: Path, dbc: Path, channel: str) -> list[int]:
     """Return the counters that are read of a log by a source that listens to an interface."""
     settings = CanLogSettings(path=log, dbc=dbc, channel=channel)
     reader = CanLogDriver(SourceRequest("log", settings, ("TRUCK.a",), "TRUCK.n"))
@@ -176,27 +176,27 @@ def heard(log: Path, dbc: Path, channel: str) -> list[int]:
 def test_log_of_several_interfaces_is_read_of_the_sources_alone(
     wires: tuple[str, ...], first: int, tmp_path: Path, dbc: Path
 ) -> None:
-    assert heard(two_buses(tmp_path, *wires), dbc, "can0") == list(range(first, 200, 2))
+    assert captured(two_buses(tmp_path, *wires), dbc, "can0") == list(range(first, 200, 2))
 
 
 def test_log_of_one_interface_of_another_name_is_read(tmp_path: Path, dbc: Path) -> None:
-    assert heard(two_buses(tmp_path, "can7"), dbc, "can0") == list(range(200))
+    assert captured(two_buses(tmp_path, "can7"), dbc, "can0") == list(range(200))
 
 
 def test_log_of_several_interfaces_without_the_sources_is_refused_in_words(tmp_path: Path, dbc: Path) -> None:
     with pytest.raises(DriverConfigError, match=r"buses.log: holds frames of can1, can2 and none of can0; name one"):
-        heard(two_buses(tmp_path, "can1", "can2"), dbc, "can0")
+        captured(two_buses(tmp_path, "can1", "can2"), dbc, "can0")
 
 
 def test_interface_that_is_named_late_in_a_log_counts_from_its_beginning(tmp_path: Path, dbc: Path) -> None:
     path = tmp_path / "late.log"
     other = "".join(f"({1 + i / 1000:.6f}) can1 009#{i % 256:02X}{'00' * 7}\n" for i in range(60_000))
     path.write_text(f"{other}# stopped\n(99.0) can0 009#07{'00' * 7}\n", encoding="ascii")
-    assert heard(path, dbc, "can0") == [7]
+    assert captured(path, dbc, "can0") == [7]
 
 
 def test_interface_of_an_adapter_is_the_name_that_its_recording_has(tmp_path: Path, dbc: Path) -> None:
-    assert heard(two_buses(tmp_path, "can1", "ttyACM0"), dbc, "/dev/ttyACM0") == list(range(1, 200, 2))
+    assert captured(two_buses(tmp_path, "can1", "ttyACM0"), dbc, "/dev/ttyACM0") == list(range(1, 200, 2))
 
 
 BUSES = 3

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 LISTENER_WRITES: Mapping[str, str] = {
     "modbus": "read requests: function codes 1, 2, 3, 4 and 24",

@@ -20,9 +20,9 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from agent.numerics.exceedance import BoolArray, Deviations
+from agent.numerics.exceedance import Deviations
 from agent.text import number, with_sd
-from agent.types import AlarmState, AlarmTransition, EstimateBatch, FloatArray, IntArray, Status
+from agent.types import AlarmState, AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray, Status
 
 _RAISED: Final[Mapping[AlarmState, AlarmState]] = {"NORM": "UNACK", "RTNUN": "UNACK"}
 _CLEARED: Final[Mapping[AlarmState, AlarmState]] = {"UNACK": "RTNUN", "ACKED": "NORM"}

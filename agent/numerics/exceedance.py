@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from agent.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from agent.types import FloatArray, IntArray
 
 DAY_NS = 86_400_000_000_000
 BLOCKS = 24

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_bus.arrays import FloatArray
 from sim_bus.clock import PlayClock
 from sim_bus.rig.trajectory import CHUNK, Chunk, Rig, Trajectory
 
-FloatArray = NDArray[np.float64]
 _MOST_JITTER = 0.45
 """Of a sample: samples stay in order."""
 

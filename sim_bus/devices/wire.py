@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_bus.arrays import FloatArray
 from sim_bus.devices.wire_faults import NumberFaults
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import Strike
 from sim_bus.rig.rigfile import RigFile, Source
 from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Trajectory
 
-FloatArray = NDArray[np.float64]
 NumberArray = NDArray[np.int64] | NDArray[np.float64]
 Raw = Mapping[str, NumberArray]
 Pack = Callable[[Raw], Sequence[bytes]]

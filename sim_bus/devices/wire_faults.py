@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_bus.arrays import IntArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.fault_names import COUNTERS, NUMBERS
 from sim_bus.rig.faults import Strike
 
-IntArray = NDArray[np.int64]
 NumberArray = NDArray[np.int64] | NDArray[np.float64]
 LEAP = 1000
 FAR = 1e6

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.errors import SimUsageError
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 _NEEDS = {
     "random": ("rms",),
     "sweep": ("amplitude", "from_hz", "to_hz", "over_s"),

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-FloatArray = NDArray[np.float64]
+from sim_bus.arrays import FloatArray
+
 Hold = Literal["first", "zero"]
 GROUND = "ground"
 _LIFTED_STATES = 128

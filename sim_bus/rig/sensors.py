@@ -7,14 +7,11 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.rig.ranges import Runs
 from sim_bus.rig.rigfile import Channel, Quantity
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Sensor(BaseModel):

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_bus.arrays import FloatArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.excitation import ForceStream
 from sim_bus.rig.plant import Graph, Hold, Motion, PlantError, equations, propagate, step
@@ -22,7 +22,6 @@ from sim_bus.rig.schedule import Timeline
 from sim_bus.rig.sensors import SensorChain, noise_for
 from sim_bus.rig.wear import WearPath
 
-FloatArray = NDArray[np.float64]
 CHUNK = 1024
 KEPT = 160
 """Chunks kept for devices: the largest ring and the widest lag between devices fit."""

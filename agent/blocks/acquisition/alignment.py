@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.blocks.acquisition.clock_map import SETTLE_S, ClockMap
-from agent.blocks.acquisition.indexing import BoolArray, Clock, Indexer, Origin
+from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
 from agent.blocks.acquisition.single_source import SourcePlan, SourceState, intake, uninterrupted
 from agent.blocks.acquisition.skew_watch import SkewEvent, SkewWatch
 from agent.blocks.acquisition.tally import Tally
 from agent.numerics.preprocessing.resample import AFTER, interpolated, split
-from agent.types import Aligned, FloatArray, IntArray, Samples
+from agent.types import Aligned, BoolArray, FloatArray, IntArray, Samples
 from drivers.port import SampleBlock
 
 Label = Callable[[IntArray], IntArray]

@@ -6,14 +6,12 @@ from math import gcd
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.blocks.acquisition.arrival_count import ArrivalCount
-from agent.types import IntArray
+from agent.types import BoolArray, IntArray
 from drivers.port import SampleBlock
 
 Clock = Literal["counter", "device", "uniform", "arrival"]
-BoolArray = NDArray[np.bool_]
 WIDEST = 1 << 62
 """A counter of more values does not wrap in any lifetime, and one of 64 bits wraps with the numbers themselves."""
 RESTART_AFTER_S = 0.1

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.blocks.acquisition.indexing import BoolArray, Clock, Indexer, Origin
-from agent.types import Aligned, FloatArray, IntArray
+from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
+from agent.types import Aligned, BoolArray, FloatArray, IntArray
 from drivers.port import SampleBlock
 
 LARGEST = 1e30

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from agent.blocks.rig_model import hop_plan
 from agent.evaluation.score.match import Matched, Played, match, played
 from agent.evaluation.score.play import Outcome
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, IntArray, Status
+from agent.types import AlarmTransition, BoolArray, EstimateBatch, FloatArray, HealthEvent, IntArray, Status
 
-BoolArray = NDArray[np.bool_]
 _GOOD_NEWS = frozenset({"recovered", "restarted", "error-active"})
 _GRACE_S = 0.5
 """How long after an excursion's last window an alarm may still be its own."""
@@ -94,9 +93,7 @@ class Assessment:
     def samples(self) -> dict[str, Any]:
         """Return where every sample went; `lost` are those played of which nothing was used."""
         health = self._outcome.health
-        balanced = all(
-            h.received == h.used + sum(h.rejected.values()) + sum(h.dropped.values()) for h in health
-        )
+        balanced = all(h.received == h.used + sum(h.rejected.values()) + sum(h.dropped.values()) for h in health)
         taken = int(self.truth.ledger["samples"])
         return {
             "played": taken,
@@ -210,10 +207,7 @@ class Assessment:
         edges = np.flatnonzero(np.diff(beyond.astype(np.int8)))
         window = hop_plan(self._config).window
         room = 2 * window + round(((rule.on_delay_s or 0.0) + _GRACE_S) * self._rate)
-        return [
-            {"parameter": parameter, "first": int(a), "end": int(b), "room": room}
-            for a, b in edges.reshape(-1, 2)
-        ]
+        return [{"parameter": parameter, "first": int(a), "end": int(b), "room": room} for a, b in edges.reshape(-1, 2)]
 
     def faults(self) -> list[dict[str, Any]]:
         """Return how each fault was overcome: s from its end until samples came, and until every estimate was valid."""

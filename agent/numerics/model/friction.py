@@ -9,13 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.numerics.model.observer import start_gain
 from agent.numerics.model.statespace import Hold, discretise
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 SPEED = 100.0
 """Slowest pole of the velocity observer, 1/s."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.observer import (
     STRICTLY_STABLE,
@@ -18,8 +17,7 @@ from agent.numerics.model.observer import (
     start_gain,
 )
 from agent.numerics.model.statespace import Discrete
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 class Gains(Protocol):

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, qr
 
 from agent.numerics.model.statespace import Model, StateSpace
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 TOLERANCE = 1e-7
 """Singular values, of the Jacobian with columns of length 1, below this share of the largest count as zero."""

@@ -8,12 +8,10 @@ A = diag(A0, A0 - L C0). No LMI is solved for it. A margin in the parameters' ow
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigvals
 
 from agent.numerics.model.statespace import StateSpace
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

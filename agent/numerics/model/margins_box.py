@@ -12,11 +12,10 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import Model
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 MOST_PARAMETERS = 8
 """The polytopic margin has 2^q vertices, each of them a matrix inequality."""
 

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import StateSpace, stacked
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 GROUND = "ground"
 Quantity = Literal["displacement", "velocity", "acceleration"]
 
@@ -85,9 +84,7 @@ class MassSpringDamper:
 
     def _values(self) -> dict[str, float]:
         s = self.structure
-        return {m.name: m.value for m in s.masses} | {
-            e.name: e.nominal for e in (*s.springs, *s.dampers, *s.frictions)
-        }
+        return {m.name: m.value for m in s.masses} | {e.name: e.nominal for e in (*s.springs, *s.dampers, *s.frictions)}
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.riccati import state_units, steady_covariance
 from agent.numerics.model.statespace import Discrete, StateSpace
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 STRICTLY_STABLE = 1.0 - 1e-6
 """Largest pole radius with which an observer may run on without correction (gain zero)."""

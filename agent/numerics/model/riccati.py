@@ -10,9 +10,9 @@ different kinds and masses of different size weigh alike.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
+
 MOST_STEPS = 60
 """Doublings: 2^60 samples are more than any rig will see."""
 SETTLED = 1e-14

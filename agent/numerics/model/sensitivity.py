@@ -10,11 +10,9 @@ noise (Ljung, System Identification, 2nd ed. 1999, section 10.3: the gradient of
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import StateSpace
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import Model, StateSpace
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Side = Literal["input", "output"]
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
+
 Hold = Literal["first", "zero", "euler"]
 BLOCK = 32
 """Samples that are simulated by one product."""

@@ -17,14 +17,13 @@ own; Armstrong-Helouvry et al., Automatica 30 (1994) 1083.)
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.friction import FASTEST, SLOWEST, differences
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.observer import start_gain, unobservable_states
 from agent.numerics.model.statespace import Discrete, Hold, StateSpace, discretise
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 SPEED = 50.0
 """Slowest pole of the observer, 1/s: with 100 the noise of a sensor of 0.1 mm at 1 kHz reverses the velocity."""
 LEAST, BY_NOISE, MOST = 0.003, 0.04, 0.1

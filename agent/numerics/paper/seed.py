@@ -18,11 +18,10 @@ biased until the observer runs on the right parameters; hence `passes`, see `age
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import StateSpace
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 RANK_TOLERANCE = 1e-12
 """Directions of a batch with less than this share of the strongest count as empty."""
 

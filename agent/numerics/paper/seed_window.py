@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.faults.suspects import Accusation
 from agent.numerics.fitting.work import Budget
@@ -30,11 +29,8 @@ from agent.numerics.paper.seed import (
 )
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.rows import Rows
-from agent.types import Calibrated
+from agent.types import BoolArray, Calibrated, FloatArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 RUN_AWAY = 1e60
 """States of an observer that is not stable any more, small enough for their squares to be figures."""
 ENOUGH, DEVIATIONS = 0.01, 3.0

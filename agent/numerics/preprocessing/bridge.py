@@ -13,13 +13,9 @@ of such gaps lie to the readings elsewhere in the window, which gives d a prior 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.observer import Gain
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from agent.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.bridge import filled, lagrange, runs
+from agent.types import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 LONGEST = 3
 """Readings of the longest spike."""
 LOOK_AHEAD = LONGEST + 2

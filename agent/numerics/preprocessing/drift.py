@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
+
 BINS = 256
 """Stretches of time of which the most punctual arrival is kept; when there are more, neighbours are joined, and from
 stretches of `LONGEST_S` on the oldest are forgotten: over hours a crystal follows the weather."""

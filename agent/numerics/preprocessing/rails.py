@@ -13,12 +13,10 @@ or where it is most of the time.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.bridge import runs
+from agent.types import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 PLATEAU = 4
 """Equal readings that may be a clipped peak ..."""
 OVERSHOOT = 16.0

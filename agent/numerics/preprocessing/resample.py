@@ -5,10 +5,9 @@ enough: halfway between samples what is left of a white force of 5 N on 3 kg at 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from agent.types import FloatArray, IntArray
+
 BEFORE, AFTER = 1, 2
 """Readings that are needed before and after the one at or before a place between samples."""
 NEAR = 1e-6

@@ -9,15 +9,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.rails import ENTRY as RAIL_ENTRY
 from agent.numerics.preprocessing.rails import OVERSHOOT, PLATEAU, Rails
 from agent.numerics.preprocessing.standing import Standing
+from agent.types import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 Kind = Literal["stuck", "saturated"]
 ENTRY = 16
 """Samples before a standstill over which the speed is taken with which it was entered."""

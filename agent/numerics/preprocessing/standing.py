@@ -7,11 +7,9 @@ channel is never called stuck.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from agent.types import BoolArray, FloatArray, IntArray
+
 SMOOTH = 20.0
 """A range this many times the noise is motion whatever the channel did before."""
 LIVELY = 0.3

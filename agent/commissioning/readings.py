@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.acquisition.alignment import Alignment
-from agent.blocks.acquisition.single_source import SourceState
+from agent.blocks.acquisition.interface import SourceState
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.friction import dry_friction
 from agent.config import RigConfig
@@ -98,8 +97,7 @@ class Gathering:
 
     def finish(self) -> None:
         """Take what waits for samples that will not come."""
-        if isinstance(self.acquisition, Alignment):
-            self._aligned += _paired(self.acquisition.finish())
+        self._aligned += _paired(self.acquisition.finish())
 
     def recorded(self, name: str) -> Recorded | None:
         """Return what came, in SI units; None where no sample has every channel."""
@@ -130,8 +128,7 @@ class Gathering:
         }  # fmt: skip
 
     def _skew(self, name: str) -> tuple[float | None, float | None]:
-        found = self.acquisition.skews() if isinstance(self.acquisition, Alignment) else {}
-        return found.get(name, (None, None))
+        return self.acquisition.skews().get(name, (None, None))
 
     def _rate(self, state: SourceState) -> float | None:
         """Samples a second by the gateway's clock; of a recording None."""

@@ -7,7 +7,8 @@ from math import pi
 import numpy as np
 
 from agent.blocks.acquisition.alignment import Alignment, AlignmentPlan, StreamPlan
-from agent.blocks.acquisition.single_source import Acquisition, ChannelScale, SourcePlan, source_plan
+from agent.blocks.acquisition.interface import Acquisition, ChannelScale, SourcePlan
+from agent.blocks.acquisition.single_source import SingleSource, source_plan
 from agent.blocks.acquisition.skew_watch import SkewGroup, SkewWatch
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_model, window_settings
@@ -24,7 +25,7 @@ Maps = Mapping[str, Mapping[str, str]]
 
 def make_acquisition(
     config: RigConfig, sources: Maps, resolution: FloatArray, *, keep_incomplete: bool = True
-) -> Acquisition | Alignment:
+) -> Acquisition:
     """Return the acquisition of a rig.
 
     Args:
@@ -41,7 +42,7 @@ def make_acquisition(
     late = configured_delays(config)
     if len(plans) == 1 and not groups and not late.any():
         rig, inputs = config.rig, len(config.inputs)
-        return Acquisition(plans[0], inputs, rig.clock, rig.sample_rate_hz, keep_incomplete=keep_incomplete)
+        return SingleSource(plans[0], inputs, rig.clock, rig.sample_rate_hz, keep_incomplete=keep_incomplete)
     watch = _watch(config, groups, resolution) if groups else None
     remeasure = partial(_watch, config, _all_groups(config), resolution) if len(plans) > 1 else None
     return Alignment(_plan(config, plans, late), watch, remeasure, keep_incomplete=keep_incomplete)

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TypeGuard, TypeVar
 
-from agent.blocks.acquisition.alignment import Alignment
+from agent.blocks.acquisition.interface import Label
 from agent.blocks.estimation import ESTIMATION, FAILURE
 from agent.config import RigConfig
-from agent.runtime.pipeline import Label, Pipeline
+from agent.runtime.pipeline import Pipeline
 from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Reason, Record, Status
 from drivers.port import SampleBlock
 
@@ -32,8 +32,7 @@ class IsolatedPipeline(Pipeline):
     ) -> None:
         super().__init__(config, resolution, sources)
         self._given: Counter[str] = Counter()
-        self._used_before = 0
-        self._rejected_before: dict[str, Counter[str]] = {source: Counter() for source in sources}
+        self._lost: dict[str, Counter[str]] = {source: Counter() for source in sources}
         self._reported: list[Record] = []
         self._standing = False
         self._now_ns, self._resumes_ns = 0, 0
@@ -63,7 +62,7 @@ class IsolatedPipeline(Pipeline):
     def ends(self, name: str) -> tuple[int, Counter[str]]:
         """How many of a source's samples were used or wait, and those refused after it, faults included."""
         used, rejected = super().ends(name)
-        return used + self._used_before, rejected + self._rejected_before[name]
+        return used, rejected + self._lost[name]
 
     def _kept(self, work: Callable[[], T]) -> T | None:
         """Do some of the pipeline's work; None where it failed."""
@@ -97,20 +96,13 @@ class IsolatedPipeline(Pipeline):
             self._standing = True
             self._reported.append(self._alarm(message, lost=True))
         self._renew()
-        for source in self._rejected_before:
+        for source in self._lost:
             self._settle(source)
 
     def _renew(self) -> None:
         """Make the numerics anew; what was used or refused stays counted, what was on its way will not come out."""
         self._taken.clear()
-        if isinstance(self.acquisition, Alignment):
-            for stream in self.acquisition.streams.values():
-                stream.tally.lose(FAILURE)
-        else:
-            (source,) = self._rejected_before
-            used, rejected = super().ends(source)
-            self._used_before += used - self.quality.waiting
-            self._rejected_before[source] += rejected
+        self.acquisition.lose(FAILURE, self.through())
         self.begin_numerics()
         self.sensor_alarms.start_anew()
 
@@ -118,7 +110,7 @@ class IsolatedPipeline(Pipeline):
         """Count the samples of a source that ended nowhere: the fault lost them."""
         used, rejected = self.ends(source)
         ended = used + rejected.total() + self.acquisition.sources[source].refusals().total()
-        self._rejected_before[source][FAILURE] += max(0, self._given[source] - ended)
+        self._lost[source][FAILURE] += max(0, self._given[source] - ended)
 
     def _alarm(self, message: str, *, lost: bool) -> AlarmTransition:
         return AlarmTransition(

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.blocks.acquisition.alignment import Alignment
-from agent.blocks.acquisition.single_source import Acquisition
+from agent.blocks.acquisition.interface import Acquisition, Label, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.estimation import Estimation
 from agent.blocks.friction import dry_friction
@@ -26,8 +25,6 @@ from agent.runtime.acquisition_plan import make_acquisition
 from agent.runtime.methods import make_estimation
 from agent.types import Aligned, Calibrated, FloatArray, Health, HealthEvent, IntArray, Record, Samples
 from drivers.port import Counts, SampleBlock
-
-Label = Callable[[IntArray], IntArray]
 
 
 @dataclass(slots=True)
@@ -77,7 +74,7 @@ class Pipeline:
         steps = self._steps[len(config.inputs) :]
         # first, since it says in words what the others would stumble over
         self.begin_numerics()
-        self.acquisition: Acquisition | Alignment = make_acquisition(config, sources, steps)
+        self.acquisition: Acquisition = make_acquisition(config, sources, steps)
         self.clocks = SourceClocks()
         self.newest_ns = 0
         self._taken: list[Taken] = []
@@ -112,11 +109,8 @@ class Pipeline:
 
         label: time stamps of sample indices; None takes the block's own stamps (a recording's), or index / rate.
         """
-        if isinstance(self.acquisition, Alignment):
-            self._keep(self.acquisition.step(source, block, modulus, label), None)
-            self._said += self._skews(self.acquisition)
-        else:
-            self._keep(self.acquisition.step(source, block, modulus), label)
+        self._keep(self.acquisition.step(source, block, modulus, label))
+        self._said += self._source_events()
         if label is not None and len(block):
             self.clocks.observe(self.acquisition.sources[source], block.arrival_ns)
 
@@ -139,31 +133,29 @@ class Pipeline:
     def hurry(self) -> None:
         """Begin no fit, search or measurement any more: what waits for one waits for ever. From any thread."""
         self.estimation.estimator.hurry()
-        if isinstance(self.acquisition, Alignment):
-            self.acquisition.hurry()
+        self.acquisition.hurry()
 
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
-        if isinstance(self.acquisition, Alignment):
-            self._keep(self.acquisition.finish(), None)
-            self._said += self._skews(self.acquisition)
+        self._keep(self.acquisition.finish())
+        self._said += self._source_events()
         return self.compute() + self._estimated(self.quality.finish())
 
-    def _keep(self, pieces: Sequence[Aligned], label: Label | None) -> None:
+    def _keep(self, pieces: Sequence[Aligned]) -> None:
         for aligned in pieces:
-            t_ns = self._stamps(aligned) if label is None else label(aligned.index)
+            t_ns = self._stamps(aligned)
             self.newest_ns = int(t_ns[-1])
             piece = aligned.index, t_ns, np.hstack([aligned.u, aligned.y])
             self._taken.append(Taken(aligned.anew, aligned.realigning, piece))
 
-    def _skews(self, alignment: Alignment) -> list[Record]:
+    def _source_events(self) -> list[Record]:
         rig, t_ns = self.config.rig.name, self.newest_ns
-        return [HealthEvent(rig, event.source, t_ns, event.cause, event.message) for event in alignment.take_events()]
+        events = self.acquisition.take_events()
+        return [HealthEvent(rig, event.source, t_ns, event.cause, event.message) for event in events]
 
     def _estimated(self, pieces: Sequence[Samples]) -> list[Record]:
         records: list[Record] = []
-        if isinstance(self.acquisition, Alignment):
-            self.acquisition.arrived(pieces)
+        self.acquisition.arrived(pieces)
         for samples in pieces:
             complete = replace(samples, u=self.friction.step(samples)) if samples.usable else samples
             if self.watch is not None:
@@ -210,17 +202,17 @@ class Pipeline:
 
     def ends(self, name: str) -> tuple[int, Counter[str]]:
         """How many of a source's samples were used or still wait, and those refused after it, by reason."""
-        if isinstance(self.acquisition, Alignment):
-            stream = self.acquisition.streams[name]
-            return stream.tally.used + stream.waiting, stream.tally.rejected
+        return self.acquisition.ends(name, self.through())
+
+    def through(self) -> Through:
+        """Count the rows that acquisition handed on since the numerics began."""
         # inputs that only the motion gave away as spikes
         spikes = self.estimation.estimator.spikes
         rejected = self.quality.rejected + Counter({"spike": spikes})
-        return self.estimation.used + self.quality.waiting - spikes, rejected
+        return Through(self.estimation.used - spikes, self.quality.waiting, rejected)
 
     def _skew(self, name: str) -> tuple[float | None, float | None]:
-        found = self.acquisition.skews() if isinstance(self.acquisition, Alignment) else {}
-        return found.get(name, (None, None))
+        return self.acquisition.skews().get(name, (None, None))
 
 
 def _alike(taken: Sequence[Taken]) -> Iterator[tuple[bool, bool, list[Piece]]]:

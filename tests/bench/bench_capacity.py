@@ -25,7 +25,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from agent.blocks.acquisition.single_source import Acquisition
+from agent.blocks.acquisition.single_source import SingleSource
 from agent.blocks.estimation import Estimation
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.quality import Quality
@@ -45,7 +45,7 @@ GRAIN_S = 0.01
 WIDE = Wire(32, "1e-6", "1e-9")
 """Numbers of 32 bits: one sample is an FD frame of 16 bytes. Finer steps would clip the motion at their ends."""
 STAGES: dict[str, tuple[type, str]] = {
-    "acquisition": (Acquisition, "step"),
+    "acquisition": (SingleSource, "step"),
     "quality": (Quality, "step"),
     "estimation": (Estimation, "step"),
     "alarms": (LevelAlarms, "step"),

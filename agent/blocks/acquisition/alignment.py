@@ -16,14 +16,14 @@ import numpy as np
 
 from agent.blocks.acquisition.clock_map import SETTLE_S, ClockMap
 from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
-from agent.blocks.acquisition.single_source import SourcePlan, SourceState, intake, uninterrupted
-from agent.blocks.acquisition.skew_watch import SkewEvent, SkewWatch
+from agent.blocks.acquisition.interface import Acquisition, Ends, Label, SourceEvent, SourcePlan, SourceState, Through
+from agent.blocks.acquisition.single_source import intake, uninterrupted
+from agent.blocks.acquisition.skew_watch import SkewWatch
 from agent.blocks.acquisition.tally import Tally
 from agent.numerics.preprocessing.resample import AFTER, interpolated, split
 from agent.types import Aligned, BoolArray, FloatArray, IntArray, Samples
 from drivers.port import SampleBlock
 
-Label = Callable[[IntArray], IntArray]
 PATIENCE_S = 1.0
 """How long a sample of one source waits for the same instant of another."""
 TOGETHER_S = 0.5
@@ -146,7 +146,7 @@ class Span:
     announced: bool = False
 
 
-class Alignment:
+class Alignment(Acquisition):
     """The acquisition of one rig with several sources, or with channels that are late.
 
     Args:
@@ -164,7 +164,7 @@ class Alignment:
         self.plan, self._keep_incomplete = plan, keep_incomplete
         self._usual, self._remeasure = watch, remeasure
         self._spans = [Span(-1, watch)]
-        self._events: list[SkewEvent] = []
+        self._events: list[SourceEvent] = []
         self.streams = {p.source.name: self._stream(p, origin) for p in plan.streams}
         self.reference = list(self.streams.values())[plan.reference]
         self._patience = round((PATIENCE_S + (2 * SETTLE_S if plan.clocks else 0.0)) * plan.rate_hz)
@@ -177,14 +177,9 @@ class Alignment:
 
     @property
     def sources(self) -> dict[str, SourceState]:
-        """What is known of each source."""
         return {name: stream.state for name, stream in self.streams.items()}
 
     def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> list[Aligned]:
-        """Take a block of one source; return the rows that it leads to, cut at gaps.
-
-        label gives time stamps; without it the samples' own are taken, or those of their numbers.
-        """
         stream = self.streams[source]
         stream.take(block, modulus, label if stream is self.reference else None)
         if stream.began_anew():
@@ -223,7 +218,6 @@ class Alignment:
         return None if watch is None else watch.anew(since, needed=True)
 
     def finish(self) -> list[Aligned]:
-        """Return the rows that wait for samples that will not come."""
         for span in self._spans:
             if span.watch is not None:
                 span.watch.let_go()
@@ -233,26 +227,30 @@ class Alignment:
         return pieces
 
     def hurry(self) -> None:
-        """Measure no skew any more."""
         for span in list(self._spans):
             if span.watch is not None and span.watch.budget is not None:
                 span.watch.budget.close()
 
+    def ends(self, source: str, through: Through) -> Ends:
+        stream = self.streams[source]
+        return stream.tally.used + stream.waiting, stream.tally.rejected
+
+    def lose(self, reason: str, through: Through) -> None:
+        for stream in self.streams.values():
+            stream.tally.lose(reason)
+
     def arrived(self, samples: Sequence[Samples]) -> None:
-        """Note what became of rows."""
         for stream in self.streams.values():
             for piece in samples:
                 stream.tally.arrive(piece)
 
-    def take_events(self) -> list[SkewEvent]:
-        """Return what was found of the sources' skews since the last call."""
+    def take_events(self) -> list[SourceEvent]:
         for span in self._spans:
             self._events += [] if span.watch is None else span.watch.take_events()
         events, self._events = self._events, []
         return events
 
     def skews(self) -> dict[str, tuple[float | None, float | None]]:
-        """Return what is compensated of each source's skew, and its sd, s; None where it is not known."""
         return {} if self.watch is None else self.watch.known()
 
     def _advance(self, *, end: bool = False) -> list[Aligned]:
@@ -306,7 +304,7 @@ class Alignment:
         newest = max(counting, key=lambda stream: stream.state.indexer.generation).state.plan.name
         others = " and ".join(s.state.plan.name for s in counting if s.state.plan.name != newest)
         words = f"{newest}: its device began to count anew and {others} did not; how they go together is measured anew"
-        self._events.append(SkewEvent(newest if newest != against else others, "realigning", words))
+        self._events.append(SourceEvent(newest if newest != against else others, "realigning", words))
 
     def _delays(self) -> FloatArray:
         """How much later than the reference each channel is read in the oldest span, (c,), s."""

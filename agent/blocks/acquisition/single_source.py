@@ -2,12 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
+from agent.blocks.acquisition.interface import Acquisition, ChannelScale, Ends, Label, SourcePlan, SourceState, Through
 from agent.types import Aligned, BoolArray, FloatArray, IntArray
 from drivers.port import SampleBlock
 
@@ -16,45 +17,7 @@ LARGEST = 1e30
 the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so nothing overflows."""
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelScale:
-    """SI value = (reading * scale + offset) * factor."""
-
-    scale: float
-    offset: float
-    factor: float
-
-
-@dataclass(frozen=True, slots=True)
-class SourcePlan:
-    """One source's columns: positions among the rig's channels, and how each becomes SI."""
-
-    name: str
-    columns: tuple[int, ...]
-    scales: tuple[ChannelScale, ...]
-
-
-@dataclass(slots=True)
-class SourceState:
-    """What is known of one source.
-
-    passed counts samples handed on to the rig; rejected those refused here, by reason; gaps the jumps of the index.
-    """
-
-    plan: SourcePlan
-    indexer: Indexer
-    passed: int = 0
-    rejected: Counter[str] = field(default_factory=Counter)
-    gaps: int = 0
-    missing: int = 0
-    newest: int | None = None
-
-    def refusals(self) -> Counter[str]:
-        """All samples refused here, by reason."""
-        return self.rejected + self.indexer.rejected
-
-
-class Acquisition:
+class SingleSource(Acquisition):
     """The acquisition of a rig with one source whose channels are read together; `Alignment` is that of all others.
 
     Args:
@@ -73,20 +36,29 @@ class Acquisition:
         self._inputs = inputs
         self._last: int | None = None
         self._segment = 0
+        self._before: Ends = 0, Counter()
 
     @property
     def sources(self) -> dict[str, SourceState]:
         """What is known of the source, by its name."""
         return {self._state.plan.name: self._state}
 
-    def step(self, source: str, block: SampleBlock, modulus: int | None) -> list[Aligned]:
-        """Take a block of the source; return the samples that it leads to, cut at gaps."""
+    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> list[Aligned]:
         index, values, stamps = intake(self._state, block, modulus)
         if not self._keep_incomplete:
             finite = np.isfinite(values).all(axis=1)
             index, values, stamps = index[finite], values[finite], None if stamps is None else stamps[finite]
         self._state.passed += len(index)
-        return [self._numbered(*piece) for piece in uninterrupted(index, values[:, self._order], stamps)]
+        pieces = [self._numbered(*piece) for piece in uninterrupted(index, values[:, self._order], stamps)]
+        return pieces if label is None else [replace(piece, stamps=label(piece.index)) for piece in pieces]
+
+    def ends(self, source: str, through: Through) -> Ends:
+        used, rejected = self._before
+        return used + through.used + through.waiting, rejected + through.rejected
+
+    def lose(self, reason: str, through: Through) -> None:
+        used, rejected = self._before
+        self._before = used + through.used, rejected + through.rejected
 
     def _numbered(self, index: IntArray, values: FloatArray, stamps: IntArray | None) -> Aligned:
         """Give a piece its segment: a new one unless it follows directly on what was handed on before."""

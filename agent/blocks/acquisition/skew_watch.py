@@ -3,10 +3,10 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
+from agent.blocks.acquisition.interface import SourceEvent
 from agent.numerics.faults.skew import Delays, Skew, SkewMeter, combined
 from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.types import FloatArray, IntArray
@@ -33,14 +33,6 @@ FLOOR = 0.01
 """Of a sample: what interpolation leaves, and what no measurement is better than."""
 SMALL = 0.02
 """Of a sample: changes below are left alone."""
-
-
-class SkewEvent(NamedTuple):
-    """Something to tell of a source, once."""
-
-    source: str
-    cause: str
-    message: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +85,7 @@ class SkewWatch:
     _first: int | None = None
     _next: int = 0
     _tried: int = 0
-    _events: list[SkewEvent] = field(default_factory=list)
+    _events: list[SourceEvent] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.skew_s, self.sd_s = np.zeros(len(self.groups)), np.full(len(self.groups), np.inf)
@@ -131,7 +123,7 @@ class SkewWatch:
         """Return the skew of each channel (c,), s."""
         return self._spread(self.skew_s)
 
-    def take_events(self) -> list[SkewEvent]:
+    def take_events(self) -> list[SourceEvent]:
         """Return what was found since the last call."""
         events, self._events = self._events, []
         return events
@@ -248,10 +240,10 @@ class SkewWatch:
             source = self.groups[number].source
             words = f"{source}: read {abs(delay):.3f} ± {sd:.3f} ms {'later' if delay > 0 else 'earlier'} than "
             words += self.against + ("; compensated" if self.skew_s[number] else "; nothing to compensate")
-            self._events.append(SkewEvent(source, "skew", words))
+            self._events.append(SourceEvent(source, "skew", words))
 
     def _say_unknown(self) -> None:
         for group in self.groups:
             words = f"{group.source}: how much later it is read than {self.against} does not show; "
             words += "its rows are no estimates until it does" if self.needed else "taken as nothing"
-            self._events.append(SkewEvent(group.source, "skew", words))
+            self._events.append(SourceEvent(group.source, "skew", words))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from agent.blocks.acquisition.single_source import SourceState
+from agent.blocks.acquisition.interface import SourceState
 from agent.numerics.preprocessing.drift import ClockFit, Drift
 from agent.types import SourceClock
 

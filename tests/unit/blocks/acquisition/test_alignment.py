@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from agent.blocks.acquisition.alignment import Alignment, AlignmentPlan, StreamPlan
-from agent.blocks.acquisition.single_source import Acquisition, ChannelScale, source_plan
+from agent.blocks.acquisition.interface import ChannelScale
+from agent.blocks.acquisition.single_source import SingleSource, source_plan
 from agent.config import load
 from agent.runtime.acquisition_plan import make_acquisition
 from agent.types import Aligned
@@ -187,7 +188,7 @@ def test_alignment_is_what_a_configuration_with_delays_asks_for(tmp_path: Path) 
     path = example("modbus", tmp_path)
     plain = load(path)
     maps = {"modbus": plain.source[0].map}
-    assert isinstance(make_acquisition(plain, maps, np.zeros(2)), Acquisition)
+    assert isinstance(make_acquisition(plain, maps, np.zeros(2)), SingleSource)
     text = path.read_text(encoding="utf-8").replace('unit = "m"', 'unit = "m"\ndelay_s = 0.0052').replace(
         'unit = "N"', 'unit = "N"\ndelay_s = 0.0015'
     )  # fmt: skip

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.blocks.acquisition.single_source import Acquisition, ChannelScale, source_plan
+from agent.blocks.acquisition.interface import ChannelScale
+from agent.blocks.acquisition.single_source import SingleSource, source_plan
 from agent.types import Aligned
 from drivers.port import FloatArray, SampleBlock
 
@@ -13,11 +14,11 @@ PLAIN = ChannelScale(1.0, 0.0, 1.0)
 CHANNELS = ["force", "x1", "x2"]
 
 
-def single(scales: dict[str, ChannelScale] | None = None, rate_hz: float = 1000.0) -> Acquisition:
+def single(scales: dict[str, ChannelScale] | None = None, rate_hz: float = 1000.0) -> SingleSource:
     scales = scales or dict.fromkeys(CHANNELS, PLAIN)
     # fields come in the order of the map, not of the channels
     plan = source_plan("rig", {"x1": "a", "x2": "b", "force": "c"}, CHANNELS, scales)
-    return Acquisition(plan, 1, "counter", rate_hz)
+    return SingleSource(plan, 1, "counter", rate_hz)
 
 
 def block(

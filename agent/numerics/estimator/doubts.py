@@ -1,0 +1,67 @@
+"""Readings of inputs that may be spikes: the window takes them for unknown, and the motion says what they were.
+
+A suspect reading u is replaced by the newest trusted one, h; what that is wrong by is an unknown of the window with
+prior N(0, (u − h)²). A blow that moved the rig comes out near u − h, a spike near 0.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from agent.types import BoolArray, FloatArray, IntArray
+
+CONFIRMED_SD = 4.0
+"""Sds within which the motion must find a suspect reading to confirm it."""
+
+
+class Doubts:
+    """The suspect readings of the newest samples of a segment: (sample, channel) -> reading less its replacement."""
+
+    def __init__(self) -> None:
+        self.size: dict[tuple[int, int], float] = {}
+        self._undecided: set[tuple[int, int]] = set()
+        self._refused: set[int] = set()
+        self._trusted: FloatArray | None = None
+
+    def forget(self) -> None:
+        """Let go of a segment that ended."""
+        self.size, self._undecided, self._trusted = {}, set(), None
+
+    def replaced(self, index: int, u: FloatArray, suspect: BoolArray | None, outputs: int) -> FloatArray:
+        """Return inputs u (N, m), the first of them sample `index`, with trusted readings in place of suspect ones."""
+        if not len(u):
+            return u
+        trusted = np.zeros(u.shape[1]) if self._trusted is None else self._trusted
+        out = np.array(u, dtype=float)
+        places = [] if suspect is None else np.argwhere(suspect[:, outputs:]).tolist()
+        for row, column in places:
+            out[row, column] = out[row - 1, column] if row else trusted[column]
+            place = (index + row, outputs + column)
+            self.size[place] = float(u[row, column] - out[row, column])
+            self._undecided.add(place)
+        self._trusted = out[-1].copy()
+        return out
+
+    def among(self, lost: IntArray, first: int) -> BoolArray:
+        """Return which (l,) of a window's lost readings (l, 2) are suspect ones; `first` is its first sample."""
+        return np.array([(first + row, channel) in self.size for row, channel in lost.tolist()], dtype=bool)
+
+    def due(self, newest: int, window: int) -> set[tuple[int, int]]:
+        """Return the undecided ones that a window ending with sample `newest` holds with a quarter of it after them."""
+        return {p for p in self._undecided if newest - window < p[0] <= newest - window // 4}
+
+    def decide(self, due: set[tuple[int, int]], found: Mapping[tuple[int, int], tuple[float, float]]) -> int:
+        """Decide once on those due from what a window found of each, value and sd; return the samples newly refused."""
+        refused = {p[0] for p in due if p in found and not self._is_confirmed(self.size[p], *found[p])} - self._refused
+        self._undecided -= due
+        self._refused |= refused
+        return len(refused)
+
+    def _is_confirmed(self, size: float, value: float, sd: float) -> bool:
+        return abs(value - size) < min(CONFIRMED_SD * sd, abs(value))
+
+    def trim(self, first: int) -> None:
+        """Let go of what lies before sample `first`."""
+        self.size = {p: size for p, size in self.size.items() if p[0] >= first}
+        self._undecided = {p for p in self._undecided if p[0] >= first}
+        self._refused = {sample for sample in self._refused if sample >= first}

@@ -1,0 +1,117 @@
+"""Rows from the bank's normal equations: posterior of the parameters, and the two tests of every window."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.operating_point import OperatingPoint
+from agent.numerics.inference.learner import Posterior
+from agent.numerics.inference.mixture import NORMAL_975
+from agent.numerics.inference.tuning import MISMATCH_SD
+from agent.numerics.window.rows import Windowed
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+FAR_SD = 2.5
+"""Sds from the point that chance alone does not reach in a window."""
+FAR_CURVATURE = 0.1
+"""Share of the sd that the neglected second-order term of a row may be."""
+FARTHEST_SD = 5.0
+"""The same where longer windows place the point: the shortest does not move it for what chance does in a day."""
+EVEN = 0.1
+"""Skewness of an interval, in sds, that is not kept."""
+FLAT = 1e-6
+"""Prior precision of a parameter in units of its size: within a thousand times itself."""
+SINGULAR = 1e-13
+"""Added to unit diagonals: a parameter that nothing shows has no sd to speak of, and the others theirs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What N windows of one length say.
+
+    Attributes:
+        index: (N,) newest sample.
+        theta, sd, lower, upper, sd_repeat: (N, q).
+        jump: (N,) largest statistic of a jump; 0 where none is tested.
+        excess: (N,) misfit in predictive standard deviations.
+        far: (N,) linearised too far away for its sharpness.
+        dof: degrees of freedom.
+        samples: length of the window.
+    """
+
+    index: IntArray
+    theta: FloatArray
+    sd: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    sd_repeat: FloatArray
+    jump: FloatArray
+    excess: FloatArray
+    far: BoolArray
+    dof: float
+    samples: int
+
+    def write(self, i: int, posterior: Posterior) -> None:
+        """Put what a window was found to say by itself in the place of row i."""
+        for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
+            getattr(self, name)[i] = getattr(posterior, name)
+        self.jump[i], self.excess[i] = posterior.jump.max(initial=0.0), posterior.excess
+        self.far[i] = not posterior.converged
+
+    def broken(self, threshold: float) -> BoolArray:
+        """(N,) windows that hold a change, or that nothing known explains."""
+        return np.asarray((self.jump > threshold) | (self.excess > MISMATCH_SD) | ~np.isfinite(self.sd).all(axis=1))
+
+
+def read(
+    windowed: Windowed, point: OperatingPoint, samples: int, jump_before: float = 0.0, far_sd: float = FAR_SD
+) -> Reading:
+    """Return what windows of a length say, constants and intensities as known at the operating point.
+
+    jump_before: the newest statistic of a jump before these rows, which stands until the next row that is scanned.
+    far_sd: sds from the point beyond which a window is linearised too far away.
+    """
+    normal, q = windowed.normal, len(point.theta)
+    c = normal.H.shape[1]
+    prior = np.concatenate([np.full(q, FLAT), np.ones(c - q)])
+    M = normal.H + np.diag(prior)
+    covariance = _inverse(M)
+    d = np.einsum("nij,nj->ni", covariance, normal.g)
+    own = np.diagonal(covariance, axis1=1, axis2=2)[:, :q]
+    if c > q:
+        own = np.diagonal(_inverse(M[:, :q, :q]), axis1=1, axis2=2)
+    own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
+    by_constants = point.unit * np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0))
+    repeat = point.unit * np.sqrt(own * point.wider)
+    shape = point.shape
+    width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
+    theta = point.theta + point.unit * d[:, :q]
+    sharp = np.sqrt(own)
+    far = np.abs(d[:, :q]) > np.maximum(far_sd * sharp, np.sqrt(FAR_CURVATURE * sharp))
+    rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
+    dof = float(samples * len(point.model.C) - point.model.n - q)
+    excess = np.log(rss / dof) / np.sqrt(2 / dof + 4 * point.unsure)
+    jump = np.full(len(rss), jump_before)
+    if windowed.jumps is not None and len(windowed.jumps.index):
+        at = np.searchsorted(windowed.index, windowed.jumps.index)
+        found = windowed.jumps.glr(d[at], covariance[at]).max(axis=1, initial=0.0)
+        found = found / (np.maximum(1.0, rss[at] / dof) * point.scatter)
+        # a row that is not scanned shows what the newest one before it that was did
+        place = np.searchsorted(at, np.arange(len(rss)), side="right") - 1
+        jump = np.where(place >= 0, found[np.maximum(place, 0)], jump_before)
+    centre, half = theta + shape.centre * by_constants, NORMAL_975 * width
+    even = np.abs(shape.centre - shape.mean) * by_constants < EVEN * width
+    centre = np.where(even, theta + shape.mean * by_constants, centre)
+    return Reading(
+        windowed.index, theta + shape.mean * by_constants, width, centre - half, centre + half, repeat, jump, excess,
+        far.any(axis=1), dof, samples,
+    )  # fmt: skip
+
+
+def _inverse(M: FloatArray) -> FloatArray:
+    d = 1.0 / np.sqrt(np.maximum(np.diagonal(M, axis1=1, axis2=2), 1e-300))
+    scaled = M * d[:, :, None] * d[:, None, :] + SINGULAR * np.eye(M.shape[1])
+    return np.asarray(np.linalg.inv(scaled) * d[:, :, None] * d[:, None, :])

@@ -1,0 +1,83 @@
+"""The newest samples of a segment with what was lost of them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.doubts import Doubts
+from agent.numerics.inference.columns import Window, window_of
+from agent.numerics.preprocessing.bridge import bridge_over
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+SPARE = 8192
+"""Samples beyond those kept that may wait before the oldest are let go."""
+
+
+class Record:
+    """Samples y (N, p), u (N, m) of one uninterrupted stretch from number `first` on, and which were filled in."""
+
+    def __init__(self, first: int, outputs: int, inputs: int, doubts: Doubts | None = None) -> None:
+        self.first, self.p = first, outputs
+        self.doubts = doubts or Doubts()
+        self._v = np.zeros((0, outputs + inputs))
+        self._lost = np.zeros((0, outputs + inputs), dtype=bool)
+
+    @property
+    def stop(self) -> int:
+        """Number after the newest sample."""
+        return self.first + len(self._v)
+
+    def append(self, y: FloatArray, u: FloatArray, lost: BoolArray | None) -> None:
+        """Take samples that follow at once; lost (N, p+m)."""
+        v = np.hstack([y, u])
+        self._v = np.concatenate([self._v, v])
+        self._lost = np.concatenate([self._lost, np.zeros(v.shape, dtype=bool) if lost is None else lost])
+
+    def outputs(self, start: int, stop: int) -> FloatArray:
+        """Return y of samples [start, stop)."""
+        return self._v[start - self.first : stop - self.first, : self.p]
+
+    def inputs(self, start: int, stop: int) -> FloatArray:
+        """Return u of samples [start, stop)."""
+        return self._v[start - self.first : stop - self.first, self.p :]
+
+    def inputs_with_slopes(self, start: int, stop: int) -> FloatArray:
+        """Return u and its change since the sample before, side by side; 0 for the stretch's first sample."""
+        u = self.inputs(start, stop)
+        before = self.inputs(start - 1, start) if start > self.first else u[:1]
+        return np.hstack([u, np.diff(u, axis=0, prepend=before)])
+
+    def lost_in(self, index: IntArray, window: int) -> IntArray:
+        """Return how many samples (N,) with lost readings the windows that end at samples `index` hold."""
+        total = np.concatenate([[0], np.cumsum(self._lost.any(axis=1))])
+        stop = index + 1 - self.first
+        return np.asarray(total[stop] - total[np.maximum(stop - window, 0)])
+
+    def changes_in(self, index: IntArray, window: int) -> IntArray:
+        """Return in how many samples (N,) of the windows that end at samples `index` some output shows another code."""
+        y = self._v[:, : self.p]
+        moved = np.concatenate([[0, 0], np.cumsum((y[1:] != y[:-1]).any(axis=1))])
+        stop = index + 1 - self.first
+        return np.asarray(moved[stop] - moved[np.maximum(stop - window + 1, 0)])
+
+    def window(self, newest: int, length: int) -> Window:
+        """Return the window of `length` samples that ends with number `newest`."""
+        start, stop = newest + 1 - length, newest + 1
+        before = self.inputs(start - 1, start)[0] if start > self.first else None
+        whole = window_of(self.outputs(start, stop), self.inputs(start, stop), before)
+        part = slice(start - self.first, stop - self.first)
+        bridge = bridge_over(self._v[part], self._lost[part], self.p)
+        if bridge is None:
+            return whole
+        lost = np.column_stack([bridge.sample, bridge.channel])
+        sizes = [abs(self.doubts.size.get((start + row, channel), 0.0)) for row, channel in lost.tolist()]
+        return Window(whole.y, whole.u, whole.slope, lost, np.maximum(bridge.sd, sizes))
+
+    def trim(self, keep: int) -> None:
+        """Let go of samples older than the newest `keep`, now and then."""
+        spare = len(self._v) - keep
+        if spare > keep + SPARE:
+            self._v, self._lost = self._v[spare:].copy(), self._lost[spare:].copy()
+            self.first += spare
+            self.doubts.trim(self.first)

@@ -1,0 +1,65 @@
+"""Rows of the streaming bank against the learner's window: two forms of one likelihood."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.operating_point import operating_point
+from agent.numerics.estimator.reading import Reading, read
+from agent.numerics.estimator.record import Record
+from agent.numerics.inference import tuning
+from agent.numerics.inference.learner import Knowledge, Posterior
+from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.stream import Stream
+from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
+from tests.unit.numerics.inference.frequency import knowledge, learner_of
+
+FloatArray = NDArray[np.float64]
+WINDOW, HOP, SAMPLES = 240, 40, 1000
+
+
+def both(rig: ChainRig, noise: DenseNoise, seed: int) -> tuple[Reading, list[Posterior]]:
+    """Rows of the bank, and the learner's answers about the same windows at the same point."""
+    rng = np.random.default_rng(seed)
+    u = 20 * rng.standard_normal((SAMPLES, 1))
+    slope = np.diff(u, axis=0, prepend=u[:1])
+    eta = np.zeros(rig.count + len(rig.seen) + 2)
+    theta = rig.theta * 1.001
+    y = rig.readings(theta, eta, 0.01 * rng.standard_normal(2 * rig.count), u, slope).real
+    y = y + noise.sigma * rng.standard_normal(y.shape)
+    learner = learner_of(rig, WINDOW)
+    known: Knowledge = knowledge(learner, noise)
+    samples = Record(0, len(rig.seen), 1)
+    samples.append(y, u, None)
+    first = learner._posterior(learner._linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known)
+    point = operating_point(learner.rig, known, first, learner.sources, WINDOW, tuning.SIGMA_WALK, first.sd_repeat)
+    plan = HopPlan(WINDOW, HOP)
+    stream = Stream(point.model, point.push, point.noise, plan, (), learner.rig.q)
+    stream.start_segment(0)
+    inputs = samples.inputs_with_slopes if point.slopes else samples.inputs
+    stream.append(0, samples.outputs(0, SAMPLES), inputs(0, SAMPLES))
+    windowed = stream.rows().windows[0]
+    assert windowed is not None
+    rows = read(windowed, point, WINDOW)
+    later = replace(known, constants=known.constants.predicted())
+    answers = []
+    for newest in rows.index:
+        at = learner._linearised(samples.window(int(newest), WINDOW), later, jumps=False, steps=1)
+        answers.append(learner._posterior(at, later, later.constants))
+    return rows, answers
+
+
+@pytest.mark.parametrize("force", [0.0, 0.5])
+@pytest.mark.parametrize("seen", [("displacement", "displacement"), ("displacement", "acceleration")])
+def test_bank_rows_are_the_learners_windows(seen: tuple[str, ...], force: float) -> None:
+    sigma = np.array([1e-4, 2e-4 if seen[1] == "displacement" else 5e-2])
+    # constants exact: what both forms share is the likelihood
+    rig = ChainRig(seen=seen, sheet=(0.0, 0.0, 0.0, 0.0))
+    rows, answers = both(rig, DenseNoise(sigma, np.array([force, 0.5 * force])), 3)
+    assert len(answers) >= 15
+    sd = np.array([a.sd_repeat for a in answers])
+    theta = np.array([a.theta for a in answers])
+    assert np.abs((rows.theta - theta) / sd).max() < 1e-6
+    assert np.abs(np.log(rows.sd_repeat / sd)).max() < 1e-6

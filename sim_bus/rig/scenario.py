@@ -22,7 +22,6 @@ _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _FAULT = re.compile(
     rf"(?P<name>[a-z][a-z0-9.-]*)(:(?P<target>[A-Za-z0-9_.-]+))?@(?P<at>{_NUMBER})s?(\+(?P<long>{_NUMBER})s?)?"
 )
-DEFAULT = "steady"
 
 
 class Initial(BaseModel):

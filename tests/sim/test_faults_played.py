@@ -222,9 +222,16 @@ def ask_on(line: socket.socket) -> None:
         pass
 
 
-@pytest.mark.parametrize(("fault", "end"), [("reset", "ConnectionResetError"), ("hang-up", "ConnectionError")])
+@pytest.mark.parametrize(
+    ("fault", "possible"),
+    [
+        ("reset", {"ConnectionResetError"}),
+        # a question that crosses the end of a connection is answered by a reset
+        ("hang-up", {"ConnectionError", "ConnectionResetError", "BrokenPipeError"}),
+    ],
+)
 def test_modbus_connection_ends_in_or_after_an_answer_and_can_be_made_anew(
-    fault: str, end: str, tmp_path: Path
+    fault: str, possible: set[str], tmp_path: Path
 ) -> None:
     port = free_port()
     with simulator(tmp_path, ring_config(port), "--fault", f"modbus.{fault}@0.1+0.2") as sim:
@@ -239,7 +246,8 @@ def test_modbus_connection_ends_in_or_after_an_answer_and_can_be_made_anew(
                 except OSError as error:
                     ends.append(type(error).__name__)
         assert sim.stop() == 0
-    assert set(ends[:-1]) == {end}
+    assert ends[:-1]
+    assert set(ends[:-1]) <= possible
 
 
 def test_modbus_black_hole_answers_nobody_and_lets_nobody_in(tmp_path: Path) -> None:

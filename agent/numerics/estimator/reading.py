@@ -16,8 +16,10 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 FAR_SD = 2.5
 """Sds from the point that chance alone does not reach in a window."""
-FAR_CURVATURE = 0.1
+FAR_CURVATURE = 0.25
 """Share of the sd that the neglected second-order term of a row may be."""
+FAR_SHARPEST = 0.25
+"""Sd, as a share of the parameter, beyond which a window says too little of it to move the point."""
 FARTHEST_SD = 5.0
 """The same where longer windows place the point: the shortest does not move it for what chance does in a day."""
 EVEN = 0.1
@@ -91,6 +93,7 @@ def read(
     theta = point.theta + point.unit * d[:, :q]
     sharp = np.sqrt(own)
     far = np.abs(d[:, :q]) > np.maximum(far_sd * sharp, np.sqrt(FAR_CURVATURE * sharp))
+    far &= sharp < FAR_SHARPEST
     rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
     dof = float(samples * len(point.model.C) - point.model.n - q)
     excess = np.log(rss / dof) / np.sqrt(2 / dof + 4 * point.unsure)

@@ -22,7 +22,7 @@ from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, layout_free, 
 from agent.numerics.inference.response import Response
 from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio
 from agent.numerics.inference.sources import directions, sources_of
-from agent.numerics.model.uncertain import Rig, sampled
+from agent.numerics.model.uncertain import Rig, sampled, unit_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -292,14 +292,14 @@ class Learner:
         """The point (q,) towards which the cost falls: a full step, half of it, a quarter ...; None where none does."""
         linear = self.rig.nominal == 0
         longest = np.where(linear, np.inf, tuning.LONGEST_STEP)
-        share, before = 1.0, self._cost(at, at.regression, given)
+        share, before = 1.0, self._cost(at, at.regression, given) + self._strayed(at.theta, known)
         for _ in range(tuning.HALVINGS):
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
             response = self._at(moved, known, known.kept)
             regressor = Regressor(self.rig, response, self.sources, known.eta)
             trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), np.zeros(0, dtype=np.int64))
-            if self._cost(at, trial, given) <= before + 1.0:
+            if self._cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
                 return np.asarray(moved)
             share *= 0.5
         return None
@@ -344,6 +344,7 @@ class Learner:
 
     def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, FloatArray]:
         """The step (q,), constants estimated beside it or given, and the sd (q,) with them given."""
+        at = self._anchored(at, known.theta)
         _, _, alone, V, Z = self._eliminated(at)
         sd = np.sqrt(np.diag(V))
         if given:
@@ -351,6 +352,24 @@ class Learner:
         layout, nb = at.regression.layout, at.regression.layout.base
         step = inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b)
         return step[layout.psi], sd
+
+    def _anchored(self, at: Linearised, anchor: FloatArray) -> Linearised:
+        """A window with the point's own prior on the parameters: what says little of one moves no point far.
+
+        N(anchor, (POINT_SD unit)²) steers where the model is linearised, and enters nothing that is said of the window.
+        """
+        psi, spread = at.regression.layout.psi, self._anchor_spread(anchor)
+        R, b = at.ridge.R.copy(), at.ridge.b.copy()
+        R[psi, psi] += np.diag((at.unit / spread) ** 2)
+        b[psi] -= at.unit * (at.theta - anchor) / spread**2
+        return replace(at, ridge=Ridge(R, b))
+
+    def _strayed(self, theta: FloatArray, known: Knowledge) -> float:
+        """Twice the negative log prior of a point."""
+        return float((((theta - known.theta) / self._anchor_spread(known.theta)) ** 2).sum())
+
+    def _anchor_spread(self, anchor: FloatArray) -> FloatArray:
+        return tuning.POINT_SD * unit_of(self.rig, anchor)
 
     def _wide(self) -> FloatArray:
         """(c, c) prior of the constants while the noise is learnt: as far off as any of them may be."""
@@ -387,7 +406,7 @@ class Learner:
 
     def _nearer(self, at: Linearised, before: FloatArray) -> FloatArray:
         """The next point (q,): what this window says, averaged with the last point where they agree."""
-        _, _, alone, V, _ = self._eliminated(at)
+        _, _, alone, V, _ = self._eliminated(self._anchored(at, before))
         here, sd = at.theta + at.unit * alone, at.unit * np.sqrt(np.diag(V))
         agree = np.all(np.abs(here - before) < tuning.AGREE_SD * sd)
         share = tuning.POINT_SHARE if agree else 1.0

@@ -94,6 +94,8 @@ PRIOR_ABSENT = 0.5
 """Prior probability that a source of noise is absent. Needed by: right models near the bound."""
 AGREE_SD = 3.0
 """Sds within which a window's estimate and the point of linearisation agree."""
+POINT_SD = 0.5
+"""Prior sd of the next point about the last, shares of the parameter. Needed by: standstills in normal operation."""
 POINT_SHARE = 0.25
 """Share of a window's estimate in the next point where they agree: the point is an average of some windows."""
 SHEET_WALK = 0.01

@@ -143,13 +143,18 @@ class Sampled:
         return len(self.A)
 
 
+def unit_of(rig: Rig, theta: FloatArray) -> FloatArray:
+    """Return what a deviation of 1 means for each parameter at theta (q,): its size, or a tenth of its nominal one."""
+    return np.asarray(np.maximum(np.abs(theta), 0.1 * rig.scale))
+
+
 def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray) -> Sampled:
     """Return the sampled model at θ (q,) and masses nominal · exp(log_mass)."""
     mass = rig.model.nominal[rig.q :] * np.exp(log_mass)
     continuous = rig.model.continuous(np.concatenate([theta, mass]))
     model = discretise(continuous, rig.period_s, straight(rig.hold)).model
     B, D, dB, dD = _stacked(rig, continuous, model)
-    unit = np.maximum(np.abs(theta), 0.1 * rig.scale)
+    unit = unit_of(rig, theta)
     steps = np.concatenate([unit, mass])[:, None, None]
     f = rig.pushed
     return Sampled(

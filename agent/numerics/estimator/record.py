@@ -61,6 +61,16 @@ class Record:
         stop = index + 1 - self.first
         return np.asarray(moved[stop] - moved[np.maximum(stop - window + 1, 0)])
 
+    def spread_in(self, index: IntArray, window: int) -> FloatArray:
+        """Return the standard deviation (N, p) of each output over the windows that end at samples `index`."""
+        oldest = max(int(index[0]) + 1 - window - self.first, 0)
+        y = self._v[oldest : int(index[-1]) + 1 - self.first, : self.p]
+        y = y - y[0]  # sums of squares keep their digits where a displacement stands far from zero
+        sums = np.concatenate([np.zeros((1, 2 * self.p)), np.cumsum(np.hstack([y, y * y]), axis=0)])
+        stop = index + 1 - self.first - oldest
+        mean, square = np.split((sums[stop] - sums[np.maximum(stop - window, 0)]) / window, 2, axis=1)
+        return np.asarray(np.sqrt(np.maximum(square - mean**2, 0.0)))
+
     def window(self, newest: int, length: int) -> Window:
         """Return the window of `length` samples that ends with number `newest`."""
         start, stop = newest + 1 - length, newest + 1

@@ -337,9 +337,13 @@ class SlidingEstimator:
         return rows
 
     def _still(self, record: Record, index: IntArray) -> BoolArray:
-        """(N,) windows that end at samples `index` in which no sensor's code moves enough to teach anything."""
-        window = self.settings.plan.window
-        return np.asarray(record.changes_in(index, window) < min(tuning.LEAST_CHANGES, window // 8))
+        """(N,) windows that end at samples `index` which teach nothing: codes rest, or show nothing but noise."""
+        window, known = self.settings.plan.window, self.known
+        rests = np.asarray(record.changes_in(index, window) < min(tuning.LEAST_CHANGES, window // 8))
+        if known is None or not known.noise.is_started or not len(index):
+            return rests
+        chance = 1 + tuning.STANDSTILL_SD * np.sqrt(0.5 / window)  # of a standard deviation from so many samples
+        return np.asarray(rests | (record.spread_in(index, window) < chance * self.learner.spread(known.noise)).all(axis=1))
 
     def _hollow(self, record: Record, index: IntArray) -> BoolArray:
         """(N,) windows that end at samples `index` and lost too many readings to say anything."""

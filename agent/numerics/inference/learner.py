@@ -135,6 +135,14 @@ class Learner:
         noise = Noise.prior(np.maximum(sigma, np.exp(self.log_floor)), spread, total, len(self.sources), rig.q)
         return Knowledge(rig.nominal.copy(), np.zeros(c), noise, Constants.prior(self.hypotheses), Scatter.prior(rig.q))
 
+    def spread(self, noise: Noise) -> FloatArray:
+        """Return the sd (p,) of each output's readings where nothing moves: white and coloured noise of its sensor."""
+        variance = np.exp(2 * noise.log_sigma)
+        for source, intensity in zip(self.sources, noise.intensity, strict=True):
+            if source.kind == "sensor":
+                variance[source.number] += intensity**2
+        return np.asarray(np.sqrt(variance))
+
     # ------------------------------------------------------------------ the way through one window
     def learn(
         self, window: Window, known: Knowledge, shaken: bool = False, believe: bool = False

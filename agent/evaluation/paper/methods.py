@@ -15,6 +15,10 @@ from agent.numerics.window.hops import HopPlan
 from agent.types import FloatArray, Status
 
 
+ROUNDING_M = 1e-9
+"""Sensor sd that noise-free displacements of a centimetre are given at the least, m."""
+
+
 def seed_settings(window: int, passes: int, hop: int = 1, settled: float = 1e-9) -> SeedSettings:
     """Return the method as printed: Euler model, printed gain, Z = 0, parameters from the first row of (24)."""
     return SeedSettings(
@@ -39,7 +43,10 @@ def valid_changes(rows: Outcome) -> FloatArray:
 
 
 def _product_settings(window: int, hop: int) -> EstimatorSettings:
-    """The paper's rig with its constants exact, as the paper takes them, and noise not stated."""
+    """The paper's rig with its constants exact, as the paper takes them, and noise not stated.
+
+    Its data have no noise at all; a floor far below any sensor's keeps rounding from being taken for a change.
+    """
     model = replace(cases.rig(), forces=("m2", "m1", "m2"))
     rig = Rig(
         model, 4, np.arange(1), np.ones(1, dtype=bool), np.array([1, 2]), (), cases.PERIOD_S, "zero", cases.NOMINAL,
@@ -47,5 +54,5 @@ def _product_settings(window: int, hop: int) -> EstimatorSettings:
     )  # fmt: skip
     return EstimatorSettings(
         rig=rig, plan=HopPlan(window, hop), longer=(), sigma=np.full(2, np.nan), sigma_spread=np.full(2, np.nan),
-        floor=np.zeros(2), enough_sd=0.033 * cases.NOMINAL, wanted_sd=0.01 * cases.NOMINAL,
+        floor=np.full(2, ROUNDING_M), enough_sd=0.033 * cases.NOMINAL, wanted_sd=0.01 * cases.NOMINAL,
     )  # fmt: skip

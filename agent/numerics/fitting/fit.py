@@ -5,7 +5,7 @@ start far away does no harm; without them it is the maximum likelihood under whi
 Identification, 2nd ed. 1999, section 7.4). Nothing is carried from window to window.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,7 @@ def _descended(
     """Return where Gauss-Newton ends, and whether it came to rest there."""
     at = _linearised(problem, window, theta, pushed=pushed)
     for _ in range(steps):
+        at = _anchored(at, theta) if pushed else at
         sd = np.sqrt(np.maximum(np.diag(at.covariance), 0.0))
         if np.all(np.abs(at.step) <= tolerance * sd):
             return at.theta, True
@@ -124,6 +125,15 @@ def _descended(
         at = better
     sd = np.sqrt(np.maximum(np.diag(at.covariance), 0.0))
     return at.theta, bool(np.all(np.abs(at.step) <= sd))
+
+
+def _anchored(at: _Point, anchor: FloatArray) -> _Point:
+    """Return a point whose step knows that parameters lie about where the fit began, delays and offsets of 0 aside."""
+    precision = inverse(at.covariance)
+    held = np.diag(np.where(anchor != 0, FARTHEST**-2, 0.0))
+    covariance = inverse(precision + held)
+    step = covariance @ (precision @ at.step + held @ ((anchor - at.theta) / at.unit))
+    return replace(at, step=step, covariance=covariance)
 
 
 def _better(problem: Problem, window: Window, at: _Point, *, pushed: bool) -> _Point | None:

@@ -14,7 +14,6 @@ from agent.numerics.paper.seed_window import SeedSettings
 from agent.numerics.window.hops import HopPlan
 from agent.types import FloatArray, Status
 
-
 ROUNDING_M = 1e-9
 """Sensor sd that noise-free displacements of a centimetre are given at the least, m."""
 

@@ -61,7 +61,8 @@ class Posterior:
         sensitivity: (q, c) change of θ by a change of each constant.
         converged: Gauss-Newton came to rest.
         jump: (cuts,) twice the log likelihood ratio of a jump at each cut; jump_raw: not divided by the misfit.
-        excess: predictive standard deviations by which the residual's power is too large.
+        excess: predictive standard deviations by which the residual's power is too large;  beyond_jump: the same of
+            what the best jump leaves.
         changing: a jump fits beyond what chance allows.
         dof: degrees of freedom of the residual.
         rubs: dry friction that the model has no term for is evident, and moves an estimate by more than its sd.
@@ -78,6 +79,7 @@ class Posterior:
     jump: FloatArray
     jump_raw: FloatArray
     excess: float
+    beyond_jump: float
     changing: bool
     dof: float
     rubs: bool = False
@@ -174,6 +176,7 @@ class Learner:
         posterior = replace(
             self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
             jump=posterior.jump, jump_raw=posterior.jump_raw, excess=posterior.excess,
+            beyond_jump=posterior.beyond_jump,
         )  # fmt: skip
         posterior = replace(posterior, rubs=self._rubs(settled, learnt, posterior))
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
@@ -455,17 +458,17 @@ class Learner:
         extra = u**2 * own * (wider - 1)
         sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
         lower, upper = interval95(after.weight, means, sds)
-        jump, raw, excess, dof = self._tests(at, known)
+        jump, raw, excess, beyond, dof = self._tests(at, known)
         return Posterior(
             theta=mean, sd=(upper - lower) / (2 * NORMAL_975), lower=lower, upper=upper,
             linear=at.theta + u * (alone - Z @ (after.standing[0] - known.eta)),
             sd_repeat=np.sqrt(np.maximum(u**2 * own + extra, 0.3 * u**2 * own)), sensitivity=-u[:, None] * Z,
-            converged=at.converged, jump=jump, jump_raw=raw, excess=excess,
+            converged=at.converged, jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
             changing=bool(len(jump) and jump.max() > self.threshold), dof=dof,
         )  # fmt: skip
 
-    def _tests(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, float, float]:
-        """Jump statistics, misfit in predictive standard deviations, and the residual's degrees of freedom."""
+    def _tests(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, float, float, float]:
+        """Jump statistics, misfit without and with the best jump in predictive sds, and degrees of freedom."""
         layout = at.regression.layout
         nb = layout.base
         V = inverse(at.G[:nb, :nb] + at.ridge.R)
@@ -474,10 +477,49 @@ class Learner:
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
         noise = known.noise
         unsure = float(noise.log_sigma_var.max()) + tuning.SIGMA_WALK**2
-        excess = float(np.log(max(rss, 1e-300) / dof) / np.sqrt(2 / dof + 4 * unsure)) if noise.windows else 0.0
         raw = np.array([self._jump(at, V, fit, i) for i in range(layout.cuts)])
+        left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
+        excess, beyond = np.log(left / dof) / np.sqrt(2 / dof + 4 * unsure) * bool(noise.windows)
         misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max()))
-        return raw / misfit, raw, excess, dof
+        return raw / misfit, raw, float(excess), float(beyond), dof
+
+    def drifting(self, window: Window, known: Knowledge) -> tuple[Posterior, FloatArray]:
+        """Return what a window says at its end if its parameters move on and on, and where they come to rest (q,).
+
+        The line of a parameter is taken as equal jumps at all cuts, which leaves a twenty-fifth of what a constant
+        leaves of it. `changing` says that one jump of all parameters explains the window better.
+        """
+        at = self._linearised(window, known, jumps=True)
+        layout, q = at.regression.layout, self.rig.q
+        nb, cuts = layout.base, layout.cuts
+        to = np.zeros((len(at.G), nb + q + 1))  # base columns at the window's middle, lines, residual
+        to[:nb, :nb], to[-1, -1] = np.eye(nb), 1.0
+        for i in range(cuts):
+            to[layout.jump(i), nb : nb + q] = np.eye(q) / cuts
+        to[layout.psi, nb : nb + q] = -0.5 * np.eye(q)
+        G = to.T @ at.G @ to
+        R = np.zeros((nb + q, nb + q))
+        R[:nb, :nb], R[nb:, nb:] = at.ridge.R, np.eye(q) / tuning.LINE_SD**2
+        score = G[:-1, -1] + np.concatenate([at.ridge.b, np.zeros(q)])
+        V = inverse(G[:-1, :-1] + R)
+        fit = V @ score
+        end = np.zeros((q, nb + q))
+        end[:, layout.psi] = np.eye(q)
+        end[:, nb:] = 0.5 * np.eye(q)
+        middle, theta = at.theta + at.unit * fit[layout.psi], at.theta + at.unit * (end @ fit)
+        left = max(float(G[-1, -1] - score @ fit), 1e-300)
+        plain = self._posterior(at, known, known.constants)  # a window of this kind says nothing of the constants
+        shift = plain.sd**2 - plain.sd_repeat**2  # what the constants leave open
+        stair = fit[nb:] ** 2 / (12 * cuts**2)
+        own = at.unit * np.sqrt(np.diag(end @ V @ end.T) * known.scatter.factor * max(1.0, left / plain.dof) + stair)
+        sd = np.sqrt(own**2 + np.maximum(shift, 0.0))
+        unsure = float(known.noise.log_sigma_var.max()) + tuning.SIGMA_WALK**2
+        excess = float(np.log(left / plain.dof) / np.sqrt(2 / plain.dof + 4 * unsure))
+        said = replace(
+            plain, theta=theta, sd=sd, lower=theta - NORMAL_975 * sd, upper=theta + NORMAL_975 * sd, sd_repeat=own,
+            excess=excess, changing=excess > plain.beyond_jump,
+        )  # fmt: skip
+        return said, np.asarray(np.maximum(middle, self.rig.lower))
 
     def _jump(self, at: Linearised, V: FloatArray, fit: FloatArray, i: int) -> float:
         """Score statistic of one jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108)."""

@@ -104,6 +104,8 @@ LEAST_CHANGES = 20
 """Changes of a sensor's code below which a window is a standstill: it teaches nothing. Needed by: ECP-210, clamped."""
 STANDSTILL_SD = 4.0
 """Sds of its own chance by which a window's spread may exceed the noise alone. Needed by: standstill."""
+LINE_SD = 0.3
+"""Prior sd of a parameter's change within one window, shares of it. Needed by: a spring that softens in seconds."""
 CREEP = 0.02
 """Share of the greatest speed below which the sign of a speed is not known. Needed by: EMPS without its friction."""
 FRICTION_EVIDENCE = 12.0

@@ -119,6 +119,7 @@ class Stream:
         self._states = Tail(hop, len(z))  # at the starts of hops
         self._sliding = _sliding(self.operators)
         self._columns = LostColumns(self.operators, self._taps)
+        self._newest_columns: tuple[tuple[int, int], FloatArray] | None = None
         self._reach = max(abs(offset) for channel in self._taps for offset, *_ in channel)
         self._best: FloatArray | None = None  # physical state where the newest longest window starts
 
@@ -268,8 +269,11 @@ class Stream:
         return self._lost.between(start, min(stop, newest))
 
     def _over(self, hop: int, stop: int) -> FloatArray:
-        """Return [e ψ] of a hop's samples up to `stop`."""
-        return self.operators.columns(self.samples(hop * self.plan.hop, stop), self._states.part(hop, hop + 1)[0])
+        """Return [e ψ] of a hop's samples up to `stop`; the newest are at hand."""
+        if self._newest_columns is None or self._newest_columns[0] != (hop, stop):
+            v, state = self.samples(hop * self.plan.hop, stop), self._states.part(hop, hop + 1)[0]
+            self._newest_columns = ((hop, stop), self.operators.columns(v, state))
+        return self._newest_columns[1]
 
     def _starts(self, fulls: int, count: int) -> Starts:
         """Return the filter states so many whole hops before the newest `count` rows' heads."""

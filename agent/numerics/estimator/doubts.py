@@ -1,7 +1,8 @@
 """Readings of inputs that may be spikes: the window takes them for unknown, and the motion says what they were.
 
 A suspect reading u is replaced by the newest trusted one, h; what that is wrong by is an unknown of the window with
-prior N(0, (u − h)²). A blow that moved the rig comes out near u − h, a spike near 0.
+prior N(0, (u − h)²). A blow that moved the rig comes out near u − h, a spike near 0. A confirmed blow is a reading like
+any other from then on.
 """
 
 from collections.abc import Mapping
@@ -13,13 +14,18 @@ from agent.types import BoolArray, FloatArray, IntArray
 CONFIRMED_SD = 4.0
 """Sds within which the motion must find a suspect reading to confirm it."""
 
+Place = tuple[int, int]
+"""Sample and channel of a reading."""
+Found = Mapping[Place, tuple[float, float]]
+"""What a window says of readings: value less its replacement, and the sd of that."""
+
 
 class Doubts:
     """The suspect readings of the newest samples of a segment: (sample, channel) -> reading less its replacement."""
 
     def __init__(self) -> None:
-        self.size: dict[tuple[int, int], float] = {}
-        self._undecided: set[tuple[int, int]] = set()
+        self.size: dict[Place, float] = {}
+        self._undecided: set[Place] = set()
         self._refused: set[int] = set()
         self._trusted: FloatArray | None = None
 
@@ -46,16 +52,30 @@ class Doubts:
         """Return which (l,) of a window's lost readings (l, 2) are suspect ones; `first` is its first sample."""
         return np.array([(first + row, channel) in self.size for row, channel in lost.tolist()], dtype=bool)
 
-    def due(self, newest: int, window: int) -> set[tuple[int, int]]:
+    def due(self, newest: int, window: int) -> set[Place]:
         """Return the undecided ones that a window ending with sample `newest` holds with a quarter of it after them."""
         return {p for p in self._undecided if newest - window < p[0] <= newest - window // 4}
 
-    def decide(self, due: set[tuple[int, int]], found: Mapping[tuple[int, int], tuple[float, float]]) -> int:
-        """Decide once on those due from what a window found of each, value and sd; return the samples newly refused."""
-        refused = {p[0] for p in due if p in found and not self._is_confirmed(self.size[p], *found[p])} - self._refused
+    def first_due(self, window: int) -> int | None:
+        """Return the newest sample of the first window with a quarter of it after an undecided one; None: no such."""
+        return min((p[0] + window // 4 for p in self._undecided), default=None)
+
+    def lapse(self, oldest: int) -> None:
+        """Let those up to a sample be: no window holds them any more."""
+        self._undecided = {p for p in self._undecided if p[0] > oldest}
+
+    def decide(self, due: set[Place], found: Found) -> tuple[int, dict[Place, float]]:
+        """Decide once on those due from what a window found of each.
+
+        Returns:
+            how many samples are newly refused; the readings that are confirmed, and what each is above its replacement.
+        """
+        known = {p for p in due if p in found}
+        confirmed = {p for p in known if self._is_confirmed(self.size[p], *found[p])}
+        refused = {p[0] for p in known - confirmed} - self._refused
         self._undecided -= due
         self._refused |= refused
-        return len(refused)
+        return len(refused), {p: self.size.pop(p) for p in sorted(confirmed)}
 
     def _is_confirmed(self, size: float, value: float, sd: float) -> bool:
         return abs(value - size) < min(CONFIRMED_SD * sd, abs(value))

@@ -6,6 +6,7 @@ any other from then on.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,8 +17,38 @@ CONFIRMED_SD = 4.0
 
 Place = tuple[int, int]
 """Sample and channel of a reading."""
-Found = Mapping[Place, tuple[float, float]]
-"""What a window says of readings: value less its replacement, and the sd of that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a window says of readings.
+
+    Attributes:
+        places: of the l readings.
+        value: (l,) mean of reading less its replacement; covariance: (l, l) of that.
+        prior_sd: (l,) sd of the same before the window.
+    """
+
+    places: tuple[Place, ...]
+    value: FloatArray
+    covariance: FloatArray
+    prior_sd: FloatArray
+
+    @classmethod
+    def nothing(cls) -> "Found":
+        """Return what a window without such readings says."""
+        return cls((), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+
+    def share(self, sizes: Mapping[Place, float]) -> tuple[float, float]:
+        """Return which share of these sizes, all of them alike, the window alone finds in the readings, and its sd."""
+        which = [self.places.index(place) for place in sizes]
+        size = np.array(list(sizes.values()))
+        precision = np.linalg.inv(self.covariance[np.ix_(which, which)])
+        score = size @ precision @ self.value[which]
+        information = float(size @ precision @ size - np.sum((size / self.prior_sd[which]) ** 2))
+        if not information > 0:
+            return 0.0, np.inf
+        return float(score) / information, information**-0.5
 
 
 class Doubts:
@@ -53,8 +84,14 @@ class Doubts:
         return np.array([(first + row, channel) in self.size for row, channel in lost.tolist()], dtype=bool)
 
     def due(self, newest: int, window: int) -> set[Place]:
-        """Return the undecided ones that a window ending with sample `newest` holds with a quarter of it after them."""
-        return {p for p in self._undecided if newest - window < p[0] <= newest - window // 4}
+        """Return the undecided ones that a window ending with sample `newest` holds with a quarter of it after them.
+
+        Those that follow at once on one of them are part of the same event.
+        """
+        whole = {p for p in self._undecided if newest - window < p[0] <= newest - window // 4}
+        while more := {(s + 1, c) for s, c in whole if (s + 1, c) in self._undecided and s < newest} - whole:
+            whole |= more
+        return whole
 
     def first_due(self, window: int) -> int | None:
         """Return the newest sample of the first window with a quarter of it after an undecided one; None: no such."""
@@ -70,18 +107,30 @@ class Doubts:
         Returns:
             how many samples are newly refused; the readings that are confirmed, and what each is above its replacement.
         """
-        known = {p for p in due if p in found}
-        confirmed = {p for p in known if self._is_confirmed(self.size[p], *found[p])}
+        known = {p for p in due if p in found.places}
+        confirmed = {p for run in _runs(known) if self._is_confirmed(run, found) for p in run}
         refused = {p[0] for p in known - confirmed} - self._refused
         self._undecided -= due
         self._refused |= refused
         return len(refused), {p: self.size.pop(p) for p in sorted(confirmed)}
 
-    def _is_confirmed(self, size: float, value: float, sd: float) -> bool:
-        return abs(value - size) < min(CONFIRMED_SD * sd, abs(value))
+    def _is_confirmed(self, run: list[Place], found: Found) -> bool:
+        share, sd = found.share({place: self.size[place] for place in run})
+        return abs(share - 1) < min(CONFIRMED_SD * sd, abs(share))
 
     def trim(self, first: int) -> None:
         """Let go of what lies before sample `first`."""
         self.size = {p: size for p, size in self.size.items() if p[0] >= first}
         self._undecided = {p for p in self._undecided if p[0] >= first}
         self._refused = {sample for sample in self._refused if sample >= first}
+
+
+def _runs(places: set[Place]) -> list[list[Place]]:
+    """Return readings that follow at once on each other together: the motion tells their sum, not each of them."""
+    runs: list[list[Place]] = []
+    for sample, channel in sorted(places, key=lambda place: (place[1], place[0])):
+        if runs and runs[-1][-1] == (sample - 1, channel):
+            runs[-1].append((sample, channel))
+        else:
+            runs.append([(sample, channel)])
+    return runs

@@ -44,7 +44,7 @@ class Reading:
         dof: (N,) degrees of freedom.
         samples: length of the window.
         unsolved: (N,) windows that lost too many readings.
-        found: what windows, by their newest samples, say of suspect readings: (sample, channel) -> value, sd.
+        found: what windows, by their newest samples, say of suspect readings.
     """
 
     index: IntArray
@@ -117,10 +117,9 @@ def _found(windowed: Windowed, d: FloatArray, covariance: FloatArray) -> dict[in
     answers: dict[int, Found] = {}
     for asked in windowed.asked:
         i = int(np.searchsorted(windowed.index, asked.index))
-        value = asked.value + asked.slope @ d[i]
-        sd = np.sqrt(asked.variance + np.einsum("lc,cd,ld->l", asked.slope, covariance[i], asked.slope))
         places = zip(asked.sample.tolist(), asked.channel.tolist(), strict=True)
-        answers[asked.index] = dict(zip(places, zip(value.tolist(), sd.tolist(), strict=True), strict=True))
+        spread = asked.covariance + asked.slope @ covariance[i] @ asked.slope.T
+        answers[asked.index] = Found(tuple(places), asked.value + asked.slope @ d[i], spread, asked.sd)
     return answers
 
 

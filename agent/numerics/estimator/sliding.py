@@ -390,7 +390,7 @@ class SlidingEstimator:
         due = self._doubts.due(newest, self.settings.plan.window)
         if not due:
             return False
-        found = self._found(record, newest) if broken else reading.found.get(newest, {})
+        found = self._found(record, newest) if broken else reading.found.get(newest, Found.nothing())
         refused, confirmed = self._doubts.decide(due, found)
         self._spikes += refused
         for (sample, channel), change in confirmed.items():
@@ -405,10 +405,10 @@ class SlidingEstimator:
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
         whole, moved = self._window(record, newest)
-        values, sds = self.learner.lost_readings(whole, known, moved)
+        values, covariance = self.learner.lost_readings(whole, known, moved)
         start = newest + 1 - whole.length
-        places = [(start + row, channel) for row, channel in whole.lost.tolist()]
-        return dict(zip(places, zip((values + moved).tolist(), sds.tolist(), strict=True), strict=True))
+        places = tuple((start + row, channel) for row, channel in whole.lost.tolist())
+        return Found(places, values + moved, covariance, whole.lost_sd)
 
     def _clean(self, found: Reading, index: IntArray, broken: BoolArray, ended: IntArray) -> tuple[IntArray, BoolArray]:
         """Rows (k,) of a longer window's readings, and which of these hold no change that a shorter one saw.

@@ -241,5 +241,6 @@ def _answer(found: Eliminated, index: int) -> Asked:
     value, slope = found.found()
     lost = found.columns.lost
     return Asked(
-        index, lost.sample[which], lost.channel[which], value[which], slope[which], np.diag(found.covariance)[which]
-    )
+        index, lost.sample[which], lost.channel[which], lost.sd[which], value[which], slope[which],
+        found.covariance[np.ix_(which, which)],
+    )  # fmt: skip

@@ -196,7 +196,7 @@ class LostColumns:
         """Return the events of a hop or of its head, whose [e ψ] is given, and their e."""
         H = self._operators.plan.hop
         which, local, after = self._impulses.events(lost, hop * H)
-        local = local.reshape(len(which), -1)[:, : len(U)]
+        local = local.reshape(len(which), len(self._hop_U))[:, : len(U)]
         events = Events(
             lost.part(which), np.full(len(which), hop), -after @ self._gamma, local @ U, local @ columns.T,
             local @ local.T,

@@ -20,18 +20,19 @@ class Asked:
 
     Attributes:
         index: newest sample of the window.
-        sample, channel: (l,) the readings.
+        sample, channel, sd: (l,) the readings and their prior.
         value: (l,) what the fill-in is wrong by at d = 0.
         slope: (l, c) how that changes with d.
-        variance: (l,) with d given.
+        covariance: (l, l) with d given.
     """
 
     index: int
     sample: IntArray
     channel: IntArray
+    sd: FloatArray
     value: FloatArray
     slope: FloatArray
-    variance: FloatArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

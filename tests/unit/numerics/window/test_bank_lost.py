@@ -143,7 +143,7 @@ def compared(rig: BankRig, noise: NoiseModel, record: Record, windowed: Windowed
         return dense
     asked = next(one for one in windowed.asked if one.index == windowed.index[i])
     value = asked.value + asked.slope @ (cov @ normal.g[i])
-    spread = np.sqrt(asked.variance + np.einsum("lc,cd,ld->l", asked.slope, cov, asked.slope))
+    spread = np.sqrt(np.diag(asked.covariance + asked.slope @ cov @ asked.slope.T))
     assert asked.sample.tolist() == held.sample[held.asked].tolist()
     assert np.max(np.abs(value - dense.values[held.asked]) / dense.sds[held.asked]) < 1e-6
     assert spread == pytest.approx(dense.sds[held.asked], rel=1e-6)
@@ -202,12 +202,12 @@ def test_rows_with_lost_readings_are_the_same_to_the_last_bit_however_samples_ar
 def test_windows_before_and_after_lost_readings_are_those_of_a_bank_that_lost_nothing() -> None:
     rig, noise = CASES["white forces"]
     record = rig.record(np.random.default_rng(3), noise, SAMPLES, np.zeros(4))
-    lost, plan = lost_at(((230, 0), (231, 2)), record[1]), HopPlan(133, 20)
-    some, none = (rows_with(rig, noise, plan, record, one, PLAIN).windows[0] for one in (lost, Lost.none()))
+    lost, plan = lost_at(((231, 2), (239, 0)), record[1]), HopPlan(133, 20)
+    some, none = (rows_with(rig, noise, plan, record, one, WIDE).windows[0] for one in (lost, Lost.none()))
     assert some is not None
     assert none is not None
     differ = ~np.all(some.normal.g == none.normal.g, axis=1)
-    holds = (some.index >= 231) & (some.index - 132 <= 231)
+    holds = (some.index >= 231) & (some.index - 132 <= 239)
     assert np.array_equal(differ, holds)
 
 

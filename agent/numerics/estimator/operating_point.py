@@ -100,6 +100,20 @@ def operating_point(
     )  # fmt: skip
 
 
+def taps_of(rig: Rig, outputs: int, slopes: bool) -> list[list[tuple[int, int, float]]]:
+    """Return where a reading of each channel, outputs then inputs, enters the bank's samples (`window.lost.Taps`)."""
+    m = len(rig.driven)
+    each: list[list[tuple[int, int, float]]] = [[(0, column, 1.0)] for column in range(outputs)]
+    for number in range(len(rig.measured)):
+        # an input that no channel drives has one tap
+        shifts = zip((0, *rig.shifts), (rig.taps_of(number) + outputs).tolist(), strict=False)
+        entries = [(-shift, column, 1.0) for shift, column in shifts]
+        if slopes:
+            entries += [(o + k, column + m, 1.0 - 2 * k) for o, column, _ in entries for k in (0, 1)]
+        each.append(entries)
+    return each
+
+
 class _Seen:
     """The model as it is seen through gains and delay at η; inputs are followed by slopes where there is a delay."""
 

@@ -65,7 +65,7 @@ class Outcome:
         return cls(
             reading.index, reading.theta.copy(), reading.sd.copy(), reading.lower.copy(), reading.upper.copy(),
             reading.sd_repeat.copy(), status, np.zeros(shape, dtype=np.uint8), window,
-            np.full(len(reading.index), reading.dof),
+            reading.dof.copy(),
         )  # fmt: skip
 
     def copy(self) -> "Outcome":

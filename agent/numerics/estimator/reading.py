@@ -1,12 +1,13 @@
 """Rows from the bank's normal equations: posterior of the parameters, and the two tests of every window."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.operating_point import OperatingPoint
-from agent.numerics.inference.learner import Posterior
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
@@ -40,8 +41,10 @@ class Reading:
         jump: (N,) largest statistic of a jump; 0 where none is tested.
         excess: (N,) misfit in predictive standard deviations.
         far: (N,) linearised too far away for its sharpness.
-        dof: degrees of freedom.
+        dof: (N,) degrees of freedom.
         samples: length of the window.
+        unsolved: (N,) windows that lost too many readings.
+        found: what windows, by their newest samples, say of suspect readings.
     """
 
     index: IntArray
@@ -53,15 +56,10 @@ class Reading:
     jump: FloatArray
     excess: FloatArray
     far: BoolArray
-    dof: float
+    dof: FloatArray
     samples: int
-
-    def write(self, i: int, posterior: Posterior) -> None:
-        """Put what a window was found to say by itself in the place of row i."""
-        for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
-            getattr(self, name)[i] = getattr(posterior, name)
-        self.jump[i], self.excess[i] = posterior.jump.max(initial=0.0), posterior.excess
-        self.far[i] = not posterior.converged
+    unsolved: BoolArray
+    found: Mapping[int, Found]
 
     def broken(self, threshold: float) -> BoolArray:
         """(N,) windows that hold a change, or that nothing known explains."""
@@ -95,13 +93,13 @@ def read(
     far = np.abs(d[:, :q]) > np.maximum(far_sd * sharp, np.sqrt(FAR_CURVATURE * sharp))
     far &= sharp < FAR_SHARPEST
     rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
-    dof = float(samples * len(point.model.C) - point.model.n - q)
+    dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
     excess = np.log(rss / dof) / np.sqrt(2 / dof + 4 * point.unsure)
     jump = np.full(len(rss), jump_before)
     if windowed.jumps is not None and len(windowed.jumps.index):
         at = np.searchsorted(windowed.index, windowed.jumps.index)
         found = windowed.jumps.glr(d[at], covariance[at]).max(axis=1, initial=0.0)
-        found = found / (np.maximum(1.0, rss[at] / dof) * point.scatter)
+        found = found / (np.maximum(1.0, rss[at] / dof[at]) * point.scatter)
         # a row that is not scanned shows what the newest one before it that was did
         place = np.searchsorted(at, np.arange(len(rss)), side="right") - 1
         jump = np.where(place >= 0, found[np.maximum(place, 0)], jump_before)
@@ -110,8 +108,19 @@ def read(
     centre = np.where(even, theta + shape.mean * by_constants, centre)
     return Reading(
         windowed.index, theta + shape.mean * by_constants, width, centre - half, centre + half, repeat, jump, excess,
-        far.any(axis=1), dof, samples,
+        far.any(axis=1), dof, samples, windowed.unsolved, _found(windowed, d, covariance),
     )  # fmt: skip
+
+
+def _found(windowed: Windowed, d: FloatArray, covariance: FloatArray) -> dict[int, Found]:
+    """Return what windows say of the readings that they were asked about."""
+    answers: dict[int, Found] = {}
+    for asked in windowed.asked:
+        i = int(np.searchsorted(windowed.index, asked.index))
+        places = zip(asked.sample.tolist(), asked.channel.tolist(), strict=True)
+        spread = asked.covariance + asked.slope @ covariance[i] @ asked.slope.T
+        answers[asked.index] = Found(tuple(places), asked.value + asked.slope @ d[i], spread, asked.sd)
+    return answers
 
 
 def _inverse(M: FloatArray) -> FloatArray:

@@ -1,11 +1,14 @@
 """The newest samples of a segment with what was lost of them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.inference.columns import Window, window_of
-from agent.numerics.preprocessing.bridge import bridge_over
+from agent.numerics.preprocessing.bridge import Bridge, bridge_over
+from agent.numerics.window.lost import Lost
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -71,6 +74,35 @@ class Record:
         mean, square = np.split((sums[stop] - sums[np.maximum(stop - window, 0)]) / window, 2, axis=1)
         return np.asarray(np.sqrt(np.maximum(square - mean**2, 0.0)))
 
+    def lost_between(self, start: int, stop: int, window: int) -> Lost:
+        """Return the lost readings of samples [start, stop), judged by the `window` samples before `stop`.
+
+        What a fill-in may be wrong by is how wrong such fill-ins are elsewhere among those samples.
+        """
+        first = max(stop - window, self.first)
+        part = slice(first - self.first, stop - self.first)
+        if not self._lost[start - self.first : stop - self.first].any():
+            return Lost.none()
+        bridge = bridge_over(self._v[part], self._lost[part], self.p)
+        if bridge is None:
+            return Lost.none()
+        sample = bridge.sample + first
+        sd, doubted = self._doubted(sample, bridge)
+        return Lost(sample, bridge.channel, sd, doubted).between(start, stop)
+
+    def _doubted(self, sample: IntArray, bridge: Bridge) -> tuple[FloatArray, BoolArray]:
+        """Return the prior sd (l,) of lost readings, suspect ones as wide as they are large, and which are suspect."""
+        places = zip(sample.tolist(), bridge.channel.tolist(), strict=True)
+        sizes = np.array([abs(self.doubts.size.get(place, 0.0)) for place in places])
+        return np.maximum(bridge.sd, sizes), sizes > 0
+
+    def restore(self, sample: int, taps: Sequence[tuple[int, int, float]], channel: int, change: float) -> None:
+        """Take a reading for read: `change` more than it was filled with, wherever it enters."""
+        self._lost[sample - self.first, channel] = False
+        for offset, column, weight in taps:
+            if column < self._v.shape[1] and self.first <= sample + offset < self.stop:
+                self._v[sample + offset - self.first, column] += weight * change
+
     def window(self, newest: int, length: int) -> Window:
         """Return the window of `length` samples that ends with number `newest`."""
         start, stop = newest + 1 - length, newest + 1
@@ -81,8 +113,7 @@ class Record:
         if bridge is None:
             return whole
         lost = np.column_stack([bridge.sample, bridge.channel])
-        sizes = [abs(self.doubts.size.get((start + row, channel), 0.0)) for row, channel in lost.tolist()]
-        return Window(whole.y, whole.u, whole.slope, lost, np.maximum(bridge.sd, sizes))
+        return Window(whole.y, whole.u, whole.slope, lost, self._doubted(bridge.sample + start, bridge)[0])
 
     def trim(self, keep: int) -> None:
         """Let go of samples older than the newest `keep`, now and then."""

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.estimator.budget import Budget
-from agent.numerics.estimator.doubts import Doubts
+from agent.numerics.estimator.doubts import Doubts, Found
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
 from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
-from agent.numerics.estimator.operating_point import OperatingPoint, operating_point
+from agent.numerics.estimator.operating_point import OperatingPoint, operating_point, taps_of
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.estimator.reading import FAR_SD, FARTHEST_SD, Reading, read
 from agent.numerics.estimator.record import Record
@@ -27,6 +27,7 @@ from agent.numerics.inference.columns import Window, refilled
 from agent.numerics.inference.learner import Knowledge, Learner, Posterior
 from agent.numerics.inference.verdicts import Belief, beliefs
 from agent.numerics.model.riccati import NoSteadyStateError
+from agent.numerics.window.lost import Lost
 from agent.numerics.window.rows import BankRows
 from agent.numerics.window.stream import Stream
 from agent.types import Reason
@@ -120,6 +121,7 @@ class SlidingEstimator:
         self._doubts = Doubts()
         self._units = UNITS_LEAST
         self._fed = 0
+        self._lost_fed = 0
         self._jump = 0.0
         self._spikes = 0
         self._adopted = False
@@ -200,7 +202,7 @@ class SlidingEstimator:
                 pieces.append(unexplained)
         while self._stream is not None and (rows := self._next(record)) is not None:
             pieces.append(rows)
-        record.trim(max(self.settings.windows) + plan.hop + 1)
+        record.trim(max(self.settings.windows) + plan.window + plan.hop + 1)
         return Outcome.joined([piece for piece in pieces if len(piece.index)], q)
 
     # ------------------------------------------------------------------ the bank
@@ -265,11 +267,20 @@ class SlidingEstimator:
         point, plan = self.point, self.settings.plan
         assert point is not None  # noqa: S101 - placed before
         longer = [(samples - plan.head) // plan.hop for samples in self.settings.longer]
-        stream = Stream(point.model, point.push, point.noise, plan, longer, self.settings.rig.q)
-        oldest = -(-record.first // plan.hop) * plan.hop
+        rig = self.settings.rig
+        taps = taps_of(rig, self.settings.outputs, point.slopes)
+        self._stream = Stream(point.model, point.push, point.noise, plan, longer, rig.q, taps)
+        self._run_again(record, newest)
+
+    def _run_again(self, record: Record, newest: int) -> None:
+        """Run the bank over the record as it is now; rows from `newest` on are computed again."""
+        stream, hop = self._stream, self.settings.plan.hop
+        assert stream is not None  # noqa: S101 - only called with a bank
+        oldest = -(-record.first // hop) * hop
         first = max(oldest, newest + 1 - max(self.settings.windows))
         stream.start_segment(first, given=newest - 1)
-        self._stream, self._fed = stream, first
+        self._fed = self._lost_fed = first
+        self._units = UNITS_LEAST
 
     def _next(self, record: Record) -> Outcome | None:
         """Feed the bank some hops and return the rows settled; None when no whole row waits."""
@@ -282,11 +293,23 @@ class SlidingEstimator:
             if stop <= self._fed:
                 return None
             u = record.inputs_with_slopes if self.point.slopes else record.inputs
-            stream.append(self._fed, record.outputs(self._fed, stop), u(self._fed, stop))
+            lost = self._lost_until(record, stop)
+            stream.append(self._fed, record.outputs(self._fed, stop), u(self._fed, stop), lost)
             self._fed = stop
             batch = stream.rows()
         self._units = min(2 * self._units, UNITS_MOST)
         return self._settled(record, batch)
+
+    def _lost_until(self, record: Record, stop: int) -> Lost:
+        """Return the lost readings of the heads and the rests of hops that are whole by sample `stop`."""
+        plan, lost = self.settings.plan, Lost.none()
+        while True:
+            into = self._lost_fed % plan.hop
+            end = self._lost_fed - into + (plan.head if into < plan.head else plan.hop)
+            if end > stop:
+                return lost
+            lost = lost.followed(record.lost_between(self._lost_fed, end, plan.window))
+            self._lost_fed = end
 
     def _move(self, record: Record, posterior: Posterior, newest: int) -> None:
         """Work from now on at what is known; rows from `newest` on are computed again."""
@@ -307,7 +330,7 @@ class SlidingEstimator:
             return Outcome.warming(batch.index, self.settings.rig.q)
         far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
         reading = read(windowed, point, plan.window, self._jump, far_sd)
-        hollow = self._mend(record, reading)
+        hollow = self._hollow(record, reading.index) | reading.unsolved
         still = self._still(record, reading.index)
         broken = (reading.broken(self.learner.threshold) | hollow) & ~still
         rows = Outcome.of(reading, self.settings.enough_sd)
@@ -318,11 +341,10 @@ class SlidingEstimator:
             # what is done at a row depends on the rows before it, however many of them came at once
             self._mark(rows, range(marked, position), broken, hollow, ended)
             marked = position
-            if position < stop and self._act(record, reading, position, bool(broken[position])):
+            if position < stop and self._meet(record, reading, position, broken, hollow | still):
                 stop = position
             position += 1
         self._mark(rows, range(marked, stop), broken, hollow, ended)
-        self._decide(record, reading.index[:stop][~hollow[:stop]])
         if self.settings.longer:
             longer = [
                 None if windowed is None else read(windowed, point, samples)
@@ -351,16 +373,6 @@ class SlidingEstimator:
         window = self.settings.plan.window
         return np.asarray(record.lost_in(index, window) > MOST_LOST * window)
 
-    def _mend(self, record: Record, reading: Reading) -> BoolArray:
-        """Solve windows with lost readings on their samples, those readings unknown; (N,) which lost too many."""
-        window = self.settings.plan.window
-        lost, hollow = record.lost_in(reading.index, window), self._hollow(record, reading.index)
-        known = self.known
-        for i in np.flatnonzero((lost > 0) & ~hollow).tolist():
-            assert known is not None  # noqa: S101 - known since the first window
-            reading.write(i, self.learner.solve(self._window(record, int(reading.index[i]))[0], known, steps=2)[0])
-        return hollow
-
     def _window(self, record: Record, newest: int) -> tuple[Window, FloatArray]:
         """Return the window that ends with a sample, suspect inputs near what the motion asks of them, and by how much.
 
@@ -376,18 +388,32 @@ class SlidingEstimator:
             window, moved = refilled(window, change, self.settings.rig), moved + change
         return window, moved
 
-    def _decide(self, record: Record, index: IntArray) -> None:
-        """Count the suspect inputs that the motion knows nothing of, each at the first row that can tell."""
-        window = self.settings.plan.window
-        for newest in index.tolist():
-            due = self._doubts.due(newest, window)
-            if not due or self.known is None:
-                continue
-            whole, moved = self._window(record, newest)
-            values, sds = self.learner.lost_readings(whole, self.known, moved)
-            places = [(newest + 1 - window + row, channel) for row, channel in whole.lost.tolist()]
-            found = dict(zip(places, zip((values + moved).tolist(), sds.tolist(), strict=True), strict=True))
-            self._spikes += self._doubts.decide(due, found)
+    def _decide(self, record: Record, reading: Reading, i: int, broken: bool) -> bool:
+        """Tell spikes from blows among the suspect inputs due at a row; return whether the bank runs again."""
+        newest = int(reading.index[i])
+        self._doubts.lapse(newest - self.settings.plan.window)
+        due = self._doubts.due(newest, self.settings.plan.window)
+        if not due:
+            return False
+        found = self._found(record, newest) if broken else reading.found.get(newest, Found.nothing())
+        refused, confirmed = self._doubts.decide(due, found)
+        self._spikes += refused
+        for (sample, channel), change in confirmed.items():
+            entries = taps_of(self.settings.rig, self.settings.outputs, slopes=False)[channel]
+            record.restore(sample, entries, channel, change)
+        if confirmed:
+            self._run_again(record, newest)
+        return bool(confirmed)
+
+    def _found(self, record: Record, newest: int) -> Found:
+        """Return what the window that ends with a sample says of its suspect inputs, about itself."""
+        known = self.known
+        assert known is not None  # noqa: S101 - known since the first window
+        whole, moved = self._window(record, newest)
+        values, covariance = self.learner.lost_readings(whole, known, moved)
+        start = newest + 1 - whole.length
+        places = tuple((start + row, channel) for row, channel in whole.lost.tolist())
+        return Found(places, values + moved, covariance, whole.lost_sd)
 
     def _clean(self, found: Reading, index: IntArray, broken: BoolArray, ended: IntArray) -> tuple[IntArray, BoolArray]:
         """Rows (k,) of a longer window's readings, and which of these hold no change that a shorter one saw.
@@ -397,7 +423,7 @@ class SlidingEstimator:
         at = np.searchsorted(index, found.index)
         use = at < len(index)
         use[use] &= ~broken[at[use]]
-        use &= found.excess < tuning.MISMATCH_SD
+        use &= (found.excess < tuning.MISMATCH_SD) & ~found.unsolved
         use[use] &= found.index[use] - found.samples >= ended[at[use]]
         return at, use
 
@@ -440,14 +466,30 @@ class SlidingEstimator:
         return replace(rows, others=tuple(each))
 
     def _first_event(self, reading: Reading, broken: BoolArray, hollow: BoolArray, start: int) -> int:
+        """Return the first row from `start` on at which something is to be done; the number of rows if none."""
+        events = self._calls(reading, broken, hollow)
+        decision = self._doubts.first_due(self.settings.plan.window)
+        if decision is not None:
+            events |= (reading.index >= decision) & ~hollow
+        events = events[start:]
+        return start + int(np.argmax(events)) if events.any() else len(reading.index)
+
+    def _calls(self, reading: Reading, broken: BoolArray, hollow: BoolArray) -> BoolArray:
+        """(N,) rows that ask for their window to be learnt from or solved."""
         index = reading.index
         retry = max(1, self.settings.plan.window // TRIES)
         sound = ~broken & ~hollow
         due = (index >= self.schedule.due) & sound & (not self.budget.closed)
         far = reading.far & sound & (index >= self.disturbance.tried + retry)
         torn = broken & (index >= self.disturbance.tried + retry)
-        events = (due | far | torn)[start:]
-        return start + int(np.argmax(events)) if events.any() else len(index)
+        return np.asarray(due | far | torn)
+
+    def _meet(self, record: Record, reading: Reading, i: int, broken: BoolArray, hollow: BoolArray) -> bool:
+        """Do what a row asks for; return whether the bank moved or runs again."""
+        if self._decide(record, reading, i, bool(broken[i])):
+            return True
+        calls = self._calls(reading, broken & ~hollow, hollow)
+        return bool(calls[i]) and self._act(record, reading, i, bool(broken[i]))
 
     def _mark(self, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, ended: IntArray) -> None:
         """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.

@@ -214,7 +214,7 @@ class Learner:
         return self._posterior(at, known), at.theta
 
     def lost_readings(self, window: Window, known: Knowledge, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what the filled-in readings of a window are wrong by (l,), and the sd of that (l,).
+        """Return what the filled-in readings of a window are wrong by (l,), and the covariance of that (l, l).
 
         moved (l,): what the window is filled with beyond the mean of the prior.
         """
@@ -224,7 +224,7 @@ class Learner:
         pull = at.ridge.b.copy()
         pull[layout.gaps] -= moved / window.lost_sd**2
         found = V @ (at.G[: layout.base, -1] + pull)
-        return found[layout.gaps], np.sqrt(np.diag(V)[layout.gaps])
+        return found[layout.gaps], V[layout.gaps, layout.gaps]
 
     def contested(self, window: Window, known: Knowledge, posterior: Posterior) -> bool:
         """Whether a change of the noise explains a window as well as a jump of the parameters does."""

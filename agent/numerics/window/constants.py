@@ -11,6 +11,7 @@
 | RENEWED | 2 | windows | of the longest length after which a mean that does not decay starts anew; costs × 1.5 |
 | BOUNDARIES | ⅛ ⅜ ⅝ ⅞ | of a window | where a jump is looked for |
 | SCANS | 10 | rows | scanned for a jump in a window, at least; every other row costs 43 ns a sample, all 77 |
+| MOST_EVENTS | 480 | – | lost readings whose columns are held: 2 MB, 5 ms a row; windows with more are not solved |
 | NEGLIGIBLE | 1e-14 | – | relative singular value of the free responses that is rounding |
 | UNSEEN | 1e-13 | – | relative singular value of an initial state that shows in no sample |
 | SINGULAR | 1e-11 | – | ridge of the scaled information on a jump; at 1e-9 it moves a weak jump's GLR by 2e-6 |
@@ -27,6 +28,7 @@ SPARE = 4096
 RENEWED = 2
 BOUNDARIES = (0.125, 0.375, 0.625, 0.875)
 SCANS = 10
+MOST_EVENTS = 480
 NEGLIGIBLE = 1e-14
 UNSEEN = 1e-13
 SINGULAR = 1e-11

@@ -73,6 +73,24 @@ def scanned_rows(hops: int) -> int:
     return max(every for every in (1, 2, 4, GROUP) if every == 1 or SCANS * every <= hops)
 
 
+@dataclass(frozen=True, slots=True)
+class LostRight:
+    """What l lost readings of one window do, and what they do on the right of a boundary.
+
+    Attributes:
+        psi, U: (l, c), (l, r) h'ψ and h'U on the right, in coordinates of the boundary.
+        components: (l, k) along the window's initial states.
+        cross: (l, 1+c) h'[e* ψ*], Γ projected out, prior in e.
+        covariance: (l, l) of the readings, all else given.
+    """
+
+    psi: FloatArray
+    U: FloatArray
+    components: FloatArray
+    cross: FloatArray
+    covariance: FloatArray
+
+
 class JumpScan:
     """Constants of the columns of a jump `right` whole hops and a head before a window's end."""
 
@@ -80,7 +98,7 @@ class JumpScan:
         before = fulls - right
         self.q = q
         factor = basis.factor(right)
-        self._own = factor.T @ factor
+        self.right, self.square = right, factor.T @ factor
         n = basis.drift.shape[2]
         self._drift = np.linalg.matrix_power(model.A, before * basis.plan.hop).T @ (
             basis.drift[:q].transpose(2, 0, 1).reshape(n, -1)
@@ -92,13 +110,18 @@ class JumpScan:
         self._along = along
         self._moved = np.vstack([outside, 2 * along.T])
 
-    def columns(self, solved: Solved, right: Summary, starts: Starts, at: Starts) -> tuple[FloatArray, FloatArray]:
-        """Return cross (N, 1+c, q) and own (N, q, q) for N windows; `at` holds the filters at the boundary."""
+    def columns(
+        self, solved: Solved, right: Summary, starts: Starts, at: Starts, lost: LostRight | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return cross (N, 1+c, q) and own (N, q, q) for N windows; `at` holds the filters at the boundary.
+
+        lost: readings of the (one) window that are unknown; `right` is as filled by what they were found to be.
+        """
         q, count = self.q, len(right)
         moved = row_products(solved.normal.x0 - starts.mean, self._drift).reshape(count, q, -1)
         j = moved - row_products(at.tangents[:, :q], self._gamma)  # (N, q, r)
         alone = right.moment[:, 1 : 1 + q]
-        half = 0.5 * row_products(j, self._own)
+        half = 0.5 * row_products(j, self.square)
         seen = alone + 2 * half  # U'J
         outside = row_products(solved.moved, self._moved)
         cross = right.moment @ j.transpose(0, 2, 1) + outside @ seen.transpose(0, 2, 1)
@@ -106,4 +129,9 @@ class JumpScan:
         left = np.concatenate([j, -0.5 * along], axis=2)
         own = left @ np.concatenate([alone + half, along], axis=2).transpose(0, 2, 1)
         gram = right.gram[:, :, 1 : 1 + q]
-        return gram + cross, gram[:, 1 : 1 + q] + own + own.transpose(0, 2, 1)
+        cross, own = gram + cross, gram[:, 1 : 1 + q] + own + own.transpose(0, 2, 1)
+        if lost is None:
+            return cross, own
+        shown = lost.psi[:, :q] + lost.U @ j[0].T - lost.components @ along[0].T  # (l, q) h'J, Γ projected out
+        weighed = lost.covariance @ shown
+        return cross - lost.cross.T @ weighed, own - shown.T @ weighed

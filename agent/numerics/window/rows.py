@@ -11,6 +11,28 @@ from agent.numerics.window.solve import Normal, Starts
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What one window says of readings that it was asked about.
+
+    Attributes:
+        index: newest sample of the window.
+        sample, channel, sd: (l,) the readings and their prior.
+        value: (l,) what the fill-in is wrong by at d = 0.
+        slope: (l, c) how that changes with d.
+        covariance: (l, l) with d given.
+    """
+
+    index: int
+    sample: IntArray
+    channel: IntArray
+    sd: FloatArray
+    value: FloatArray
+    slope: FloatArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +44,19 @@ class Windowed:
         normal: normal equations.
         starts: filter states at each window's first sample.
         jumps: columns of one jump inside; None for all but the first length, and where windows have no hop inside.
+        lost: (N,) readings of which nothing is known, for which the normal equations stand as if they had never been.
+        unsolved: (N,) windows that lost more readings than can be eliminated: their normal equations count them as
+            filled.
+        asked: of the first length, what windows say of the readings that they were asked about.
     """
 
     index: IntArray
     normal: Normal
     starts: Starts
     jumps: Jumps | None
+    lost: IntArray
+    unsolved: BoolArray
+    asked: tuple[Asked, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +93,10 @@ def _windowed(pieces: Sequence[Windowed]) -> Windowed | None:
         normals[-1].log_det, cat([n.x0 for n in normals]),
     )  # fmt: skip
     first = Starts(cat([s.predicted for s in starts]), cat([s.mean for s in starts]), cat([s.tangents for s in starts]))
-    return Windowed(cat([piece.index for piece in pieces]), normal, first, _jumps(jumps))
+    return Windowed(
+        cat([piece.index for piece in pieces]), normal, first, _jumps(jumps), cat([piece.lost for piece in pieces]),
+        cat([piece.unsolved for piece in pieces]), tuple(one for piece in pieces for one in piece.asked),
+    )  # fmt: skip
 
 
 def _jumps(pieces: Sequence[Jumps]) -> Jumps | None:

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.constants import BATCH, RENEWED, SPARE
 from agent.numerics.window.course import Course
+from agent.numerics.window.eliminated import Scanning, Solving
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.jump import Jumps
+from agent.numerics.window.lost import Events, Lost, LostColumns, Taps
 from agent.numerics.window.noise import NoiseModel, Push
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import BankRows, Windowed, joined
@@ -34,13 +36,15 @@ class Stream:
         longer: whole hops before the head in each further, longer window.
         interest: number of the model's first parameters that are of interest (the others are constants of the rig);
             all of them if None.
+        taps: where a lost reading of each channel enters; each of its own column if None.
     """
 
     def __init__(
         self, model: StateSpace, push: Push, noise: NoiseModel, plan: HopPlan, longer: Sequence[int] = (),
-        interest: int | None = None,
+        interest: int | None = None, taps: Taps | None = None,
     ) -> None:  # fmt: skip
         self.plan = plan
+        self._taps = taps or [[(0, column, 1.0)] for column in range(model.p + model.m)]
         self._longer = tuple(longer)
         self._interest = model.q if interest is None else interest
         self.operators = Operators(model, push, noise, plan, self._longer, self._interest)
@@ -55,10 +59,11 @@ class Stream:
         size = self.operators.size
         first_hop = -(-index // self.plan.hop)
         self._samples = Tail(first_hop * self.plan.hop, size.p + size.m)
+        self._lost = Lost.none()
         self._begin(first_hop, np.zeros(size.z))
 
-    def append(self, index: int, y: FloatArray, u: FloatArray) -> None:
-        """Take outputs y (N, p) and inputs u (N, m), the first of them number `index`.
+    def append(self, index: int, y: FloatArray, u: FloatArray, lost: Lost | None = None) -> None:
+        """Take outputs y (N, p) and inputs u (N, m), the first of them number `index`; lost: those filled in.
 
         Raises:
             ValueError: they do not follow at once on the samples before.
@@ -69,6 +74,8 @@ class Stream:
         if index + skipped != end:
             raise ValueError(f"sample {index} does not follow on {end - 1}: start a segment there")
         self._samples.append(np.hstack([y, u])[skipped:])
+        if lost is not None and len(lost):
+            self._lost = self._lost.followed(lost)
 
     def rows(self) -> BankRows:
         """Return the rows that have fallen due since the last call."""
@@ -111,6 +118,9 @@ class Stream:
         self._began = hop
         self._states = Tail(hop, len(z))  # at the starts of hops
         self._sliding = _sliding(self.operators)
+        self._columns = LostColumns(self.operators, self._taps)
+        self._newest_columns: tuple[tuple[int, int], FloatArray] | None = None
+        self._reach = max(abs(offset) for channel in self._taps for offset, *_ in channel)
         self._best: FloatArray | None = None  # physical state where the newest longest window starts
 
     def _mean_from_predictor(self, hop: int, operators: Operators) -> FloatArray:
@@ -138,9 +148,11 @@ class Stream:
         """Summarise the next rows' samples; return the rows that were not given before."""
         heads, rests = self._first_head() if self._head is None else self._units(units)
         index = self._done - self.plan.hop * np.arange(units - 1, -1, -1, dtype=np.int64) - 1
-        windows = self._windows(heads, rests)
+        before, windows = self._head, self._windows(heads, rests)
         fresh = int(np.sum(index > self._given))
-        rows = self._rows(index[units - fresh :], windows) if fresh else None
+        solving = self._solving(index[units - fresh :], windows)
+        self._eliminate(index, _completed(before, heads, rests, self.operators), heads, solving)
+        rows = BankRows(index[units - fresh :], tuple(_row(one) for one in solving)) if fresh else None
         self._given = max(self._given, int(index[-1]))
         self._trim()
         if not self.operators.decays and self._until_renewal() <= 0:
@@ -190,11 +202,11 @@ class Stream:
         hops = self._states.stop - self._began - (1 if self.plan.rest else 0)  # that the windows have slid over
         return slice((every - 1 - (hops - count)) % every, None, every)
 
-    def _rows(self, index: IntArray, windows: dict[Kind, Summary]) -> BankRows:
+    def _solving(self, index: IntArray, windows: dict[Kind, Summary]) -> list[Solving | None]:
         lengths = enumerate(self.operators.lengths)
-        return BankRows(index, tuple(self._windowed(k, fulls, index, windows) for k, fulls in lengths))
+        return [self._solved(k, fulls, index, windows) if len(index) else None for k, fulls in lengths]
 
-    def _windowed(self, k: int, fulls: int, index: IntArray, windows: dict[Kind, Summary]) -> Windowed | None:
+    def _solved(self, k: int, fulls: int, index: IntArray, windows: dict[Kind, Summary]) -> Solving | None:
         """Solve the newest windows of one length, as many as are whole."""
         if (fulls, 1) not in windows:
             return None
@@ -205,11 +217,13 @@ class Stream:
         if fulls == self.operators.longest:
             self._best = solved.normal.x0[-1].copy()
         index = index[len(index) - count :]
-        jumps = self._jumps(solved, windows, starts, index) if k == 0 else None
-        return Windowed(index, solved.normal, starts, jumps)
+        scanned = self._scanning(solved, windows, starts, index) if k == 0 else None
+        return Solving(self.operators, k, index, summary, starts, solved, scanned)
 
-    def _jumps(self, solved: Solved, windows: dict[Kind, Summary], starts: Starts, index: IntArray) -> Jumps | None:
-        """Return the columns of a jump in those windows that are scanned."""
+    def _scanning(
+        self, solved: Solved, windows: dict[Kind, Summary], starts: Starts, index: IntArray
+    ) -> Scanning | None:
+        """Return the columns of a jump in those windows that are scanned, and what they are made of."""
         rights, every, count = self.operators.rights, self.operators.every, len(index)
         which = self._scanned(count)
         scanned = index[which]
@@ -219,7 +233,47 @@ class Stream:
         ats = [self._starts(right, count).part(which) for right in rights]
         cross, own = self.operators.scan(solved.part(which), parts, starts.part(which), ats)
         samples = tuple(self.plan.samples(right) for right in rights)
-        return Jumps(scanned, cross, own, samples)
+        return Scanning(Jumps(scanned, cross, own, samples), parts, ats)
+
+    def _eliminate(
+        self, index: IntArray, completed: Summary | None, heads: Summary, solving: list[Solving | None]
+    ) -> None:
+        """Eliminate what was lost from the windows that end at rows `index`; completed: the hops before these."""
+        hop = int(index[0]) // self.plan.hop
+        near = self._lost.between((hop - 1) * self.plan.hop - self._reach, int(index[-1]) + 1)
+        if self._columns.is_idle(hop) and not len(near):
+            return
+        for i in range(len(index)):
+            events = self._events(hop + i, None if completed is None else completed.moment[i], heads.moment[i])
+            if events is None:
+                continue
+            for one in solving:
+                if one is not None:
+                    one.eliminate(events, self._columns.held_from, hop + i)
+
+    def _events(self, hop: int, completed: FloatArray | None, head: FloatArray) -> Events | None:
+        """Carry the lost readings' columns on to a head's end; None where none is held."""
+        start, newest = hop * self.plan.hop, hop * self.plan.hop + self.plan.head
+        if completed is not None:
+            lost = self._touching(hop - 1, newest)
+            if len(lost) or not self._columns.is_idle(hop):
+                self._columns.complete(hop - 1, lost, self._over(hop - 1, start) if len(lost) else None, completed)
+        lost = self._touching(hop, newest)
+        if not len(lost) and self._columns.is_idle(hop):
+            return None
+        return self._columns.until(hop, lost, self._over(hop, newest) if len(lost) else None, head)
+
+    def _touching(self, hop: int, newest: int) -> Lost:
+        """Return the lost readings before sample `newest` that may touch a hop."""
+        start, stop = self._columns.reach(hop)
+        return self._lost.between(start, min(stop, newest))
+
+    def _over(self, hop: int, stop: int) -> FloatArray:
+        """Return [e ψ] of a hop's samples up to `stop`; the newest are at hand."""
+        if self._newest_columns is None or self._newest_columns[0] != (hop, stop):
+            v, state = self.samples(hop * self.plan.hop, stop), self._states.part(hop, hop + 1)[0]
+            self._newest_columns = ((hop, stop), self.operators.columns(v, state))
+        return self._newest_columns[1]
 
     def _starts(self, fulls: int, count: int) -> Starts:
         """Return the filter states so many whole hops before the newest `count` rows' heads."""
@@ -234,6 +288,7 @@ class Stream:
         if spare > SPARE + keep * self.plan.hop:
             self._states.forget(oldest)
             self._samples.forget(oldest * self.plan.hop)
+            self._lost = self._lost.between(oldest * self.plan.hop - self._reach, self._samples.stop)
 
     def _renew(self) -> None:
         """Start mean and predictor anew at the best state of the newest longest window."""
@@ -253,6 +308,18 @@ def _sliding(operators: Operators) -> Sliding:
     if not operators.plan.rest:
         return Sliding([(fulls + 1, every) for fulls, every in kinds], operators.basis.steps[2])
     return Sliding([kind for kind in kinds if kind[0]], operators.basis.steps[2])
+
+
+def _row(solving: Solving | None) -> Windowed | None:
+    return None if solving is None else solving.windowed()
+
+
+def _completed(before: Summary | None, heads: Summary, rests: Summary | None, operators: Operators) -> Summary | None:
+    """Return the hop before each of the newest heads; None before the first."""
+    if before is None:
+        return None
+    finished = before.followed(heads.part(slice(0, len(heads) - 1)))
+    return finished if rests is None else finished.merged(rests, operators.basis.steps[0])
 
 
 def _newest(summary: Summary, count: int) -> Summary:

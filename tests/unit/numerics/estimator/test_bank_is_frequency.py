@@ -1,17 +1,19 @@
 """Rows of the streaming bank against the learner's window: two forms of one likelihood."""
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.numerics.estimator.operating_point import operating_point
+from agent.numerics.estimator.operating_point import operating_point, taps_of
 from agent.numerics.estimator.reading import Reading, read
 from agent.numerics.estimator.record import Record
 from agent.numerics.inference import tuning
 from agent.numerics.inference.learner import Knowledge, Posterior
 from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.lost import Lost
 from agent.numerics.window.stream import Stream
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import knowledge, learner_of
@@ -20,7 +22,12 @@ FloatArray = NDArray[np.float64]
 WINDOW, HOP, SAMPLES = 240, 40, 1000
 
 
-def both(rig: ChainRig, noise: DenseNoise, seed: int) -> tuple[Reading, list[Posterior]]:
+LOST = ((210, 0), (300, 2), (301, 1), (301, 2), (333, 0), (487, 2), (488, 0), (560, 1), (777, 2))
+
+
+def both(
+    rig: ChainRig, noise: DenseNoise, seed: int, lost: tuple[tuple[int, int], ...] = ()
+) -> tuple[Reading, list[Posterior]]:
     """Rows of the bank, and the learner's answers about the same windows at the same point."""
     rng = np.random.default_rng(seed)
     u = 20 * rng.standard_normal((SAMPLES, 1))
@@ -32,14 +39,21 @@ def both(rig: ChainRig, noise: DenseNoise, seed: int) -> tuple[Reading, list[Pos
     learner = learner_of(rig, WINDOW)
     known: Knowledge = knowledge(learner, noise)
     samples = Record(0, len(rig.seen), 1)
-    samples.append(y, u, None)
+    missing = np.zeros((SAMPLES, len(rig.seen) + 1), dtype=bool)
+    for sample, channel in lost:
+        missing[sample, channel] = True
+        # beyond the first order the two forms differ: the learner's initial state is that of the readings as filled in
+        (y if channel < len(rig.seen) else u)[sample, channel % len(rig.seen)] += 1e-3 if channel == 2 else 1e-5
+    samples.append(y, u, missing)
     first = learner._posterior(learner._linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known)
     point = operating_point(learner.rig, known, first, learner.sources, WINDOW, tuning.SIGMA_WALK, first.sd_repeat)
     plan = HopPlan(WINDOW, HOP)
-    stream = Stream(point.model, point.push, point.noise, plan, (), learner.rig.q)
+    taps = taps_of(learner.rig, len(rig.seen), point.slopes)
+    stream = Stream(point.model, point.push, point.noise, plan, (), learner.rig.q, taps)
     stream.start_segment(0)
     inputs = samples.inputs_with_slopes if point.slopes else samples.inputs
-    stream.append(0, samples.outputs(0, SAMPLES), inputs(0, SAMPLES))
+    pieces = [samples.lost_between(start, start + HOP, WINDOW) for start in range(0, SAMPLES, HOP)]
+    stream.append(0, samples.outputs(0, SAMPLES), inputs(0, SAMPLES), reduce(Lost.followed, pieces))
     windowed = stream.rows().windows[0]
     assert windowed is not None
     rows = read(windowed, point, WINDOW)
@@ -63,3 +77,16 @@ def test_bank_rows_are_the_learners_windows(seen: tuple[str, ...], force: float)
     theta = np.array([a.theta for a in answers])
     assert np.abs((rows.theta - theta) / sd).max() < 1e-6
     assert np.abs(np.log(rows.sd_repeat / sd)).max() < 1e-6
+
+
+@pytest.mark.parametrize("force", [0.0, 0.5])
+def test_bank_rows_of_windows_that_lost_readings_are_the_learners_windows(force: float) -> None:
+    rig = ChainRig(sheet=(0.0, 0.0, 0.0, 0.0))
+    rows, answers = both(rig, DenseNoise(np.array([1e-4, 2e-4]), np.array([force, 0.5 * force])), 3, LOST)
+    assert len(answers) >= 15
+    sd = np.array([a.sd_repeat for a in answers])
+    theta = np.array([a.theta for a in answers])
+    assert np.abs((rows.theta - theta) / sd).max() < 5e-3
+    assert np.abs(np.log(rows.sd_repeat / sd)).max() < 5e-4
+    held = [sum(n - WINDOW < s <= n and c < 2 for s, c in LOST) for n in rows.index.tolist()]
+    assert np.array_equal(rows.dof.max() - rows.dof, held)

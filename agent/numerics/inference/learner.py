@@ -202,6 +202,10 @@ class Learner:
         at = self._linearised(window, known, jumps=known.noise.is_started, steps=steps)
         return self._posterior(at, known), at.theta
 
+    def at_point(self, window: Window, known: Knowledge, jumps: bool = False) -> Linearised:
+        """Return a window linearised at what is known, wherever its own best parameters are."""
+        return self._point(window, known, known.theta, self.cuts if jumps else np.zeros(0, dtype=np.int64))
+
     def lost_readings(self, window: Window, known: Knowledge, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what the filled-in readings of a window are wrong by (l,), and the sd of that (l,).
 

@@ -132,7 +132,7 @@ class Faults:
 
     def follow(self, newest: int, found: Contest, onset: int | None) -> bool:
         """Take what a contest says; return whether a channel may be what is wrong, so that no parameter moves."""
-        if found.leads is None:
+        if found.leads is None or (onset is None and found.fault is None):
             self._withdraw(newest)
             return self.standing is not None
         began = newest if self._since is None else self._since

@@ -114,20 +114,27 @@ class Judge:
         """Weigh a window; known: what held before, sd (q,) of its θ; solved (q,): θ where the window came to rest."""
         there = self._learner.at_point(window, replace(known, theta=solved), jumps=True)
         before = self._learner.at_point(window, known)
-        # scatter beyond the model's tempers the likelihood
-        temper = max(1.0, float(known.scatter.within.max()))
-        structure = max(
-            (self._structure(at, known, sd, temper) for at in (before, there)), key=lambda e: e.evidence
-        )  # fmt: skip
+        structure = max((self._structure(at, known, sd) for at in (before, there)), key=lambda e: e.evidence)
         # linear evidences are of one scale: what is far behind is not mended
         first = list(self._looked(before, window, known, sd))
         least = min((value for _, value in first), default=0.0)
-        worth = [fault for fault, value in first if value - least < 2 * tuning.WORTH_MENDING * temper]
-        found = [e for fault in worth if (e := self._mended(fault, known, sd, late, temper)) is not None]
-        return Contest(structure, _best_of_each(found))
+        worth = [fault for fault, value in first if value - least < 2 * tuning.WORTH_MENDING * _temper(known)]
+        found = [e for fault in worth if (e := self._mended(fault, known, sd, late)) is not None]
+        contest = Contest(structure, _best_of_each(found))
+        return contest if contest.leads is None else replace(contest, structure=self._noisier(window, known, solved, contest))
+
+    def _noisier(self, window: Window, known: Knowledge, solved: FloatArray, contest: Contest) -> Explanation:
+        """The structure with other noise or unknown forces, where that explains a window better."""
+        evidence = -np.inf
+        for theta in (solved, known.theta):
+            there = replace(known, theta=theta)
+            at = self._learner.at_point(window, there)
+            free = self._under_prior(at, known, np.full(self._rig.q, 1e-6), self._rig.q)
+            evidence = max(evidence, free.evidence + self._learner.gain_by_noise(window, there) - tuning.NOISE_PRICE)
+        return max((contest.structure, Explanation(None, evidence, 0.0)), key=lambda e: e.evidence)
 
     # ------------------------------------------------------------------ the structure
-    def _structure(self, at: Linearised, known: Knowledge, sd: FloatArray, temper: float) -> Explanation:
+    def _structure(self, at: Linearised, known: Knowledge, sd: FloatArray) -> Explanation:
         layout, dof = at.regression.layout, self._dof(at)
         q, nb = self._rig.q, layout.base
         flat = np.full(q, 1e-6)
@@ -143,7 +150,7 @@ class Judge:
         for columns, precision, count in options:
             prior = self._prior(at, known, precision, len(columns) - nb)
             rss, _, _ = _fit(at.G[np.ix_([*columns, -1], [*columns, -1])], prior)
-            best = max(best, (-0.5 * rss / temper - 0.5 * count * np.log(dof), self._excess(rss, dof, known)))
+            best = max(best, (-0.5 * rss / _temper(known) - 0.5 * count * np.log(dof), self._excess(rss, dof, known)))
         return Explanation(None, best[0] - self._spread_of_noise(at), best[1])
 
     # ------------------------------------------------------------------ the channels
@@ -201,7 +208,7 @@ class Judge:
         reading = window.y[:, channel] if kind == "gain" else np.ones(window.length)
         return -unitary(reading)[:kept]
 
-    def _mended(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late, temper: float) -> Explanation | None:
+    def _mended(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late) -> Explanation | None:
         """Mend the readings by a fault's size, and by what is left of it, until it rests; None where it never does."""
         for _ in range(tuning.MENDINGS):
             lag = round(fault.size) if fault.kind == "delay" else 0
@@ -215,13 +222,13 @@ class Judge:
                 return None
             _, step, spread = found
             if abs(step) < (RESTS_SAMPLES if fault.kind == "delay" else RESTS_SD * spread):
-                return self._explained(replace(fault, sd=spread), window, known, sd, temper)
+                return self._explained(replace(fault, sd=spread), window, known, sd)
             size = (1 + fault.size) * (1 + step) - 1 if fault.kind == "gain" else fault.size + step
             fault = replace(fault, size=size)
         return None
 
     def _explained(
-        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, temper: float
+        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray
     ) -> Explanation | None:
         """A mended window's evidence: of a gain, its noise behind the gain or before it, whichever is likelier."""
         factor = abs(1 + fault.size) if fault.kind == "gain" else 1.0
@@ -231,21 +238,18 @@ class Judge:
         if fault.channel < self._learner.p:
             behind[fault.channel] = np.log(factor)
         shifts = [behind, np.zeros_like(behind)] if abs(behind).max() > 0 else [behind]
-        return max((self._under(fault, window, known, sd, temper, s) for s in shifts), key=lambda e: e.evidence)
+        return max((self._under(fault, window, known, sd, s) for s in shifts), key=lambda e: e.evidence)
 
     def _under(
-        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, temper: float, shift: FloatArray
+        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, shift: FloatArray
     ) -> Explanation:
         """The evidence of a mended window whose log σ is shifted (p,), as a density of the readings as they came."""
         noise = replace(known.noise, log_sigma=known.noise.log_sigma + shift)
         at = self._learner.at_point(window, replace(known, noise=noise))
-        nb, dof, p = at.regression.layout.base, self._dof(at), self._learner.p
-        columns = [*range(nb), -1]
-        rss, _, _ = _fit(at.G[np.ix_(columns, columns)], self._prior(at, known, (at.unit / sd) ** 2, 0))
-        stretched = fault.kind == "gain" and fault.channel < p
+        found = self._under_prior(at, known, (at.unit / sd) ** 2, 1)
+        stretched = fault.kind == "gain" and fault.channel < self._learner.p
         volume = float(at.cells.weight.sum() * np.log(abs(1 + fault.size))) if stretched else 0.0
-        evidence = -0.5 * rss / temper - 0.5 * np.log(dof) - self._spread_of_noise(at) + volume
-        return Explanation(_as_read(fault), evidence, self._excess(rss, dof, known))
+        return replace(found, fault=_as_read(fault), evidence=found.evidence + volume)
 
     def unbelieved(
         self, window: Window, known: Knowledge, sd: FloatArray, number: int, value: float, usual: float
@@ -269,13 +273,16 @@ class Judge:
         unsure = replace(at, Si=np.linalg.inv(S))
         G = at.cells.gram(unsure.Si, at.regression.X)
         G[-1, -1] += at.G[-1, -1] - at.cells.gram(at.Si, at.regression.X)[-1, -1]
-        dof = self._dof(at)
-        rss, _, _ = _fit(G, self._prior(at, known, (at.unit / sd) ** 2, 0))
-        temper = max(1.0, float(known.scatter.within.max()))
-        evidence = -0.5 * rss / temper - 0.5 * np.log(dof) - self._spread_of_noise(unsure)
-        return Explanation(fault, evidence, self._excess(rss, dof, known))
+        return replace(self._under_prior(replace(unsure, G=G), known, (at.unit / sd) ** 2, 1), fault=fault)
 
     # ------------------------------------------------------------------ what all share
+    def _under_prior(self, at: Linearised, known: Knowledge, precision: FloatArray, count: int) -> Explanation:
+        """The evidence of a window with θ ~ N(as known, 1/precision) and so many numbers found from it."""
+        columns, dof = [*range(at.regression.layout.base), -1], self._dof(at)
+        rss, _, _ = _fit(at.G[np.ix_(columns, columns)], self._prior(at, known, precision, 0))
+        evidence = -0.5 * rss / _temper(known) - 0.5 * count * np.log(dof) - self._spread_of_noise(at)
+        return Explanation(None, evidence, self._excess(rss, dof, known))
+
     def _prior(self, at: Linearised, known: Knowledge, precision: FloatArray, more: int) -> _Prior:
         """Prior with θ ~ N(as known, 1/precision), constants as they stand, and so many further flat columns."""
         layout, k = at.regression.layout, at.regression.layout.base + more
@@ -301,6 +308,11 @@ class Judge:
     def _spread_of_noise(self, at: Linearised) -> float:
         """Half of log det S: unknown forces show otherwise where the parameters are others."""
         return float(-0.5 * at.cells.weight @ np.linalg.slogdet(at.Si)[1])
+
+
+def _temper(known: Knowledge) -> float:
+    """Scatter beyond the model's tempers the likelihood."""
+    return max(1.0, float(known.scatter.within.max()))
 
 
 def _fit(G: FloatArray, prior: _Prior) -> tuple[float, FloatArray, FloatArray]:

@@ -114,3 +114,5 @@ MENDINGS = 4
 """Most times that a window is mended and looked at again. Needed by: channels that come 40 samples late."""
 STOOD_SHARES = (1.0, 0.3, 0.1)
 """Sizes of the force in place of an input that froze, shares of what it used to be. Needed by: a force that freezes."""
+NOISE_PRICE = 7.6
+"""Log evidence that a change of noise costs: two numbers of a window of 2000 readings. Needed by: forces that begin."""

@@ -263,23 +263,36 @@ class Judge:
         )  # fmt: skip
 
     def _in_its_place(self, at: Linearised, known: Knowledge, sd: FloatArray, fault: Fault) -> Explanation:
-        response, p = at.cells.response, self._learner.p
-        taps = self._rig.taps_of(fault.channel - p)
-        z = response.z[: response.bins.kept]
-        shifts = (0, *self._rig.shifts)[: len(taps)]
-        h = sum(response.HU[..., j] * (z**shift)[:, None] for j, shift in zip(taps, shifts, strict=True))
+        """The evidence under a force of intensity fault.sd, white and lasting; its mean and its ends are free."""
+        response, kept, W = at.cells.response, at.cells.kept, self._learner.window
+        taps = self._rig.taps_of(fault.channel - self._learner.p)
+        z, pole = response.z[:kept], np.exp(-2 * np.pi / W)
+        tapped = [z**shift for shift, _ in zip((0, *self._rig.shifts), taps, strict=False)]
+        lasting = (1 - pole**W) / (1 - pole / z) / np.sqrt(W)
+        more = [np.sum([response.driven(int(j), t * signal) for j, t in zip(taps, tapped, strict=True)], axis=0)
+                for signal in (unitary(np.ones(W))[:kept].astype(complex), lasting)]  # fmt: skip
+        h = np.sum([response.HU[:kept, :, j] * t[:, None] for j, t in zip(taps, tapped, strict=True)], axis=0)
+        power = fault.sd**2 * (1 + (1 - pole**2) / np.abs(1 - pole / z) ** 2)
         S = np.linalg.inv(at.Si)
-        S[: response.bins.kept] += fault.sd**2 * h[:, :, None] * h[:, None, :].conj()
+        S[:kept] += power[:, None, None] * h[:, :, None] * h[:, None, :].conj()
         unsure = replace(at, Si=np.linalg.inv(S))
-        G = at.cells.gram(unsure.Si, at.regression.X)
-        G[-1, -1] += at.G[-1, -1] - at.cells.gram(at.Si, at.regression.X)[-1, -1]
-        return replace(self._under_prior(replace(unsure, G=G), known, (at.unit / sd) ** 2, 1), fault=fault)
+        nb = at.regression.layout.base
+        X = np.concatenate([at.regression.X[..., :nb], np.stack(more, axis=2), at.regression.X[..., -1:]], axis=2)
+        G = at.cells.gram(unsure.Si, X)
+        # above the kept bins the start that a wrong input led to would be all that shows: they count as what is expected
+        G[-1, -1] += at.cells.weight[kept:].sum() * self._learner.p
+        rss, _, _ = _fit(G, self._prior(at, known, (at.unit / sd) ** 2, len(more)))
+        return replace(self._explanation(unsure, known, rss, 1 + len(more)), fault=fault)
 
     # ------------------------------------------------------------------ what all share
     def _under_prior(self, at: Linearised, known: Knowledge, precision: FloatArray, count: int) -> Explanation:
         """The evidence of a window with θ ~ N(as known, 1/precision) and so many numbers found from it."""
-        columns, dof = [*range(at.regression.layout.base), -1], self._dof(at)
+        columns = [*range(at.regression.layout.base), -1]
         rss, _, _ = _fit(at.G[np.ix_(columns, columns)], self._prior(at, known, precision, 0))
+        return self._explanation(at, known, rss, count)
+
+    def _explanation(self, at: Linearised, known: Knowledge, rss: float, count: int) -> Explanation:
+        dof = self._dof(at)
         evidence = -0.5 * rss / _temper(known) - 0.5 * count * np.log(dof) - self._spread_of_noise(at)
         return Explanation(None, evidence, self._excess(rss, dof, known))
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from agent.blocks.estimation import BoolArray, Method
 from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
 from agent.numerics.window.hops import HopPlan
@@ -68,6 +69,10 @@ class ContainedEstimator:
     def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
         """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
         return self.estimator.take_beliefs()
+
+    def take_findings(self) -> list[Finding]:
+        """Return which faults of channels began or ended since the last call."""
+        return self.estimator.take_findings()
 
     def take_failures(self) -> list[tuple[int, str]]:
         """Return (last sample, what was raised first) of each call that failed since the last one."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.blocks.recent import Recent
+from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
 from agent.numerics.preprocessing.marks import Marks
@@ -42,6 +43,10 @@ class Method(Protocol):
 
     def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
         """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
+        ...
+
+    def take_findings(self) -> list[Finding]:
+        """Return which faults of channels began or ended since the last call."""
         ...
 
     def step(

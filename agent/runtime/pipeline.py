@@ -14,6 +14,7 @@ import numpy as np
 
 from agent.blocks.acquisition.interface import Acquisition, Label, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
+from agent.blocks.channel_watch import ChannelWatch
 from agent.blocks.constants_watch import ConstantsWatch
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimation
 from agent.blocks.friction import dry_friction
@@ -107,6 +108,8 @@ class Pipeline:
         self.quality = Quality(QualitySettings(names, inputs, self._steps, window, longest, quantities, commanded))
         self.friction = dry_friction(config, self._steps[inputs:])
         outputs = frozenset(c.name for c in channels[inputs:])
+        counted = (*config.outputs, *config.inputs)
+        self.channels = ChannelWatch(config.rig.name, tuple((c.name, c.quantity) for c in counted))
         self.constants = ConstantsWatch(config.rig.name, 1.0 / config.rig.sample_rate_hz, outputs)
 
     def adopt(self, learnt: Learnt | None) -> None:
@@ -180,6 +183,7 @@ class Pipeline:
                 records.append(batch)
                 records.extend(self._failures(batch))
                 records.extend(self._learnt(batch))
+                records.extend(self._found(batch))
                 records.extend(self.alarms.step(batch))
                 records.extend(self.sensor_alarms.confirm(batch))
         records.extend(self.sensor_alarms.step(self.quality.take_events()))
@@ -206,6 +210,14 @@ class Pipeline:
         if content is not None:
             kept.append(LearntRecord(self.config.rig.name, newest, Learnt(self._key, content)))
         return [*verdicts, *events, *self.sensor_alarms.step(alarms), *kept]
+
+    def _found(self, batch: EstimateBatch) -> list[Record]:
+        """Return what the method finds wrong with channels."""
+        findings = self.estimation.estimator.take_findings()
+        times = dict(zip(batch.index.tolist(), batch.t_ns.tolist(), strict=True))
+        newest = int(batch.t_ns[-1])
+        events, alarms = self.channels.step(findings, {f.sample: times.get(f.sample, newest) for f in findings})
+        return [*events, *self.sensor_alarms.step(alarms)]
 
     def _stamps(self, aligned: Aligned) -> IntArray:
         """A recording's own time stamps, or index / rate where it has none."""

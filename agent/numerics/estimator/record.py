@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.inference.columns import Window, window_of
+from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
 from agent.numerics.window.lost import Lost
 
@@ -102,6 +103,32 @@ class Record:
         for offset, column, weight in taps:
             if column < self._v.shape[1] and self.first <= sample + offset < self.stop:
                 self._v[sample + offset - self.first, column] += weight * change
+
+    def resting_in(self, index: IntArray, span: int) -> BoolArray:
+        """Return which inputs (N, m) read one value in the last `span` samples before and at samples `index`."""
+        u = self._v[:, self.p :]
+        moved = np.concatenate([np.zeros((1, u.shape[1]), dtype=int), np.cumsum(u[1:] != u[:-1], axis=0)])
+        stop = index - self.first
+        known = (stop - span + 1 >= 0)[:, None]
+        return np.asarray(known & (moved[stop] == moved[np.maximum(stop - span + 1, 0)]))
+
+    def newest_input(self, index: int, number: int) -> float:
+        """Return what an input read at a sample."""
+        return float(self._v[index - self.first, self.p + number])
+
+    def late(self, newest: int, length: int, channel: int, lag: int, rig: Rig) -> Window | None:
+        """Return the window of `length` samples that ends with number `newest` - lag, a channel read `lag` later.
+
+        None where samples of it are not kept, or lost.
+        """
+        start, stop = newest + 1 - lag - length, newest + 1 - lag
+        before = start - 1 - self.first
+        if before < 0 or self._lost[before : stop + lag - self.first].any():
+            return None
+        v = self._v[before : stop - self.first].copy()
+        columns = [channel] if channel < self.p else (self.p + rig.taps_of(channel - self.p)).tolist()
+        v[:, columns] = self._v[before + lag : stop + lag - self.first, columns]
+        return window_of(v[1:, : self.p], v[1:, self.p :], v[0, self.p :])
 
     def window(self, newest: int, length: int) -> Window:
         """Return the window of `length` samples that ends with number `newest`."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.doubts import Doubts, Found
+from agent.numerics.estimator.faults import WHOLE, Faults, Finding
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
 from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
 from agent.numerics.estimator.operating_point import OperatingPoint, operating_point, taps_of
@@ -113,6 +114,7 @@ class SlidingEstimator:
         self.budget = budget or Budget(settings.plan.window)
         self.schedule = Schedule(settings.plan.window)
         self.disturbance = Disturbance()
+        self.faults = Faults(self.learner, settings.floor)
         self.point: OperatingPoint | None = None
         self.solved = 0
         self._stream: Stream | None = None
@@ -154,6 +156,10 @@ class SlidingEstimator:
         """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
         beliefs, self._beliefs = self._beliefs, []
         return beliefs
+
+    def take_findings(self) -> list[Finding]:
+        """Return which faults of channels began or ended since the last call."""
+        return self.faults.take()
 
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt stays."""
@@ -217,7 +223,7 @@ class SlidingEstimator:
         if not posterior.converged:
             return False
         self.posterior = posterior
-        self._believe(newest, learnt)
+        self._believe(newest, window, learnt)
         self.schedule.done(newest)
         self._place(self.posterior)
         self._start_stream(record, newest)
@@ -238,9 +244,10 @@ class SlidingEstimator:
             posterior, learnt = self.learner.learn(window, fresh)
         return posterior, learnt
 
-    def _believe(self, newest: int, learnt: Knowledge) -> None:
+    def _believe(self, newest: int, window: Window, learnt: Knowledge) -> None:
         """Take what was learnt from a window."""
         self.known = learnt
+        self.faults.learnt(window)
         kinds = tuple(c.kind for c in self.settings.rig.constants)
         if kinds:
             self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
@@ -332,19 +339,28 @@ class SlidingEstimator:
         reading = read(windowed, point, plan.window, self._jump, far_sd)
         hollow = self._hollow(record, reading.index) | reading.unsolved
         still = self._still(record, reading.index)
-        broken = (reading.broken(self.learner.threshold) | hollow) & ~still
+        frozen = self.faults.frozen_in(record, reading.index, still)
+        broken = (reading.broken(self.learner.threshold) | hollow) & ~still | frozen
+        sound = ~broken & ~still
+        assert self.known is not None  # noqa: S101 - known since the first window
+        agrees = self.faults.agrees(reading, self.known)
         rows = Outcome.of(reading, self.settings.enough_sd)
         ended = np.empty(len(rows.index), dtype=np.int64)
         stop, position, marked = len(reading.index), 0, 0
         while position < stop:
-            position = self._first_event(reading, broken & ~hollow, hollow | still, position)
+            if self.faults.is_active:
+                broken[position] |= sound[position] and not agrees[position]  # biased by a channel, though it fits
+            else:
+                position = self._first_event(reading, broken & ~hollow, hollow | still, position)
             # what is done at a row depends on the rows before it, however many of them came at once
-            self._mark(rows, range(marked, position), broken, hollow, ended)
+            self._mark(rows, range(marked, position), broken, hollow, still, ended)
             marked = position
-            if position < stop and self._meet(record, reading, position, broken, hollow | still):
+            if position < stop and frozen[position]:
+                self.faults.freeze(record, int(reading.index[position]))
+            elif position < stop and self._meet(record, reading, position, broken, hollow | still):
                 stop = position
             position += 1
-        self._mark(rows, range(marked, stop), broken, hollow, ended)
+        self._mark(rows, range(marked, stop), broken, hollow, still, ended)
         if self.settings.longer:
             longer = [
                 None if windowed is None else read(windowed, point, samples)
@@ -354,7 +370,8 @@ class SlidingEstimator:
             rows = self._choose(rows.part(0, stop), longer, broken[:stop], ended[:stop])
         else:
             rows = rows.part(0, stop)
-        rows.stand_still(still[:stop])
+        rows.stand_still((still & ~frozen)[:stop])
+        self.faults.rested(record, reading.index[:stop][sound[:stop]])
         self._jump = float(reading.jump[stop - 1]) if stop else self._jump
         return rows
 
@@ -489,9 +506,11 @@ class SlidingEstimator:
         if self._decide(record, reading, i, bool(broken[i])):
             return True
         calls = self._calls(reading, broken & ~hollow, hollow)
-        return bool(calls[i]) and self._act(record, reading, i, bool(broken[i]))
+        return bool(calls[i]) and self._act(record, reading, i, broken)
 
-    def _mark(self, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, ended: IntArray) -> None:
+    def _mark(
+        self, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray, ended: IntArray
+    ) -> None:
         """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.
 
         ended (N,) is filled with the sample at which the last stretch of broken rows before each of them ended.
@@ -501,22 +520,25 @@ class SlidingEstimator:
             if broken[i]:
                 self.disturbance.at(index)
                 lasting = index - (self.disturbance.onset or 0) > self.settings.plan.window
-                reason = Reason.MISMATCH if lasting else Reason.CHANGING
+                reason = self.faults.reason or (Reason.MISMATCH if lasting else Reason.CHANGING)
                 rows.invalidate(i, Reason.GAP if hollow[i] else reason)
             else:
                 self.disturbance.over(index)
+                if not still[i]:
+                    self.faults.over(index)
                 if self.posterior is not None and self.posterior.rubs:
                     rows.invalidate(i, Reason.DRY_FRICTION)
             ended[i] = self.disturbance.ended
 
-    def _act(self, record: Record, reading: Reading, i: int, broken: bool) -> bool:
+    def _act(self, record: Record, reading: Reading, i: int, broken: BoolArray) -> bool:
         """Learn from a row's window, or solve it; return whether the bank moved."""
         newest = int(reading.index[i])
-        if broken:
-            return self._explain(record, newest)
-        if newest >= self.schedule.due:
+        due = newest >= self.disturbance.tried + max(1, self.settings.plan.window // TRIES)
+        if broken[i]:
+            return due and self._explain(record, newest)
+        if newest >= self.schedule.due and not self.budget.closed:
             return self._learn(record, reading, i)
-        return self._relinearise(record, newest)
+        return bool(reading.far[i]) and due and self._relinearise(record, newest)
 
     def _learn(self, record: Record, reading: Reading, i: int) -> bool:
         newest, known = int(reading.index[i]), self.known
@@ -531,7 +553,7 @@ class SlidingEstimator:
             # longer windows need a sharper point than one short window gives
             agree = np.all(np.abs(learnt.theta - known.theta) < tuning.AGREE_SD * posterior.sd_repeat)
             learnt = replace(learnt, theta=known.theta) if agree else learnt
-        self._believe(newest, learnt)
+        self._believe(newest, window, learnt)
         self.posterior = posterior
         self.schedule.done(newest)
         if not self._is_elsewhere(reading, i, posterior):
@@ -561,11 +583,21 @@ class SlidingEstimator:
         window = self._window(record, newest)[0]
         posterior, theta = self.learner.solve(window, known)
         self._last = (window, posterior)
-        if not posterior.converged or posterior.changing or posterior.mismatch:
+        rests = posterior.converged and not posterior.changing and not posterior.mismatch
+        if self._is_a_channel(record, window, newest, theta, rests) or not rests:
             return None
         self.known = replace(known, theta=theta)
         self._move(record, posterior, newest)
         return posterior
+
+    def _is_a_channel(self, record: Record, window: Window, newest: int, theta: FloatArray, rests: bool) -> bool:
+        """Whether a channel may be what is wrong with a window; asked where it is whole, or other parameters fit it."""
+        onset, faults, known = self.disturbance.onset, self.faults, self.known
+        whole = onset is not None and newest - onset >= WHOLE * self.settings.plan.window
+        if known is None or self.posterior is None or not (rests or whole or faults.is_active):
+            return False
+        found = faults.contest(record, window, newest, known, self.posterior.sd_repeat, theta)
+        return faults.follow(newest, found, onset)
 
     def _explain(self, record: Record, newest: int) -> bool:
         """Try to explain a broken row: other parameters, or a whole window after its onset other noise."""
@@ -581,7 +613,10 @@ class SlidingEstimator:
             self.schedule.follow(newest)
             return True
         window, posterior = self._last
-        if newest - (disturbance.onset or newest) < self.settings.plan.window or not posterior.converged:
+        early = newest - (disturbance.onset or newest) < self.settings.plan.window
+        if self.faults.standing is not None:  # it is looked at again a window later
+            disturbance.tried = newest + self.settings.plan.window - max(1, self.settings.plan.window // TRIES)
+        if early or self.faults.is_active or not posterior.converged:
             return False
         jumps = len(posterior.jump) and posterior.changing
         if jumps and not self.learner.contested(window, known, posterior):
@@ -589,7 +624,7 @@ class SlidingEstimator:
         said, learnt = self.learner.learn(window, known, shaken=True, believe=True)
         if not said.converged:
             return False
-        self._believe(newest, learnt)
+        self._believe(newest, window, learnt)
         self.posterior = said
         self.schedule.follow(newest)
         self._move(record, said, newest)

@@ -213,6 +213,10 @@ class Learner:
         at = self._linearised(window, known, jumps=known.noise.is_started, steps=steps)
         return self._posterior(at, known), at.theta
 
+    def at_point(self, window: Window, known: Knowledge, jumps: bool = False) -> Linearised:
+        """Return a window linearised at what is known, wherever its own best parameters are."""
+        return self._point(window, known, known.theta, self.cuts if jumps else np.zeros(0, dtype=np.int64))
+
     def lost_readings(self, window: Window, known: Knowledge, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what the filled-in readings of a window are wrong by (l,), and the covariance of that (l, l).
 
@@ -229,15 +233,27 @@ class Learner:
     def contested(self, window: Window, known: Knowledge, posterior: Posterior) -> bool:
         """Whether a change of the noise explains a window as well as a jump of the parameters does."""
         at = self._linearised(window, known, jumps=False)
+        before, fit = self._open_minded(at, window, known)
+        gain = fit.restricted_log_likelihood() - before
+        q, dof = self.rig.q, posterior.dof
+        price = 0.5 * q * np.log(dof) + np.log(len(self.cuts))
+        return bool(gain > 0.5 * posterior.jump_raw.max() - price)
+
+    def gain_by_noise(self, window: Window, known: Knowledge) -> float:
+        """Log likelihood that other noise of the rig gains a window at the point known; single bins stay as they are."""
+        before, fit = self._open_minded(self.at_point(window, known), window, known)
+        # a level of its own for a bin would take an offset for the noise of bin 0
+        fit.levels = known.noise.levels
+        return fit.restricted_log_likelihood() - before
+
+    def _open_minded(self, at: Linearised, window: Window, known: Knowledge) -> tuple[float, NoiseFit]:
+        """Restricted log likelihood of a window under the noise known, and the fit of whatever noise explains it."""
         wide = self._ridge(at.regression.layout, window, self._wide(), -known.eta)
         before = NoiseFit(known.noise, at.cells, at.regression, self.sources, wide).restricted_log_likelihood()
         open_minded = replace(known.noise, log_weight=0.1 * known.noise.log_weight, windows=min(known.noise.windows, 1))
         least = self._least(known.noise)
         _, fit = learn(open_minded, at.cells, at.regression, self.sources, wide, None, least, shaken=True)
-        gain = fit.restricted_log_likelihood() - before
-        q, dof = self.rig.q, posterior.dof
-        price = 0.5 * q * np.log(dof) + np.log(len(self.cuts))
-        return bool(gain > 0.5 * posterior.jump_raw.max() - price)
+        return before, fit
 
     # ------------------------------------------------------------------ linearisation
     def _prepared(self, window: Window, known: Knowledge) -> Knowledge:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtrit
 
+from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
 from agent.numerics.model.sensitivity import sensitivity_filter
@@ -226,6 +227,10 @@ class SeedWindow:
 
     def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
         """Return nothing: this method believes its constants."""
+        return []
+
+    def take_findings(self) -> list[Finding]:
+        """Return nothing: this method believes its channels."""
         return []
 
     def start_segment(self) -> None:

@@ -68,7 +68,7 @@ def _check_seed(draft: Draft) -> None:
 def _check_drift(draft: Draft) -> None:
     """Note a longer window of straight lines: parameters are constant within a window."""
     if "drift_s" in draft.estimator.model_fields_set:
-        advice = "remove it: windows follow changes by themselves; use a shorter window_s"
+        advice = "remove it: parameters that move within seconds are followed without it"
         draft.faults.add("estimator.drift_s", "not in this version", advice)
 
 

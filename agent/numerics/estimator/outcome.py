@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.estimator.reading import Reading
+from agent.numerics.inference.learner import Posterior
 from agent.types import Reason, Status
 
 FloatArray = NDArray[np.float64]
@@ -72,6 +73,13 @@ class Outcome:
         """Return rows that may be changed by themselves."""
         columns = [f.name for f in fields(self) if f.name not in ("index", "others")]
         return replace(self, **{name: getattr(self, name).copy() for name in columns})
+
+    def write(self, row: int, posterior: Posterior, enough_sd: FloatArray) -> None:
+        """Put what a window was found to say by itself in the place of a row."""
+        for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
+            getattr(self, name)[row] = getattr(posterior, name)
+        self.status[row] = np.where(posterior.sd <= enough_sd, int(Status.VALID), int(Status.UNEXCITED))
+        self.reason[row] = Reason.NONE
 
     def invalidate(self, row: int, reason: Reason) -> None:
         """Mark a row invalid."""

@@ -129,6 +129,8 @@ class SlidingEstimator:
         self._adopted = False
         self._centred_at = -(1 << 60)
         self._sharpest = np.full(settings.rig.q, np.inf)
+        self._lines: dict[int, Posterior] = {}
+        self._moves = False
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
 
     @property
@@ -168,6 +170,7 @@ class SlidingEstimator:
         self._ahead.forget()
         self._doubts.forget()
         self.disturbance = Disturbance()
+        self._lines, self._moves = {}, False
         if self.known is not None:
             self.known = replace(self.known, scatter=self.known.scatter.interrupted())
 
@@ -519,6 +522,10 @@ class SlidingEstimator:
             index = int(rows.index[i])
             if broken[i]:
                 self.disturbance.at(index)
+                if index in self._lines:
+                    rows.write(i, self._lines.pop(index), self.settings.enough_sd)
+                    ended[i] = self.disturbance.ended
+                    continue
                 lasting = index - (self.disturbance.onset or 0) > self.settings.plan.window
                 reason = self.faults.reason or (Reason.MISMATCH if lasting else Reason.CHANGING)
                 rows.invalidate(i, Reason.GAP if hollow[i] else reason)
@@ -608,6 +615,8 @@ class SlidingEstimator:
             return False
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
+        if self._moves and self._runs_on(self._window(record, newest)[0], newest):
+            return False
         if self._solve(record, newest) is not None:
             self.known = replace(self.known, scatter=self.known.scatter.interrupted())  # type: ignore[union-attr,type-var]
             self.schedule.follow(newest)
@@ -616,7 +625,7 @@ class SlidingEstimator:
         early = newest - (disturbance.onset or newest) < self.settings.plan.window
         if self.faults.standing is not None:  # it is looked at again a window later
             disturbance.tried = newest + self.settings.plan.window - max(1, self.settings.plan.window // TRIES)
-        if early or self.faults.is_active or not posterior.converged:
+        if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
             return False
         jumps = len(posterior.jump) and posterior.changing
         if jumps and not self.learner.contested(window, known, posterior):
@@ -629,6 +638,17 @@ class SlidingEstimator:
         self.schedule.follow(newest)
         self._move(record, said, newest)
         return True
+
+    def _runs_on(self, window: Window, newest: int) -> bool:
+        """Whether parameters that run straight lines explain a window; its row then says where they are at its end."""
+        assert self.known is not None  # noqa: S101 - known since the first window
+        line = self.learner.line(window, self.known)
+        self._moves = line.holds
+        if line.holds:
+            self._lines[newest] = line.end
+            self.known = replace(self.known, theta=line.middle)
+            self.budget.give_back()
+        return line.holds
 
 
 def _lost(missing: BoolArray | None, suspect: BoolArray | None, width: int) -> BoolArray | None:

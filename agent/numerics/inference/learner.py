@@ -90,6 +90,27 @@ class Posterior:
         return self.excess > tuning.MISMATCH_SD
 
 
+@dataclass(frozen=True)
+class Line:
+    """What one window says if each of its parameters runs a straight line through it.
+
+    Attributes:
+        end: what it says of its end; `changing`: one jump of all parameters explains it better.
+        middle: (q,) where they are at its middle.
+        moves: some line is more than chance.
+    """
+
+    end: Posterior
+    middle: FloatArray
+    moves: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether lines explain the window, and better than anything that jumps once."""
+        end = self.end
+        return end.converged and not end.mismatch and not end.changing and self.moves
+
+
 @dataclass(frozen=True, slots=True)
 class Linearised:
     """A window at the end of Gauss-Newton.
@@ -491,16 +512,19 @@ class Learner:
         fit = V @ (at.G[:nb, -1] + at.ridge.b)
         rss = float(at.G[-1, -1] - (at.G[:nb, -1] + at.ridge.b) @ fit)
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
-        noise = known.noise
-        unsure = float(noise.log_sigma_var.max()) + tuning.SIGMA_WALK**2
         raw = np.array([self._jump(at, V, fit, i) for i in range(layout.cuts)])
         left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
-        excess, beyond = np.log(left / dof) / np.sqrt(2 / dof + 4 * unsure) * bool(noise.windows)
+        excess, beyond = np.log(left / dof) / self._chance(dof, known.noise) * bool(known.noise.windows)
         misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max()))
         return raw / misfit, raw, float(excess), float(beyond), dof
 
-    def drifting(self, window: Window, known: Knowledge) -> tuple[Posterior, FloatArray]:
-        """Return what a window says at its end if its parameters move on and on, and where they come to rest (q,).
+    def _chance(self, dof: float, noise: Noise) -> float:
+        """Predictive sd of the logarithm of the residual's power."""
+        unsure = float(noise.log_sigma_var.max()) + tuning.SIGMA_WALK**2
+        return float(np.sqrt(2 / dof + 4 * unsure))
+
+    def line(self, window: Window, known: Knowledge) -> Line:
+        """Return what a window says if its parameters move on and on through it.
 
         The line of a parameter is taken as equal jumps at all cuts, which leaves a twenty-fifth of what a constant
         leaves of it. `changing` says that one jump of all parameters explains the window better.
@@ -522,20 +546,21 @@ class Learner:
         end = np.zeros((q, nb + q))
         end[:, layout.psi] = np.eye(q)
         end[:, nb:] = 0.5 * np.eye(q)
-        middle, theta = at.theta + at.unit * fit[layout.psi], at.theta + at.unit * (end @ fit)
+        theta, middle = at.theta + at.unit * (end @ fit), at.theta + at.unit * fit[layout.psi]
         left = max(float(G[-1, -1] - score @ fit), 1e-300)
         plain = self._posterior(at, known, known.constants)  # a window of this kind says nothing of the constants
-        shift = plain.sd**2 - plain.sd_repeat**2  # what the constants leave open
+        open_constants = plain.sd**2 - plain.sd_repeat**2
+        misfit = known.scatter.factor * max(1.0, left / plain.dof)
         stair = fit[nb:] ** 2 / (12 * cuts**2)
-        own = at.unit * np.sqrt(np.diag(end @ V @ end.T) * known.scatter.factor * max(1.0, left / plain.dof) + stair)
-        sd = np.sqrt(own**2 + np.maximum(shift, 0.0))
-        unsure = float(known.noise.log_sigma_var.max()) + tuning.SIGMA_WALK**2
-        excess = float(np.log(left / plain.dof) / np.sqrt(2 / plain.dof + 4 * unsure))
+        own = at.unit * np.sqrt(np.diag(end @ V @ end.T) * misfit + stair)
+        sd = np.sqrt(own**2 + np.maximum(open_constants, 0.0))
+        excess = float(np.log(left / plain.dof) / self._chance(plain.dof, known.noise))
         said = replace(
             plain, theta=theta, sd=sd, lower=theta - NORMAL_975 * sd, upper=theta + NORMAL_975 * sd, sd_repeat=own,
             excess=excess, changing=excess > plain.beyond_jump,
         )  # fmt: skip
-        return said, np.asarray(np.maximum(middle, self.rig.lower))
+        moves = bool(np.any(np.abs(fit[nb:]) > tuning.AGREE_SD * np.sqrt(np.diag(V)[nb:] * misfit)))
+        return Line(said, np.asarray(np.maximum(middle, self.rig.lower)), moves)
 
     def _jump(self, at: Linearised, V: FloatArray, fit: FloatArray, i: int) -> float:
         """Score statistic of one jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108)."""

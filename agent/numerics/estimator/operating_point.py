@@ -49,7 +49,7 @@ class OperatingPoint:
     Attributes:
         model: columns are the parameters (deviations in `unit`), then directions of the constants with unit priors.
         push, noise: unknown forces and noise of the bank.
-        theta, unit: (q,) point and size of a deviation of 1.
+        theta, unit: (q,) point and size of a deviation of 1;  sharpest: (q,) sd of the windows that tell most, in it.
         wider: (q,) factor on the parameters' own variance: intensities not known, scatter beyond the model's.
         shape: how the constants' mixture differs from one Gaussian.
         unsure: variance of log σ that the misfit allows for.
@@ -62,6 +62,7 @@ class OperatingPoint:
     noise: NoiseModel
     theta: FloatArray
     unit: FloatArray
+    sharpest: FloatArray
     wider: FloatArray
     shape: Shape
     unsure: float
@@ -95,7 +96,7 @@ def operating_point(
     shape = _shape(known, posterior, wider)
     unsure = float(known.noise.log_sigma_var.max()) + walk**2
     return OperatingPoint(
-        model, push, bank_noise(known, sources, window), known.theta, at.unit, wider, shape, unsure,
+        model, push, bank_noise(known, sources, window), known.theta, at.unit, sharpest / at.unit, wider, shape, unsure,
         max(1.0, float(known.scatter.within.max())), seen.slopes,
     )  # fmt: skip
 

@@ -22,7 +22,9 @@ FAR_CURVATURE = 0.25
 FAR_SHARPEST = 0.25
 """Sd, as a share of the parameter, beyond which a window says too little of it to move the point."""
 FARTHEST_SD = 5.0
-"""The same where longer windows place the point: the shortest does not move it for what chance does in a day."""
+"""The same where sharper or longer windows placed the point: what chance does in a day does not move it."""
+POORER = 2.0
+"""Times the sd of the sharpest windows that makes a window poorer than what placed the point."""
 EVEN = 0.1
 """Skewness of an interval, in sds, that is not kept."""
 FLAT = 1e-6
@@ -90,7 +92,9 @@ def read(
     width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
     theta = point.theta + point.unit * d[:, :q]
     sharp = np.sqrt(own)
-    far = np.abs(d[:, :q]) > np.maximum(far_sd * sharp, np.sqrt(FAR_CURVATURE * sharp))
+    # the point was found by sharper windows: a poor one moves it only by what chance never does
+    least = np.where(sharp > POORER * point.sharpest, FARTHEST_SD, far_sd)
+    far = np.abs(d[:, :q]) > np.maximum(least * sharp, np.sqrt(FAR_CURVATURE * sharp))
     far &= sharp < FAR_SHARPEST
     rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)

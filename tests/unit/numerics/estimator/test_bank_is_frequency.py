@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 WINDOW, HOP, SAMPLES = 240, 40, 1000
 
 
-LOST = ((210, 0), (300, 2), (301, 1), (301, 2), (333, 0), (487, 2), (488, 0), (560, 1), (777, 2))
+LOST = ((210, 0), (300, 2), (301, 1), (301, 2), (333, 0), (487, 2), (488, 0), (563, 1), (777, 2))
 
 
 def both(
@@ -33,7 +33,8 @@ def both(
     u = 20 * rng.standard_normal((SAMPLES, 1))
     slope = np.diff(u, axis=0, prepend=u[:1])
     eta = np.zeros(rig.count + len(rig.seen) + 2)
-    theta = rig.theta * 1.001
+    # beyond the first order the forms differ: the learner's initial state is that of the readings as filled in
+    theta = rig.theta * (1.00001 if lost else 1.001)
     y = rig.readings(theta, eta, 0.01 * rng.standard_normal(2 * rig.count), u, slope).real
     y = y + noise.sigma * rng.standard_normal(y.shape)
     learner = learner_of(rig, WINDOW)
@@ -42,7 +43,6 @@ def both(
     missing = np.zeros((SAMPLES, len(rig.seen) + 1), dtype=bool)
     for sample, channel in lost:
         missing[sample, channel] = True
-        # beyond the first order the two forms differ: the learner's initial state is that of the readings as filled in
         (y if channel < len(rig.seen) else u)[sample, channel % len(rig.seen)] += 1e-3 if channel == 2 else 1e-5
     samples.append(y, u, missing)
     first = learner._posterior(learner._linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known)
@@ -53,14 +53,18 @@ def both(
     stream.start_segment(0)
     inputs = samples.inputs_with_slopes if point.slopes else samples.inputs
     pieces = [samples.lost_between(start, start + HOP, WINDOW) for start in range(0, SAMPLES, HOP)]
-    stream.append(0, samples.outputs(0, SAMPLES), inputs(0, SAMPLES), reduce(Lost.followed, pieces))
+    given = reduce(Lost.followed, pieces)
+    stream.append(0, samples.outputs(0, SAMPLES), inputs(0, SAMPLES), given)
     windowed = stream.rows().windows[0]
     assert windowed is not None
     rows = read(windowed, point, WINDOW)
     later = replace(known, constants=known.constants.predicted())
     answers = []
     for newest in rows.index:
-        at = learner._linearised(samples.window(int(newest), WINDOW), later, jumps=False, steps=1)
+        window = samples.window(int(newest), WINDOW)
+        # the learner takes the prior of a lost force from both sides of it; here both forms have the same
+        window = replace(window, lost_sd=given.between(int(newest) + 1 - WINDOW, int(newest) + 1).sd)
+        at = learner._linearised(window, later, jumps=False, steps=1)
         answers.append(learner._posterior(at, later, later.constants))
     return rows, answers
 
@@ -86,7 +90,7 @@ def test_bank_rows_of_windows_that_lost_readings_are_the_learners_windows(force:
     assert len(answers) >= 15
     sd = np.array([a.sd_repeat for a in answers])
     theta = np.array([a.theta for a in answers])
-    assert np.abs((rows.theta - theta) / sd).max() < 5e-3
-    assert np.abs(np.log(rows.sd_repeat / sd)).max() < 5e-4
+    assert np.abs((rows.theta - theta) / sd).max() < 3e-3
+    assert np.abs(np.log(rows.sd_repeat / sd)).max() < 3e-3
     held = [sum(n - WINDOW < s <= n and c < 2 for s, c in LOST) for n in rows.index.tolist()]
     assert np.array_equal(rows.dof.max() - rows.dof, held)

@@ -102,6 +102,41 @@ def test_sliding_any_cutting_of_the_stream_gives_the_same_rows(
         assert (np.abs(other.theta - first.theta)[believed] / first.sd[believed]).max() < 1e-6
 
 
+def holed(samples: Record, rng: np.random.Generator) -> tuple[Record, NDArray[np.bool_], NDArray[np.bool_]]:
+    """One reading in a hundred filled in by the one before, and a blow and a spike on the force that are suspect."""
+    v = np.hstack([samples.y, samples.u])
+    missing = rng.random(v.shape) < 0.01
+    missing[0] = False
+    for row, column in np.argwhere(missing).tolist():
+        v[row, column] = v[row - 1, column]
+    suspect = np.zeros(v.shape, dtype=bool)
+    v[2001, 2] += 60.0
+    suspect[[801, 1230, 2001], 2] = True
+    return Record(v[:, :2], v[:, 2:], samples.states), missing, suspect & ~missing
+
+
+@pytest.mark.parametrize(("longer", "window"), [((), 500), ((1000, 2000), 500), ((), 510)])
+def test_sliding_any_cutting_of_a_stream_with_lost_and_suspect_readings_gives_the_same_rows(
+    longer: tuple[int, ...], window: int, rng: np.random.Generator
+) -> None:
+    samples, missing, suspect = holed(noisy(rng, 4000, SIGMA), rng)
+    runs = []
+    for cuts in ([], list(range(1, 4000, 97)), np.unique(rng.integers(1, 4000, 40)).tolist()):
+        ml, pieces = estimator(window, longer=longer), []
+        for a, b in pairwise([0, *cuts, 4000]):
+            pieces.append(ml.step(a, samples.y[a:b], samples.u[a:b], missing[a:b], suspect[a:b]))
+        runs.append((ml.spikes, Outcome.joined([rows for rows in pieces if len(rows.index)], 4)))
+    (spikes, first), *others = runs
+    assert spikes == 1
+    assert valid(first)[full(first)].mean() > 0.9
+    assert np.abs((first.theta - NOMINAL) / first.sd)[full(first)].max() < 5
+    for spikes_then, other in others:
+        assert spikes_then == spikes
+        for name in ("index", "status", "reason", "window"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(first, name), err_msg=name)
+        assert (np.abs(other.theta - first.theta)[full(first)] / first.sd[full(first)]).max() < 1e-6
+
+
 def test_sliding_two_runs_are_equal_to_the_last_bit(rng: np.random.Generator) -> None:
     samples = worn_at(rng, 1500, 3000)
     one, two = (run(estimator(), samples, [500, 1700]) for _ in range(2))

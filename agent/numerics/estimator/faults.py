@@ -130,9 +130,13 @@ class Faults:
                 found = found.with_stood(self._judge.unbelieved(window, known, sd, number, value, self._usual[number]))
         return found
 
-    def follow(self, newest: int, found: Contest, onset: int | None) -> bool:
-        """Take what a contest says; return whether a channel may be what is wrong, so that no parameter moves."""
-        if found.leads is None or (onset is None and found.fault is None):
+    def follow(self, newest: int, found: Contest, onset: int | None, rests: bool) -> bool:
+        """Take what a contest says; return whether a channel may be what is wrong, so that no parameter moves.
+
+        onset: of broken rows, None where they hold; rests: other parameters fit the window.
+        """
+        clear = found.fault is not None or self.standing is not None or not rests
+        if found.leads is None or not clear:
             self._withdraw(newest)
             return self.standing is not None
         began = newest if self._since is None else self._since

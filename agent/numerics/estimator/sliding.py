@@ -550,7 +550,7 @@ class SlidingEstimator:
         if known is None or self.posterior is None or not (rests or whole or faults.is_active):
             return False
         found = faults.contest(record, window, newest, known, self.posterior.sd_repeat, theta)
-        return faults.follow(newest, found, onset)
+        return faults.follow(newest, found, onset, rests)
 
     def _explain(self, record: Record, newest: int) -> bool:
         """Try to explain a broken row: other parameters, or a whole window after its onset other noise."""

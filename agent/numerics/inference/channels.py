@@ -125,13 +125,13 @@ class Judge:
 
     def _noisier(self, window: Window, known: Knowledge, solved: FloatArray, contest: Contest) -> Explanation:
         """The structure with other noise or unknown forces, where that explains a window better."""
-        evidence = -np.inf
+        options = [contest.structure]
         for theta in (solved, known.theta):
             there = replace(known, theta=theta)
-            at = self._learner.at_point(window, there)
-            free = self._under_prior(at, known, np.full(self._rig.q, 1e-6), self._rig.q)
-            evidence = max(evidence, free.evidence + self._learner.gain_by_noise(window, there) - tuning.NOISE_PRICE)
-        return max((contest.structure, Explanation(None, evidence, 0.0)), key=lambda e: e.evidence)
+            noisier = replace(there, noise=self._learner.other_noise(window, there))
+            free = self._under_prior(self._learner.at_point(window, noisier), known, np.full(self._rig.q, 1e-6), self._rig.q)
+            options.append(replace(free, evidence=free.evidence - tuning.NOISE_PRICE))
+        return max(options, key=lambda e: e.evidence)
 
     # ------------------------------------------------------------------ the structure
     def _structure(self, at: Linearised, known: Knowledge, sd: FloatArray) -> Explanation:

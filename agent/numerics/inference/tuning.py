@@ -106,8 +106,8 @@ CREEP = 0.02
 """Share of the greatest speed below which the sign of a speed is not known. Needed by: EMPS without its friction."""
 FRICTION_EVIDENCE = 12.0
 """Log Bayes factor from which dry friction is believed: against odds of 1 : 10,000. Needed by: EMPS, no friction."""
-CHANNEL_EVIDENCE = 4.6
-"""Log odds, 99 : 1, by which a channel must explain a window better than anything else. Needed by: sensor faults."""
+CHANNEL_EVIDENCE = 9.2
+"""Log odds, 99 : 1 after a hundred looks, by which a channel must explain a window better than anything else. Needed by: sensor faults."""
 WORTH_MENDING = 60.0
 """Log evidence, as linearised, behind the best channel beyond which an explanation is not followed up. Cost only."""
 MENDINGS = 4

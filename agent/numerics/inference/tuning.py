@@ -116,3 +116,7 @@ STOOD_SHARES = (1.0, 0.3, 0.1)
 """Sizes of the force in place of an input that froze, shares of what it used to be. Needed by: a force that freezes."""
 NOISE_PRICE = 7.6
 """Log evidence that a change of noise costs: two numbers of a window of 2000 readings. Needed by: forces that begin."""
+MANY_TIMES = 4.0
+"""Factor from its nominal at which a parameter competes with a channel that is wrong from the start."""
+AS_LARGE = 0.3
+"""Share of the measured inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""

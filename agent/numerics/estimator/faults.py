@@ -4,7 +4,7 @@ A suspicion is a window that a channel explains better than other parameters do.
 all but wholly behind its onset. Until rows agree with what held before nothing is learnt, and no parameter moves.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,7 @@ class Faults:
     _findings: list[Finding] = field(default_factory=list)
     _rests: set[tuple[int, float]] = field(default_factory=set)
     _alive: bool = False
+    _lasts: bool = False
     _usual: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
@@ -114,6 +115,46 @@ class Faults:
         self._since = newest
         self._name(newest, Fault(0, "stood", float(record.outputs(newest, newest + 1)[0, 0]), 0.0))
 
+    def begun(self, record: Record, newest: int, intensity: FloatArray, first_node: FloatArray) -> None:
+        """Name an input that stood at one value all through a first window whose motion asks for unknown forces.
+
+        A force at rest reads 0; intensity (a,) of the sources, forces first, and the least (a,) that each may have.
+        """
+        pushed = [i for i, source in enumerate(self.learner.sources) if source.kind == "force"]
+        asked = any(intensity[i] > tuning.ACTIVE_NODES * first_node[i] for i in pushed)
+        resting = record.resting_in(np.array([newest]), self.learner.window)[0] & self.learner.rig.driven
+        for number in np.flatnonzero(resting & asked).tolist():
+            value = record.newest_input(newest, number)
+            if value != 0.0 and self.standing is None:
+                self._set(newest, Fault(self.learner.p + number, "stood", value, 0.0))
+
+    def reads_wrongly(self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge) -> bool:
+        """Whether one channel, and not what a first window is taken to say, explains it; that channel is named.
+
+        Asked where parameters are many times their nominal, or unknown forces as large as those that are measured. The
+        contest is between the stated noise and nominal parameters with one channel wrong, and anything else.
+        """
+        rig, q = self.learner.rig, self.learner.rig.q
+        nominal = np.abs(rig.nominal)
+        far = (nominal > 0) & (np.abs(np.log(np.maximum(np.abs(said.theta), 1e-6 * nominal) / np.where(nominal > 0, nominal, 1.0))) > np.log(tuning.MANY_TIMES))
+        measured = window.u[:, : len(rig.measured)][:, rig.driven].std(axis=0).max(initial=0.0)
+        forces = [v for v, s in zip(said.noise.intensity, self.learner.sources, strict=True) if s.kind == "force"]
+        if not far.any() and max(forces, default=0.0) < tuning.AS_LARGE * measured:
+            return False
+        known = replace(fresh, kept=said.kept)
+        spread = np.where(nominal > 0, tuning.POINT_SD * nominal, rig.scale)
+        found = self.contest(record, window, newest, known, spread[:q], said.theta)
+        if found.fault is not None:
+            self._name(newest, found.fault)
+        return found.fault is not None
+
+    def is_frozen(self, record: Record, index: int) -> bool:
+        """Whether an input that stood still reads what it stood at."""
+        fault, p = self.standing, self.learner.p
+        if fault is None or fault.kind != "stood" or fault.channel < p:
+            return False
+        return record.newest_input(index, fault.channel - p) == fault.size
+
     def contest(
         self, record: Record, window: Window, newest: int, known: Knowledge, sd: FloatArray, solved: FloatArray
     ) -> Contest:
@@ -122,6 +163,7 @@ class Faults:
         def late(channel: int, lag: int) -> Window | None:
             return record.late(newest, self.learner.window, channel, lag, self.learner.rig) if lag else window
 
+        self._lasts = self.is_frozen(record, newest)
         found = self._judge.contest(window, known, sd, solved, late)
         for number in np.flatnonzero(self.learner.rig.driven).tolist():
             value = record.newest_input(newest, number)
@@ -130,9 +172,15 @@ class Faults:
                 found = found.with_stood(self._judge.unbelieved(window, known, sd, number, value, self._usual[number]))
         return found
 
-    def follow(self, newest: int, found: Contest, onset: int | None) -> bool:
-        """Take what a contest says; return whether a channel may be what is wrong, so that no parameter moves."""
-        if found.leads is None or (onset is None and found.fault is None):
+    def follow(self, newest: int, found: Contest, onset: int | None, rests: bool) -> bool:
+        """Take what a contest says; return whether a channel may be what is wrong, so that no parameter moves.
+
+        onset: of broken rows, None where they hold; rests: other parameters fit the window.
+        """
+        if self._lasts:
+            return True
+        clear = found.fault is not None or self.standing is not None or not rests
+        if found.leads is None or not clear:
             self._withdraw(newest)
             return self.standing is not None
         began = newest if self._since is None else self._since

@@ -223,13 +223,17 @@ class SlidingEstimator:
             return False
         window = self._window(record, newest)[0]
         posterior, learnt = self._first(window)
-        if not posterior.converged:
+        fresh = self.learner.prior(*self._sigma(window.y))
+        if not posterior.converged or self.faults.reads_wrongly(record, window, newest, fresh, learnt):
             return False
+        self.faults.over(newest)
         self.posterior = posterior
         self._believe(newest, window, learnt)
         self.schedule.done(newest)
         self._place(self.posterior)
         self._start_stream(record, newest)
+        if self.known is not None and self.known.noise.is_started:
+            self.faults.begun(record, newest, self.known.noise.intensity, self.known.noise.nodes[:, 0])
         return True
 
     def _first(self, window: Window) -> tuple[Posterior, Knowledge]:
@@ -356,14 +360,14 @@ class SlidingEstimator:
             else:
                 position = self._first_event(reading, broken & ~hollow, hollow | still, position)
             # what is done at a row depends on the rows before it, however many of them came at once
-            self._mark(rows, range(marked, position), broken, hollow, still, ended)
+            self._mark(record, rows, range(marked, position), broken, hollow, still, ended)
             marked = position
             if position < stop and frozen[position]:
                 self.faults.freeze(record, int(reading.index[position]))
             elif position < stop and self._meet(record, reading, position, broken, hollow | still):
                 stop = position
             position += 1
-        self._mark(rows, range(marked, stop), broken, hollow, still, ended)
+        self._mark(record, rows, range(marked, stop), broken, hollow, still, ended)
         if self.settings.longer:
             longer = [
                 None if windowed is None else read(windowed, point, samples)
@@ -512,7 +516,7 @@ class SlidingEstimator:
         return bool(calls[i]) and self._act(record, reading, i, broken)
 
     def _mark(
-        self, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray, ended: IntArray
+        self, record: Record, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray, ended: IntArray
     ) -> None:
         """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.
 
@@ -531,7 +535,7 @@ class SlidingEstimator:
                 rows.invalidate(i, Reason.GAP if hollow[i] else reason)
             else:
                 self.disturbance.over(index)
-                if not still[i]:
+                if not still[i] and not self.faults.is_frozen(record, index):
                     self.faults.over(index)
                 if self.posterior is not None and self.posterior.rubs:
                     rows.invalidate(i, Reason.DRY_FRICTION)
@@ -604,7 +608,7 @@ class SlidingEstimator:
         if known is None or self.posterior is None or not (rests or whole or faults.is_active):
             return False
         found = faults.contest(record, window, newest, known, self.posterior.sd_repeat, theta)
-        return faults.follow(newest, found, onset)
+        return faults.follow(newest, found, onset, rests)
 
     def _explain(self, record: Record, newest: int) -> bool:
         """Try to explain a broken row: other parameters, or a whole window after its onset other noise."""

@@ -64,6 +64,11 @@ class Explanation:
     evidence: float
     excess: float
 
+    @property
+    def explains(self) -> bool:
+        """Whether what it leaves is like the noise: no more, and no less."""
+        return abs(self.excess) <= tuning.MISMATCH_SD
+
 
 @dataclass(frozen=True, slots=True)
 class Contest:
@@ -75,7 +80,7 @@ class Contest:
     @property
     def fault(self) -> Fault | None:
         """What is believed of a channel: it explains the window, and nothing else does nearly as well."""
-        if not self.channels or self.channels[0].excess > tuning.MISMATCH_SD:
+        if not self.channels or not self.channels[0].explains:
             return None
         best, others = self.channels[0], [self.structure, *self.channels[1:2]]
         clear = all(best.evidence - other.evidence > tuning.CHANNEL_EVIDENCE for other in others)
@@ -84,7 +89,7 @@ class Contest:
     @property
     def leads(self) -> Fault | None:
         """The fault that explains the window better than the structure does, be it by little; None where none does."""
-        explain = [e for e in self.channels if e.excess <= tuning.MISMATCH_SD]
+        explain = [e for e in self.channels if e.explains]
         best = explain[0] if explain else None
         return best.fault if best is not None and best.evidence > self.structure.evidence else None
 
@@ -125,13 +130,13 @@ class Judge:
 
     def _noisier(self, window: Window, known: Knowledge, solved: FloatArray, contest: Contest) -> Explanation:
         """The structure with other noise or unknown forces, where that explains a window better."""
-        evidence = -np.inf
+        options = [contest.structure]
         for theta in (solved, known.theta):
             there = replace(known, theta=theta)
-            at = self._learner.at_point(window, there)
-            free = self._under_prior(at, known, np.full(self._rig.q, 1e-6), self._rig.q)
-            evidence = max(evidence, free.evidence + self._learner.gain_by_noise(window, there) - tuning.NOISE_PRICE)
-        return max((contest.structure, Explanation(None, evidence, 0.0)), key=lambda e: e.evidence)
+            noisier = replace(there, noise=self._learner.other_noise(window, there))
+            free = self._under_prior(self._learner.at_point(window, noisier), known, np.full(self._rig.q, 1e-6), self._rig.q)
+            options.append(replace(free, evidence=free.evidence - tuning.NOISE_PRICE))
+        return max(options, key=lambda e: e.evidence)
 
     # ------------------------------------------------------------------ the structure
     def _structure(self, at: Linearised, known: Knowledge, sd: FloatArray) -> Explanation:

@@ -28,6 +28,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ComplexArray = NDArray[np.complex128]
 
+FIRM = 1e6
+"""Times as many degrees of freedom behind the level of each bin as were seen: one window moves none."""
+
 
 @dataclass(frozen=True)
 class Knowledge:
@@ -254,26 +257,32 @@ class Learner:
     def contested(self, window: Window, known: Knowledge, posterior: Posterior) -> bool:
         """Whether a change of the noise explains a window as well as a jump of the parameters does."""
         at = self._linearised(window, known, jumps=False)
-        before, fit = self._open_minded(at, window, known)
+        wide = self._ridge(at.regression.layout, window, self._wide(), -known.eta)
+        before, fit = self._open_minded(at, known, wide)
         gain = fit.restricted_log_likelihood() - before
         q, dof = self.rig.q, posterior.dof
         price = 0.5 * q * np.log(dof) + np.log(len(self.cuts))
         return bool(gain > 0.5 * posterior.jump_raw.max() - price)
 
-    def gain_by_noise(self, window: Window, known: Knowledge) -> float:
-        """Log likelihood that other noise of the rig gains a window at the point known; single bins stay as they are."""
-        before, fit = self._open_minded(self.at_point(window, known), window, known)
-        # a level of its own for a bin would take an offset for the noise of bin 0
-        fit.levels = known.noise.levels
-        return fit.restricted_log_likelihood() - before
+    def other_noise(self, window: Window, known: Knowledge) -> Noise:
+        """Return the noise that explains a window best at the point known; single bins stay as they are.
 
-    def _open_minded(self, at: Linearised, window: Window, known: Knowledge) -> tuple[float, NoiseFit]:
+        A level of its own for a bin would take an offset for the noise of bin 0.
+        """
+        mean, P = known.constants.standing
+        at = self.at_point(window, known)
+        ridge = self._ridge(at.regression.layout, window, P, mean - known.eta)
+        noise = known.noise
+        firm = replace(noise, power=FIRM * noise.power, dof=FIRM * noise.dof)
+        _, fit = self._open_minded(at, replace(known, noise=firm), ridge)
+        return replace(noise, log_sigma=np.maximum(fit.log_sigma, self.log_floor), intensity=fit.intensity)
+
+    def _open_minded(self, at: Linearised, known: Knowledge, ridge: Ridge) -> tuple[float, NoiseFit]:
         """Restricted log likelihood of a window under the noise known, and the fit of whatever noise explains it."""
-        wide = self._ridge(at.regression.layout, window, self._wide(), -known.eta)
-        before = NoiseFit(known.noise, at.cells, at.regression, self.sources, wide).restricted_log_likelihood()
+        before = NoiseFit(known.noise, at.cells, at.regression, self.sources, ridge).restricted_log_likelihood()
         open_minded = replace(known.noise, log_weight=0.1 * known.noise.log_weight, windows=min(known.noise.windows, 1))
         least = self._least(known.noise)
-        _, fit = learn(open_minded, at.cells, at.regression, self.sources, wide, None, least, shaken=True)
+        _, fit = learn(open_minded, at.cells, at.regression, self.sources, ridge, None, least, shaken=True)
         return before, fit
 
     # ------------------------------------------------------------------ linearisation

@@ -110,8 +110,8 @@ CREEP = 0.02
 """Share of the greatest speed below which the sign of a speed is not known. Needed by: EMPS without its friction."""
 FRICTION_EVIDENCE = 12.0
 """Log Bayes factor from which dry friction is believed: against odds of 1 : 10,000. Needed by: EMPS, no friction."""
-CHANNEL_EVIDENCE = 4.6
-"""Log odds, 99 : 1, by which a channel must explain a window better than anything else. Needed by: sensor faults."""
+CHANNEL_EVIDENCE = 9.2
+"""Log odds, 99 : 1 after a hundred looks, by which a channel must explain a window better than anything else. Needed by: sensor faults."""
 WORTH_MENDING = 60.0
 """Log evidence, as linearised, behind the best channel beyond which an explanation is not followed up. Cost only."""
 MENDINGS = 4
@@ -120,3 +120,7 @@ STOOD_SHARES = (1.0, 0.3, 0.1)
 """Sizes of the force in place of an input that froze, shares of what it used to be. Needed by: a force that freezes."""
 NOISE_PRICE = 7.6
 """Log evidence that a change of noise costs: two numbers of a window of 2000 readings. Needed by: forces that begin."""
+MANY_TIMES = 4.0
+"""Factor from its nominal at which a parameter competes with a channel that is wrong from the start."""
+AS_LARGE = 0.3
+"""Share of the measured inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""

@@ -75,6 +75,10 @@ class Record:
         mean, square = np.split((sums[stop] - sums[np.maximum(stop - window, 0)]) / window, 2, axis=1)
         return np.asarray(np.sqrt(np.maximum(square - mean**2, 0.0)))
 
+    def loses(self, start: int, stop: int) -> bool:
+        """Whether any reading of samples [start, stop) is lost."""
+        return bool(self._lost[start - self.first : stop - self.first].any())
+
     def lost_between(self, start: int, stop: int, window: int) -> Lost:
         """Return the lost readings of samples [start, stop), judged by the `window` samples before `stop`.
 
@@ -82,7 +86,7 @@ class Record:
         """
         first = max(stop - window, self.first)
         part = slice(first - self.first, stop - self.first)
-        if not self._lost[start - self.first : stop - self.first].any():
+        if not self.loses(start, stop):
             return Lost.none()
         bridge = bridge_over(self._v[part], self._lost[part], self.p)
         if bridge is None:

@@ -317,12 +317,14 @@ class SlidingEstimator:
     def _lost_until(self, record: Record, stop: int) -> Lost:
         """Return the lost readings of the heads and the rests of hops that are whole by sample `stop`."""
         plan, lost = self.settings.plan, Lost.none()
+        loses = record.loses(self._lost_fed, stop)
         while True:
             into = self._lost_fed % plan.hop
             end = self._lost_fed - into + (plan.head if into < plan.head else plan.hop)
             if end > stop:
                 return lost
-            lost = lost.followed(record.lost_between(self._lost_fed, end, plan.window))
+            if loses:
+                lost = lost.followed(record.lost_between(self._lost_fed, end, plan.window))
             self._lost_fed = end
 
     def _move(self, record: Record, posterior: Posterior, newest: int) -> None:

@@ -176,7 +176,7 @@ class Scanning:
 
     jumps: Jumps
     parts: Sequence[Summary]
-    ats: Sequence[Starts]
+    starts: Sequence[Starts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +223,7 @@ class Solving:
         row, own = slice(at, at + 1), self.starts.part(slice(i, i + 1))
         for b, scan in enumerate(self.operators.scans):
             right = found.right_of(self.operators, scan.right, hop, scanning.parts[b].part(row))
-            columns = scan.columns(found.solved, right[1], own, scanning.ats[b].part(row), right[0])
+            columns = scan.columns(found.solved, right[1], own, scanning.starts[b].part(row), right[0])
             scanning.jumps.cross[at, b], scanning.jumps.own[at, b] = columns[0][0], columns[1][0]
 
     def windowed(self) -> Windowed:

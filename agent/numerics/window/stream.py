@@ -11,7 +11,8 @@ from agent.numerics.window.course import Course
 from agent.numerics.window.eliminated import Scanning, Solving
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.jump import Jumps
-from agent.numerics.window.lost import Events, Lost, LostColumns, Taps
+from agent.numerics.window.losses import Losses
+from agent.numerics.window.lost import Lost, Taps
 from agent.numerics.window.noise import NoiseModel, Push
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import BankRows, Windowed, joined
@@ -44,7 +45,7 @@ class Stream:
         interest: int | None = None, taps: Taps | None = None,
     ) -> None:  # fmt: skip
         self.plan = plan
-        self._taps = taps or [[(0, column, 1.0)] for column in range(model.p + model.m)]
+        self._losses = Losses(taps or [[(0, column, 1.0)] for column in range(model.p + model.m)])
         self._longer = tuple(longer)
         self._interest = model.q if interest is None else interest
         self.operators = Operators(model, push, noise, plan, self._longer, self._interest)
@@ -59,7 +60,7 @@ class Stream:
         size = self.operators.size
         first_hop = -(-index // self.plan.hop)
         self._samples = Tail(first_hop * self.plan.hop, size.p + size.m)
-        self._lost = Lost.none()
+        self._losses.forget(self._samples.first, self._samples.first)
         self._begin(first_hop, np.zeros(size.z))
 
     def append(self, index: int, y: FloatArray, u: FloatArray, lost: Lost | None = None) -> None:
@@ -75,7 +76,7 @@ class Stream:
             raise ValueError(f"sample {index} does not follow on {end - 1}: start a segment there")
         self._samples.append(np.hstack([y, u])[skipped:])
         if lost is not None and len(lost):
-            self._lost = self._lost.followed(lost)
+            self._losses.append(lost)
 
     def rows(self) -> BankRows:
         """Return the rows that have fallen due since the last call."""
@@ -118,9 +119,8 @@ class Stream:
         self._began = hop
         self._states = Tail(hop, len(z))  # at the starts of hops
         self._sliding = _sliding(self.operators)
-        self._columns = LostColumns(self.operators, self._taps)
+        self._losses.begin(self.operators)
         self._newest_columns: tuple[tuple[int, int], FloatArray] | None = None
-        self._reach = max(abs(offset) for channel in self._taps for offset, *_ in channel)
         self._best: FloatArray | None = None  # physical state where the newest longest window starts
 
     def _mean_from_predictor(self, hop: int, operators: Operators) -> FloatArray:
@@ -151,7 +151,8 @@ class Stream:
         before, windows = self._head, self._windows(heads, rests)
         fresh = int(np.sum(index > self._given))
         solving = self._solving(index[units - fresh :], windows)
-        self._eliminate(index, _completed(before, heads, rests, self.operators), heads, solving)
+        completed = _completed(before, heads, rests, self.operators)
+        self._losses.eliminate(int(index[0]) // self.plan.hop, (completed, heads), solving, self._over)
         rows = BankRows(index[units - fresh :], tuple(_row(one) for one in solving)) if fresh else None
         self._given = max(self._given, int(index[-1]))
         self._trim()
@@ -235,39 +236,6 @@ class Stream:
         samples = tuple(self.plan.samples(right) for right in rights)
         return Scanning(Jumps(scanned, cross, own, samples), parts, ats)
 
-    def _eliminate(
-        self, index: IntArray, completed: Summary | None, heads: Summary, solving: list[Solving | None]
-    ) -> None:
-        """Eliminate what was lost from the windows that end at rows `index`; completed: the hops before these."""
-        hop = int(index[0]) // self.plan.hop
-        near = self._lost.between((hop - 1) * self.plan.hop - self._reach, int(index[-1]) + 1)
-        if self._columns.is_idle(hop) and not len(near):
-            return
-        for i in range(len(index)):
-            events = self._events(hop + i, None if completed is None else completed.moment[i], heads.moment[i])
-            if events is None:
-                continue
-            for one in solving:
-                if one is not None:
-                    one.eliminate(events, self._columns.held_from, hop + i)
-
-    def _events(self, hop: int, completed: FloatArray | None, head: FloatArray) -> Events | None:
-        """Carry the lost readings' columns on to a head's end; None where none is held."""
-        start, newest = hop * self.plan.hop, hop * self.plan.hop + self.plan.head
-        if completed is not None:
-            lost = self._touching(hop - 1, newest)
-            if len(lost) or not self._columns.is_idle(hop):
-                self._columns.complete(hop - 1, lost, self._over(hop - 1, start) if len(lost) else None, completed)
-        lost = self._touching(hop, newest)
-        if not len(lost) and self._columns.is_idle(hop):
-            return None
-        return self._columns.until(hop, lost, self._over(hop, newest) if len(lost) else None, head)
-
-    def _touching(self, hop: int, newest: int) -> Lost:
-        """Return the lost readings before sample `newest` that may touch a hop."""
-        start, stop = self._columns.reach(hop)
-        return self._lost.between(start, min(stop, newest))
-
     def _over(self, hop: int, stop: int) -> FloatArray:
         """Return [e ψ] of a hop's samples up to `stop`; the newest are at hand."""
         if self._newest_columns is None or self._newest_columns[0] != (hop, stop):
@@ -288,7 +256,7 @@ class Stream:
         if spare > SPARE + keep * self.plan.hop:
             self._states.forget(oldest)
             self._samples.forget(oldest * self.plan.hop)
-            self._lost = self._lost.between(oldest * self.plan.hop - self._reach, self._samples.stop)
+            self._losses.forget(oldest * self.plan.hop, self._samples.stop)
 
     def _renew(self) -> None:
         """Start mean and predictor anew at the best state of the newest longest window."""

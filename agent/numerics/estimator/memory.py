@@ -24,6 +24,7 @@ def to_text(known: Knowledge) -> str:
             "power": _sparse(noise.power), "dof": _sparse(noise.dof), "nodes": _list(noise.nodes),
             "log_weight": _list(noise.log_weight), "intensity": _list(noise.intensity),
             "spread": _list(noise.spread), "windows": noise.windows, "turn": noise.turn,
+            "walk": noise.walk, "counted": noise.counted,
         },
         "constants": {
             "names": [h.name for h in constants.hypotheses], "weight": _list(constants.weight),
@@ -47,6 +48,7 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
     noise = Noise(
         array(n["log_sigma"]), array(n["log_sigma_var"]), _dense(n["power"], fresh.power), _dense(n["dof"], fresh.dof),
         array(n["nodes"]), array(n["log_weight"]), array(n["intensity"]), array(n["spread"]), n["windows"], n["turn"],
+        n["walk"], n["counted"],
     )  # fmt: skip
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
         return None

@@ -71,8 +71,7 @@ class OperatingPoint:
 
 
 def operating_point(
-    rig: Rig, known: Knowledge, posterior: Posterior, sources: tuple[Source, ...], window: int, walk: float,
-    sharpest: FloatArray,
+    rig: Rig, known: Knowledge, posterior: Posterior, sources: tuple[Source, ...], window: int, sharpest: FloatArray,
 ) -> OperatingPoint:  # fmt: skip
     """Return where the bank works, from what is known and what the newest window that was learnt from said.
 
@@ -94,10 +93,9 @@ def operating_point(
     push = Push(at.E, seen.output_gain[:, None] * at.F)
     wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
     shape = _shape(known, posterior, wider)
-    unsure = float(known.noise.log_sigma_var.max()) + walk**2
     return OperatingPoint(
-        model, push, bank_noise(known, sources, window), known.theta, at.unit, sharpest / at.unit, wider, shape, unsure,
-        max(1.0, float(known.scatter.within.max())), seen.slopes,
+        model, push, bank_noise(known, sources, window), known.theta, at.unit, sharpest / at.unit, wider, shape,
+        known.noise.unsure, max(1.0, float(known.scatter.within.max())), seen.slopes,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.operating_point import OperatingPoint
 from agent.numerics.inference.mixture import NORMAL_975
+from agent.numerics.inference.noise import chance, louder
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
 
@@ -87,9 +88,6 @@ def read(
         own = np.diagonal(_inverse(M[:, :q, :q]), axis1=1, axis2=2)
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
     by_constants = point.unit * np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0))
-    repeat = point.unit * np.sqrt(own * point.wider)
-    shape = point.shape
-    width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
     theta = point.theta + point.unit * d[:, :q]
     sharp = np.sqrt(own)
     # the point was found by sharper windows: a poor one moves it only by what chance never does
@@ -98,7 +96,10 @@ def read(
     far &= sharp < FAR_SHARPEST
     rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
-    excess = np.log(rss / dof) / np.sqrt(2 / dof + 4 * point.unsure)
+    excess = np.log(rss / dof) / chance(dof, point.unsure)
+    repeat = point.unit * np.sqrt(own * point.wider * louder(rss / dof, dof, point.unsure)[:, None])
+    shape = point.shape
+    width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
     jump = np.full(len(rss), jump_before)
     if windowed.jumps is not None and len(windowed.jumps.index):
         at = np.searchsorted(windowed.index, windowed.jumps.index)

@@ -272,8 +272,7 @@ class SlidingEstimator:
         self._sharpest = np.minimum(DULLED * self._sharpest, posterior.sd_repeat)
         assert self.known is not None  # noqa: S101 - set by whoever calls
         self.point = operating_point(
-            self.settings.rig, self.known, posterior, self.learner.sources, self.settings.plan.window,
-            tuning.SIGMA_WALK, self._sharpest,
+            self.settings.rig, self.known, posterior, self.learner.sources, self.settings.plan.window, self._sharpest,
         )  # fmt: skip
 
     def _start_stream(self, record: Record, newest: int) -> None:

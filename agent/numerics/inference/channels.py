@@ -22,6 +22,7 @@ from agent.numerics.inference.algebra import inverse
 from agent.numerics.inference.bins import unitary
 from agent.numerics.inference.columns import Regressor, Window
 from agent.numerics.inference.learner import Knowledge, Learner, Linearised
+from agent.numerics.inference.noise import chance
 from agent.numerics.model.uncertain import Rig
 
 FloatArray = NDArray[np.float64]
@@ -320,8 +321,7 @@ class Judge:
         return float(at.cells.weight.sum() * self._learner.p - layout.n)
 
     def _excess(self, rss: float, dof: float, known: Knowledge) -> float:
-        unsure = float(known.noise.log_sigma_var.max()) + tuning.SIGMA_WALK**2
-        return float(np.log(max(rss, 1e-300) / dof) / np.sqrt(2 / dof + 4 * unsure))
+        return float(np.log(max(rss, 1e-300) / dof) / chance(dof, known.noise.unsure))
 
     def _spread_of_noise(self, at: Linearised) -> float:
         """Half of log det S: unknown forces show otherwise where the parameters are others."""

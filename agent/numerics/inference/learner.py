@@ -18,7 +18,7 @@ from agent.numerics.inference.covariance import Cells, HighPower, inverse_of
 from agent.numerics.inference.ends import Ends
 from agent.numerics.inference.friction import column, friction
 from agent.numerics.inference.mixture import NORMAL_975, interval95
-from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, layout_free, learn
+from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, layout_free, learn, louder
 from agent.numerics.inference.response import Response
 from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio
 from agent.numerics.inference.sources import directions, sources_of
@@ -500,11 +500,11 @@ class Learner:
         mean = after.weight @ means
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)
-        wider = wider * known.scatter.factor
+        jump, raw, (excess, beyond), power, dof = self._tests(at, known)
+        wider = wider * known.scatter.factor * louder(power, dof, known.noise.unsure)
         extra = u**2 * own * (wider - 1)
         sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
         lower, upper = interval95(after.weight, means, sds)
-        jump, raw, excess, beyond, dof = self._tests(at, known)
         return Posterior(
             theta=mean, sd=(upper - lower) / (2 * NORMAL_975), lower=lower, upper=upper,
             linear=at.theta + u * (alone - Z @ (after.standing[0] - known.eta)),
@@ -513,8 +513,10 @@ class Learner:
             changing=bool(len(jump) and jump.max() > self.threshold), dof=dof,
         )  # fmt: skip
 
-    def _tests(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, float, float, float]:
-        """Jump statistics, misfit without and with the best jump in predictive sds, and degrees of freedom."""
+    def _tests(
+        self, at: Linearised, known: Knowledge
+    ) -> tuple[FloatArray, FloatArray, tuple[float, float], float, float]:
+        """Jump statistics; misfit without and with the best jump, predictive sds; power a degree of freedom; these."""
         layout = at.regression.layout
         nb = layout.base
         V = inverse(at.G[:nb, :nb] + at.ridge.R)
@@ -523,14 +525,9 @@ class Learner:
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
         raw = np.array([self._jump(at, V, fit, i) for i in range(layout.cuts)])
         left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
-        excess, beyond = np.log(left / dof) / self._chance(dof, known.noise) * bool(known.noise.windows)
+        excess, beyond = np.log(left / dof) / chance(dof, known.noise.unsure) * bool(known.noise.windows)
         misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max()))
-        return raw / misfit, raw, float(excess), float(beyond), dof
-
-    def _chance(self, dof: float, noise: Noise) -> float:
-        """Predictive sd of the logarithm of the residual's power."""
-        unsure = float(noise.log_sigma_var.max()) + tuning.SIGMA_WALK**2
-        return float(np.sqrt(2 / dof + 4 * unsure))
+        return raw / misfit, raw, (float(excess), float(beyond)), rss / dof, dof
 
     def line(self, window: Window, known: Knowledge) -> Line:
         """Return what a window says if its parameters move on and on through it.
@@ -563,7 +560,7 @@ class Learner:
         stair = fit[nb:] ** 2 / (12 * cuts**2)
         own = at.unit * np.sqrt(np.diag(end @ V @ end.T) * misfit + stair)
         sd = np.sqrt(own**2 + np.maximum(open_constants, 0.0))
-        excess = float(np.log(left / plain.dof) / self._chance(plain.dof, known.noise))
+        excess = float(np.log(left / plain.dof) / chance(plain.dof, known.noise.unsure))
         said = replace(
             plain, theta=theta, sd=sd, lower=theta - NORMAL_975 * sd, upper=theta + NORMAL_975 * sd, sd_repeat=own,
             excess=excess, changing=excess > plain.beyond_jump,

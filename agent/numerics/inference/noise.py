@@ -44,6 +44,7 @@ class Noise:
         intensity: (a,) posterior mean of each.
         spread: (a, q) relative variance that the uncertainty of each intensity adds to each parameter.
         windows: windows learnt; turn: whose turn it is in the rotation.
+        walk: variance of the random walk of log σ from window to window; counted: windows behind it.
     """
 
     log_sigma: FloatArray
@@ -56,6 +57,8 @@ class Noise:
     spread: FloatArray
     windows: int = 0
     turn: int = 0
+    walk: float = tuning.SIGMA_WALK**2
+    counted: float = tuning.SIGMA_WALK_DOF
 
     @classmethod
     def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
@@ -73,9 +76,27 @@ class Noise:
         return self.power / self.dof
 
     @property
+    def unsure(self) -> float:
+        """Variance of log σ, of the sensor known least, in the window to come."""
+        return float(self.log_sigma_var.max()) + self.walk
+
+    @property
     def is_started(self) -> bool:
         """Whether the grids of intensities stand."""
         return bool(self.nodes.size)
+
+
+def chance(dof: FloatArray | float, unsure: float) -> FloatArray:
+    """Return the predictive sd of the logarithm of a residual's power, with variance `unsure` of log σ."""
+    return np.asarray(np.sqrt(2 / dof + 4 * unsure))
+
+
+def louder(power: FloatArray | float, dof: FloatArray | float, unsure: float) -> FloatArray:
+    """Return by how much the noise of a window exceeds what was expected, from its residual's power over dof.
+
+    As much of that is the window's own σ as the walk of σ allows for; less power than expected is no luck.
+    """
+    return np.asarray(np.maximum(power, 1.0) ** (4 * unsure / (4 * unsure + 2 / dof)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,7 +440,7 @@ def learn(
         )
     )
     fit = NoiseFit(start, cells, regression, sources, wide)
-    walk = tuning.SIGMA_WALK**2 * (start.windows > 0) + 0.3**2 * shaken
+    walk = start.walk * (start.windows > 0) + 0.3**2 * shaken
     mean, var = start.log_sigma, start.log_sigma_var + walk
     carried = np.maximum(tuning.FORGET * start.log_weight, tuning.LOWEST_LOG_WEIGHT)
     every = start.windows < 3
@@ -474,10 +495,20 @@ def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     prior = tuning.LEVEL_DOF
     power = np.where(seen, prior + keep * (noise.power - prior) + fit.seen_power, noise.power)
     dof = np.where(seen, prior + keep * (noise.dof - prior) + fit.seen_dof, noise.dof)
+    walk, counted = _walk_after(noise, fit)
     return Noise(
         fit.log_sigma, fit.log_sigma_var, power, dof, noise.nodes, log_weight, fit.intensity, spread,
-        noise.windows + 1, noise.turn + tuning.ROTATION,
+        noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted,
     )  # fmt: skip
+
+
+def _walk_after(noise: Noise, fit: NoiseFit) -> tuple[float, float]:
+    """Return the walk of log σ with one more step of it, and how many it rests on."""
+    if not noise.windows:
+        return noise.walk, noise.counted
+    step = float(np.max((fit.log_sigma - noise.log_sigma) ** 2 - fit.log_sigma_var))
+    kept = tuning.FORGET * noise.counted
+    return (kept * noise.walk + max(step, 0.0)) / (kept + 1), kept + 1
 
 
 def layout_free(layout: Layout) -> FloatArray:

@@ -8,8 +8,10 @@ SIGMA_SPREAD_UNSTATED = 5.0
 """Prior sd of log σ where no noise_sd is stated: nothing is known. Needed by: white noise to be learnt."""
 SIGMA_UNKNOWN = 1.0
 """Prior sd of log σ beyond which it counts as not known when grids of intensities are laid out. Needed by: EMPS."""
-SIGMA_WALK = 0.03
-"""Random walk of log σ from one window to the next. Needed by: sensors that age, noise_sd × 0.5."""
+SIGMA_WALK = 0.15
+"""Prior sd of the random walk of log σ from window to window. Needed by: jitter, whose noise grows with speed."""
+SIGMA_WALK_DOF = 4.0
+"""Windows that this prior counts for; what windows then show comes down to 0.03 on a steady rig. Needed by: jitter."""
 LEVEL_DOF = 30.0
 """Prior degrees of freedom of each frequency bin's own noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
 FORGET = 0.97

@@ -199,7 +199,7 @@ class SlidingEstimator:
             if not begun:
                 self._whole += -(-plan.window // (RETRY * plan.hop)) * plan.hop
                 passed = due[(due >= first) & (due < self._whole)]
-                unexplained = Outcome.unexplained(passed, q)
+                unexplained = Outcome.unexplained(passed, q, self.faults.reason or Reason.MISMATCH)
                 newest = np.minimum(passed, record.stop - 1)
                 unexplained.lack(self._hollow(record, newest))
                 unexplained.stand_still(self._still(record, newest))
@@ -219,16 +219,14 @@ class SlidingEstimator:
         window = self._window(record, newest)[0]
         posterior, learnt = self._first(window)
         fresh = self.learner.prior(*self._sigma(window.y))
-        if not posterior.converged or self.faults.reads_wrongly(record, window, newest, fresh, learnt):
+        if not posterior.converged or self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior.theta):
             return False
-        self.faults.over(newest)
+        self.faults.begun(record, newest, learnt.noise)
         self.posterior = posterior
         self._believe(newest, window, learnt)
         self.schedule.done(newest)
         self._place(self.posterior)
         self._start_stream(record, newest)
-        if self.known is not None and self.known.noise.is_started:
-            self.faults.begun(record, newest, self.known.noise.intensity, self.known.noise.nodes[:, 0])
         return True
 
     def _first(self, window: Window) -> tuple[Posterior, Knowledge]:

@@ -115,7 +115,7 @@ class Judge:
         self._learner, self._rig = learner, learner.rig
         self._inputs = np.flatnonzero(learner.rig.driven).tolist()
 
-    def contest(self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray, late: Late) -> Contest:
+    def contest(self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray, late: Late, everything: bool = False) -> Contest:
         """Weigh a window; known: what held before, sd (q,) of its θ; solved (q,): θ where the window came to rest."""
         there = self._learner.at_point(window, replace(known, theta=solved), jumps=True)
         before = self._learner.at_point(window, known)
@@ -123,7 +123,7 @@ class Judge:
         # linear evidences are of one scale: what is far behind is not mended
         first = list(self._looked(before, window, known, sd))
         least = min((value for _, value in first), default=0.0)
-        worth = [fault for fault, value in first if value - least < 2 * tuning.WORTH_MENDING * _temper(known)]
+        worth = [fault for fault, value in first if everything or value - least < 2 * tuning.WORTH_MENDING * _temper(known)]
         found = [e for fault in worth if (e := self._mended(fault, known, sd, late)) is not None]
         contest = Contest(structure, _best_of_each(found))
         return contest if contest.leads is None else replace(contest, structure=self._noisier(window, known, solved, contest))

@@ -109,7 +109,7 @@ class Faults:
         """(N,) windows that end at samples `index` in whose newer half no output changes, though each has noise."""
         if not self._alive or not still.any():
             return np.zeros(len(index), dtype=bool)
-        return still & (record.changes_in(index, self.learner.window // 2) == 0)
+        return np.asarray(still & (record.changes_in(index, self.learner.window // 2) == 0))
 
     def freeze(self, record: Record, newest: int) -> None:
         """Note that the outputs repeat themselves: the first of them is named."""

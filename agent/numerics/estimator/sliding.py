@@ -217,9 +217,12 @@ class SlidingEstimator:
         if self._hollow(record, at)[0] or self._still(record, at)[0] or not self.budget.take(newest):
             return False
         window = self._window(record, newest)[0]
+        new = self.posterior is None and not self._adopted
         posterior, learnt = self._first(window)
+        if not posterior.converged:
+            return False
         fresh = self.learner.prior(*self._sigma(window.y))
-        if not posterior.converged or self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior.theta):
+        if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior.theta):
             return False
         self.faults.begun(record, newest, learnt.noise)
         self.posterior = posterior
@@ -464,7 +467,8 @@ class SlidingEstimator:
         return start + int(np.argmax(events)) if events.any() else len(index)
 
     def _mark(
-        self, record: Record, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray, ended: IntArray
+        self, record: Record, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray,
+        ended: IntArray,
     ) -> None:
         """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.
 

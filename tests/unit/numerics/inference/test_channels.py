@@ -108,7 +108,8 @@ def test_evidence_of_a_mended_window_is_that_of_dense_least_squares(masses: int)
         dense = DenseWindow.of(rig, noise, one.y, one.u, one.slope, rig.theta, np.zeros(len(rig.constants)))
         return found.evidence, -0.5 * cost(dense, precision)
 
-    whole, mended = both(window), both(replace(window, y=window.y + [1e-4, *[0.0] * (masses - 1)]))
+    offset = 1e-4 * np.eye(masses)[0]
+    whole, mended = both(window), both(replace(window, y=window.y + offset))
     assert mended[0] - whole[0] == pytest.approx(mended[1] - whole[1], rel=1e-4, abs=1e-3)
 
 

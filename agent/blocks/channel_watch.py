@@ -55,6 +55,8 @@ def _factor(fault: Fault) -> str:
     """A gain that changed, in words."""
     if fault.size < -1:
         return f"{number(1 + fault.size, 3)} times what it should: its sign is turned"
+    if fault.size > 1:
+        return f"{number(1 + fault.size, 3)} times what it should"
     larger = "more" if fault.size > 0 else "less"
     return f"{number(100 * abs(fault.size), 3)} ± {number(100 * fault.sd, 2)} % {larger} than it should"
 

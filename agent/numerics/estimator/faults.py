@@ -15,6 +15,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.channels import Contest, Fault, Judge
 from agent.numerics.inference.columns import Window
 from agent.numerics.inference.learner import Knowledge, Learner
+from agent.numerics.inference.noise import Noise
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import Reason
 
@@ -108,45 +109,56 @@ class Faults:
         """(N,) windows that end at samples `index` in whose newer half no output changes, though each has noise."""
         if not self._alive or not still.any():
             return np.zeros(len(index), dtype=bool)
-        return still & (record.changes_in(index, self.learner.window // 2) == 0)
+        return np.asarray(still & (record.changes_in(index, self.learner.window // 2) == 0))
 
     def freeze(self, record: Record, newest: int) -> None:
         """Note that the outputs repeat themselves: the first of them is named."""
         self._since = newest
         self._name(newest, Fault(0, "stood", float(record.outputs(newest, newest + 1)[0, 0]), 0.0))
 
-    def begun(self, record: Record, newest: int, intensity: FloatArray, first_node: FloatArray) -> None:
-        """Name an input that stood at one value all through a first window whose motion asks for unknown forces.
+    def begun(self, record: Record, newest: int, noise: Noise) -> None:
+        """Name an input that stood at one value all through a first window whose motion asks for unknown forces."""
+        self.over(newest)
+        forces = np.array([source.kind == "force" for source in self.learner.sources], dtype=bool)
+        asked = noise.is_started and np.any((noise.intensity > tuning.ACTIVE_NODES * noise.nodes[:, 0]) & forces)
+        for fault in self._standing_inputs(record, newest, self.learner.window)[: int(asked)]:
+            self._set(newest, fault)
 
-        A force at rest reads 0; intensity (a,) of the sources, forces first, and the least (a,) that each may have.
-        """
-        pushed = [i for i, source in enumerate(self.learner.sources) if source.kind == "force"]
-        asked = any(intensity[i] > tuning.ACTIVE_NODES * first_node[i] for i in pushed)
-        resting = record.resting_in(np.array([newest]), self.learner.window)[0] & self.learner.rig.driven
-        for number in np.flatnonzero(resting & asked).tolist():
-            value = record.newest_input(newest, number)
-            if value != 0.0 and self.standing is None:
-                self._set(newest, Fault(self.learner.p + number, "stood", value, 0.0))
-
-    def reads_wrongly(self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge) -> bool:
+    def reads_wrongly(
+        self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge, theta: FloatArray
+    ) -> bool:
         """Whether one channel, and not what a first window is taken to say, explains it; that channel is named.
 
-        Asked where parameters are many times their nominal, or unknown forces as large as those that are measured. The
-        contest is between the stated noise and nominal parameters with one channel wrong, and anything else.
+        Asked where θ (q,) is many times its nominal, or unknown forces as large as those that are measured. The contest
+        is between the stated noise and nominal parameters with one channel wrong, and anything else.
         """
-        rig, q = self.learner.rig, self.learner.rig.q
-        nominal = np.abs(rig.nominal)
-        far = (nominal > 0) & (np.abs(np.log(np.maximum(np.abs(said.theta), 1e-6 * nominal) / np.where(nominal > 0, nominal, 1.0))) > np.log(tuning.MANY_TIMES))
-        measured = window.u[:, : len(rig.measured)][:, rig.driven].std(axis=0).max(initial=0.0)
-        forces = [v for v, s in zip(said.noise.intensity, self.learner.sources, strict=True) if s.kind == "force"]
-        if not far.any() and max(forces, default=0.0) < tuning.AS_LARGE * measured:
+        length, nominal = self.learner.window, np.abs(self.learner.rig.nominal)
+        if self._standing_inputs(record, newest, length) or not self._is_odd(window, said, theta):
             return False
-        known = replace(fresh, kept=said.kept)
-        spread = np.where(nominal > 0, tuning.POINT_SD * nominal, rig.scale)
-        found = self.contest(record, window, newest, known, spread[:q], said.theta)
+        if newest + 1 - record.first < length + length // 4:
+            return True  # nothing can be late yet: looked at again a quarter of a window on
+        spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
+        found = self.contest(record, window, newest, replace(fresh, kept=said.kept), spread, theta, first=True)
         if found.fault is not None:
             self._name(newest, found.fault)
         return found.fault is not None
+
+    def _is_odd(self, window: Window, said: Knowledge, theta: FloatArray) -> bool:
+        """Whether a window is taken to say what is not expected of a rig, or a channel is at fault already."""
+        rig = self.learner.rig
+        sized = rig.nominal != 0
+        ratio = np.maximum(theta[sized] / rig.nominal[sized], np.exp(-10.0 * tuning.MANY_TIMES))
+        measured = window.u[:, : len(rig.measured)][:, rig.driven].std(axis=0).max(initial=0.0)
+        forces = [v for v, s in zip(said.noise.intensity, self.learner.sources, strict=True) if s.kind == "force"]
+        many = np.any(np.abs(np.log(ratio)) > np.log(tuning.MANY_TIMES))
+        large = measured > 0 and max(forces, default=0.0) >= tuning.AS_LARGE * measured
+        return bool(self.standing is not None or many or large)
+
+    def _standing_inputs(self, record: Record, newest: int, span: int) -> list[Fault]:
+        """Inputs that read one value other than 0 in the last `span` samples: a force at rest reads 0."""
+        resting = record.resting_in(np.array([newest]), span)[0] & self.learner.rig.driven
+        values = [(j, record.newest_input(newest, j)) for j in np.flatnonzero(resting).tolist()]
+        return [Fault(self.learner.p + j, "stood", value, 0.0) for j, value in values if value != 0.0]
 
     def is_frozen(self, record: Record, index: int) -> bool:
         """Whether an input that stood still reads what it stood at."""
@@ -156,15 +168,16 @@ class Faults:
         return record.newest_input(index, fault.channel - p) == fault.size
 
     def contest(
-        self, record: Record, window: Window, newest: int, known: Knowledge, sd: FloatArray, solved: FloatArray
-    ) -> Contest:
+        self, record: Record, window: Window, newest: int, known: Knowledge, sd: FloatArray, solved: FloatArray,
+        first: bool = False,
+    ) -> Contest:  # fmt: skip
         """Put the window that ends with sample `newest` to a contest of explanations; solved: its own best θ."""
 
         def late(channel: int, lag: int) -> Window | None:
             return record.late(newest, self.learner.window, channel, lag, self.learner.rig) if lag else window
 
         self._lasts = self.is_frozen(record, newest)
-        found = self._judge.contest(window, known, sd, solved, late)
+        found = self._judge.contest(window, known, sd, solved, late, everything=first)
         for number in np.flatnonzero(self.learner.rig.driven).tolist():
             value = record.newest_input(newest, number)
             stands = record.resting_in(np.array([newest]), int(WHOLE * self.learner.window))[0, number]

@@ -50,10 +50,10 @@ class Outcome:
         return cls(index, theta, sd, lower, upper, repeat, status, none, window, dof)
 
     @classmethod
-    def unexplained(cls, index: IntArray, q: int) -> "Outcome":
-        """Return rows of windows that nothing fits."""
+    def unexplained(cls, index: IntArray, q: int, reason: Reason = Reason.MISMATCH) -> "Outcome":
+        """Return rows of windows that nothing fits, or that a channel spoils."""
         rows = cls.warming(index, q)
-        rows.status[:], rows.reason[:] = Status.INVALID, Reason.MISMATCH
+        rows.status[:], rows.reason[:] = Status.INVALID, reason
         return rows
 
     @classmethod

@@ -204,7 +204,7 @@ class SlidingEstimator:
             if not begun:
                 self._whole += -(-plan.window // (RETRY * plan.hop)) * plan.hop
                 passed = due[(due >= first) & (due < self._whole)]
-                unexplained = Outcome.unexplained(passed, q)
+                unexplained = Outcome.unexplained(passed, q, self.faults.reason or Reason.MISMATCH)
                 newest = np.minimum(passed, record.stop - 1)
                 unexplained.lack(self._hollow(record, newest))
                 unexplained.stand_still(self._still(record, newest))
@@ -222,18 +222,19 @@ class SlidingEstimator:
         if self._hollow(record, at)[0] or self._still(record, at)[0] or not self.budget.take(newest):
             return False
         window = self._window(record, newest)[0]
+        new = self.posterior is None and not self._adopted
         posterior, learnt = self._first(window)
-        fresh = self.learner.prior(*self._sigma(window.y))
-        if not posterior.converged or self.faults.reads_wrongly(record, window, newest, fresh, learnt):
+        if not posterior.converged:
             return False
-        self.faults.over(newest)
+        fresh = self.learner.prior(*self._sigma(window.y))
+        if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior.theta):
+            return False
+        self.faults.begun(record, newest, learnt.noise)
         self.posterior = posterior
         self._believe(newest, window, learnt)
         self.schedule.done(newest)
         self._place(self.posterior)
         self._start_stream(record, newest)
-        if self.known is not None and self.known.noise.is_started:
-            self.faults.begun(record, newest, self.known.noise.intensity, self.known.noise.nodes[:, 0])
         return True
 
     def _first(self, window: Window) -> tuple[Posterior, Knowledge]:
@@ -517,7 +518,8 @@ class SlidingEstimator:
         return bool(calls[i]) and self._act(record, reading, i, broken)
 
     def _mark(
-        self, record: Record, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray, ended: IntArray
+        self, record: Record, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray,
+        ended: IntArray,
     ) -> None:
         """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.
 

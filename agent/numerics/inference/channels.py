@@ -32,6 +32,8 @@ Late = Callable[[int, int], Window | None]
 """(channel, lag) -> the window in which a channel's readings are moved back by so many samples; None where not whole"""
 RESTS_SD, RESTS_SAMPLES = 0.3, 0.6
 """Sds of an offset or a gain, samples of a delay, below which what is left of it is not mended further."""
+FLAT = 1e-6
+"""Prior precision of a free parameter: within a thousand times itself."""
 LEAST_FACTOR = 1e-9
 """A gain that would mend a reading by less than this has no reading left."""
 
@@ -94,7 +96,6 @@ class Contest:
         best = explain[0] if explain else None
         return best.fault if best is not None and best.evidence > self.structure.evidence else None
 
-
     def with_stood(self, one: Explanation) -> "Contest":
         """Return the contest with an input that is not believed as one more explanation."""
         return replace(self, channels=_best_of_each([*self.channels, one]))
@@ -116,7 +117,9 @@ class Judge:
         self._learner, self._rig = learner, learner.rig
         self._inputs = np.flatnonzero(learner.rig.driven).tolist()
 
-    def contest(self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray, late: Late) -> Contest:
+    def contest(
+        self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray, late: Late, everything: bool = False
+    ) -> Contest:
         """Weigh a window; known: what held before, sd (q,) of its θ; solved (q,): θ where the window came to rest."""
         there = self._learner.at_point(window, replace(known, theta=solved), jumps=True)
         before = self._learner.at_point(window, known)
@@ -124,10 +127,14 @@ class Judge:
         # linear evidences are of one scale: what is far behind is not mended
         first = list(self._looked(before, window, known, sd))
         least = min((value for _, value in first), default=0.0)
-        worth = [fault for fault, value in first if value - least < 2 * tuning.WORTH_MENDING * _temper(known)]
+        worth = [
+            fault for fault, value in first if everything or value - least < 2 * tuning.WORTH_MENDING * _temper(known)
+        ]
         found = [e for fault in worth if (e := self._mended(fault, known, sd, late)) is not None]
         contest = Contest(structure, _best_of_each(found))
-        return contest if contest.leads is None else replace(contest, structure=self._noisier(window, known, solved, contest))
+        if contest.leads is None:
+            return contest
+        return replace(contest, structure=self._noisier(window, known, solved, contest))
 
     def _noisier(self, window: Window, known: Knowledge, solved: FloatArray, contest: Contest) -> Explanation:
         """The structure with other noise or unknown forces, where that explains a window better."""
@@ -135,7 +142,8 @@ class Judge:
         for theta in (solved, known.theta):
             there = replace(known, theta=theta)
             noisier = replace(there, noise=self._learner.other_noise(window, there))
-            free = self._under_prior(self._learner.at_point(window, noisier), known, np.full(self._rig.q, 1e-6), self._rig.q)
+            at = self._learner.at_point(window, noisier)
+            free = self._under_prior(at, known, np.full(self._rig.q, FLAT), self._rig.q)
             options.append(replace(free, evidence=free.evidence - tuning.NOISE_PRICE))
         return max(options, key=lambda e: e.evidence)
 
@@ -143,7 +151,7 @@ class Judge:
     def _structure(self, at: Linearised, known: Knowledge, sd: FloatArray) -> Explanation:
         layout, dof = at.regression.layout, self._dof(at)
         q, nb = self._rig.q, layout.base
-        flat = np.full(q, 1e-6)
+        flat = np.full(q, FLAT)
         held = (at.unit / sd) ** 2
         base = list(range(nb))
         options = [(base, held, 0), (base, flat, q)]
@@ -227,15 +235,17 @@ class Judge:
             if found is None:
                 return None
             _, step, spread = found
-            if abs(step) < (RESTS_SAMPLES if fault.kind == "delay" else RESTS_SD * spread):
-                return self._explained(replace(fault, sd=spread), window, known, sd)
-            size = (1 + fault.size) * (1 + step) - 1 if fault.kind == "gain" else fault.size + step
-            fault = replace(fault, size=size)
+            fault = replace(fault, sd=spread, size=lag if fault.kind == "delay" else fault.size)
+            if fault.kind == "delay" and abs(step) < RESTS_SAMPLES:
+                return self._explained(replace(fault, size=lag + step), window, known, sd)
+            if abs(step) < RESTS_SD * spread:
+                return self._explained(fault, window, known, sd)
+            fault = replace(
+                fault, size=(1 + fault.size) * (1 + step) - 1 if fault.kind == "gain" else fault.size + step
+            )
         return None
 
-    def _explained(
-        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray
-    ) -> Explanation | None:
+    def _explained(self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray) -> Explanation | None:
         """A mended window's evidence: of a gain, its noise behind the gain or before it, whichever is likelier."""
         factor = abs(1 + fault.size) if fault.kind == "gain" else 1.0
         if factor < LEAST_FACTOR:
@@ -246,9 +256,7 @@ class Judge:
         shifts = [behind, np.zeros_like(behind)] if abs(behind).max() > 0 else [behind]
         return max((self._under(fault, window, known, sd, s) for s in shifts), key=lambda e: e.evidence)
 
-    def _under(
-        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, shift: FloatArray
-    ) -> Explanation:
+    def _under(self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, shift: FloatArray) -> Explanation:
         """The evidence of a mended window whose log σ is shifted (p,), as a density of the readings as they came."""
         noise = replace(known.noise, log_sigma=known.noise.log_sigma + shift)
         at = self._learner.at_point(window, replace(known, noise=noise))
@@ -281,11 +289,11 @@ class Judge:
         power = fault.sd**2 * (1 + (1 - pole**2) / np.abs(1 - pole / z) ** 2)
         S = np.linalg.inv(at.Si)
         S[:kept] += power[:, None, None] * h[:, :, None] * h[:, None, :].conj()
-        unsure = replace(at, Si=np.linalg.inv(S))
+        unsure = replace(at, Si=np.asarray(np.linalg.inv(S), dtype=complex))
         nb = at.regression.layout.base
         X = np.concatenate([at.regression.X[..., :nb], np.stack(more, axis=2), at.regression.X[..., -1:]], axis=2)
         G = at.cells.gram(unsure.Si, X)
-        # above the kept bins the start that a wrong input led to would be all that shows: they count as what is expected
+        # above the kept bins only the start that a wrong input led to would show: they count as what is expected
         G[-1, -1] += at.cells.weight[kept:].sum() * self._learner.p
         rss, _, _ = _fit(G, self._prior(at, known, (at.unit / sd) ** 2, len(more)))
         return replace(self._explanation(unsure, known, rss, 1 + len(more)), fault=fault)

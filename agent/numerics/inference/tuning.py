@@ -113,10 +113,10 @@ CREEP = 0.02
 FRICTION_EVIDENCE = 12.0
 """Log Bayes factor from which dry friction is believed: against odds of 1 : 10,000. Needed by: EMPS, no friction."""
 CHANNEL_EVIDENCE = 9.2
-"""Log odds, 99 : 1 after a hundred looks, by which a channel must explain a window better than anything else. Needed by: sensor faults."""
+"""Log odds, 99 : 1 after a hundred looks, by which a channel must lead all else. Needed by: forces that begin."""
 WORTH_MENDING = 60.0
 """Log evidence, as linearised, behind the best channel beyond which an explanation is not followed up. Cost only."""
-MENDINGS = 4
+MENDINGS = 8
 """Most times that a window is mended and looked at again. Needed by: channels that come 40 samples late."""
 STOOD_SHARES = (1.0, 0.3, 0.1)
 """Sizes of the force in place of an input that froze, shares of what it used to be. Needed by: a force that freezes."""

@@ -66,15 +66,17 @@ class Schedule:
     window: int
     learnt: int = 0
     due: int = 0
+    tried: int = 0
 
     def done(self, index: int) -> None:
         """Note that the window ending at sample `index` was learnt from."""
-        self.learnt += 1
+        self.learnt, self.tried = self.learnt + 1, index
         doublings = max(0, self.learnt - EAGER) // 8
         self.due = index + self.window * min(2**doublings, SELDOM)
 
     def later(self, index: int) -> None:
         """Try again a quarter of a window on."""
+        self.tried = index
         self.due = index + max(1, self.window // 4)
 
     def follow(self, index: int) -> None:
@@ -505,10 +507,16 @@ class SlidingEstimator:
         index = reading.index
         retry = max(1, self.settings.plan.window // TRIES)
         sound = ~broken & ~hollow
-        due = (index >= self.schedule.due) & sound & (not self.budget.closed)
+        due = self._due(reading) & sound
         far = reading.far & sound & (index >= self.disturbance.tried + retry)
         torn = broken & (index >= self.disturbance.tried + retry)
         return np.asarray(due | far | torn)
+
+    def _due(self, reading: Reading) -> BoolArray:
+        """(N,) rows whose windows are to be learnt from: it is time, or there is far less noise than was learnt."""
+        index, whole = reading.index, reading.index >= self.schedule.tried + self.settings.plan.window
+        quiet = (reading.excess < -tuning.MISMATCH_SD) & whole
+        return np.asarray(((index >= self.schedule.due) | quiet) & (not self.budget.closed))
 
     def _meet(self, record: Record, reading: Reading, i: int, broken: BoolArray, hollow: BoolArray) -> bool:
         """Do what a row asks for; return whether the bank moved or runs again."""
@@ -550,7 +558,7 @@ class SlidingEstimator:
         due = newest >= self.disturbance.tried + max(1, self.settings.plan.window // TRIES)
         if broken[i]:
             return due and self._explain(record, newest)
-        if newest >= self.schedule.due and not self.budget.closed:
+        if self._due(reading)[i]:
             return self._learn(record, reading, i)
         return bool(reading.far[i]) and due and self._relinearise(record, newest)
 
@@ -570,6 +578,8 @@ class SlidingEstimator:
         self._believe(newest, window, learnt)
         self.posterior = posterior
         self.schedule.done(newest)
+        if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise):
+            self.schedule.follow(newest)
         if not self._is_elsewhere(reading, i, posterior):
             return False
         self._move(record, posterior, newest)
@@ -614,14 +624,12 @@ class SlidingEstimator:
         return faults.follow(newest, found, onset, rests)
 
     def _explain(self, record: Record, newest: int) -> bool:
-        """Try to explain a broken row: other parameters, or a whole window after its onset other noise."""
+        """Try to explain a broken row: other parameters, lines, or a whole window after its onset other noise."""
         disturbance = self.disturbance
         disturbance.at(newest)
         disturbance.tried = newest
         if not self.budget.take(newest):
             return False
-        known = self.known
-        assert known is not None  # noqa: S101 - known since the first window
         if self._moves and self._runs_on(self._window(record, newest)[0], newest):
             return False
         if self._solve(record, newest) is not None:
@@ -634,6 +642,12 @@ class SlidingEstimator:
             disturbance.tried = newest + self.settings.plan.window - max(1, self.settings.plan.window // TRIES)
         if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
             return False
+        return self._relearn(record, window, posterior, newest)
+
+    def _relearn(self, record: Record, window: Window, posterior: Posterior, newest: int) -> bool:
+        """Take a change of the noise for what broke a window, unless one jump explains it better."""
+        known = self.known
+        assert known is not None  # noqa: S101 - known since the first window
         jumps = len(posterior.jump) and posterior.changing
         if jumps and not self.learner.contested(window, known, posterior):
             return False

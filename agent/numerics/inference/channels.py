@@ -70,7 +70,7 @@ class Explanation:
     @property
     def explains(self) -> bool:
         """Whether what it leaves is like the noise: no more, and no less."""
-        return abs(self.excess) <= tuning.MISMATCH_SD
+        return abs(self.excess) <= tuning.EXPLAINED_SD
 
 
 @dataclass(frozen=True, slots=True)

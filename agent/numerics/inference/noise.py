@@ -80,6 +80,14 @@ class Noise:
         """Variance of log σ, of the sensor known least, in the window to come."""
         return float(self.log_sigma_var.max()) + self.walk
 
+    def differs_from(self, before: "Noise") -> bool:
+        """Whether an intensity that is there moved by more than a share since an earlier window."""
+        if not before.is_started:
+            return True
+        there = before.intensity > tuning.ACTIVE_NODES * before.nodes[:, 0]
+        moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
+        return bool((moved > tuning.UNSETTLED).any())
+
     @property
     def is_started(self) -> bool:
         """Whether the grids of intensities stand."""
@@ -439,13 +447,15 @@ def learn(
             log_weight=np.zeros((len(sources), tuning.NODES)),
         )
     )
+    if shaken:
+        start = replace(start, log_weight=tuning.SHAKEN * start.log_weight)
     fit = NoiseFit(start, cells, regression, sources, wide)
     walk = start.walk * (start.windows > 0) + 0.3**2 * shaken
     mean, var = start.log_sigma, start.log_sigma_var + walk
     carried = np.maximum(tuning.FORGET * start.log_weight, tuning.LOWEST_LOG_WEIGHT)
     every = start.windows < 3
     order = np.arange(len(sources)) if every else _order(start)
-    if not start.windows and len(sources):
+    if len(sources) and (shaken or not start.windows):
         fit = _start(start, fit, mean, var)
     sweeps = 2 if every else 1
     scan = Scan(fit, carried, start.nodes, every, pred)

@@ -8,7 +8,7 @@ SIGMA_SPREAD_UNSTATED = 5.0
 """Prior sd of log σ where no noise_sd is stated: nothing is known. Needed by: white noise to be learnt."""
 SIGMA_UNKNOWN = 1.0
 """Prior sd of log σ beyond which it counts as not known when grids of intensities are laid out. Needed by: EMPS."""
-SIGMA_WALK = 0.15
+SIGMA_WALK = 0.1
 """Prior sd of the random walk of log σ from window to window. Needed by: jitter, whose noise grows with speed."""
 SIGMA_WALK_DOF = 4.0
 """Windows that this prior counts for; what windows then show comes down to 0.03 on a steady rig. Needed by: jitter."""
@@ -16,6 +16,10 @@ LEVEL_DOF = 30.0
 """Prior degrees of freedom of each frequency bin's own noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
 FORGET = 0.97
 """What is left, one window later, of the log-weights of force and colour intensities. Needed by: forces that begin."""
+SHAKEN = 0.1
+"""The same for a window that only other noise explains: sources are looked for as in a first window."""
+UNSETTLED = 0.1
+"""Change of an intensity's logarithm in a window from which every window is learnt from. Needed by: forces that cease."""
 NODES = 44
 """Nodes of the grid of each intensity; fewer stop short of the forces of EMPS. Needed by: EMPS."""
 NODE_RATIO = 1.6
@@ -96,7 +100,7 @@ PRIOR_ABSENT = 0.5
 """Prior probability that a source of noise is absent. Needed by: right models near the bound."""
 AGREE_SD = 3.0
 """Sds within which a window's estimate and the point of linearisation agree."""
-POINT_SD = 0.5
+POINT_SD = 1.5
 """Prior sd of the next point about the last, shares of the parameter. Needed by: standstills in normal operation."""
 POINT_SHARE = 0.25
 """Share of a window's estimate in the next point where they agree: the point is an average of some windows."""
@@ -112,6 +116,8 @@ CREEP = 0.02
 """Share of the greatest speed below which the sign of a speed is not known. Needed by: EMPS without its friction."""
 FRICTION_EVIDENCE = 12.0
 """Log Bayes factor from which dry friction is believed: against odds of 1 : 10,000. Needed by: EMPS, no friction."""
+EXPLAINED_SD = 2.5
+"""Predictive sds within which what an explanation leaves is noise. Needed by: a bias that begins inside a window."""
 CHANNEL_EVIDENCE = 9.2
 """Log odds, 99 : 1 after a hundred looks, by which a channel must lead all else. Needed by: forces that begin."""
 WORTH_MENDING = 60.0

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from agent.numerics.estimator.operating_point import operating_point, taps_of
 from agent.numerics.estimator.reading import Reading, read
 from agent.numerics.estimator.record import Record
-from agent.numerics.inference import tuning
 from agent.numerics.inference.learner import Knowledge, Posterior
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.lost import Lost
@@ -46,7 +45,7 @@ def both(
         (y if channel < len(rig.seen) else u)[sample, channel % len(rig.seen)] += 1e-3 if channel == 2 else 1e-5
     samples.append(y, u, missing)
     first = learner._posterior(learner._linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known)
-    point = operating_point(learner.rig, known, first, learner.sources, WINDOW, tuning.SIGMA_WALK, first.sd_repeat)
+    point = operating_point(learner.rig, known, first, learner.sources, WINDOW, first.sd_repeat)
     plan = HopPlan(WINDOW, HOP)
     taps = taps_of(learner.rig, len(rig.seen), point.slopes)
     stream = Stream(point.model, point.push, point.noise, plan, (), learner.rig.q, taps)
@@ -91,6 +90,6 @@ def test_bank_rows_of_windows_that_lost_readings_are_the_learners_windows(force:
     sd = np.array([a.sd_repeat for a in answers])
     theta = np.array([a.theta for a in answers])
     assert np.abs((rows.theta - theta) / sd).max() < 3e-3
-    assert np.abs(np.log(rows.sd_repeat / sd)).max() < 3e-3
+    assert np.abs(np.log(rows.sd_repeat / sd)).max() < 5e-3
     held = [sum(n - WINDOW < s <= n and c < 2 for s, c in LOST) for n in rows.index.tolist()]
     assert np.array_equal(rows.dof.max() - rows.dof, held)

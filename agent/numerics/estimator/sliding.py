@@ -8,7 +8,7 @@
 The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one likelihood.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,10 @@ TRIES = 8
 """Tries a window length to solve windows that are broken."""
 DULLED = 1.05
 """Growth of the sharpest sd seen each time that the operating point moves: it follows what the machine does."""
+AGAIN = 3
+"""Windows within which parameters that change twice are rather pushed by forces that nobody measures."""
+LASTS = 1.5
+"""Windows that one change is in the way at the most; what lasts longer may be forces that began."""
 MOST_LOST = 0.1
 """Share of a window's samples that may have lost readings; beyond it a window says too little for what it costs."""
 REFILLS = 2
@@ -92,12 +96,17 @@ class Disturbance:
     onset: int | None = None
     tried: int = -(1 << 60)
     ended: int = -(1 << 60)
-    found: list[int] = field(default_factory=list)
+    changed: int = -(1 << 60)
 
     def at(self, index: int) -> None:
         """Note a broken row."""
         if self.onset is None:
             self.onset = index
+
+    def is_more_than_a_change(self, index: int, window: int) -> bool:
+        """Note that other parameters fit; return whether it took longer than one change, or came too soon after one."""
+        before, self.changed = self.changed, index
+        return index - before < AGAIN * window or index - (self.onset or index) > LASTS * window
 
     def over(self, index: int) -> None:
         """Note a row that holds."""
@@ -633,6 +642,8 @@ class SlidingEstimator:
         if self._moves and self._runs_on(self._window(record, newest)[0], newest):
             return False
         if self._solve(record, newest) is not None:
+            if disturbance.is_more_than_a_change(newest, self.settings.plan.window):
+                return self._relearn(record, *self._last, newest, jumps=False) or True
             self.known = replace(self.known, scatter=self.known.scatter.interrupted())  # type: ignore[union-attr,type-var]
             self.schedule.follow(newest)
             return True
@@ -642,13 +653,12 @@ class SlidingEstimator:
             disturbance.tried = newest + self.settings.plan.window - max(1, self.settings.plan.window // TRIES)
         if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
             return False
-        return self._relearn(record, window, posterior, newest)
+        return self._relearn(record, window, posterior, newest, jumps=posterior.changing)
 
-    def _relearn(self, record: Record, window: Window, posterior: Posterior, newest: int) -> bool:
+    def _relearn(self, record: Record, window: Window, posterior: Posterior, newest: int, *, jumps: bool) -> bool:
         """Take a change of the noise for what broke a window, unless one jump explains it better."""
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
-        jumps = len(posterior.jump) and posterior.changing
         if jumps and not self.learner.contested(window, known, posterior):
             return False
         said, learnt = self.learner.learn(window, known, shaken=True, believe=True)

@@ -19,7 +19,7 @@ FORGET = 0.97
 SHAKEN = 0.1
 """The same for a window that only other noise explains: sources are looked for as in a first window."""
 UNSETTLED = 0.1
-"""Change of an intensity's logarithm in a window from which every window is learnt from. Needed by: forces that cease."""
+"""Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
 NODES = 44
 """Nodes of the grid of each intensity; fewer stop short of the forces of EMPS. Needed by: EMPS."""
 NODE_RATIO = 1.6

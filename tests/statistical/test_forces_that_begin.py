@@ -14,7 +14,7 @@ from tests.statistical.operation import NOISE_M, drive
 SETTLE, BEFORE, LASTS = 10 * SECOND, 6 * SECOND, 30 * SECOND
 LEARNT = 13 * SECOND
 """A record of ten windows, and three more."""
-QUICK, FULL = 4, 100
+QUICK, FULL = 2, 100
 STRONG_N = 0.5
 WEIGHTS = {"m1": (1.0, 0.0), "both": (0.7, 0.7)}
 

@@ -662,7 +662,7 @@ class SlidingEstimator:
         if jumps and not self.learner.contested(window, known, posterior):
             return False
         said, learnt = self.learner.learn(window, known, shaken=True, believe=True)
-        if not said.converged:
+        if not said.converged or (jumps and not learnt.noise.exceeds(known.noise)):
             return False
         self._believe(newest, window, learnt)
         self.posterior = said

@@ -88,6 +88,11 @@ class Noise:
         moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
         return bool((moved > tuning.UNSETTLED).any())
 
+    def exceeds(self, before: "Noise") -> bool:
+        """Whether there is more noise than before: an intensity that doubled, or a sensor's sd a tenth larger."""
+        there = np.maximum(2 * before.intensity, tuning.ACTIVE_NODES * self.nodes[:, 0])
+        return bool((self.intensity > there).any() or (self.log_sigma > before.log_sigma + 0.1).any())
+
     @property
     def is_started(self) -> bool:
         """Whether the grids of intensities stand."""

@@ -535,7 +535,13 @@ class SlidingEstimator:
         return bool(calls[i]) and self._act(record, reading, i, broken)
 
     def _mark(
-        self, record: Record, rows: Outcome, which: range, broken: BoolArray, hollow: BoolArray, still: BoolArray,
+        self,
+        record: Record,
+        rows: Outcome,
+        which: range,
+        broken: BoolArray,
+        hollow: BoolArray,
+        still: BoolArray,
         ended: IntArray,
     ) -> None:
         """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.

@@ -8,51 +8,36 @@
 The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one likelihood.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.estimator.bank import Bank
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.doubts import Doubts, Found
 from agent.numerics.estimator.faults import WHOLE, Faults, Finding
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
 from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
-from agent.numerics.estimator.operating_point import OperatingPoint, operating_point, taps_of
+from agent.numerics.estimator.operating_point import taps_of
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.estimator.reading import FAR_SD, FARTHEST_SD, Reading, read
 from agent.numerics.estimator.record import Record
+from agent.numerics.estimator.schedule import TRIES, Disturbance, Schedule
 from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.estimator.windows import chosen, clean
 from agent.numerics.inference import tuning
 from agent.numerics.inference.columns import Window, refilled
 from agent.numerics.inference.learner import Knowledge, Learner, Posterior
 from agent.numerics.inference.verdicts import Belief, beliefs
-from agent.numerics.model.riccati import NoSteadyStateError
-from agent.numerics.window.lost import Lost
 from agent.numerics.window.rows import BankRows
-from agent.numerics.window.stream import Stream
 from agent.types import Reason
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-UNITS_LEAST = 32
-UNITS_MOST = 1024
-"""Hops that the bank is given at once: few after the operating point moved, which throws the rest of them away."""
-EAGER = 32
-"""Windows learnt from one after another before learning becomes seldom."""
-SELDOM = 32
-"""Windows between two that are learnt from, at the most."""
 RETRY = 4
 """Tries a window length to find a first window that fits."""
-TRIES = 8
-"""Tries a window length to solve windows that are broken."""
-DULLED = 1.05
-"""Growth of the sharpest sd seen each time that the operating point moves: it follows what the machine does."""
-AGAIN = 3
-"""Windows within which parameters that change twice are rather pushed by forces that nobody measures."""
-LASTS = 1.5
-"""Windows that one change is in the way at the most; what lasts longer may be forces that began."""
 MOST_LOST = 0.1
 """Share of a window's samples that may have lost readings; beyond it a window says too little for what it costs."""
 REFILLS = 2
@@ -61,57 +46,6 @@ MOVED_SD = 0.2
 """Difference between learner and bank, in sds, from which on the bank takes the learner's point."""
 MOVED_LOG_SD = 0.1
 """The same for the logarithm of a sd."""
-
-
-@dataclass(slots=True)
-class Schedule:
-    """When to learn: from every window at first, then ever more seldom."""
-
-    window: int
-    learnt: int = 0
-    due: int = 0
-    tried: int = 0
-
-    def done(self, index: int) -> None:
-        """Note that the window ending at sample `index` was learnt from."""
-        self.learnt, self.tried = self.learnt + 1, index
-        doublings = max(0, self.learnt - EAGER) // 8
-        self.due = index + self.window * min(2**doublings, SELDOM)
-
-    def later(self, index: int) -> None:
-        """Try again a quarter of a window on."""
-        self.tried = index
-        self.due = index + max(1, self.window // 4)
-
-    def follow(self, index: int) -> None:
-        """Learn soon: something changed."""
-        self.learnt = min(self.learnt, EAGER)
-        self.due = index + self.window
-
-
-@dataclass(slots=True)
-class Disturbance:
-    """A stretch of broken rows: since which sample, and when it was last tried to explain; None outside of one."""
-
-    onset: int | None = None
-    tried: int = -(1 << 60)
-    ended: int = -(1 << 60)
-    changed: int = -(1 << 60)
-
-    def at(self, index: int) -> None:
-        """Note a broken row."""
-        if self.onset is None:
-            self.onset = index
-
-    def is_more_than_a_change(self, index: int, window: int) -> bool:
-        """Note that other parameters fit; return whether it took longer than one change, or came too soon after one."""
-        before, self.changed = self.changed, index
-        return index - before < AGAIN * window or index - (self.onset or index) > LASTS * window
-
-    def over(self, index: int) -> None:
-        """Note a row that holds."""
-        if self.onset is not None:
-            self.onset, self.ended = None, index
 
 
 class SlidingEstimator:
@@ -126,20 +60,15 @@ class SlidingEstimator:
         self.schedule = Schedule(settings.plan.window)
         self.disturbance = Disturbance()
         self.faults = Faults(self.learner, settings.floor)
-        self.point: OperatingPoint | None = None
         self.solved = 0
-        self._stream: Stream | None = None
+        self._bank = Bank(settings, self.learner.sources)
         self._record: Record | None = None
         self._ahead = LookAhead(settings.rig)
         self._doubts = Doubts()
-        self._units = UNITS_LEAST
-        self._fed = 0
-        self._lost_fed = 0
         self._jump = 0.0
         self._spikes = 0
         self._adopted = False
         self._centred_at = -(1 << 60)
-        self._sharpest = np.full(settings.rig.q, np.inf)
         self._lines: dict[int, Posterior] = {}
         self._moves = False
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
@@ -177,7 +106,7 @@ class SlidingEstimator:
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt stays."""
         self._record = None
-        self._stream = None
+        self._bank.stop()
         self._ahead.forget()
         self._doubts.forget()
         self.disturbance = Disturbance()
@@ -210,7 +139,7 @@ class SlidingEstimator:
         record.append(y, u, missing)
         due = plan.rows_between(index, index + len(y))
         pieces = [Outcome.warming(due[due < self._whole], q)]
-        while self._stream is None and record.stop > self._whole:
+        while not self._bank.is_running and record.stop > self._whole:
             first, begun = self._whole, self._begin(record)
             if not begun:
                 self._whole += -(-plan.window // (RETRY * plan.hop)) * plan.hop
@@ -220,12 +149,12 @@ class SlidingEstimator:
                 unexplained.lack(self._hollow(record, newest))
                 unexplained.stand_still(self._still(record, newest))
                 pieces.append(unexplained)
-        while self._stream is not None and (rows := self._next(record)) is not None:
-            pieces.append(rows)
+        while (batch := self._bank.next(record)) is not None:
+            pieces.append(self._settled(record, batch))
         record.trim(max(self.settings.windows) + plan.window + plan.hop + 1)
         return Outcome.joined([piece for piece in pieces if len(piece.index)], q)
 
-    # ------------------------------------------------------------------ the bank
+    # ------------------------------------------------------------------ the first window
     def _begin(self, record: Record) -> bool:
         """Learn from a segment's first whole window, and start the bank there; False where nothing fits it."""
         newest = self._whole
@@ -244,8 +173,7 @@ class SlidingEstimator:
         self.posterior = posterior
         self._believe(newest, window, learnt)
         self.schedule.done(newest)
-        self._place(self.posterior)
-        self._start_stream(record, newest)
+        self._move(record, posterior, newest)
         return True
 
     def _first(self, window: Window) -> tuple[Posterior, Knowledge]:
@@ -279,80 +207,15 @@ class SlidingEstimator:
         spread = np.where(known, self.settings.sigma_spread, tuning.SIGMA_SPREAD_UNSTATED)
         return np.where(known, stated, guess), spread
 
-    def _place(self, posterior: Posterior) -> None:
-        """Set the operating point to what is known."""
-        self._sharpest = np.minimum(DULLED * self._sharpest, posterior.sd_repeat)
-        assert self.known is not None  # noqa: S101 - set by whoever calls
-        self.point = operating_point(
-            self.settings.rig, self.known, posterior, self.learner.sources, self.settings.plan.window, self._sharpest,
-        )  # fmt: skip
-
-    def _start_stream(self, record: Record, newest: int) -> None:
-        """Run the bank, at the operating point, over the windows that end with sample `newest` and after it."""
-        point, plan = self.point, self.settings.plan
-        assert point is not None  # noqa: S101 - placed before
-        longer = [(samples - plan.head) // plan.hop for samples in self.settings.longer]
-        rig = self.settings.rig
-        taps = taps_of(rig, self.settings.outputs, point.slopes)
-        self._stream = Stream(point.model, point.push, point.noise, plan, longer, rig.q, taps)
-        self._run_again(record, newest)
-
-    def _run_again(self, record: Record, newest: int) -> None:
-        """Run the bank over the record as it is now; rows from `newest` on are computed again."""
-        stream, hop = self._stream, self.settings.plan.hop
-        assert stream is not None  # noqa: S101 - only called with a bank
-        oldest = -(-record.first // hop) * hop
-        first = max(oldest, newest + 1 - max(self.settings.windows))
-        stream.start_segment(first, given=newest - 1)
-        self._fed = self._lost_fed = first
-        self._units = UNITS_LEAST
-
-    def _next(self, record: Record) -> Outcome | None:
-        """Feed the bank some hops and return the rows settled; None when no whole row waits."""
-        stream, plan = self._stream, self.settings.plan
-        assert stream is not None  # noqa: S101 - only called with a bank
-        assert self.point is not None  # noqa: S101 - placed before the bank began
-        batch = stream.rows()
-        if not len(batch.index):
-            stop = min(record.stop, self._fed + self._units * plan.hop + plan.window)
-            if stop <= self._fed:
-                return None
-            u = record.inputs_with_slopes if self.point.slopes else record.inputs
-            lost = self._lost_until(record, stop)
-            stream.append(self._fed, record.outputs(self._fed, stop), u(self._fed, stop), lost)
-            self._fed = stop
-            batch = stream.rows()
-        self._units = min(2 * self._units, UNITS_MOST)
-        return self._settled(record, batch)
-
-    def _lost_until(self, record: Record, stop: int) -> Lost:
-        """Return the lost readings of the heads and the rests of hops that are whole by sample `stop`."""
-        plan, lost = self.settings.plan, Lost.none()
-        loses = record.loses(self._lost_fed, stop)
-        while True:
-            into = self._lost_fed % plan.hop
-            end = self._lost_fed - into + (plan.head if into < plan.head else plan.hop)
-            if end > stop:
-                return lost
-            if loses:
-                lost = lost.followed(record.lost_between(self._lost_fed, end, plan.window))
-            self._lost_fed = end
-
     def _move(self, record: Record, posterior: Posterior, newest: int) -> None:
         """Work from now on at what is known; rows from `newest` on are computed again."""
-        before = self.point
-        self._place(posterior)
-        self._units = UNITS_LEAST
-        try:
-            self._start_stream(record, newest)
-        except NoSteadyStateError:
-            self.point = before
-            self._start_stream(record, newest)
+        assert self.known is not None  # noqa: S101 - set by whoever calls
+        self._bank.move(record, self.known, posterior, newest)
 
     # ------------------------------------------------------------------ the rows
     def _settled(self, record: Record, batch: BankRows) -> Outcome:
         """Read a batch of rows and act at the first that asks for it; later rows of the batch are then void."""
-        windowed, point, plan = batch.windows[0], self.point, self.settings.plan
+        windowed, point, plan = batch.windows[0], self._bank.point, self.settings.plan
         if windowed is None or point is None:
             return Outcome.warming(batch.index, self.settings.rig.q)
         far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
@@ -387,7 +250,7 @@ class SlidingEstimator:
                 for samples, windowed in zip(self.settings.longer, batch.windows[1:], strict=True)
             ]
             stop = self._centred(record, rows, longer, broken, ended, stop)
-            rows = self._choose(rows.part(0, stop), longer, broken[:stop], ended[:stop])
+            rows = chosen(rows.part(0, stop), longer, broken[:stop], ended[:stop], self.settings)
         else:
             rows = rows.part(0, stop)
         rows.stand_still((still & ~frozen)[:stop])
@@ -439,7 +302,7 @@ class SlidingEstimator:
             entries = taps_of(self.settings.rig, self.settings.outputs, slopes=False)[channel]
             record.restore(sample, entries, channel, change)
         if confirmed:
-            self._run_again(record, newest)
+            self._bank.run_again(record, newest)
         return bool(confirmed)
 
     def _found(self, record: Record, newest: int) -> Found:
@@ -452,18 +315,6 @@ class SlidingEstimator:
         places = tuple((start + row, channel) for row, channel in whole.lost.tolist())
         return Found(places, values + moved, covariance, whole.lost_sd)
 
-    def _clean(self, found: Reading, index: IntArray, broken: BoolArray, ended: IntArray) -> tuple[IntArray, BoolArray]:
-        """Rows (k,) of a longer window's readings, and which of these hold no change that a shorter one saw.
-
-        ended (N,): where the last stretch of broken rows before each row ended.
-        """
-        at = np.searchsorted(index, found.index)
-        use = at < len(index)
-        use[use] &= ~broken[at[use]]
-        use &= (found.excess < tuning.MISMATCH_SD) & ~found.unsolved
-        use[use] &= found.index[use] - found.samples >= ended[at[use]]
-        return at, use
-
     def _centred(
         self, record: Record, rows: Outcome, longer: list[Reading | None], broken: BoolArray, ended: IntArray, stop: int
     ) -> int:
@@ -471,7 +322,7 @@ class SlidingEstimator:
         for found in reversed(longer):
             if found is None:
                 continue
-            at, use = self._clean(found, rows.index[:stop], broken[:stop], ended[:stop])
+            at, use = clean(found, rows.index[:stop], broken[:stop], ended[:stop])
             far = np.flatnonzero(use & found.far & (found.index >= self._centred_at + found.samples // TRIES))
             if len(far) and self.known is not None and self.posterior is not None:
                 newest = int(found.index[far[0]])
@@ -481,26 +332,6 @@ class SlidingEstimator:
                     self._move(record, self.posterior, newest)
                     return int(at[far[0]])
         return stop
-
-    def _choose(self, rows: Outcome, longer: list[Reading | None], broken: BoolArray, ended: IntArray) -> Outcome:
-        """Take each estimate from the shortest window that is sharp enough, among those that hold no change.
-
-        What each window says by itself stands in `others`.
-        """
-        each = [rows.copy()]
-        for found in longer:
-            each.append(Outcome.warming(rows.index, self.settings.rig.q))
-            if found is None:
-                continue
-            at, use = self._clean(found, rows.index, broken, ended)
-            use &= ~found.far
-            wanting = ~(rows.sd[at[use]] <= self.settings.wanted_sd) & (found.sd[use] < rows.sd[at[use]])
-            rows.take(at[use], wanting, found, use, self.settings.enough_sd)
-            whole = at < len(rows.index)
-            each[-1].take(at[whole], np.ones_like(found.sd[whole], dtype=bool), found, whole, self.settings.enough_sd)
-            for unusable in at[whole & ~use].tolist():
-                each[-1].invalidate(unusable, Reason.CHANGING)
-        return replace(rows, others=tuple(each))
 
     def _first_event(self, reading: Reading, broken: BoolArray, hollow: BoolArray, start: int) -> int:
         """Return the first row from `start` on at which something is to be done; the number of rows if none."""

@@ -182,10 +182,10 @@ def test_sliding_what_was_learnt_is_adopted(rng: np.random.Generator) -> None:
     assert content is not None
     again = estimator(500, 50, sigma=np.nan)
     again.adopt(content)
-    known = again.known
+    known = again.explainer.known
     assert known is not None
-    assert ml.known is not None
+    assert ml.explainer.known is not None
     np.testing.assert_allclose(np.exp(known.noise.log_sigma), 3e-6, rtol=0.05)
-    np.testing.assert_allclose(known.noise.log_sigma, ml.known.noise.log_sigma, rtol=1e-6)
+    np.testing.assert_allclose(known.noise.log_sigma, ml.explainer.known.noise.log_sigma, rtol=1e-6)
     assert valid(run(again, noisy(rng, 600, 3e-6), [])).any()
     assert estimator().knowledge() is None

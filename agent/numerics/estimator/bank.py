@@ -5,7 +5,7 @@ import numpy as np
 from agent.numerics.estimator.operating_point import OperatingPoint, operating_point, taps_of
 from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.settings import EstimatorSettings
-from agent.numerics.inference.learner import Knowledge, Posterior
+from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.sources import Source
 from agent.numerics.model.riccati import NoSteadyStateError
 from agent.numerics.window.lost import Lost

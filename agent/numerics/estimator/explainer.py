@@ -24,7 +24,8 @@ from agent.numerics.estimator.schedule import TRIES, Disturbance, Schedule
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference import tuning
 from agent.numerics.inference.columns import Window, refilled
-from agent.numerics.inference.learner import Knowledge, Learner, Posterior
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.verdicts import Belief, beliefs
 
 FloatArray = NDArray[np.float64]

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
 from agent.numerics.inference import tuning
-from agent.numerics.inference.channels import Contest, Fault, Judge
+from agent.numerics.inference.channels import ChannelTest, Contest, Fault
 from agent.numerics.inference.columns import Window
-from agent.numerics.inference.learner import Knowledge, Learner
+from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import Reason
 
@@ -54,7 +55,7 @@ class Faults:
     floor: FloatArray
     standing: Fault | None = None
     tied: bool = False
-    _judge: Judge = field(init=False)
+    _channel_test: ChannelTest = field(init=False)
     _since: int | None = None
     _doubts: int = 0
     _findings: list[Finding] = field(default_factory=list)
@@ -64,7 +65,7 @@ class Faults:
     _usual: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        self._judge = Judge(self.learner)
+        self._channel_test = ChannelTest(self.learner)
 
     @property
     def is_active(self) -> bool:
@@ -135,7 +136,7 @@ class Faults:
         length, nominal = self.learner.window, np.abs(self.learner.rig.nominal)
         if self._standing_inputs(record, newest, length) or not self._is_odd(window, said, theta):
             return False
-        if newest + 1 - record.first < length + length // 4:
+        if newest + 1 - record.first < length + length // 4 and self._is_many_times(theta):
             return True  # nothing can be late yet: looked at again a quarter of a window on
         spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
         found = self.contest(record, window, newest, replace(fresh, kept=said.kept), spread, theta, first=True)
@@ -146,13 +147,17 @@ class Faults:
     def _is_odd(self, window: Window, said: Knowledge, theta: FloatArray) -> bool:
         """Whether a window is taken to say what is not expected of a rig, or a channel is at fault already."""
         rig = self.learner.rig
-        sized = rig.nominal != 0
-        ratio = np.maximum(theta[sized] / rig.nominal[sized], np.exp(-10.0 * tuning.MANY_TIMES))
         measured = window.u[:, : len(rig.measured)][:, rig.driven].std(axis=0).max(initial=0.0)
         forces = [v for v, s in zip(said.noise.intensity, self.learner.sources, strict=True) if s.kind == "force"]
-        many = np.any(np.abs(np.log(ratio)) > np.log(tuning.MANY_TIMES))
         large = measured > 0 and max(forces, default=0.0) >= tuning.AS_LARGE * measured
-        return bool(self.standing is not None or many or large)
+        return bool(self.standing is not None or large or self._is_many_times(theta))
+
+    def _is_many_times(self, theta: FloatArray) -> bool:
+        """Whether a parameter (q,) is many times its nominal, or many times less."""
+        nominal = self.learner.rig.nominal
+        sized = nominal != 0
+        ratio = np.maximum(theta[sized] / nominal[sized], np.exp(-10.0 * tuning.MANY_TIMES))
+        return bool(np.any(np.abs(np.log(ratio)) > np.log(tuning.MANY_TIMES)))
 
     def _standing_inputs(self, record: Record, newest: int, span: int) -> list[Fault]:
         """Inputs that read one value other than 0 in the last `span` samples: a force at rest reads 0."""
@@ -177,12 +182,14 @@ class Faults:
             return record.late(newest, self.learner.window, channel, lag, self.learner.rig) if lag else window
 
         self._lasts = self.is_frozen(record, newest)
-        found = self._judge.contest(window, known, sd, solved, late, everything=first)
+        found = self._channel_test.contest(window, known, sd, solved, late, everything=first)
         for number in np.flatnonzero(self.learner.rig.driven).tolist():
             value = record.newest_input(newest, number)
             stands = record.resting_in(np.array([newest]), int(WHOLE * self.learner.window))[0, number]
             if stands and (number, value) not in self._rests and len(self._usual):
-                found = found.with_stood(self._judge.unbelieved(window, known, sd, number, value, self._usual[number]))
+                found = found.with_stood(
+                    self._channel_test.unbelieved(window, known, sd, number, value, self._usual[number])
+                )
         return found
 
     def follow(self, newest: int, found: Contest, onset: int | None, rests: bool) -> bool:

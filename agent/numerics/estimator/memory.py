@@ -5,8 +5,8 @@ import json
 import numpy as np
 
 from agent.numerics.inference.constants import Constants, Hypothesis
-from agent.numerics.inference.learner import Knowledge
 from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.scatter import Scatter
 
 VERSION = 1

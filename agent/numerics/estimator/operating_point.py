@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.inference.learner import Knowledge, Posterior
 from agent.numerics.inference.mixture import NORMAL_975
+from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.sources import Source
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import Rig, sampled

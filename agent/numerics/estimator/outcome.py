@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.estimator.reading import Reading
-from agent.numerics.inference.learner import Posterior
+from agent.numerics.inference.posterior import Posterior
 from agent.types import Reason, Status
 
 FloatArray = NDArray[np.float64]

@@ -21,8 +21,10 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse
 from agent.numerics.inference.bins import unitary
 from agent.numerics.inference.columns import Regressor, Window
-from agent.numerics.inference.learner import Knowledge, Learner, Linearised
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.noise import chance
+from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.model.uncertain import Rig
 
 FloatArray = NDArray[np.float64]
@@ -110,7 +112,7 @@ class _Prior:
     constant: float
 
 
-class Judge:
+class ChannelTest:
     """Weighs explanations of windows of one rig."""
 
     def __init__(self, learner: Learner) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from agent.numerics.estimator.operating_point import operating_point, taps_of
 from agent.numerics.estimator.reading import Reading, read
 from agent.numerics.estimator.record import Record
-from agent.numerics.inference.learner import Knowledge, Posterior
+from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.lost import Lost
 from agent.numerics.window.stream import Stream
@@ -44,7 +44,9 @@ def both(
         missing[sample, channel] = True
         (y if channel < len(rig.seen) else u)[sample, channel % len(rig.seen)] += 1e-3 if channel == 2 else 1e-5
     samples.append(y, u, missing)
-    first = learner._posterior(learner._linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known)
+    first = learner._posterior(
+        learner.lineariser.linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known
+    )
     point = operating_point(learner.rig, known, first, learner.sources, WINDOW, first.sd_repeat)
     plan = HopPlan(WINDOW, HOP)
     taps = taps_of(learner.rig, len(rig.seen), point.slopes)
@@ -63,7 +65,7 @@ def both(
         window = samples.window(int(newest), WINDOW)
         # the learner takes the prior of a lost force from both sides of it; here both forms have the same
         window = replace(window, lost_sd=given.between(int(newest) + 1 - WINDOW, int(newest) + 1).sd)
-        at = learner._linearised(window, later, jumps=False, steps=1)
+        at = learner.lineariser.linearised(window, later, jumps=False, steps=1)
         answers.append(learner._posterior(at, later, later.constants))
     return rows, answers
 

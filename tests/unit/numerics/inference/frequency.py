@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.inference.columns import Window, window_of
-from agent.numerics.inference.learner import Knowledge, Learner, Linearised
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.linearise import Linearised
+from agent.numerics.inference.posterior import Knowledge
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 
 FloatArray = NDArray[np.float64]
@@ -35,7 +37,7 @@ def knowledge(learner: Learner, noise: DenseNoise) -> Knowledge:
 
 
 def linearised(learner: Learner, known: Knowledge, window: Window, cuts: NDArray[np.int64] = NO_CUTS) -> Linearised:
-    return learner._point(window, known, known.theta, cuts)
+    return learner.lineariser.point(window, known, known.theta, cuts)
 
 
 def record(

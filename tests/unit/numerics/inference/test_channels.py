@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.numerics.inference.channels import Contest, Judge, Kind
+from agent.numerics.inference.channels import ChannelTest, Contest, Kind
 from agent.numerics.inference.columns import Window, window_of
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise, DenseWindow
 from tests.unit.numerics.inference.frequency import W, knowledge, learner_of, record
@@ -43,7 +43,7 @@ def contest(rig: ChainRig, y: FloatArray, u: FloatArray) -> Contest:
     window = late(0, 0)
     assert window is not None
     _, solved = learner.solve(window, known)
-    return Judge(learner).contest(window, known, SURE * rig.theta, solved, late)
+    return ChannelTest(learner).contest(window, known, SURE * rig.theta, solved, late)
 
 
 def spoilt(y: FloatArray, u: FloatArray, channel: int, kind: Kind, size: float) -> tuple[FloatArray, FloatArray]:
@@ -100,7 +100,7 @@ def test_evidence_of_a_mended_window_is_that_of_dense_least_squares(masses: int)
     rig, noise = RIGS[masses], noise_of(RIGS[masses])
     learner = learner_of(rig)
     known = knowledge(learner, noise)
-    judge, precision = Judge(learner), np.full(2 * masses, SURE**-2)
+    judge, precision = ChannelTest(learner), np.full(2 * masses, SURE**-2)
     window, *_ = record(rig, np.random.default_rng(5), noise, off=1.0)
 
     def both(one: Window) -> tuple[float, float]:

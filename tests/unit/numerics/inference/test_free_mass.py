@@ -61,8 +61,8 @@ def test_free_mass_window_is_dense_generalised_least_squares(spring: bool, force
     intensity = np.full(len(learner.sources), 1e-60)
     intensity[0] = max(force_sd, 1e-60)
     known = replace(known, noise=replace(known.noise, intensity=intensity))
-    at = learner._point(window_of(y[:, None], u), known, rig.nominal, np.zeros(0, dtype=np.int64))
-    step, sd = learner._step(at, known, True)
+    at = learner.lineariser.point(window_of(y[:, None], u), known, rig.nominal, np.zeros(0, dtype=np.int64))
+    step, sd = learner.lineariser._step(at, known, True)
 
     model, still = sampled(rig, rig.nominal, np.zeros(0)), np.zeros((W, 1))
     free = np.array([run(model, e, 0 * u, still) for e in np.eye(2)]).T

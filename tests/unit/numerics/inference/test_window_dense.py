@@ -6,8 +6,10 @@ from numpy.typing import NDArray
 
 from agent.numerics.inference.algebra import inverse
 from agent.numerics.inference.columns import Window, window_of
-from agent.numerics.inference.learner import Knowledge, Learner, Linearised
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.noise import NoiseFit
+from agent.numerics.inference.posterior import Knowledge
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise, DenseWindow
 from tests.unit.numerics.inference.frequency import (
     W,
@@ -105,10 +107,12 @@ def test_inference_restricted_log_likelihood_differs_from_dense_by_a_constant() 
     for scale, force in ((1.0, 0.0), (1.2, 0.0), (1.0, 0.8), (0.7, 2.0)):
         noise = DenseNoise(scale * SIGMA, np.array([force, 0.3 * force]))
         learner, known, at, dense = both(rig, noise, window)
-        wide = learner._ridge(at.regression.layout, window, learner._wide(), np.zeros(len(known.eta)))
+        wide = learner.lineariser.ridge(
+            at.regression.layout, window, learner.lineariser.wide(), np.zeros(len(known.eta))
+        )
         fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, wide)
         found.append(fit.restricted_log_likelihood())
-        wanted.append(dense.restricted_log_likelihood(precision(learner._wide()), np.zeros(len(known.eta))))
+        wanted.append(dense.restricted_log_likelihood(precision(learner.lineariser.wide()), np.zeros(len(known.eta))))
     assert np.diff(found) == pytest.approx(np.diff(wanted), rel=1e-5)
     assert np.abs(np.diff(wanted)).min() > 1.0
 

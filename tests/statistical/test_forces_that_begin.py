@@ -101,7 +101,7 @@ def test_forces_that_begin_are_learnt_in_100_runs(where: str, request: pytest.Fi
 
 
 def test_forces_that_cease_are_forgotten() -> None:
-    v = pushed(np.random.default_rng(5), WEIGHTS["m1"], after=60 * SECOND)
+    v = pushed(np.random.default_rng(5), WEIGHTS["m1"], after=100 * SECOND)
     rows = Rows.of(records(pipeline(), v))
     sd = {when: np.median(rows.sd[(rows.index >= at) & (rows.index < at + 5 * SECOND)], axis=0)
           for when, at in {"healthy": SECOND, "forced": LASTS, "after": len(v) - 5 * SECOND}.items()}  # fmt: skip

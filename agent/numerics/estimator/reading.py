@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 FAR_SD = 3.0
 """Sds from the point that chance alone does not reach in a window."""
-FAR_CURVATURE = 0.25
+FAR_CURVATURE = 0.1
 """Share of the sd that the neglected second-order term of a row may be."""
 FAR_SHARPEST = 0.25
 """Sd, as a share of the parameter, beyond which a window says too little of it to move the point."""

@@ -81,10 +81,10 @@ class Noise:
         return float(self.log_sigma_var.max()) + self.walk
 
     def differs_from(self, before: "Noise") -> bool:
-        """Whether an intensity that is there moved by more than a share since an earlier window."""
+        """Whether an intensity that is large moved by more than a share since an earlier window."""
         if not before.is_started:
             return True
-        there = before.intensity > tuning.ACTIVE_NODES * before.nodes[:, 0]
+        there = before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]
         moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
         return bool((moved > tuning.UNSETTLED).any())
 

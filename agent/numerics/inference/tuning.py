@@ -20,6 +20,8 @@ SHAKEN = 0.1
 """The same for a window that only other noise explains: sources are looked for as in a first window."""
 UNSETTLED = 0.1
 """Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
+LARGE_NODES = 20.0
+"""An intensity beyond this many first nodes is followed so: one that hardly shows moves by chance. Cost only."""
 NODES = 44
 """Nodes of the grid of each intensity; fewer stop short of the forces of EMPS. Needed by: EMPS."""
 NODE_RATIO = 1.6

@@ -115,7 +115,7 @@ PRESS_TABLE = [
     ("window_s = 0.25", "window_s = [0.5, 0.004]", "estimator.window_s[1]", "4 samples"),
     ("hop_s = 0.05", "hop_s = 0.0001", "estimator.hop_s", "less than a sample"),
     ("hop_s = 0.05", "hop_s = 1", "estimator.hop_s", "longer than the window"),
-    ("hop_s = 0.05", "hop_s = 0.05\ndrift_s = 1.0", "estimator.drift_s", "use a shorter window_s"),
+    ("hop_s = 0.05", "hop_s = 0.05\ndrift_s = 1.0", "estimator.drift_s", "followed without it"),
     ("hop_s = 0.05", "hop_s = 0", "estimator.hop_s", "must be greater than 0"),
     ('hold = "first"', 'hold = "second"', "estimator.hold", '"first", "zero", "cubic", "quintic"'),
     ('"B1", "B2"]\nobserver', '"B1", "B3"]\nobserver', "estimator.estimate[3]", 'the nearest is "B'),

@@ -101,7 +101,7 @@ class Explainer:
         if not posterior.converged:
             return False
         fresh = self.learner.prior(*self._sigma(window.y))
-        if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior.theta):
+        if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior):
             return False
         self.faults.begun(record, newest, learnt.noise)
         self.posterior = posterior

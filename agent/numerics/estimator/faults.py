@@ -16,7 +16,7 @@ from agent.numerics.inference.channels import ChannelTest, Contest, Fault
 from agent.numerics.inference.columns import Window
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.noise import Noise
-from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import Reason
 
@@ -126,31 +126,35 @@ class Faults:
             self._set(newest, fault)
 
     def reads_wrongly(
-        self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge, theta: FloatArray
+        self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge, found: Posterior
     ) -> bool:
         """Whether one channel, and not what a first window is taken to say, explains it; that channel is named.
 
-        Asked where θ (q,) is many times its nominal, or unknown forces as large as those that are measured. The contest
-        is between the stated noise and nominal parameters with one channel wrong, and anything else.
+        Asked where a parameter found is many times its nominal, or unknown forces are as large as those that are
+        measured. The contest is between the stated noise and nominal parameters with one channel wrong, and anything
+        else.
         """
         length, nominal = self.learner.window, np.abs(self.learner.rig.nominal)
-        if self._standing_inputs(record, newest, length) or not self._is_odd(window, said, theta):
+        forces = self._unknown_forces(window, said)
+        odd = self.standing is not None or self._is_many_times(found.theta) or forces >= tuning.AS_LARGE
+        if self._standing_inputs(record, newest, length) or not odd:
             return False
-        if newest + 1 - record.first < length + length // 4 and self._is_many_times(theta):
+        surely = self._is_many_times(found.theta) or forces >= tuning.LARGER
+        if newest + 1 - record.first < length + length // 4 and surely and not found.rubs:
             return True  # nothing can be late yet: looked at again a quarter of a window on
         spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
-        found = self.contest(record, window, newest, replace(fresh, kept=said.kept), spread, theta, first=True)
-        if found.fault is not None:
-            self._name(newest, found.fault)
-        return found.fault is not None
+        nominally = replace(fresh, kept=said.kept)
+        said_of_channels = self.contest(record, window, newest, nominally, spread, found.theta, first=True)
+        if said_of_channels.fault is not None:
+            self._name(newest, said_of_channels.fault)
+        return said_of_channels.fault is not None
 
-    def _is_odd(self, window: Window, said: Knowledge, theta: FloatArray) -> bool:
-        """Whether a window is taken to say what is not expected of a rig, or a channel is at fault already."""
+    def _unknown_forces(self, window: Window, said: Knowledge) -> float:
+        """The largest unknown force in a window, in units of the largest that is measured; 0 where none is."""
         rig = self.learner.rig
         measured = window.u[:, : len(rig.measured)][:, rig.driven].std(axis=0).max(initial=0.0)
         forces = [v for v, s in zip(said.noise.intensity, self.learner.sources, strict=True) if s.kind == "force"]
-        large = measured > 0 and max(forces, default=0.0) >= tuning.AS_LARGE * measured
-        return bool(self.standing is not None or large or self._is_many_times(theta))
+        return float(max(forces, default=0.0) / measured) if measured > 0 else 0.0
 
     def _is_many_times(self, theta: FloatArray) -> bool:
         """Whether a parameter (q,) is many times its nominal, or many times less."""

@@ -134,3 +134,5 @@ MANY_TIMES = 4.0
 """Factor from its nominal at which a parameter competes with a channel that is wrong from the start."""
 AS_LARGE = 0.3
 """Share of the measured inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
+LARGER = 0.9
+"""The same where a first window waits for a quarter of a window more, in which a channel can show that it is late."""

@@ -79,7 +79,7 @@ class Learner:
         if (posterior.changing and not believe) or not posterior.converged:
             return posterior, known
         for _ in range(tuning.ROUNDS):
-            noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained)
+            noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
             constants = self._constants_after(settled, predicted)
             moved = np.abs(constants.expected - predicted.eta) > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
             if not moved.any():
@@ -114,11 +114,13 @@ class Learner:
                 return True
         return False
 
-    def _noise_after(self, window: Window, at: Linearised, known: Knowledge, shaken: bool) -> tuple[Noise, Linearised]:
+    def _noise_after(
+        self, window: Window, at: Linearised, known: Knowledge, shaken: bool, anew: bool
+    ) -> tuple[Noise, Linearised]:
         """The noise learnt from a linearised window, and the window under it."""
         wide = self.lineariser.ridge(at.regression.layout, window, self.lineariser.wide(), -known.eta)
         least = self._least(known.noise)
-        noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken)
+        noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
         return replace(noise, log_sigma=np.maximum(noise.log_sigma, self.log_floor)), self.lineariser.without_jumps(
             at, fit
         )

@@ -427,7 +427,7 @@ def first_nodes(cells: Cells, log_sigma: FloatArray) -> FloatArray:
     return np.asarray(tuning.FIRST_NODE / strongest[:, None] * tuning.NODE_RATIO ** np.arange(tuning.NODES))
 
 
-def learn(
+def learn(  # noqa: PLR0913, PLR0917
     noise: Noise,
     cells: Cells,
     regression: Regression,
@@ -436,12 +436,14 @@ def learn(
     pred: Ridge | None,
     least: FloatArray,
     shaken: bool = False,
+    anew: bool = False,
 ) -> tuple[Noise, NoiseFit]:
     """Return the noise after one window, and the fit with its Gram at the new noise.
 
     wide: prior of the columns with the constants wide; pred: with the constants as known today, for the spread.
     least: (p,) least that log σ may turn out to be: the grids of intensities begin where sources show beside it.
     shaken: the window before was not explained: σ may have changed more than it usually does.
+    anew: sources are looked for as in a first window.
     """
     start = (
         noise
@@ -452,7 +454,7 @@ def learn(
             log_weight=np.zeros((len(sources), tuning.NODES)),
         )
     )
-    if shaken:
+    if anew:
         start = replace(start, log_weight=tuning.SHAKEN * start.log_weight)
     fit = NoiseFit(start, cells, regression, sources, wide)
     walk = start.walk * (start.windows > 0) + 0.3**2 * shaken
@@ -460,7 +462,7 @@ def learn(
     carried = np.maximum(tuning.FORGET * start.log_weight, tuning.LOWEST_LOG_WEIGHT)
     every = start.windows < 3
     order = np.arange(len(sources)) if every else _order(start)
-    if len(sources) and (shaken or not start.windows):
+    if len(sources) and (anew or not start.windows):
         fit = _start(start, fit, mean, var)
     sweeps = 2 if every else 1
     scan = Scan(fit, carried, start.nodes, every, pred)

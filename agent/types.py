@@ -136,8 +136,7 @@ class EstimateBatch:
         reference: (q,) what delta is counted from.
         baseline_id: the baseline that `reference` comes from; None for the nominal.
         index, t_ns: (N,) the newest sample of each window.
-        value, sd, lower, upper: (N, q) estimate, standard deviation, 95 % interval: against the nominal.
-        sd_repeat: (N, q) standard deviation against another estimate of the same rig: the constants taken as they are.
+        value, sd, lower, upper: (N, q) estimate, standard deviation, 95 % interval by Student's t.
         status: (N, q) codes of Status.
         reason: (N, q) codes of Reason.
         held, held_age_s: (N, q) the last valid value and its age while status is UNEXCITED or INVALID.
@@ -160,7 +159,6 @@ class EstimateBatch:
     sd: FloatArray
     lower: FloatArray
     upper: FloatArray
-    sd_repeat: FloatArray
     status: CodeArray
     reason: CodeArray
     held: FloatArray
@@ -284,10 +282,7 @@ class EventRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunInfo:
-    """What a run is: provenance of every row written in it.
-
-    learnt_key: what its rig's knowledge is kept under (see `Learnt`); None takes nothing up from earlier runs.
-    """
+    """What a run is: provenance of every row written in it."""
 
     rig: str
     kind: Literal["live", "replay", "demo"]
@@ -296,7 +291,6 @@ class RunInfo:
     config_sha256: str
     baseline_id: int | None = None
     boot_id: str | None = None
-    learnt_key: str | None = None
     offset_ns: int | None = None
     """Wall clock minus monotonic clock as it started; None where the monotonic clock is none of this boot's."""
 
@@ -317,44 +311,29 @@ class ClockRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Learnt:
-    """What a rig's windows have taught, for the next start: noise, constants, point of linearisation.
+class Calibrated:
+    """What a rig's windows have taught of its disturbances, for the next start with the same configuration.
 
     Attributes:
-        key: what it was learnt for: a hash of the model, the channels and the rate; an edit elsewhere keeps it.
-        content: JSON text.
+        sigma: (p,) noise sd of each output, SI.
+        process: (d,) sd of the unknown force in each direction.
+        factor: (q,) the commissioning factor of each parameter; None while too few windows have been seen.
+        searched: a long record has been searched for unknown forces.
     """
 
-    key: str
-    content: str
+    sigma: tuple[float, ...]
+    process: tuple[float, ...]
+    factor: tuple[float, ...] | None
+    searched: bool
 
 
 @dataclass(frozen=True, slots=True)
-class LearntRecord:
-    """A rig knows more than before."""
+class CalibrationRecord:
+    """A rig was calibrated, or knows more than before."""
 
     rig: str
     t_ns: int
-    learnt: Learnt
+    calibrated: Calibrated
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What is believed of a constant of the rig: a mass, a sensor's gain, the inputs' delay.
-
-    Attributes:
-        hypothesis: what is off: "m1", "all masses", "x1", "x1 drifts", "delay".
-        size, sd: how far, and how well that is known, in `unit`: per cent more than configured, or seconds.
-        probability: posterior.
-    """
-
-    rig: str
-    t_ns: int
-    hypothesis: str
-    size: float
-    sd: float
-    unit: str
-    probability: float
-
-
-Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict | ClockRecord
+Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | CalibrationRecord | ClockRecord

@@ -40,6 +40,8 @@ CASES = [
 ]
 
 
+
+
 def faults_of(command: str, rig: Path) -> list[Fault]:
     """Return what a command says against a configuration."""
     if command == "check":

@@ -203,6 +203,7 @@ def test_npz_of_rubbish_or_cut_short_is_refused_in_words(tmp_path: Path) -> None
 
 def test_npz_with_a_flipped_bit_is_refused_or_read_to_its_end(tmp_path: Path, rng: np.random.Generator) -> None:
     whole = bytearray(npz_of(tmp_path, t=np.arange(99.0), force=np.arange(99.0), x1=np.arange(99.0)).read_bytes())
+    ends = []
     for place in rng.integers(0, len(whole), 150):
         damaged = whole.copy()
         damaged[place] ^= 1 << int(rng.integers(8))
@@ -211,10 +212,14 @@ def test_npz_with_a_flipped_bit_is_refused_or_read_to_its_end(tmp_path: Path, rn
             recording.open()
             while True:
                 recording.read(0.0)
-        except (DriverConfigError, EOFError):
-            pass
+        except DriverConfigError:
+            ends.append("refused")
+        except EOFError:
+            ends.append("read")
+            assert recording.counts.received <= 99
         finally:
             recording.close()
+    assert (len(ends), set(ends)) == (150, {"refused", "read"})
 
 
 def test_csv_whose_first_row_is_very_long_is_read_in_pieces_that_fit_into_memory(tmp_path: Path) -> None:

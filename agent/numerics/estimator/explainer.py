@@ -20,7 +20,7 @@ from agent.numerics.estimator.faults import WHOLE, Faults
 from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.schedule import TRIES, Disturbance, Schedule
+from agent.numerics.estimator.schedule import LEAVES, Disturbance, Schedule
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference import tuning
 from agent.numerics.inference.columns import Window, refilled
@@ -171,6 +171,8 @@ class Explainer:
         """Learn from a row's window; return whether the bank moved."""
         newest, known = int(reading.index[i]), self.known
         assert known is not None  # noqa: S101 - known since the first window
+        if self.disturbance.since(self.schedule.tried):  # the windows before a change do not compare
+            known = replace(known, scatter=known.scatter.interrupted())
         window = self.window(record, newest)[0]
         posterior, learnt = self.learner.learn(window, known)
         self.solved += 1
@@ -208,7 +210,7 @@ class Explainer:
 
     def relinearise(self, record: Record, newest: int) -> bool:
         """Solve a window that is far from the point; the bank goes there if it comes to rest."""
-        self.disturbance.tried = newest
+        self.disturbance.tried(newest, self.settings.plan.window)
         if not self.budget.take(newest):
             return False
         return self._solve(record, newest) is not None
@@ -222,11 +224,20 @@ class Explainer:
         posterior, theta = self.learner.solve(window, known)
         self._last = (window, posterior)
         rests = posterior.converged and not posterior.changing and not posterior.mismatch
-        if self._is_a_channel(record, window, newest, theta, rests) or not rests:
+        if not (rests and self._is_the_same(posterior)) and (
+            self._is_a_channel(record, window, newest, theta, rests) or not rests
+        ):
             return None
         self.known = replace(known, theta=theta)
         self._move(record, posterior, newest)
         return posterior
+
+    def _is_the_same(self, posterior: Posterior) -> bool:
+        """Whether a window that nothing broke says what the one learnt from last said: only the point was poor."""
+        if self.posterior is None or self.disturbance.onset is not None or self.faults.is_active:
+            return False
+        apart = np.abs(posterior.theta - self.posterior.theta)
+        return bool(np.all(apart < tuning.AGREE_SD * np.hypot(posterior.sd_repeat, self.posterior.sd_repeat)))
 
     def _is_a_channel(self, record: Record, window: Window, newest: int, theta: FloatArray, rests: bool) -> bool:
         """Whether a channel may be what is wrong with a window; asked where it is whole, or other parameters fit it."""
@@ -239,23 +250,25 @@ class Explainer:
 
     def explain(self, record: Record, newest: int) -> bool:
         """Try to explain a broken row: other parameters, lines, or a whole window after its onset other noise."""
-        disturbance = self.disturbance
+        disturbance, length = self.disturbance, self.settings.plan.window
         disturbance.at(newest)
-        disturbance.tried = newest
+        disturbance.tried(newest, length)
         if not self.budget.take(newest):
             return False
         if self._moves and self._runs_on(self.window(record, newest)[0], newest):
             return False
         if self._solve(record, newest) is not None:
-            if disturbance.is_more_than_a_change(newest, self.settings.plan.window):
+            if disturbance.is_more_than_a_change(newest, length):
                 return self._relearn(record, *self._last, newest, jumps=False) or True
             self.known = replace(self.known, scatter=self.known.scatter.interrupted())  # type: ignore[union-attr,type-var]
             self.schedule.follow(newest)
             return True
         window, posterior = self._last
-        early = newest - (disturbance.onset or newest) < self.settings.plan.window
+        early = newest - (disturbance.onset or newest) < length
         if self.faults.standing is not None:  # it is looked at again a window later
-            disturbance.tried = newest + self.settings.plan.window - max(1, self.settings.plan.window // TRIES)
+            disturbance.tried(newest, length, 1.0)
+        elif early and posterior.changing:
+            disturbance.tried(newest, length, self.learner.cuts[int(posterior.jump.argmax())] / length - LEAVES)
         if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
             return False
         return self._relearn(record, window, posterior, newest, jumps=posterior.changing)

@@ -10,6 +10,8 @@ TRIES = 8
 """Tries a window length to solve windows that are broken."""
 AGAIN = 3
 """Windows within which parameters that change twice are rather pushed by forces that nobody measures."""
+LEAVES = 0.2
+"""Share of a window by which a change may show later in it than it is: it is tried again when it may have left."""
 LASTS = 1.5
 """Windows that one change is in the way at the most; what lasts longer may be forces that began."""
 
@@ -42,10 +44,10 @@ class Schedule:
 
 @dataclass(slots=True)
 class Disturbance:
-    """A stretch of broken rows: since which sample, and when it was last tried to explain; None outside of one."""
+    """A stretch of broken rows: since which sample, None outside of one; `again`: the sample it is next tried at."""
 
     onset: int | None = None
-    tried: int = -(1 << 60)
+    again: int = -(1 << 60)
     ended: int = -(1 << 60)
     changed: int = -(1 << 60)
 
@@ -58,6 +60,14 @@ class Disturbance:
         """Note that other parameters fit; return whether it took longer than one change, or came too soon after one."""
         before, self.changed = self.changed, index
         return index - before < AGAIN * window or index - (self.onset or index) > LASTS * window
+
+    def tried(self, index: int, window: int, leaves: float = 0.0) -> None:
+        """Note a try; what breaks the rows leaves after a share of a window."""
+        self.again = index + max(1, window // TRIES, int(window * leaves))
+
+    def since(self, index: int) -> bool:
+        """Whether rows after sample `index` were broken."""
+        return self.onset is not None or self.ended > index
 
     def over(self, index: int) -> None:
         """Note a row that holds."""

@@ -243,12 +243,9 @@ class SlidingEstimator:
     def _calls(self, reading: Reading, broken: BoolArray, hollow: BoolArray) -> BoolArray:
         """(N,) rows that ask for their window to be learnt from or solved."""
         index = reading.index
-        retry = max(1, self.settings.plan.window // TRIES)
         sound = ~broken & ~hollow
         due = self.explainer.due(reading) & sound
-        far = reading.far & sound & (index >= self.explainer.disturbance.tried + retry)
-        torn = broken & (index >= self.explainer.disturbance.tried + retry)
-        return np.asarray(due | far | torn)
+        return np.asarray(due | ((broken | (reading.far & sound)) & (index >= self.explainer.disturbance.again)))
 
     def _meet(self, record: Record, reading: Reading, i: int, broken: BoolArray, hollow: BoolArray) -> bool:
         """Do what a row asks for; return whether the bank moved or runs again."""
@@ -293,7 +290,7 @@ class SlidingEstimator:
     def _act(self, record: Record, reading: Reading, i: int, broken: BoolArray) -> bool:
         """Learn from a row's window, or solve it; return whether the bank moved."""
         newest = int(reading.index[i])
-        due = newest >= self.explainer.disturbance.tried + max(1, self.settings.plan.window // TRIES)
+        due = newest >= self.explainer.disturbance.again
         if broken[i]:
             return due and self.explainer.explain(record, newest)
         if self.explainer.due(reading)[i]:

@@ -121,9 +121,13 @@ class Learner:
         wide = self.lineariser.ridge(at.regression.layout, window, self.lineariser.wide(), -known.eta)
         least = self._least(known.noise)
         noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
-        return replace(noise, log_sigma=np.maximum(noise.log_sigma, self.log_floor)), self.lineariser.without_jumps(
+        return replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window))), self.lineariser.without_jumps(
             at, fit
         )
+
+    def _floor(self, window: Window) -> FloatArray:
+        """(p,) least log σ: what the wire resolves, or more digits than any sensor has."""
+        return np.asarray(np.maximum(self.log_floor, np.log(np.maximum(tuning.DIGITS * window.y.std(axis=0), 1e-300))))
 
     def _least(self, noise: Noise) -> FloatArray:
         """(p,) least that log σ may turn out to be: what is stated, or where nothing is, what the wire resolves."""
@@ -174,7 +178,7 @@ class Learner:
         noise = known.noise
         firm = replace(noise, power=FIRM * noise.power, dof=FIRM * noise.dof)
         _, fit = self._open_minded(at, replace(known, noise=firm), ridge)
-        return replace(noise, log_sigma=np.maximum(fit.log_sigma, self.log_floor), intensity=fit.intensity)
+        return replace(noise, log_sigma=np.maximum(fit.log_sigma, self._floor(window)), intensity=fit.intensity)
 
     def _open_minded(self, at: Linearised, known: Knowledge, ridge: Ridge) -> tuple[float, NoiseFit]:
         """Restricted log likelihood of a window under the noise known, and the fit of whatever noise explains it."""

@@ -7,7 +7,8 @@ d_j = M_−j⁻¹ g_−j − M⁻¹ g; under the model its covariance is
 
 so r = Σ diag d_j d_jᵀ / Σ diag E_j is 1 in expectation whatever leverage or prior a block has (Shao & Wu, Ann. Stat. 17
 (1989) 1176, gives the plain form). r is pooled over disjoint windows; the scatter between windows is judged by second
-differences, in which a slow change of the parameters cancels.
+differences, in which a slow change of the parameters cancels. Either is 1 by the model, or anything: a few windows say
+little of it, so its expectation weighs both (a spike at 1 and a scaled inverse χ² slab).
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, gammaln
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse
@@ -73,11 +75,26 @@ class Scatter:
     @property
     def factor(self) -> FloatArray:
         """(q,) what the model's variance is multiplied by; never below 1: noise as small as the model's is no luck."""
-        return np.asarray(np.maximum(self.within, 1.0) * np.maximum(self.between, 1.0))
+        differences = min(self.compared, tuning.BETWEEN_DOF - tuning.SCATTER_PRIOR_DOF)
+        return expected(self.within, self.dof - tuning.SCATTER_PRIOR_DOF) * expected(self.between, differences)
 
     def interrupted(self) -> "Scatter":
         """Return the belief after a change or a gap: the windows before it do not compare."""
         return replace(self, last=())
+
+
+def expected(pooled: FloatArray, seen: float) -> FloatArray:
+    """Return the expectation (q,) of a factor on the variance: 1 by the model, or what was pooled.
+
+    pooled (q,): mean of `seen` ratios and of SCATTER_PRIOR_DOF ones. Neighbouring second differences, and leverages
+    that differ from block to block, leave half of them independent.
+    """
+    prior, half = tuning.SCATTER_PRIOR_DOF, 0.5 * seen
+    power = np.maximum(0.5 * ((seen + prior) * pooled - prior), 0.0)  # Σ z² of the independent ones
+    after = 0.5 * (prior + half)
+    slab = gammaln(after) - gammaln(0.5 * prior) + 0.5 * prior * np.log(0.5 * prior)
+    odds = slab - after * np.log(0.5 * (prior + power)) + 0.5 * power  # log Bayes factor against the model
+    return np.asarray(1 + expit(odds) * (np.maximum(pooled, 1.0) - 1))
 
 
 def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) -> FloatArray:

@@ -8,6 +8,8 @@ SIGMA_SPREAD_UNSTATED = 5.0
 """Prior sd of log σ where no noise_sd is stated: nothing is known. Needed by: white noise to be learnt."""
 SIGMA_UNKNOWN = 1.0
 """Prior sd of log σ beyond which it counts as not known when grids of intensities are laid out. Needed by: EMPS."""
+DIGITS = 1e-7
+"""Least σ as a share of a signal's spread: 23 bits, more than a sensor has. Needed by: no noise at all."""
 SIGMA_WALK = 0.1
 """Prior sd of the random walk of log σ from window to window. Needed by: jitter, whose noise grows with speed."""
 SIGMA_WALK_DOF = 4.0

@@ -264,11 +264,13 @@ class Explainer:
             self.schedule.follow(newest)
             return True
         window, posterior = self._last
-        early = newest - (disturbance.onset or newest) < length
+        onset = disturbance.onset or newest
+        early = newest - onset < length
         if self.faults.standing is not None:  # it is looked at again a window later
-            disturbance.tried(newest, length, 1.0)
+            disturbance.wait(newest + length)
         elif early and posterior.changing:
-            disturbance.tried(newest, length, self.learner.cuts[int(posterior.jump.argmax())] / length - LEAVES)
+            leaves = newest + self.learner.cuts[int(posterior.jump.argmax())] - int(LEAVES * length)
+            disturbance.wait(min(int(leaves), onset + int(WHOLE * length)))
         if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
             return False
         return self._relearn(record, window, posterior, newest, jumps=posterior.changing)

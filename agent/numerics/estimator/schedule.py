@@ -61,9 +61,13 @@ class Disturbance:
         before, self.changed = self.changed, index
         return index - before < AGAIN * window or index - (self.onset or index) > LASTS * window
 
-    def tried(self, index: int, window: int, leaves: float = 0.0) -> None:
-        """Note a try; what breaks the rows leaves after a share of a window."""
-        self.again = index + max(1, window // TRIES, int(window * leaves))
+    def tried(self, index: int, window: int) -> None:
+        """Note a try at sample `index`."""
+        self.again = index + max(1, window // TRIES)
+
+    def wait(self, until: int) -> None:
+        """Let sample `until` pass before the next try."""
+        self.again = max(self.again, until)
 
     def since(self, index: int) -> bool:
         """Whether rows after sample `index` were broken."""

@@ -118,7 +118,8 @@ class Learner:
         self, window: Window, at: Linearised, known: Knowledge, shaken: bool, anew: bool
     ) -> tuple[Noise, Linearised]:
         """The noise learnt from a linearised window, and the window under it."""
-        wide = self.lineariser.ridge(at.regression.layout, window, self.lineariser.wide(), -known.eta)
+        free = known.constants.total, known.constants.expected - known.eta
+        wide = self.lineariser.ridge(at.regression.layout, window, *free)
         least = self._least(known.noise)
         noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
         return replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window))), self.lineariser.without_jumps(

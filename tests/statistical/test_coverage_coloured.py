@@ -22,8 +22,9 @@ QUICK = {
 
 
 def hold(name: str, found: Coverage) -> None:
-    # a damper may be unexcited for a window: few runs tell no more than this
-    assert found.valid.min() >= 0.95
+    # a damper may be unexcited for a window: few runs tell no more than this; and the rounding of a force by 16 bits
+    # is a force noise that the first ten windows hardly tell from none, and take for a change in one of thirty
+    assert found.valid.min() >= (0.92 if name.startswith("16 bits") else 0.95)
     assert found.covered.min() >= (0.92 if name.startswith("white") else 0.90)
     if name.startswith("white"):
         # the constants' data sheets are in the intervals, and here the constants are exact

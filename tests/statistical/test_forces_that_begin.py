@@ -106,7 +106,7 @@ def test_forces_that_cease_are_forgotten() -> None:
     sd = {when: np.median(rows.sd[(rows.index >= at) & (rows.index < at + 5 * SECOND)], axis=0)
           for when, at in {"healthy": SECOND, "forced": LASTS, "after": len(v) - 5 * SECOND}.items()}  # fmt: skip
     assert (sd["forced"] > 2.0 * sd["healthy"])[[0, 2]].all()
-    assert (sd["after"] < 1.5 * sd["healthy"]).all()
+    assert (sd["after"] < 1.6 * sd["healthy"]).all()
 
 
 def never_zeroed(v: FloatArray) -> None:

@@ -20,7 +20,7 @@ from agent.numerics.estimator.faults import WHOLE, Faults
 from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.schedule import LEAVES, Disturbance, Schedule
+from agent.numerics.estimator.schedule import Disturbance, Schedule
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference import tuning
 from agent.numerics.inference.columns import Window, refilled
@@ -264,13 +264,9 @@ class Explainer:
             self.schedule.follow(newest)
             return True
         window, posterior = self._last
-        onset = disturbance.onset or newest
-        early = newest - onset < length
+        early = newest - (disturbance.onset or newest) < length
         if self.faults.standing is not None:  # it is looked at again a window later
             disturbance.wait(newest + length)
-        elif early and posterior.changing:
-            leaves = newest + self.learner.cuts[int(posterior.jump.argmax())] - int(LEAVES * length)
-            disturbance.wait(min(int(leaves), onset + int(WHOLE * length)))
         if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
             return False
         return self._relearn(record, window, posterior, newest, jumps=posterior.changing)

@@ -10,8 +10,6 @@ TRIES = 8
 """Tries a window length to solve windows that are broken."""
 AGAIN = 3
 """Windows within which parameters that change twice are rather pushed by forces that nobody measures."""
-LEAVES = 0.2
-"""Share of a window by which a change may show later in it than it is: it is tried again when it may have left."""
 LASTS = 1.5
 """Windows that one change is in the way at the most; what lasts longer may be forces that began."""
 

@@ -144,7 +144,7 @@ class SlidingEstimator:
         agrees = self.explainer.faults.agrees(reading, self.explainer.known)
         rows = Outcome.of(reading, self.settings.enough_sd)
         ended = np.empty(len(rows.index), dtype=np.int64)
-        stop, position, marked = len(reading.index), 0, 0
+        stop, position, marked, moved = len(reading.index), 0, 0, False
         while position < stop:
             if self.explainer.faults.is_active:
                 broken[position] |= sound[position] and not agrees[position]  # biased by a channel, though it fits
@@ -156,7 +156,7 @@ class SlidingEstimator:
             if position < stop and frozen[position]:
                 self.explainer.faults.freeze(record, int(reading.index[position]))
             elif position < stop and self._meet(record, reading, position, broken, hollow | still):
-                stop = position
+                stop, moved = position, True
             position += 1
         self._mark(record, rows, range(marked, stop), broken, hollow, still, ended)
         if self.settings.longer:
@@ -164,13 +164,16 @@ class SlidingEstimator:
                 None if windowed is None else read(windowed, point, samples)
                 for samples, windowed in zip(self.settings.longer, batch.windows[1:], strict=True)
             ]
-            stop = self._centred(record, rows, longer, broken, ended, stop)
+            stop = stop if moved else self._centred(record, rows, longer, broken, ended, stop)
             rows = chosen(rows.part(0, stop), longer, broken[:stop], ended[:stop], self.settings)
         else:
             rows = rows.part(0, stop)
         rows.stand_still((still & ~frozen)[:stop])
         self.explainer.faults.rested(record, reading.index[:stop][sound[:stop]])
-        self._jump = float(reading.jump[stop - 1]) if stop else self._jump
+        if moved:
+            self._jump = 0.0  # what jumped did so about another point
+        elif stop:
+            self._jump = float(reading.jump[stop - 1])
         return rows
 
     def _still(self, record: Record, index: IntArray) -> BoolArray:

@@ -118,8 +118,10 @@ class Learner:
         self, window: Window, at: Linearised, known: Knowledge, shaken: bool, anew: bool
     ) -> tuple[Noise, Linearised]:
         """The noise learnt from a linearised window, and the window under it."""
-        free = known.constants.total, known.constants.expected - known.eta
-        wide = self.lineariser.ridge(at.regression.layout, window, *free)
+        # what nothing known explains may be a constant that is off, rather than forces
+        spread = self.lineariser.wide() if anew else known.constants.total
+        centre = -known.eta if anew else known.constants.expected - known.eta
+        wide = self.lineariser.ridge(at.regression.layout, window, spread, centre)
         least = self._least(known.noise)
         noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
         return replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window))), self.lineariser.without_jumps(

@@ -124,9 +124,8 @@ class Learner:
         wide = self.lineariser.ridge(at.regression.layout, window, spread, centre)
         least = self._least(known.noise)
         noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
-        return replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window))), self.lineariser.without_jumps(
-            at, fit
-        )
+        noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
+        return noise, self.lineariser.without_jumps(at, fit)
 
     def _floor(self, window: Window) -> FloatArray:
         """(p,) least log σ: what the wire resolves, or more digits than any sensor has."""

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.special import gammaln
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio
+from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio, expected
 
 FREE = np.zeros((3, 3))
 
@@ -78,3 +79,25 @@ def test_scatter_never_makes_intervals_smaller_than_the_model() -> None:
         calm = calm.after(np.full(2, 0.2), np.zeros(2), np.ones(2))
     assert np.all(calm.factor == 1.0)
     assert calm.dof <= tuning.SCATTER_MOST_DOF
+
+
+def test_scatter_of_few_windows_is_weighed_against_the_model_and_of_many_believed() -> None:
+    pooled = np.array([0.5, 1.0, 1.5, 4.0])
+    few, many = expected(pooled, 2.0), expected(pooled, 100.0)
+    assert few[:2] == pytest.approx(1.0)
+    assert many[:2] == pytest.approx(1.0)
+    assert 1.0 < few[2] < 1.3
+    assert few[3] < 3.7
+    assert many[3] > 3.99
+
+
+def test_scatter_expected_is_that_of_a_mixture_of_both_explanations() -> None:
+    """Against the marginal likelihoods by quadrature: c = 1, or 1 / c from a gamma distribution of mean 1."""
+    prior, seen, pooled = tuning.SCATTER_PRIOR_DOF, 6.0, 1.8
+    power, n = 0.5 * ((seen + prior) * pooled - prior), 0.5 * seen
+    t = np.linspace(1e-4, 12.0, 400_001)
+    a = 0.5 * prior
+    density = t ** (a - 1) * np.exp(-a * t) * a**a / np.exp(gammaln(a))
+    slab = np.trapezoid(density * t ** (0.5 * n) * np.exp(-0.5 * power * t), t)
+    odds = slab / np.exp(-0.5 * power)
+    assert expected(np.array([pooled]), seen)[0] == pytest.approx(1 + odds / (1 + odds) * (pooled - 1), rel=1e-6)

@@ -39,7 +39,7 @@ _BUSES = {
 }
 
 ALARMS = "SELECT * FROM v_alarms WHERE rig = ? AND NOT (kind = 'source' AND parameter = 'computing') ORDER BY id"
-"""Five rigs in one process, played as fast as they are read, may be computed seconds behind: that is no fault of theirs."""
+"""Five rigs in one process, played as fast as they are read, may be computed seconds behind."""
 EXACT = "parameter", "unit", "status", "reason", "reference", "window_s", "n_used", "n_missing", "span_s", "method"
 ALARM = "raised", "cleared", "kind", "parameter", "priority", "state"
 

@@ -136,7 +136,8 @@ class EstimateBatch:
         reference: (q,) what delta is counted from.
         baseline_id: the baseline that `reference` comes from; None for the nominal.
         index, t_ns: (N,) the newest sample of each window.
-        value, sd, lower, upper: (N, q) estimate, standard deviation, 95 % interval by Student's t.
+        value, sd, lower, upper: (N, q) estimate, standard deviation, 95 % interval: against the nominal.
+        sd_repeat: (N, q) standard deviation against another estimate of the same rig: the constants taken as they are.
         status: (N, q) codes of Status.
         reason: (N, q) codes of Reason.
         held, held_age_s: (N, q) the last valid value and its age while status is UNEXCITED or INVALID.
@@ -159,6 +160,7 @@ class EstimateBatch:
     sd: FloatArray
     lower: FloatArray
     upper: FloatArray
+    sd_repeat: FloatArray
     status: CodeArray
     reason: CodeArray
     held: FloatArray
@@ -282,7 +284,10 @@ class EventRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunInfo:
-    """What a run is: provenance of every row written in it."""
+    """What a run is: provenance of every row written in it.
+
+    learnt_key: what its rig's knowledge is kept under (see `Learnt`); None takes nothing up from earlier runs.
+    """
 
     rig: str
     kind: Literal["live", "replay", "demo"]
@@ -291,6 +296,7 @@ class RunInfo:
     config_sha256: str
     baseline_id: int | None = None
     boot_id: str | None = None
+    learnt_key: str | None = None
     offset_ns: int | None = None
     """Wall clock minus monotonic clock as it started; None where the monotonic clock is none of this boot's."""
 
@@ -311,29 +317,44 @@ class ClockRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
-    """What a rig's windows have taught of its disturbances, for the next start with the same configuration.
+class Learnt:
+    """What a rig's windows have taught, for the next start: noise, constants, point of linearisation.
 
     Attributes:
-        sigma: (p,) noise sd of each output, SI.
-        process: (d,) sd of the unknown force in each direction.
-        factor: (q,) the commissioning factor of each parameter; None while too few windows have been seen.
-        searched: a long record has been searched for unknown forces.
+        key: what it was learnt for: a hash of the model, the channels and the rate; an edit elsewhere keeps it.
+        content: JSON text.
     """
 
-    sigma: tuple[float, ...]
-    process: tuple[float, ...]
-    factor: tuple[float, ...] | None
-    searched: bool
+    key: str
+    content: str
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationRecord:
-    """A rig was calibrated, or knows more than before."""
+class LearntRecord:
+    """A rig knows more than before."""
 
     rig: str
     t_ns: int
-    calibrated: Calibrated
+    learnt: Learnt
 
 
-Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | CalibrationRecord | ClockRecord
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is believed of a constant of the rig: a mass, a sensor's gain, the inputs' delay.
+
+    Attributes:
+        hypothesis: what is off: "m1", "all masses", "x1", "x1 drifts", "delay".
+        size, sd: how far, and how well that is known, in `unit`: per cent more than configured, or seconds.
+        probability: posterior.
+    """
+
+    rig: str
+    t_ns: int
+    hypothesis: str
+    size: float
+    sd: float
+    unit: str
+    probability: float
+
+
+Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict | ClockRecord

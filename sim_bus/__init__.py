@@ -1,4 +1,1 @@
-"""A simulated rig: true mechanics (`rig`), devices that speak the real protocols (`devices`), `virtual_time`.
-
-May import codecs of `drivers`; never imports the agent.
-"""
+"""A simulated rig: true mechanics, sensors and devices that speak the real protocols. Never imports the agent."""

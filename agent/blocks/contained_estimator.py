@@ -9,12 +9,15 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from agent.blocks.estimation import BoolArray, Estimator
-from agent.numerics.faults.suspects import Accusation
-from agent.numerics.fitting.work import Budget
+import numpy as np
+
+from agent.blocks.estimation import BoolArray, Method
+from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.faults import Finding
+from agent.numerics.estimator.outcome import Outcome
+from agent.numerics.inference.verdicts import Belief
 from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.rows import Rows
-from agent.types import Calibrated, FloatArray
+from agent.types import FloatArray, Reason, Status
 
 NUMERICAL = (ArithmeticError, ValueError)
 """What linear algebra and arithmetic raise; numpy's LinAlgError is a ValueError."""
@@ -26,22 +29,20 @@ log = logging.getLogger(__name__)
 class ContainedEstimator:
     """An estimator whose numerical failures become rows marked as diverged.
 
-    make: builds it anew. q: its parameters. windows: how many lengths of window each row tells of, 0 for one.
+    make: builds it anew, to spend what is left of `budget`. plan: its hops and windows. q: its parameters.
     """
 
-    make: Callable[[], Estimator]
+    make: Callable[[Budget], Method]
+    budget: Budget
     plan: HopPlan
     q: int
-    windows: int = 0
-    estimator: Estimator = field(init=False)
-    budget: Budget = field(init=False)
-    _known: Calibrated | None = None
+    estimator: Method = field(init=False)
+    _known: str | None = None
     _spikes: int = 0
     _failures: list[tuple[int, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.estimator = self.make()
-        self.budget = self.estimator.budget
+        self.estimator = self.make(self.budget)
 
     @property
     def spikes(self) -> int:
@@ -56,17 +57,21 @@ class ContainedEstimator:
         """Do nothing but rows from now on; nor does any estimator that takes this one's place."""
         self.budget.close()
 
-    def adopt(self, known: Calibrated) -> None:
-        """Begin with what an earlier run knew; so does every estimator that takes this one's place."""
-        self._known = known
-        self.estimator.adopt(known)
+    def adopt(self, content: str) -> None:
+        """Begin with what an earlier run learnt; so does every estimator that takes this one's place."""
+        self._known = content
+        self.estimator.adopt(content)
 
-    def calibrated(self) -> Calibrated | None:
-        """Return what is known of the rig's disturbances; None while that is nothing to rely on."""
-        return self.estimator.calibrated()
+    def knowledge(self) -> str | None:
+        """Return what was learnt; None while that is nothing to rely on."""
+        return self.estimator.knowledge()
 
-    def take_findings(self) -> list[tuple[int, Accusation]]:
-        """Return (sample, accusation) of what the model was found to lack since the last call."""
+    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
+        """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
+        return self.estimator.take_beliefs()
+
+    def take_findings(self) -> list[Finding]:
+        """Return which faults of channels began or ended since the last call."""
         return self.estimator.take_findings()
 
     def take_failures(self) -> list[tuple[int, str]]:
@@ -77,11 +82,11 @@ class ContainedEstimator:
     def step(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
         suspect: BoolArray | None = None,
-    ) -> Rows:  # fmt: skip
+    ) -> Outcome:  # fmt: skip
         """Take consecutive samples as every estimator does; return the rows they end, failed ones marked."""
         before = self.estimator.spikes
         try:
-            return self.estimator.step(index, y, u, missing, suspect)
+            return self._stepped(index, y, u, missing, suspect)
         except NUMERICAL as error:
             self._failures.append((index + len(y) - 1, f"{type(error).__name__}: {error}"))
             self._renew(index, before, error)
@@ -90,25 +95,31 @@ class ContainedEstimator:
             piece = slice(start, start + self.plan.window)
             doubts = (None if missing is None else missing[piece], None if suspect is None else suspect[piece])
             pieces.append(self._piece(index + start, y[piece], u[piece], *doubts))
-        return Rows.joined(pieces, self.q)
+        return Outcome.joined(pieces, self.q)
+
+    def _stepped(
+        self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None, suspect: BoolArray | None
+    ) -> Outcome:
+        """Let the estimator work; what is no number or beyond all numbers is raised where it arises."""
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            return self.estimator.step(index, y, u, missing, suspect)
 
     def _piece(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None, suspect: BoolArray | None
-    ) -> Rows:
+    ) -> Outcome:
         before = self.estimator.spikes
         try:
-            return self.estimator.step(index, y, u, missing, suspect)
+            return self._stepped(index, y, u, missing, suspect)
         except NUMERICAL as error:
             self._renew(index, before, error)
-        rows = Rows.warming(self.plan.rows_between(index, index + len(y)), self.q, self.windows)
-        rows.diverged[:] = True
+        rows = Outcome.warming(self.plan.rows_between(index, index + len(y)), self.q)
+        rows.status[:], rows.reason[:] = Status.INVALID, Reason.DIVERGED
         return rows
 
     def _renew(self, index: int, spikes: int, error: Exception) -> None:
         """Put a new estimator in the place of one that raised; `spikes` it had counted before."""
         log.debug("the estimator failed at sample %d and is made anew", index, exc_info=error)
         self._spikes += spikes
-        self.estimator = self.make()
-        self.estimator.budget = self.budget  # what is made anew has not been given more to spend
+        self.estimator = self.make(self.budget)
         if self._known is not None:
             self.estimator.adopt(self._known)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from agent.blocks.rig_model import known_noise, rig_model
 from agent.config import RigConfig
 from agent.config.tables import MechanicsModel
+from agent.numerics.model.holds import straight
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import Model
@@ -41,7 +42,7 @@ def friction_inputs(config: RigConfig, resolution: FloatArray) -> FrictionInputs
         return None
     known = known_noise(config, resolution)
     period_s = 1.0 / config.rig.sample_rate_hz
-    return FrictionInputs(friction_observer(model, period_s, config.estimator.hold, known))
+    return FrictionInputs(friction_observer(model, period_s, straight(config.estimator.hold), known))
 
 
 def signals(config: RigConfig) -> int:

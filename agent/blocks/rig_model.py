@@ -6,16 +6,10 @@ import numpy as np
 
 from agent.config import RigConfig
 from agent.config.tables import LinearModel, MechanicsModel, Parameter
-from agent.numerics.estimator.window_settings import WindowSettings
-from agent.numerics.faults.masses import masses_of
-from agent.numerics.faults.mistakes import Mistakes
-from agent.numerics.faults.suspects import suspects_of
-from agent.numerics.faults.verdict import Court
 from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel
 from agent.numerics.model.statespace import AffineModel, Model, affine_model
-from agent.numerics.model.stick_slip import least_force
 from agent.numerics.window.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
@@ -178,12 +172,6 @@ def longer_windows(config: RigConfig, plan: HopPlan) -> tuple[int, ...]:
     return tuple(dict.fromkeys(plan.window + count * plan.hop for count in hops))
 
 
-def _drift_window(config: RigConfig) -> int | None:
-    """Return the samples of the window in which parameters may run straight lines; None where they may not."""
-    length = config.estimator.drift_s
-    return None if length is None else round(length * config.rig.sample_rate_hz)
-
-
 def longest_bridge(model: Model, rate_hz: float) -> int:
     """Return the longest gap that is bridged, samples: 5, or a twentieth of the fastest period, but no more than 20."""
     speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
@@ -191,69 +179,7 @@ def longest_bridge(model: Model, rate_hz: float) -> int:
     return 5 if fastest == 0 else int(np.clip(2 * np.pi / fastest * rate_hz / 20, 5, 20))
 
 
-def input_noise(config: RigConfig, resolution: FloatArray | None) -> FloatArray:
-    """Return the noise sd (inputs,) of the measured inputs, SI: what is stated, and what the wire's steps (m,) add."""
-    stated = np.array([(c.noise_sd or 0.0) * c.si_factor for c in config.inputs])
-    return stated if resolution is None else np.hypot(stated, resolution / np.sqrt(12.0))
-
-
-def window_settings(
-    config: RigConfig, rig: RigModel, resolution: FloatArray, input_resolution: FloatArray | None = None
-) -> WindowSettings:
-    """Return the settings of window-ml for a configuration; resolution (p,) as in `output_noise`, inputs' (m,)."""
-    sigma, floor = output_noise(config, resolution)
-    nominal = rig.model.nominal
-    limited = np.where(rig.limits > 0, rig.limits, np.nan)
-    scale = np.where(nominal != 0, np.abs(nominal), limited)
-    physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
-    needed = np.array([p.kind == "mass" or p.name in _holding(config) for p in rig.parameters])
-    plan = hop_plan(config)
-    return WindowSettings(
-        period_s=1.0 / config.rig.sample_rate_hz,
-        plan=plan,
-        hold=config.estimator.hold,
-        gains=observer_gains(config, rig, plan.window),
-        sigma=sigma,
-        floor=floor,
-        scale=scale,
-        scale_column=_scale_columns(config, rig),
-        longer=longer_windows(config, plan),
-        input_sd=input_noise(config, input_resolution),
-        least_force=_least_force(config, rig.model, resolution),
-        drift=_drift_window(config),
-        wanted_sd=0.1 * np.where(rig.limits > 0, rig.limits, np.inf),
-        lower=np.where(physical & (nominal != 0), np.where(needed, 0.02 * scale, 0.0), -np.inf),
-        enough_sd=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
-        suspects=suspects_of(
-            rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, known_noise(config, resolution)
-        ),
-        masses=masses_of(rig.model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold),
-        mistakes=Mistakes(
-            rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
-        ),
-        court=Court(
-            rig.model, len(config.outputs), len(config.inputs), 1.0 / config.rig.sample_rate_hz, config.estimator.hold
-        ),
-    )
-
-
-def _least_force(config: RigConfig, model: Model, resolution: FloatArray) -> FloatArray | None:
-    inner = model.model if isinstance(model, SensedModel) else model
-    if not isinstance(inner, MassSpringDamper):
-        return None
-    sigma = known_noise(config, resolution)
-    return least_force(inner, 1.0 / config.rig.sample_rate_hz, config.estimator.hold, sigma)
-
-
-def _holding(config: RigConfig) -> set[str]:
-    """The dampers that hold nodes without mass: there is no motion without them."""
-    if not isinstance(config.model, MechanicsModel):
-        return set()
-    massless = {mass.name for mass in config.model.mass if mass.value == 0}
-    return {damper.name for damper in config.model.damper if massless & set(damper.between)}
-
-
-def _scale_columns(config: RigConfig, rig: RigModel) -> IntArray:
+def scale_columns(config: RigConfig, rig: RigModel) -> IntArray:
     """The channel that gives an offset its size; 0 for parameters that have a size of their own."""
     channels = [c.name for c in (*config.outputs, *config.inputs)]
     owners = [p.name.rsplit(".", 1)[0] if p.kind in SENSOR_KINDS else channels[0] for p in rig.parameters]

@@ -216,6 +216,14 @@ def records(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False)
 
 
 @app.command()
+def verdicts(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False) -> None:
+    """List what is believed of a rig's constants: a mass, a sensor's gain, a delay that is not as configured."""
+    from agent.cli import queries as commands_queries
+
+    commands_queries.verdicts(db, rig, _form(json=json, csv=csv))
+
+
+@app.command()
 def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
     db: Database,
     parameter: Annotated[str, typer.Argument(metavar="PARAMETER", help="For example k1.", show_default=False)],
@@ -237,7 +245,8 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
 def export(
     db: Database,
     what: Annotated[
-        str, typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health, runs, event_records.")
+        str,
+        typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health, runs, event_records, verdicts."),
     ] = "estimates",
     rig: Rig = None,
     to: Annotated[

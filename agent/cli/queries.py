@@ -1,4 +1,4 @@
-"""`deltak estimates` and `deltak alarms`: rows of the views, as a table, JSON or CSV."""
+"""`deltak estimates`, `alarms`, `records` and `verdicts`: rows of the views, as a table, JSON or CSV."""
 
 import json
 import sys
@@ -16,6 +16,7 @@ Row = Mapping[str, Any]
 ESTIMATE_COLUMNS = (
     "rig", "run_id", "time", "t_ns", "parameter", "unit", "value", "delta", "reference", "baseline_id", "sd", "lower",
     "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used", "n_missing", "span_s", "method",
+    "sd_repeat",
 )  # fmt: skip
 ALARM_COLUMNS = (
     "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at", "acked_by",
@@ -25,6 +26,7 @@ RECORD_COLUMNS = (
     "id", "rig", "run_id", "t_ns", "time", "kind", "parameter", "alarm_id", "alarms", "from_ns", "to_ns", "samples",
     "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
 )  # fmt: skip
+VERDICT_COLUMNS = ("rig", "run_id", "t_ns", "time", "hypothesis", "size", "sd", "unit", "probability")
 TABLE_ROWS = 40
 """A table for people shows the newest rows; JSON and CSV give all."""
 
@@ -75,6 +77,15 @@ def records(db: Path, rig: str | None, form: str) -> None:
         _print_record_table(rows)
     else:
         _print_rows("records", RECORD_COLUMNS, rows, form, rows.refused)
+
+
+def verdicts(db: Path, rig: str | None, form: str) -> None:
+    """Print what is believed of the rigs' constants. Raises StoreError; UsageError for an unknown rig."""
+    rows = queries.verdicts(db, rig)
+    if form == "table":
+        _print_verdict_table(rows)
+    else:
+        _print_rows("verdicts", VERDICT_COLUMNS, rows, form, rows.refused)
 
 
 def _print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str, refused: int) -> None:
@@ -140,3 +151,19 @@ def _record_cells(row: Row) -> tuple[str, ...]:
     what = f"{row['kind']} {row['parameter']}" + (f" and {row['alarms'] - 1} more" if row["alarms"] > 1 else "")
     words = f"{row['state']}: {row['message']}" if row["message"] else row["state"]
     return str(row["id"]), row["rig"], short_time(row["time"]), what, words, str(row["samples"]), row["file"]
+
+
+def _print_verdict_table(rows: Sequence[Row]) -> None:
+    if not rows:
+        sys.stdout.write("no verdicts\n")
+        return
+    columns = ("rig", "time", "what is off", "by ± sd", "unit", "probability")
+    print_table("", columns, (_verdict_cells(row) for row in rows[-TABLE_ROWS:]), right={"by ± sd", "probability"})
+    if len(rows) > TABLE_ROWS:
+        sys.stderr.write(f"the newest {TABLE_ROWS} of {len(rows)} rows; --csv and --json give all\n")
+
+
+def _verdict_cells(row: Row) -> tuple[str, ...]:
+    size, sd = (float("nan") if row[key] is None else row[key] for key in ("size", "sd"))
+    what = (row["rig"], short_time(row["time"]), row["hypothesis"], with_sd(size, sd), row["unit"])
+    return *what, number(row["probability"], 3)

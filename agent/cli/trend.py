@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,9 @@ def _window_s(db: Path, parameter: str) -> float:
 
 
 def _document(points: queries.Points, window_s: float, limit: float | None) -> dict[str, Any]:
-    found = fit_trend(points.t_ns, points.value, points.sd, np.maximum(points.span_s, window_s))
+    found = fit_trend(points.t_ns, points.value, points.sd_repeat, np.maximum(points.span_s, window_s))
+    if found.sd is not None:  # what the constants leave open is the same in every point: of the level, not the slope
+        found = replace(found, sd=math.hypot(found.sd, _common(points)))
     instants = points.t_ns.tolist()
     return {
         "rig": points.rig,
@@ -63,6 +66,11 @@ def _document(points: queries.Points, window_s: float, limit: float | None) -> d
         "forecast": None,
         "points": list(zip(instants, points.value.tolist(), points.sd.tolist(), strict=True)),
     }
+
+
+def _common(points: queries.Points) -> float:
+    """Return the sd of what the newest point shares with all the others."""
+    return math.sqrt(max(float(points.sd[-1]) ** 2 - float(points.sd_repeat[-1]) ** 2, 0.0))
 
 
 def _sentences(found: Document) -> str:

@@ -15,6 +15,10 @@ from agent.runtime.sources import source_hints, unordered_sources
 
 MARGINAL = 1e-9
 """A pole this near the unit circle neither decays nor grows."""
+FEW_A_PERIOD = 20
+"""Samples a period below which a straight line between samples is not what a force did."""
+FEWER_A_PERIOD = 8
+"""Samples a period below which a cubic is not either."""
 LIVELY = 1e-3
 """Damping ratio above which a mode that oscillates counts as one with a period worth a window."""
 
@@ -28,6 +32,7 @@ def warnings(
         *_windows(config, rig),
         *_predicted(config, rig, predicted, recorded),
         *_delays(config),
+        *_observer(config),
         *_noise(config),
         *_units(config),
         *_sources(config),
@@ -61,9 +66,12 @@ def _windows(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     if fastest > rate / 2:
         what = f"{rate:g} Hz does not show the mode at {fastest:.4g} Hz"
         yield Fault("rig.sample_rate_hz", what, f"sample above {2 * fastest:.4g} Hz, better ten times the mode")
-    elif fastest > rate / 5:
-        what = f"{rate:g} Hz are few samples a period of the mode at {fastest:.4g} Hz"
-        yield Fault("rig.sample_rate_hz", what, f"{10 * fastest:.4g} Hz would do; the force is unknown between samples")
+    elif fastest > rate / FEW_A_PERIOD:
+        what = f"{rate:g} Hz are few samples a period of the mode at {fastest:.4g} Hz: {rate / fastest:.3g}"
+        hold = "cubic" if fastest < rate / FEWER_A_PERIOD else "quintic"
+        smoother = f', or hold = "{hold}" where the force is smooth between samples' if config.inputs else ""
+        advice = f"{FEW_A_PERIOD * fastest:.4g} Hz would do{smoother}"
+        yield Fault("rig.sample_rate_hz", what, advice)
 
 
 def _predicted(
@@ -98,6 +106,13 @@ def _delays(config: RigConfig) -> Iterator[Fault]:
             what = f"{alarm.on_delay_s:g} s is less than half a window, {0.5 * longest:g} s"
             advice = "windows that straddle a change may name a wrong parameter"
             yield Fault(f"alarm[{number}].on_delay_s", what, advice)
+
+
+def _observer(config: RigConfig) -> Iterator[Fault]:
+    gain, denies_forces = config.estimator.observer.gain, config.estimator.observer.process_sd == 0
+    if config.estimator.method == "window-ml" and gain != "auto" and not denies_forces:
+        what = f'gain = "{gain}" changes nothing: with method = "window-ml" the estimates are the same under every gain'
+        yield Fault("estimator.observer", what, 'remove it, or take method = "seed", which is made of it')
 
 
 def _noise(config: RigConfig) -> Iterator[Fault]:

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from agent.config import RigConfig
-from agent.numerics.estimator.calibrate import ROUND_OFF
-from agent.numerics.faults.suspicion import STILL
-from agent.numerics.fitting.noise import sensor_noise
+from agent.numerics.fitting.constants_asked import STILL
+from agent.numerics.preprocessing.noise import ROUND_OFF, sensor_noise
 from agent.runtime.acquisition_plan import channels_of
 from agent.text import number
 from agent.types import FloatArray

@@ -7,13 +7,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, rig_model, window_settings
+from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windows, observer_gains, rig_model
 from agent.commissioning.advice import warnings
 from agent.commissioning.evidence import Evidence, Gathered
 from agent.commissioning.prediction import predictions, rows, sampled
 from agent.commissioning.progress import Progress, on_terminal
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
+from agent.numerics.model.holds import straight
 from agent.numerics.model.margins import condition_3, condition_8, worst_perturbation_norm
 from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
 from agent.numerics.model.observer import Noise
@@ -110,10 +111,10 @@ def _bytes(config: RigConfig, rig: RigModel) -> int:
 def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered: Gathered) -> dict[str, Any]:
     """What only a model without faults has: observer, conditions, the sd to expect, warnings."""
     discrete = sampled(config, rig)
-    settings = window_settings(config, rig, resolution)
-    sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
+    stated = known_noise(config, resolution)
+    sigma, gains = np.where(np.isfinite(stated), stated, 1.0), observer_gains(config, rig, hop_plan(config).window)
     noise = Noise(sigma, np.zeros(rig.disturbance.shape[1]))
-    gain, start = settings.gains.settled(discrete, noise).L, settings.gains.start(discrete, noise).L
+    gain, start = gains.settled(discrete, noise).L, gains.start(discrete, noise).L
     recorded, failed = gathered.recorded, list[Fault]()
 
     def tried(what: str, work: Callable[[], T]) -> T | None:
@@ -145,7 +146,7 @@ def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: Flo
     """Evaluate (8) for parameters anywhere within their alarm limits; None where these are too many."""
     if np.count_nonzero(rig.limits) > MOST_PARAMETERS:
         return None
-    period_s, hold = 1.0 / config.rig.sample_rate_hz, config.estimator.hold
+    period_s, hold = 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold)
     continuous = [rig.model.continuous(corner) for corner in vertices(rig.model, rig.limits)]
     corners = [discretise(corner, period_s, hold).model for corner in continuous]
     size = worst_perturbation_norm(discrete.model, corners, gain)

@@ -5,29 +5,23 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.advice import words
-from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_model, window_settings
+from agent.blocks.rig_model import known_noise, rig_model, scale_columns
+from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.channel_checks import plain_findings, suspicion
 from agent.config import RigConfig
 from agent.config.tables import Channel
 from agent.errors import Fault
-from agent.numerics.estimator.calibrate import ROUND_OFF
-from agent.numerics.estimator.window_settings import WindowSettings
-from agent.numerics.faults.suspects import Accusation
-from agent.numerics.faults.suspicion import Examiner, Finding, Hypothesis
-from agent.numerics.fitting.fit import Problem
-from agent.numerics.fitting.guarded import sized
-from agent.numerics.fitting.noise import sensor_noise
-from agent.numerics.model.observer import Noise
-from agent.numerics.model.statespace import Discrete, Model, discretise
+from agent.numerics.fitting.constants_asked import Asked, ConstantsAsked
+from agent.numerics.fitting.wiring import Examiner, Finding, Hypothesis
+from agent.numerics.model.holds import straight
 from agent.runtime.acquisition_plan import channels_of, complete_inputs, stretch_samples
 from agent.text import number
 from agent.types import FloatArray
 
 STRETCHES = 2
+PLAINER = 2.0
+"""A zero, a scale or a delay must leave less than this part of what mended wires or signs leave."""
 ELASTIC = ("spring", "damper", "friction", "linear")
-KINDS = {"bias": "offset", "gain": "scale", "input gain": "scale"}
-"""What is found in a window, by the names that a check gives it."""
 Progress = Callable[[str], None]
 
 
@@ -49,48 +43,61 @@ def findings(
     if plain := plain_findings(config, v):
         return plain
     finding = _examiner(config, said).examine(stretches)
-    return _mistaken(config, stretches[0]) if finding is None else [_row(config, finding)]
+    mistaken = _mistaken(config, stretches[0])
+    # a scale or a sign is a gain as well: the plainer word wins unless it leaves far more
+    plainer = finding is not None and not (mistaken and PLAINER * mistaken[0]["left_after"] < finding.after)
+    return [_row(config, finding)] if finding is not None and plainer else mistaken
 
 
 def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
-    """Return the channels that `replay` would condemn too, of readings v (N, c), inputs first."""
-    rig, resolution, inputs = rig_model(config), np.zeros(len(config.outputs)), len(config.inputs)
-    settings = window_settings(config, rig, resolution)
-    y, u = v[:, inputs:], v[:, :inputs]
-    columns = np.hstack([y, complete_inputs(config, resolution)(y, u)])
-    guess = np.maximum(sensor_noise(y), ROUND_OFF * np.abs(y).max(axis=0) + 1e-300)
-    # what is stated is the sensor's; its wire adds to that
-    noise = Noise(np.fmax(settings.sigma, guess), np.zeros(rig.disturbance.shape[1]))
-    stages = [lambda at: settings.gains.start(at, noise), lambda at: settings.gains.settled(at, noise)]
-    scale = sized(settings.scale, settings.scale_column, columns)
-    problem = Problem(lambda theta: _sampled(rig.model, theta, settings), columns, scale, settings.lower)
-    mistakes = settings.mistakes
-    found = None if mistakes is None else mistakes.find(problem, rig.model.nominal, stages, noise.sigma)
-    # a gain or a delay that leaves more than noise may as well be something else that the model lacks
-    if found is None or not (found.whole or found.suspect.kind == "bias"):
+    """Return the channel of which one constant, left free, explains readings v (N, c), inputs first, and how."""
+    examiner = _examiner(config, lambda _done, _all: None)
+    asked = ConstantsAsked(
+        model=examiner.model, inputs=examiner.inputs, period_s=examiner.period_s, hold=examiner.hold,
+        sigma=examiner.sigma, push=examiner.push, scale=examiner.scale, scale_column=examiner.scale_column,
+        lower=examiner.lower, complete=examiner.complete,
+    )  # fmt: skip
+    before, found = asked.find(v)
+    if not found:
         return []
-    # the model's outputs come first in what is found, its inputs in the configuration
-    channels = [*config.outputs, *config.inputs]
-    accusation = Accusation(found.suspect, found.share, sizes=found.sizes)
-    said = words(accusation, [(channel.name, channel.si_unit) for channel in channels])
-    kind = KINDS.get(found.suspect.kind, found.suspect.kind)
-    factor = found.sizes[0] if kind == "scale" else None
-    return [suspicion(kind, [channels[r].name for r in found.suspect.channels], said, factor)]
+    first, channels = found[0], channels_of(config)
+    said = "; or ".join(_asked_words(one, channels[one.channel], one.channel < examiner.inputs) for one in found)
+    factor = first.size if first.kind == "scale" else None
+    row = suspicion(first.kind, [channels[first.channel].name], said, factor)
+    return [row | {"left_before": before, "left_after": first.left}]
 
 
-
-def _sampled(model: Model, theta: FloatArray, settings: WindowSettings) -> Discrete:
-    """Return a rig's sampled model at theta (q,)."""
-    return discretise(model.continuous(theta), settings.period_s, settings.hold)
+def _asked_words(asked: Asked, channel: Channel, drives: bool) -> str:
+    """Return how a channel is wrong, and what to do about it."""
+    name = channel.name
+    if asked.kind == "offset":
+        where = f"{number(abs(asked.size), 3)} {channel.si_unit} too {'high' if asked.size > 0 else 'low'}"
+        return (
+            f"{name} reads {where}, as if never zeroed: zero it, correct its offset, or set bias = true on that channel"
+        )
+    if asked.kind == "delay":
+        late = "late" if asked.size > 0 else "early"
+        whose = "that channel" if asked.size > 0 else "the others"
+        size = number(1e3 * abs(asked.size), 3)
+        return f"{name} comes {size} ms {late} against the other channels: state that under delay_s of {whose}"
+    if not drives:
+        return f"{name} reads {number(asked.size, 3)} times what moves there: correct its scale"
+    other = number(1.0 / asked.size, 3)
+    return (
+        f"{name} reads {number(asked.size, 3)} times what the motion asks for, or all that moves reads {other} times "
+        "what it should: correct the scale that is wrong"
+    )
 
 
 def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examiner:
     rig, resolution = rig_model(config), np.zeros(len(config.outputs))
-    settings = window_settings(config, rig, resolution)
+    nominal = rig.model.nominal
+    limited = np.where(rig.limits > 0, rig.limits, np.nan)
     return Examiner(
-        model=rig.model, inputs=len(config.inputs), period_s=settings.period_s, hold=config.estimator.hold,
-        gains=observer_gains(config, rig, hop_plan(config).window), sigma=known_noise(config, resolution),
-        scale=settings.scale, scale_column=settings.scale_column, lower=settings.lower,
+        model=rig.model, inputs=len(config.inputs), period_s=1.0 / config.rig.sample_rate_hz,
+        hold=straight(config.estimator.hold), push=rig.disturbance, sigma=known_noise(config, resolution),
+        scale=np.where(nominal != 0, np.abs(nominal), limited), scale_column=scale_columns(config, rig),
+        lower=statistical_rig(config).lower,
         elastic=np.array([p.kind in ELASTIC for p in rig.parameters]),
         complete=complete_inputs(config, resolution), progress=progress,
     )  # fmt: skip

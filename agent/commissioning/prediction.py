@@ -1,19 +1,22 @@
 """The standard deviations that a rig's windows can be expected to give: the Cramer-Rao bound under an excitation."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, output_noise
+from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
-from agent.numerics.fitting.guarded import GREATEST
-from agent.numerics.fitting.information import bound_sd, information_filter, window_information
+from agent.numerics.fitting.fit import GREATEST
+from agent.numerics.fitting.information import PredictedSd, predicted_sd
+from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, discretise, simulate
+from agent.numerics.model.uncertain import Rig
 from agent.types import FloatArray
 
 FORCE_RMS = 1.0
@@ -49,17 +52,21 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """The sd to expect of every parameter, (q,), from a window of that length under what is assumed."""
+    """The sds to expect of every parameter, (q,), from a window of that length under what is assumed.
+
+    sd: against nominal, the constants known as their data sheets say; sd_repeat: against another window of the rig.
+    """
 
     window: int
     sd: FloatArray
+    sd_repeat: FloatArray
     assumes: str
 
 
 def sampled(config: RigConfig, rig: RigModel) -> Discrete:
-    """Return the nominal model as the estimator samples it."""
+    """Return the nominal model as the estimator samples it, but for a polynomial hold, which differs by little."""
     continuous = rig.model.continuous(rig.model.nominal)
-    return discretise(continuous, 1.0 / config.rig.sample_rate_hz, config.estimator.hold)
+    return discretise(continuous, 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold))
 
 
 def windows(config: RigConfig) -> list[int]:
@@ -76,19 +83,33 @@ def predictions(
     lengths = windows(config)
     excitation = _recorded(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
     sigma, noise_words = _noise(config, resolution, excitation, recorded)
-    words = f"{excitation.words}; {noise_words}"
-    return [Prediction(length, _expected(discrete, excitation, sigma, length), words) for length in lengths]
+    # the excitation is of straight lines, which is near enough for an sd
+    statistical = replace(statistical_rig(config), hold=straight(config.estimator.hold))
+    words = "; ".join([excitation.words, noise_words, *_constants(statistical)])
+    found = [_expected(discrete, statistical, excitation, sigma, length) for length in lengths]
+    return [Prediction(length, one.sd, one.sd_repeat, words) for length, one in zip(lengths, found, strict=True)]
 
 
-def _expected(discrete: Discrete, excitation: Excitation, sigma: FloatArray, window: int) -> FloatArray:
-    """Return the median of the bound (q,) over the windows of an excitation; NaN where none fits into it."""
-    bounds, filters = [], information_filter(discrete, sigma, window)
+def _constants(rig: Rig) -> list[str]:
+    """Say that the constants are taken as their data sheets state them, where there are any."""
+    return ["masses, gains and the delay as well known as stated"] if rig.constants else []
+
+
+def _expected(discrete: Discrete, rig: Rig, excitation: Excitation, sigma: FloatArray, window: int) -> PredictedSd:
+    """Return the medians over the windows of an excitation; NaN where none fits into it."""
+    found = []
     for start in excitation.starts(window):
         u = excitation.u[start : start + window]
-        bounds.append(bound_sd(window_information(discrete, excitation.state(start, window), u, sigma, filters)))
-    if not bounds:
-        return np.full(discrete.model.q, np.nan)
-    return np.asarray(np.median(bounds, axis=0))
+        # the learner's state is the shifted one
+        x0 = excitation.state(start, window) - discrete.B1 @ u[0]
+        found.append(predicted_sd(rig, x0, u, sigma))
+    if not found:
+        nothing = np.full(discrete.model.q, np.nan)
+        return PredictedSd(nothing, nothing)
+    return PredictedSd(
+        np.asarray(np.median([one.sd for one in found], axis=0)),
+        np.asarray(np.median([one.sd_repeat for one in found], axis=0)),
+    )
 
 
 def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
@@ -210,9 +231,9 @@ def rows(predicted: Sequence[Prediction], config: RigConfig, rig: RigModel) -> l
     rate = config.rig.sample_rate_hz
     return [
         {
-            "window_s": found.window / rate, "parameter": parameter.name, "sd": sd, "unit": parameter.unit,
-            "assumes": found.assumes,
+            "window_s": found.window / rate, "parameter": parameter.name, "sd": sd, "sd_repeat": repeat,
+            "unit": parameter.unit, "assumes": found.assumes,
         }
         for found in predicted
-        for parameter, sd in zip(rig.parameters, found.sd.tolist(), strict=True)
+        for parameter, sd, repeat in zip(rig.parameters, found.sd.tolist(), found.sd_repeat.tolist(), strict=True)
     ]  # fmt: skip

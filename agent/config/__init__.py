@@ -5,6 +5,7 @@
     toml_file -> parse (tables.py, fields.py, units.py) -> rules_* (what must hold between values) -> RigConfig
 """
 
+from agent.config.learnt_key import learnt_key
 from agent.config.load import load, load_many, parse
 from agent.config.plugins import driver_class, driver_entries
 from agent.config.tables import (
@@ -43,6 +44,7 @@ __all__ = [
     "Store",
     "driver_class",
     "driver_entries",
+    "learnt_key",
     "load",
     "load_many",
     "parse",

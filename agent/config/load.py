@@ -11,6 +11,7 @@ from agent.config.fields import shown
 from agent.config.messages import join, listing, nearest
 from agent.config.parse import read_list, read_table
 from agent.config.rules_channels import check_channels
+from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator
 from agent.config.rules_model import check_model
 from agent.config.rules_sources import check_sources, read_sources
@@ -58,7 +59,7 @@ def parse(data: bytes, file: Path) -> RigConfig:
     raw = parse_toml(data, file)
     draft = Draft(file.parent)
     _read(raw, draft)
-    for check in (check_model, check_channels, check_estimator, check_alarms, check_sources):
+    for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources):
         check(draft)
     if draft.faults.found:
         raise ConfigError(_ordered(draft.faults.found))

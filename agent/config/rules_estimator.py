@@ -19,7 +19,9 @@ COPIES = 6
 def check_estimator(draft: Draft) -> None:
     """Note the faults of the estimator."""
     _check_names(draft)
+    _check_hold(draft)
     _check_observer(draft)
+    _check_drift(draft)
     if draft.estimator.method == "seed":
         _check_seed(draft)
     if draft.rate_hz is not None:
@@ -53,8 +55,6 @@ def _check_seed(draft: Draft) -> None:
         faults.add("estimator.observer", what, f'{advice}: {{ gain = "poles", poles = [...] }}')
     if readable(estimator.window_s) and not isinstance(estimator.window_s, float):
         faults.add("estimator.window_s", 'method = "seed" has one window', f"give one number; {other}")
-    if "drift_s" in estimator.model_fields_set:
-        faults.add("estimator.drift_s", 'method = "seed" has no lines', f"remove it; {other}")
     for path, channel in draft.channels:
         for key in ("bias", "gain"):
             if getattr(channel, key):
@@ -63,6 +63,20 @@ def _check_seed(draft: Draft) -> None:
         if name in draft.parameters and draft.parameters[name].kind in ("bias", "gain"):
             what = f'method = "seed" estimates no constant of a sensor such as {shown(name)}'
             faults.add(f"estimator.estimate[{i}]", what, f"remove it; {other}")
+
+
+def _check_drift(draft: Draft) -> None:
+    """Note a longer window of straight lines: parameters are constant within a window."""
+    if "drift_s" in draft.estimator.model_fields_set:
+        advice = "remove it: parameters that move within seconds are followed without it"
+        draft.faults.add("estimator.drift_s", "not in this version", advice)
+
+
+def _check_hold(draft: Draft) -> None:
+    hold, method = draft.estimator.hold, draft.estimator.method
+    if method == "seed" and hold in ("cubic", "quintic"):
+        what = f'{shown(hold)} goes with method = "window-ml": it takes readings that come after'
+        draft.faults.add("estimator.hold", what, 'use "first" or "zero"')
 
 
 def _check_observer(draft: Draft) -> None:
@@ -121,9 +135,6 @@ def _check_lengths(draft: Draft, rate_hz: float) -> None:
             what = f"{window_s:g} s is {samples:.3g} samples, which {needed}"
             faults.add(path, what, f"give {most / rate_hz:.3g} s at most, or sample more slowly")
     longest = max(estimator.windows_s, default=math.inf)
-    if readable(estimator.drift_s) and estimator.drift_s is not None and estimator.drift_s < longest < math.inf:
-        what = f"{estimator.drift_s:g} s is shorter than the window, {longest:g} s"
-        faults.add("estimator.drift_s", what, "lines have twice the unknowns: take three windows or more")
     if readable(estimator.hop_s) and estimator.hop_s > longest:
         what = f"{estimator.hop_s:g} s is longer than the window, {longest:g} s"
         faults.add("estimator.hop_s", what, "hop within the window, so that no sample is passed over")

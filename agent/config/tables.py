@@ -46,6 +46,7 @@ class Mass(Table):
 
     name: Name
     value: NotNegative = Field(description="a mass is in kg; 0 makes a massless node, which needs a damper")
+    sd_percent: NotNegative = Field(default=2.0, description="how well the mass is known, per cent; 0 for exactly")
 
 
 class Element(Table):
@@ -99,9 +100,12 @@ class Channel(Table):
     scale: Number = 1.0
     offset: Number = 0.0
     noise_sd: Positive | None = Field(default=None, description="leave it out where the noise is not known")
+    noise_sd_spread: Positive = Field(default=0.3, description="how far noise_sd may be off, as a share of it")
+    gain_sd_percent: NotNegative = Field(default=1.0, description="how far the gain may be off, per cent; 0: exact")
     bias: bool = False
     gain: bool = False
     delay_s: NotNegative = 0.0
+    delay_sd_s: NotNegative | None = Field(default=None, description="how far delay_s may be off; 0 for exactly")
 
     @property
     def is_input(self) -> bool:
@@ -133,7 +137,7 @@ class Estimator(Table):
     method: Literal["window-ml", "seed"] = "window-ml"
     window_s: Window = 0.25
     hop_s: Positive = 0.05
-    hold: Literal["first", "zero"] = "first"
+    hold: Literal["first", "zero", "cubic", "quintic"] = "first"
     estimate: Names = ()
     observer: Observer = Observer()
     resolve: Positive = 0.33

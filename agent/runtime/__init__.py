@@ -1,4 +1,1 @@
-"""What runs: the deterministic pipeline, the service with its threads, sources, replay, containment of failures.
-
-May import `agent.recording`, `agent.storage` and `agent.blocks`; imported by commissioning, evaluation, command line.
-"""
+"""What runs: clock, registry, pipeline, recorder, service, command line."""

@@ -11,10 +11,11 @@ from agent.blocks.acquisition.interface import Acquisition, ChannelScale, Source
 from agent.blocks.acquisition.single_source import SingleSource, source_plan
 from agent.blocks.acquisition.skew_watch import SkewGroup, SkewWatch
 from agent.blocks.friction import friction_inputs, signals
-from agent.blocks.rig_model import hop_plan, known_noise, observer_gains, rig_model, window_settings
+from agent.blocks.rig_model import hop_plan, known_noise, rig_model, scale_columns
 from agent.config import RigConfig
 from agent.config.tables import Channel, Source
-from agent.numerics.faults.skew import Group, SkewMeter
+from agent.numerics.fitting.skew import Group, SkewMeter
+from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.types import FloatArray
 
@@ -119,15 +120,18 @@ def complete_inputs(config: RigConfig, resolution: FloatArray) -> Callable[[Floa
 def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewMeter:
     """Return what measures the skews of groups of channels; resolution (p,) is that of the outputs' wires, SI."""
     rig, inputs = rig_model(config), len(config.inputs)
-    settings = window_settings(config, rig, resolution)
+    nominal = rig.model.nominal
+    limited = np.where(rig.limits > 0, rig.limits, np.nan)
+    scale = np.where(nominal != 0, np.abs(nominal), limited)
+    physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
+    lower = np.where(physical & (nominal != 0), 0.0, -np.inf)
     late = tuple(
         Group(tuple(c for c in group.channels if c < inputs), tuple(c - inputs for c in group.channels if c >= inputs))
         for group in groups
     )
     return SkewMeter(
-        rig.model, late, signals(config), settings.period_s, config.estimator.hold,
-        observer_gains(config, rig, hop_plan(config).window), known_noise(config, resolution),
-        settings.scale, settings.scale_column, settings.lower,
+        rig.model, late, signals(config), 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold),
+        rig.disturbance, known_noise(config, resolution), scale, scale_columns(config, rig), lower,
     )  # fmt: skip
 
 

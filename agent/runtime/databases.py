@@ -6,7 +6,7 @@ from typing import Literal
 
 from agent import __version__
 from agent.clock import boot_id, monotonic_ns, wall_ns
-from agent.config import RigConfig
+from agent.config import RigConfig, learnt_key
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
@@ -31,7 +31,7 @@ def writers_of(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> 
 def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
     now, boot = wall_ns(), boot_id()
     offset = now - monotonic_ns()
-    runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, offset) for c in members]
+    runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset) for c in members]
     keep = _retention(members)
     every_s = min(c.store.every_s for c in members)
     return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)

@@ -5,80 +5,67 @@ from functools import partial
 import numpy as np
 
 from agent.blocks.contained_estimator import ContainedEstimator
-from agent.blocks.estimation import Estimation, Estimator, Labels
+from agent.blocks.estimation import Estimation, Labels, Method
 from agent.blocks.friction import signals
-from agent.blocks.rig_model import RigModel, pushed, rig_model, window_settings
+from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windows, observer_gains, rig_model
+from agent.blocks.statistical_rig import estimator_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
-from agent.numerics.estimator.window_ml import WindowML
-from agent.numerics.estimator.window_settings import WindowSettings
+from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
 from agent.runtime.model_check import require_observable
 from agent.types import FloatArray
 
 
-def make_estimation(
-    config: RigConfig, resolution: FloatArray, input_resolution: FloatArray | None = None
-) -> Estimation:
+def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
     """Build the estimation block of a rig; resolution (p,) is the wire's smallest step of each output, SI.
-
-    input_resolution (m,) is that of each input; None where readings are exact.
 
     Raises ModelError where a window has fewer readings than unknowns, or the channels cannot tell what is asked.
     """
     rig = rig_model(config)
     require_observable(config, rig)
-    settings = window_settings(config, rig, resolution, input_resolution)
-    unknowns = len(rig.model.state_names) + len(rig.parameters)
-    readings = settings.plan.window * len(config.outputs)
-    if readings <= unknowns:
-        shortest = unknowns // max(len(config.outputs), 1) + 1
-        raise ModelError(
-            [
-                Fault(
-                    "estimator.window_s",
-                    f"a window of {settings.plan.window} samples has {readings} readings for {unknowns} unknowns",
-                    f"make it {shortest / config.rig.sample_rate_hz:g} s at the very least",
-                )
-            ]
-        )
+    plan = hop_plan(config)
+    _require_readings(config, rig, plan.window)
+    longer = longer_windows(config, plan) if config.estimator.method == "window-ml" else ()
+    physical = {"mass", "spring", "damper", "friction"}
     labels = Labels(
-        rig=config.rig.name,
-        method=config.estimator.method,
-        parameters=tuple(p.name for p in rig.parameters),
-        units=tuple(p.unit for p in rig.parameters),
-        reference=np.array([p.nominal for p in rig.parameters]),
-        baseline_id=None,
-        window_s=settings.plan.window / config.rig.sample_rate_hz,
-        window=settings.plan.window,
-        hop=settings.plan.hop,
-        least=np.where(np.isfinite(settings.lower), 0.0, -np.inf),
-        channels=tuple(c.name for c in (*config.outputs, *config.inputs)),
-        pushed=pushed(rig.model),
-        channel_units=tuple(c.si_unit for c in (*config.outputs, *config.inputs)),
-        rate_hz=config.rig.sample_rate_hz,
-        enough_sd=settings.enough_sd,
-        windows=(settings.plan.window, *settings.longer) if config.estimator.method == "window-ml" else (),
-        longest=max(settings.plan.window, *settings.longer, settings.drift or 0),
-        frictions=signals(config) - len(config.inputs),
-    )
-    several = len(labels.windows) if len(labels.windows) > 1 else 0
-    estimator = ContainedEstimator(
-        partial(_estimator, config, rig, settings), settings.plan, len(rig.parameters), several
-    )
+        rig=config.rig.name, method=config.estimator.method, parameters=tuple(p.name for p in rig.parameters),
+        units=tuple(p.unit for p in rig.parameters), reference=np.array([p.nominal for p in rig.parameters]),
+        baseline_id=None, window=plan.window, longest=max(plan.window, *longer, 0), hop=plan.hop,
+        rate_hz=config.rig.sample_rate_hz, frictions=signals(config) - len(config.inputs),
+        least=np.array([0.0 if p.kind in physical and p.nominal != 0 else -np.inf for p in rig.parameters]),
+    )  # fmt: skip
+    make = partial(_estimator, config, rig, resolution)
+    estimator = ContainedEstimator(make, Budget(plan.window), plan, len(rig.parameters))
     return Estimation(estimator, labels, estimator.take_failures)
 
 
-def _estimator(config: RigConfig, rig: RigModel, settings: WindowSettings) -> Estimator:
+def _require_readings(config: RigConfig, rig: RigModel, window: int) -> None:
+    unknowns = len(rig.model.state_names) + len(rig.parameters)
+    readings = window * len(config.outputs)
+    if readings > unknowns:
+        return
+    shortest = (unknowns // max(len(config.outputs), 1) + 1) / config.rig.sample_rate_hz
+    what = f"a window of {window} samples has {readings} readings for {unknowns} unknowns"
+    raise ModelError([Fault("estimator.window_s", what, f"make it {shortest:g} s at the very least")])
+
+
+def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray, budget: Budget) -> Method:
     if config.estimator.method == "window-ml":
-        return WindowML(rig.model, settings)
+        return SlidingEstimator(estimator_settings(config, resolution), budget)
     from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
 
-    sampled = discretise(rig.model.continuous(rig.model.nominal), settings.period_s, settings.hold)
-    sigma = np.where(np.isfinite(settings.sigma), settings.sigma, 1.0)
-    gain = settings.gains.start(sampled, Noise(sigma, np.zeros(rig.disturbance.shape[1]))).L
-    passes = config.estimator.passes
-    scale = np.where(np.isfinite(settings.scale), settings.scale, 1.0)
-    seed = SeedSettings(settings.period_s, settings.plan, settings.hold, gain, passes, scale)
+    period_s, hold = 1.0 / config.rig.sample_rate_hz, config.estimator.hold
+    sampled = discretise(rig.model.continuous(rig.model.nominal), period_s, hold)
+    noise = known_noise(config, resolution)
+    sigma = np.where(np.isfinite(noise), noise, 1.0)
+    plan = hop_plan(config)
+    gains = observer_gains(config, rig, plan.window)
+    gain = gains.start(sampled, Noise(sigma, np.zeros(rig.disturbance.shape[1]))).L
+    enough = config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf)
+    limited = np.where(rig.limits > 0, rig.limits, np.nan)
+    scale = np.where(rig.model.nominal != 0, np.abs(rig.model.nominal), limited)
+    seed = SeedSettings(period_s, plan, hold, gain, config.estimator.passes, scale, enough)
     return SeedWindow(rig.model, seed)

@@ -9,6 +9,7 @@ from agent.blocks.rig_model import RigModel, hop_plan, known_noise, observer_gai
 from agent.config import RigConfig
 from agent.config.rules_estimator import MOST_GB, most_samples
 from agent.errors import Fault
+from agent.numerics.model.holds import straight
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import StateSpace, discretise
 
@@ -45,7 +46,7 @@ def observer_faults(config: RigConfig, rig: RigModel) -> list[Fault]:
 
 def _start(config: RigConfig, rig: RigModel) -> None:
     model = rig.model.continuous(rig.model.nominal)
-    sampled = discretise(model, 1.0 / config.rig.sample_rate_hz, config.estimator.hold)
+    sampled = discretise(model, 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold))
     if not _finite(sampled.model):
         raise ValueError(f"sampled at {config.rig.sample_rate_hz:g} Hz the model leaves the numbers")
     sigma = known_noise(config, np.zeros(len(config.outputs)))

@@ -14,16 +14,29 @@ import numpy as np
 
 from agent.blocks.acquisition.interface import Acquisition, Label, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
-from agent.blocks.estimation import Estimation
+from agent.blocks.channel_watch import ChannelWatch
+from agent.blocks.constants_watch import ConstantsWatch
+from agent.blocks.estimation import ESTIMATION, FAILURE, Estimation
 from agent.blocks.friction import dry_friction
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.quality import Quality, QualitySettings
 from agent.blocks.rig_model import hop_plan, longest_bridge, rig_model
 from agent.blocks.sensor_alarms import SensorAlarms
-from agent.config import RigConfig
+from agent.config import RigConfig, learnt_key
 from agent.runtime.acquisition_plan import make_acquisition
 from agent.runtime.methods import make_estimation
-from agent.types import Aligned, Calibrated, FloatArray, Health, HealthEvent, IntArray, Record, Samples
+from agent.types import (
+    Aligned,
+    EstimateBatch,
+    FloatArray,
+    Health,
+    HealthEvent,
+    IntArray,
+    Learnt,
+    LearntRecord,
+    Record,
+    Samples,
+)
 from drivers.port import Counts, SampleBlock
 
 
@@ -68,6 +81,7 @@ class Pipeline:
         self, config: RigConfig, resolution: Mapping[str, float], sources: Mapping[str, Mapping[str, str]]
     ) -> None:
         self.config = config
+        self._key = learnt_key(config)
         channels = [*config.inputs, *config.outputs]
         rig = config.rig
         self._steps = np.array([resolution.get(c.name, 0.0) * abs(c.scale) * c.si_factor for c in channels])
@@ -89,15 +103,19 @@ class Pipeline:
         channels = [*config.inputs, *config.outputs]
         names, quantities = tuple(c.name for c in channels), tuple(c.quantity for c in channels)
         longest, window = longest_bridge(rig_model(config).model, config.rig.sample_rate_hz), hop_plan(config).window
-        self.estimation: Estimation = make_estimation(config, self._steps[inputs:], self._steps[:inputs])
+        self.estimation: Estimation = make_estimation(config, self._steps[inputs:])
         commanded = config.estimator.hold == "zero"
         self.quality = Quality(QualitySettings(names, inputs, self._steps, window, longest, quantities, commanded))
         self.friction = dry_friction(config, self._steps[inputs:])
+        outputs = frozenset(c.name for c in channels[inputs:])
+        counted = (*config.outputs, *config.inputs)
+        self.channels = ChannelWatch(config.rig.name, tuple((c.name, c.quantity) for c in counted))
+        self.constants = ConstantsWatch(config.rig.name, 1.0 / config.rig.sample_rate_hz, outputs)
 
-    def adopt(self, calibrated: Calibrated | None) -> None:
-        """Begin with what an earlier run learnt of the rig's disturbances, before the first sample."""
-        if calibrated is not None:
-            self.estimation.adopt(calibrated)
+    def adopt(self, learnt: Learnt | None) -> None:
+        """Begin with what an earlier run learnt of the rig, before the first sample."""
+        if learnt is not None:
+            self.estimation.estimator.adopt(learnt.content)
 
     def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> list[Record]:
         """Take a block of one source and return what it leads to, in order of time; for label see `take`."""
@@ -163,14 +181,43 @@ class Pipeline:
             batch = self.estimation.step(complete)
             if batch is not None:
                 records.append(batch)
-                records.extend(self.estimation.take_advice())
-                records.extend(self.estimation.take_calibration())
-                records.extend(self.estimation.take_news())
+                records.extend(self._failures(batch))
+                records.extend(self._learnt(batch))
+                records.extend(self._found(batch))
                 records.extend(self.alarms.step(batch))
                 records.extend(self.sensor_alarms.confirm(batch))
-                records.extend(self.sensor_alarms.step(self.estimation.take_events()))
         records.extend(self.sensor_alarms.step(self.quality.take_events()))
         return records
+
+    def _failures(self, batch: EstimateBatch) -> list[Record]:
+        """Return an event for each numerical failure of the method."""
+        rig, newest = self.config.rig.name, int(batch.t_ns[-1])
+        words = "the estimation failed and starts anew: {}".format
+        failures = self.estimation.failures()
+        return [HealthEvent(rig, ESTIMATION, newest, FAILURE, words(what)) for _, what in failures]
+
+    def _learnt(self, batch: EstimateBatch) -> list[Record]:
+        """Return what windows taught of the rig: verdicts on its constants, and what the next start begins with."""
+        estimator = self.estimation.estimator
+        learnt = estimator.take_beliefs()
+        if not learnt:
+            return []
+        times = dict(zip(batch.index.tolist(), batch.t_ns.tolist(), strict=True))
+        newest = int(batch.t_ns[-1])
+        verdicts, events, alarms = self.constants.step(learnt, {s: times.get(s, newest) for s, _ in learnt})
+        content = estimator.knowledge()
+        kept: list[Record] = []
+        if content is not None:
+            kept.append(LearntRecord(self.config.rig.name, newest, Learnt(self._key, content)))
+        return [*verdicts, *events, *self.sensor_alarms.step(alarms), *kept]
+
+    def _found(self, batch: EstimateBatch) -> list[Record]:
+        """Return what the method finds wrong with channels."""
+        findings = self.estimation.estimator.take_findings()
+        times = dict(zip(batch.index.tolist(), batch.t_ns.tolist(), strict=True))
+        newest = int(batch.t_ns[-1])
+        events, alarms = self.channels.step(findings, {f.sample: times.get(f.sample, newest) for f in findings})
+        return [*events, *self.sensor_alarms.step(alarms)]
 
     def _stamps(self, aligned: Aligned) -> IntArray:
         """A recording's own time stamps, or index / rate where it has none."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from agent import __version__
 from agent.clock import SampleLabels, boot_id, wall_ns
-from agent.config import RigConfig, driver_class, load
+from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.pipeline import Conservation, Pipeline, resolutions
@@ -57,7 +57,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
         if writer is not None:
             stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
-            pipeline.adopt(writer.calibrations[rig.rig.name])
+            pipeline.adopt(writer.learnt[rig.rig.name])
         evidence = Evidence(rig.rig.sample_rate_hz)
         for records in _records(pipeline, tracks, evidence):
             summary.take(records)
@@ -179,15 +179,13 @@ def _table(rig: RigConfig, path: Path) -> Driver:
 def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     if db is None:
         return None
-    run = RunInfo(rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, None, boot_id())
+    run = RunInfo(rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, None, boot_id(), learnt_key(rig))
     writer = StoreWriter(lambda: Store.open(db), [run], lossless=True)
     writer.start()
     return writer
 
 
-def _whole_counts(
-    pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence
-) -> tuple[Counts, Counter[str]]:
+def _whole_counts(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> tuple[Counts, Counter[str]]:
     """Return what all drivers counted and what acquisition refused; the drivers' remarks go to the evidence."""
     total, refused = Counts(), Counter[str]()
     for _, driver in tracks:

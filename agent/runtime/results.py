@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.advice import SOURCE
+from agent.blocks.constants_watch import SOURCE
 from agent.config import RigConfig
 from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, Status

@@ -26,7 +26,7 @@ from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
 from agent.storage.tables.alarms import AlarmRow
-from agent.types import AlarmTransition, Calibrated, ClockRecord, HealthEvent, IntArray, Record
+from agent.types import AlarmTransition, ClockRecord, HealthEvent, IntArray, Learnt, Record
 from drivers.port import DriverConfigError
 from drivers.reconnect import LinkEvent
 
@@ -65,9 +65,9 @@ class RigRuntime:
         self.waiting = Waiting()
         self._lateness = Lateness(config.rig.name)
 
-    def restore(self, standing: Sequence[AlarmRow], calibrated: Calibrated | None = None) -> None:
-        """Go on with the alarms that the run before left standing, and with what it knew of the disturbances."""
-        self.pipeline.adopt(calibrated)
+    def restore(self, standing: Sequence[AlarmRow], learnt: Learnt | None = None) -> None:
+        """Go on with the alarms that the run before left standing, and with what it knew of the rig."""
+        self.pipeline.adopt(learnt)
         levels = {row.parameter: {"state": row.state} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
         self.pipeline.sensor_alarms.restore(
@@ -317,7 +317,7 @@ class Service:
         for name, rig in self.rigs.items():
             writer = self._writer_of[name]
             rig.summary.run_id = writer.run_ids.get(name)
-            rig.restore(writer.standing.get(name, []), writer.calibrations.get(name))
+            rig.restore(writer.standing.get(name, []), writer.learnt.get(name))
         for connection in self.connections:
             connection.start()
 

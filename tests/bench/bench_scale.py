@@ -19,11 +19,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.blocks.contained_estimator import ContainedEstimator
 from agent.blocks.estimation import Estimation
 from agent.config import RigConfig, load
-from agent.numerics.estimator.window_ml import WindowML
-from agent.numerics.window.hops import HopOperators
 from agent.runtime.methods import make_estimation
 from agent.types import Samples
 from sim_bus.rig.plant import Graph, Link, equations, propagate, step
@@ -135,26 +132,16 @@ def by_states() -> list[tuple[int, int, float]]:
     return [(n, len(chosen), rate([fresh(n // 2, chosen)], stream(n // 2))) for n, chosen in chains]
 
 
-def by_rigs() -> list[tuple[int, float, float]]:
-    """(rigs, rate, rate): rigs of one model, each linearised about a reference of its own, then all about one."""
+def by_rigs() -> list[tuple[int, float]]:
+    """(rigs, rate): rigs of one model, each at an operating point of its own."""
     first, played = fresh(2, everything(2)), stream(2)
     for number in range(SETTLED):
         feed(first, played, number)
     found = []
     for count in RIGS:
         own = [copy.deepcopy(first) for _ in range(count)]
-        operators = operators_of(first)
-        shared = [copy.deepcopy(first, {id(operators): operators}) for _ in range(count)]
-        found.append((count, rate(own, played, begun=SETTLED), rate(shared, played, begun=SETTLED)))
-        assert all(operators_of(block) is operators for block in shared)
+        found.append((count, rate(own, played, begun=SETTLED)))
     return found
-
-
-def operators_of(block: Estimation) -> HopOperators:
-    """Return the lifted filters that an estimator has built about its reference."""
-    assert isinstance(block.estimator, ContainedEstimator)
-    assert isinstance(block.estimator.estimator, WindowML)
-    return block.estimator.estimator.point.operators
 
 
 def by_windows() -> list[tuple[tuple[float, ...], float]]:
@@ -181,8 +168,8 @@ def growth_mb(samples: int) -> tuple[float, float]:
 def table() -> list[str]:
     lines = ["", "| states | parameters | samples/s of one core |", "|---|---|---|"]
     lines += [f"| {n} | {q} | {found / 1e6:.2f} M |" for n, q, found in by_states()]
-    lines += ["", "| rigs of one model | samples/s of one core, own reference | shared reference |", "|---|---|---|"]
-    lines += [f"| {count} | {own / 1e6:.2f} M | {shared / 1e6:.2f} M |" for count, own, shared in by_rigs()]
+    lines += ["", "| rigs of one model | samples/s of one core |", "|---|---|"]
+    lines += [f"| {count} | {found / 1e6:.2f} M |" for count, found in by_rigs()]
     lines += ["", "| windows, s | samples/s of one core |", "|---|---|"]
     lines += [f"| {', '.join(map(str, windows))} | {found / 1e6:.2f} M |" for windows, found in by_windows()]
     return lines

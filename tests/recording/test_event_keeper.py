@@ -69,9 +69,7 @@ def stamps(number: IntArray) -> IntArray:
 
 
 def alarm(number: int, **changes: object) -> AlarmTransition:
-    made = AlarmTransition(
-        "press-7", "level", "k1", "high", START + number * MS, "NORM", "UNACK", "limit", "k1 fell"
-    )
+    made = AlarmTransition("press-7", "level", "k1", "high", START + number * MS, "NORM", "UNACK", "limit", "k1 fell")
     return replace(made, **changes)  # type: ignore[arg-type]
 
 

@@ -52,6 +52,14 @@ class Played:
                 return dict(zip(batch.parameters, cells, strict=True))
         raise AssertionError(f"no row at sample {index}")
 
+    def repeat(self, index: int) -> dict[str, float]:
+        """The sd of every parameter against another window of the same rig, in the row at a sample."""
+        for batch in self.records:
+            if isinstance(batch, EstimateBatch) and index in batch.index:
+                at = int(np.flatnonzero(batch.index == index)[0])
+                return dict(zip(batch.parameters, batch.sd_repeat[at].tolist(), strict=True))
+        raise AssertionError(f"no row at sample {index}")
+
 
 def play(scenario: str, folder: Path, seed: int | None = None, cut: int = 200) -> Played:
     """Play three seconds of a scenario into the pipeline in blocks of `cut` samples."""

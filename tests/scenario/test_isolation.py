@@ -181,8 +181,8 @@ def test_numerical_failure_inside_the_method_costs_a_windows_rows_no_sample_and_
     assert isinstance(contained, ContainedEstimator)
     contained.estimator = Broken(contained.estimator)
     # the one that takes its place fails at the same samples, the next one does not
-    after = iter([Broken(contained.make()), contained.make()])
-    contained.make = lambda: next(after)
+    after = iter([Broken(contained.make(contained.budget)), contained.make(contained.budget)])
+    contained.make = lambda _: next(after)
     for block in blocks(3):
         rig.pipeline.take("modbus", block, 2**32, None)
         published += rig.pipeline.compute()

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.signal import butter, lfilter
 
 from agent.blocks.estimation import Estimation
-from agent.numerics.window.commission import WINDOWS
 from agent.runtime.methods import make_estimation
 from agent.runtime.replay import SOURCE, Track, make_pipeline, opened
 from agent.types import EstimateBatch, FloatArray, Samples, Status
@@ -120,7 +119,7 @@ CASES: Mapping[str, Case] = {
     "white": Case(partial(coloured, sigma=5e-6, pole=0.0), noise_sd=5e-6),
     "white, to be learnt": Case(partial(coloured, sigma=5e-6, pole=0.0)),
     "AR(1) 0.9": Case(partial(coloured, sigma=5e-6, pole=0.9)),
-    "AR(1) 0.99": Case(partial(coloured, sigma=1e-6, pole=0.99), skip=WINDOWS + 5, windows=20),
+    "AR(1) 0.99": Case(partial(coloured, sigma=1e-6, pole=0.99), skip=5, windows=20),
     "force on m1": Case(partial(pushed, unknown=(0.5, 0.0)), window_s=4.0, limits=PAPER_LIMITS, windows=4),
     "force on m2": Case(partial(pushed, unknown=(0.0, 0.5)), window_s=4.0, limits=PAPER_LIMITS, windows=4),
     "16 bits": Case(quantised, steps=(STEP_N, STEP_M)),
@@ -175,6 +174,5 @@ def _replayed(case: Case, read: Readings) -> list[EstimateBatch]:
 
 
 def _estimation(case: Case) -> Estimation:
-    force, length = case.steps
     config = configuration(case.noise_sd, case.window_s, case.limits)
-    return make_estimation(config, np.full(2, length), np.array([force]))
+    return make_estimation(config, np.full(2, case.steps[1]))

@@ -137,7 +137,7 @@ def run(case: Case, seed: int) -> tuple[FloatArray, FloatArray, float]:
         file = Path(folder) / "slider.toml"
         file.write_text(TEXT.format(nominal=case.nominal, noise=case.noise), encoding="utf-8")
         config = load(file)
-    estimation, friction = make_estimation(config, np.zeros(1), np.zeros(1)), dry_friction(config, np.zeros(1))
+    estimation, friction = make_estimation(config, np.zeros(1)), dry_friction(config, np.zeros(1))
     batches = []
     for index in np.split(np.arange(samples, dtype=np.int64), range(WINDOW, samples, WINDOW)):
         taken = Samples(index, index * 1_000_000, force[index, None], y[index, None], 0)

@@ -33,7 +33,7 @@ def batch(theta: FloatArray, sd: FloatArray) -> EstimateBatch:
     return EstimateBatch(
         rig="rig", method="ekf", parameters=NAMES, units=("N/m", "N/m", "N s/m", "N s/m"), reference=NOMINAL,
         baseline_id=None, index=index, t_ns=index * 1_000_000, value=value, sd=sd, lower=value - 1.96 * sd,
-        upper=value + 1.96 * sd, status=status, reason=np.zeros(value.shape, dtype=np.uint8), held=none,
+        upper=value + 1.96 * sd, sd_repeat=sd, status=status, reason=np.zeros(value.shape, dtype=np.uint8), held=none,
         held_age_s=none, window_s=np.zeros(value.shape), n_used=zero, n_missing=zero, dof=np.full(len(index), np.inf),
     )  # fmt: skip
 

@@ -9,11 +9,15 @@ from tests.statistical.machine import each, say
 from tests.statistical.operation import FULL_SCALE_M
 from tests.statistical.rig_day import DAY, Shift, shift
 
-QUARTER = DAY // 4
+QUARTER, SHORT = DAY // 4, DAY // 16
 
 
 def quarter(seed: int) -> Shift:
     return shift(seed, QUARTER)
+
+
+def short(seed: int) -> Shift:
+    return shift(seed, SHORT)
 
 
 def assess(found: list[Shift], request: pytest.FixtureRequest) -> None:
@@ -33,8 +37,14 @@ def assess(found: list[Shift], request: pytest.FixtureRequest) -> None:
 
 
 @pytest.mark.timeout(480)
-def test_false_alarms_in_a_rig_day_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
-    assess(each(quarter, range(4)), request)
+def test_false_alarms_in_three_hours_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
+    assess(each(short, range(2)), request)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1200)
+def test_false_alarms_in_half_a_rig_day_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
+    assess(each(quarter, range(2)), request)
 
 
 @pytest.mark.soak

@@ -7,7 +7,7 @@ import pytest
 
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, Reason, Record, Status
 from tests.statistical.detection import pipeline, records
-from tests.statistical.machine import SECOND, Machine, each, on_second, say
+from tests.statistical.machine import NOMINAL, SECOND, Machine, each, on_second, say
 from tests.statistical.operation import NOISE_M, drive
 from tests.statistical.sensor_faults import healthy
 
@@ -108,4 +108,7 @@ def test_force_that_rests_where_it_used_to_is_not_blamed_for_a_load_nobody_measu
     found = records(pipeline(), v)
     assert not [r for r in found if isinstance(r, AlarmTransition)]
     last = [r for r in found if isinstance(r, EstimateBatch)][-1]
-    assert (last.status[-1] == Status.INVALID).all()
+    # a force that nobody measures: what little the rig shows under it is true
+    holds = (last.lower[-1] <= NOMINAL) & (last.upper[-1] >= NOMINAL)
+    assert (np.isin(last.status[-1], (Status.INVALID, Status.UNEXCITED)) | holds).all()
+    assert (last.status[-1] == Status.UNEXCITED).any()

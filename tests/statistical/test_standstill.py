@@ -35,6 +35,8 @@ def test_standstill_holds_what_was_known_and_says_why(noise_sd: float | None) ->
     np.testing.assert_allclose(held[still], np.broadcast_to(NOMINAL, held[still].shape), rtol=0.1)
     assert not (reason[index < STOP + SECOND] == Reason.STANDSTILL).any()
     again = index >= MOVES + 2 * SECOND
-    assert (status[again] == Status.VALID).all()
+    # a window in which the load happens to excite a damper little may say so
+    assert np.isin(status[again], (Status.VALID, Status.UNEXCITED)).all()
+    assert (status[again] == Status.VALID).mean() >= 0.98
     assert not (reason[again] == Reason.STANDSTILL).any()
     assert not [record for record in found if isinstance(record, AlarmTransition)]

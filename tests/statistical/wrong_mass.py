@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.blocks.advice import SOURCE as MODEL
+from agent.blocks.constants_watch import SOURCE as MODEL
 from agent.runtime.replay import make_pipeline
-from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Reason, Status
+from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Status
 from tests.statistical.detection import records
 from tests.statistical.machine import MASSES, SECOND, configuration, fresh
 from tests.statistical.operation import NOISE_M
@@ -35,14 +35,13 @@ class Said:
         job: the run.
         advice: causes and words of all that was said of the model.
         alarms: (kind, parameter) of every activation.
-        valid: share of full rows that are valid; mass: share that give the mass as the reason.
+        valid: share of full rows that are valid.
     """
 
     job: Job
     advice: tuple[tuple[str, str], ...]
     alarms: tuple[tuple[str, str], ...]
     valid: float
-    mass: float
 
     @property
     def named(self) -> bool:
@@ -51,8 +50,8 @@ class Said:
             return False
         error = 100.0 * (1.0 / self.job.share - 1.0)
         cause, words = self.advice[0]
-        said = float(words.split()[3]) * (1.0 if "larger" in words else -1.0)
-        return cause == "mass" and f"mass {self.job.mass} " in words and abs(said / error - 1.0) < 0.1
+        said = float(words.split()[2]) * (1.0 if "larger" in words else -1.0)
+        return cause == "mass" and words.startswith(f"{self.job.mass} is ") and abs(said / error - 1.0) < 0.1
 
 
 def one(job: Job) -> Said:
@@ -64,9 +63,8 @@ def one(job: Job) -> Said:
     v = healthy(np.random.default_rng([job.seed, 9]), SAMPLES, noise_m)
     found = records(fresh(("wrong mass", stated, noise_m, masses), lambda: make_pipeline(config)), v)
     batches = [record for record in found if isinstance(record, EstimateBatch)]
-    status, reason = (np.concatenate([getattr(b, part)[:, 0] for b in batches]) for part in ("status", "reason"))
-    valid, mass = status == Status.VALID, reason == Reason.MASS
+    status = np.concatenate([b.status[:, 0] for b in batches])
     full = status != Status.WARMING
     advice = tuple((r.cause, r.message) for r in found if isinstance(r, HealthEvent) and r.source == MODEL)
     alarms = tuple((r.kind, r.parameter) for r in found if isinstance(r, AlarmTransition) and r.to_state == "UNACK")
-    return Said(job, advice, alarms, float(valid[full].mean()), float(mass[full].mean()))
+    return Said(job, advice, alarms, float((status[full] == Status.VALID).mean()))

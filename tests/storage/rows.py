@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from agent.storage.database.connect import connect_reader
-from agent.types import AlarmTransition, EstimateBatch, Health, Reason, RunInfo, Status
+from agent.types import AlarmTransition, EstimateBatch, Health, Reason, RunInfo, Status, Verdict
 
 START = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 HOP = 50_000_000
@@ -41,6 +41,7 @@ def batch(
         "rig": rig, "method": "window-ml", "parameters": parameters, "units": ("N/m",) * width,
         "reference": 25.0 + np.arange(width), "baseline_id": None, "index": 250 + 50 * index,
         "t_ns": start + hop_ns * index, "value": value, "sd": sd, "lower": value - half, "upper": value + half,
+        "sd_repeat": changes.get("sd", sd) * rng.uniform(0.5, 1.0, (hops, width)),
         "status": np.full((hops, width), Status.VALID, np.uint8), "reason": np.zeros((hops, width), np.uint8),
         "held": nothing, "held_age_s": nothing.copy(), "window_s": np.full((hops, width), 0.25),
         "n_used": np.full(hops, 250), "n_missing": np.zeros(hops, int), "dof": dof,
@@ -66,6 +67,13 @@ def step(old: Any, new: Any, t_ns: int = START, **changes: Any) -> AlarmTransiti
         "limit_value": 15.0, "probability": 0.99,
     }  # fmt: skip
     return AlarmTransition(**(fields | changes))
+
+
+def verdict(t_ns: int = START, **changes: Any) -> Verdict:
+    fields: dict[str, Any] = {
+        "rig": "press-7", "t_ns": t_ns, "hypothesis": "m1", "size": 4.25, "sd": 0.5, "unit": "%", "probability": 0.97,
+    }  # fmt: skip
+    return Verdict(**(fields | changes))
 
 
 def ledger(t_ns: int = START, **changes: Any) -> Health:

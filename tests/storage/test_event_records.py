@@ -79,7 +79,7 @@ def first_version(path: Path) -> None:
 def test_file_of_the_first_version_is_upgraded_with_every_row(path: Path) -> None:
     first_version(path)
     connection = sqlite3.connect(path)
-    before = connection.execute("SELECT * FROM v_estimates").fetchall()
+    before = connection.execute("SELECT *, sd FROM v_estimates").fetchall()
     connection.close()
     with Store.open(path) as store:
         store.write(store.begin_run(run_info()), [RECORD])

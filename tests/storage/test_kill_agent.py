@@ -107,6 +107,11 @@ def has(word: bytes) -> Callable[[list[bytes]], bool]:
     return lambda lines: any(word in line for line in lines)
 
 
+def tells_rows(lines: list[bytes]) -> bool:
+    """Whether rows were acknowledged: what comes before them holds none."""
+    return any(int(found[2]) for line in lines if (found := STORED.search(line)) is not None)
+
+
 def never(_: list[bytes]) -> bool:
     return False
 
@@ -126,11 +131,11 @@ class Cradle:
         self._output = Output(self._process)
 
     def live(self, command: list[str], after_s: float) -> list[bytes]:
-        """Let an agent live until some time after its first acknowledgement; kill it, return what it had told."""
+        """Let an agent live until some time after its first acknowledged rows; kill it, return what it had told."""
         assert self._process.stdin is not None
         self._output.forget()
         self._process.stdin.write(json.dumps(command).encode() + b"\n")
-        assert self._output.read(has(b"stored in run")), self._output.lines
+        assert self._output.read(tells_rows), self._output.lines
         self._output.read(never, after_s)
         os.kill(int(self._output.lines[0].split()[1]), signal.SIGKILL)
         assert self._output.read(lambda lines: lines[-1:] == [b"dead"] or has(b"dead")(lines))

@@ -12,18 +12,18 @@ from scipy.special import stdtrit
 
 from agent.errors import StoreError
 from agent.storage.database import connect
-from agent.storage.database.checksum import column_crc, row_crc
-from agent.storage.database.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of, version_mark
+from agent.storage.database.checksum import row_crc
+from agent.storage.database.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of, numbers_crc, version_mark
 from agent.storage.read import queries
 from agent.storage.write.store import Store
-from agent.types import EstimateBatch, HealthEvent, Reason, SourceClock, Status
-from tests.storage.rows import HOP, PARAMETERS, START, batch, ledger, run_info, select, step, warming
+from agent.types import EstimateBatch, HealthEvent, Learnt, LearntRecord, Reason, SourceClock, Status
+from tests.storage.rows import HOP, PARAMETERS, START, batch, ledger, run_info, select, step, verdict, warming
 
 CONTRACT = {
     "v_estimates": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper status reason "
-    "held held_age_s window_s n_used n_missing span_s method",
+    "held held_age_s window_s n_used n_missing span_s method sd_repeat",
     "v_latest": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper status reason "
-    "held held_age_s window_s n_used n_missing span_s method",
+    "held held_age_s window_s n_used n_missing span_s method sd_repeat",
     "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until "
     "delta sd limit_value probability message",
     "v_alarm_events": "id alarm_id t_ns time from_state to_state cause by comment",
@@ -31,6 +31,7 @@ CONTRACT = {
     "skew_sd_s",
     "v_health_reasons": "rig source t_ns kind reason count",
     "v_runs": "run_id rig kind started_at code_version config_sha256 baseline_id boot_id",
+    "v_verdicts": "rig run_id t_ns time hypothesis size sd unit probability",
     "v_meta": "key value",
 }
 
@@ -59,7 +60,7 @@ def test_views_of_a_new_file_have_exactly_the_promised_columns(path: Path, view:
 def test_tables_are_strict_and_have_a_growing_seq(path: Path) -> None:
     stored(path)
     tables = select(path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'")
-    assert len(tables) == 20
+    assert len(tables) == 21
     for name, sql in tables:
         assert sql.endswith("STRICT"), name
         assert "seq INTEGER PRIMARY KEY" in sql, name
@@ -178,9 +179,11 @@ def test_write_refused_by_the_disk_leaves_nothing_and_can_be_repeated(path: Path
 
 
 def test_checksums_of_every_row_agree_with_zlib(path: Path) -> None:
+    learnt = LearntRecord("press-7", START, Learnt("ab", "{}"))
     stored(path, warming(2), batch(3, first=2), step("NORM", "UNACK"), ledger(), ledger(rejected={}, dropped={}),
-           HealthEvent("press-7", "can", START, "unplugged", "it's \x1f gone"))  # fmt: skip
-    for table in ("rigs", "runs", "series", "fits", "verdicts", "alarms", "alarm_events", "health", "events", "meta"):
+           learnt, verdict(), HealthEvent("press-7", "can", START, "unplugged", "it's \x1f gone"))  # fmt: skip
+    for table in ("rigs", "runs", "series", "fits", "verdicts", "alarms", "alarm_events", "health", "events", "meta",
+                  "learnt", "hypotheses"):  # fmt: skip
         rows = select(path, f"SELECT {', '.join(columns_of(table))} FROM {table}")
         assert rows, table
         for row in rows:
@@ -189,9 +192,9 @@ def test_checksums_of_every_row_agree_with_zlib(path: Path) -> None:
         rows = select(path, f"SELECT {', '.join(columns_of(table))} FROM {table}")
         columns = [np.array([r[i] for r in rows], dtype=np.int64 if i < ints else np.float64)
                    for i in range(len(rows[0]) - 1)]  # fmt: skip
-        assert column_crc(*columns).tolist() == [r[-1] for r in rows]
-        packed = b"".join(c[:1].tobytes() for c in columns)
-        assert zlib.crc32(packed) == rows[0][-1] % 2**32
+        assert numbers_crc(table, columns).tolist() == [r[-1] for r in rows]
+        packed = b"".join(c[-1:].tobytes() for c in columns)
+        assert zlib.crc32(packed) == rows[-1][-1] % 2**32
 
 
 def test_views_show_the_newest_run_that_covers_an_instant(path: Path) -> None:

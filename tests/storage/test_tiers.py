@@ -1,5 +1,6 @@
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,11 +42,12 @@ def spaced(seconds: int, every: int, chunk: int = 600, **changes: object) -> lis
 
 def test_minute_is_the_information_weighted_mean_of_its_valid_rows(path: Path) -> None:
     one = batch(60, hop_ns=SECOND)
+    one = replace(one, sd_repeat=one.sd)
     one.status[10:20, 0] = Status.UNEXCITED
     one.reason[10:20, 0] = Reason.STANDSTILL
     fill(path, [one], Retention())
     rows = select(path, "SELECT * FROM v_tiers WHERE span_s = 60 AND parameter = 'k1'")
-    (rig, _, time, t_ns, parameter, unit, span, n, n_valid, value, sd, low, high, worst, reason) = rows[0]
+    (rig, _, time, t_ns, parameter, unit, span, n, n_valid, value, sd, low, high, worst, reason, repeat) = rows[0]
     good = one.status[:, 0] == Status.VALID
     weight = 1 / one.sd[good, 0] ** 2
     assert (rig, time, t_ns, parameter, unit, span) == (
@@ -54,11 +56,12 @@ def test_minute_is_the_information_weighted_mean_of_its_valid_rows(path: Path) -
     assert (n, n_valid, worst, reason) == (60, 50, "unexcited", "standstill")
     assert value == pytest.approx(np.average(one.value[good, 0], weights=weight), rel=1e-14)
     assert sd == pytest.approx(1 / np.sqrt(weight.sum()), rel=1e-12)
+    assert repeat == pytest.approx(sd, rel=1e-12)
     assert (low, high) == (one.value[good, 0].min(), one.value[good, 0].max())
 
 
 def test_hour_from_minutes_is_the_hour_from_rows(path: Path) -> None:
-    batches = spaced(3600, 1)
+    batches = [replace(b, sd_repeat=b.sd) for b in spaced(3600, 1)]
     fill(path, batches, Retention())
     (row,) = select(
         path, "SELECT value, sd, n, n_valid, low, high FROM v_tiers WHERE span_s = 3600 AND parameter = 'k2'"
@@ -73,12 +76,24 @@ def test_minute_of_overlapping_windows_claims_no_more_than_independent_ones() ->
     def claim(step_s: float) -> float:
         n = round(60 / step_s)
         t_ns = (np.arange(n) * step_s * 1e9).astype(np.int64)
-        plain = [np.full(n, c) for c in (1, 256, 25.0, 0.1, 0.25, 250, 0, 1, 1, 25.0, 25.0, 256)]
+        plain = [np.full(n, c) for c in (1, 256, 25.0, 0.1, 0.25, 250, 0, 1, 1, 25.0, 25.0, 256, 0.1)]
         return float(grouped([t_ns, *plain], MINUTE, 0).sd[0])
 
     assert claim(0.05) == pytest.approx(claim(0.25), rel=0.01)
     assert claim(1.0) == pytest.approx(0.1 / np.sqrt(60))
     assert claim(0.25) == pytest.approx(0.1 / np.sqrt(240))
+
+
+def test_what_the_constants_leave_open_is_not_averaged_away(path: Path) -> None:
+    """3/5 of the sd is of this window alone; the other share is that of the masses, the same in every window."""
+    batches = [replace(b, sd=np.full_like(b.sd, 0.5), sd_repeat=np.full_like(b.sd, 0.3)) for b in spaced(3600, 1)]
+    fill(path, batches, Retention())
+    shown = select(path, "SELECT span_s, sd_repeat, sd FROM v_tiers WHERE parameter = 'k1' ORDER BY span_s DESC, t_ns")
+    expected = {span: 0.3 / np.sqrt(span) for span in (60, 3600)}
+    assert len(shown) == 61
+    for span, repeat, sd in shown:
+        assert repeat == pytest.approx(expected[span], rel=5e-3)
+        assert sd == pytest.approx(np.hypot(0.4, expected[span]), rel=1e-3)
 
 
 def test_minute_without_a_valid_row_has_no_number(path: Path) -> None:

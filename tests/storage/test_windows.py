@@ -45,7 +45,7 @@ def test_longer_window_that_a_change_lies_in_is_not_called_valid(stored: Path) -
         "SELECT window_s, chosen, status FROM v_estimates_windows WHERE parameter = 'k1' "
         "AND t_ns = (SELECT min(t_ns) FROM v_estimates) + 1200000000 ORDER BY window_s"
     )
-    assert rows(stored, query) == [(0.25, 1, "valid"), (0.5, 0, "invalid")]
+    assert rows(stored, query) == [(0.25, 1, "valid"), (0.5, 0, "invalid"), (1.0, 0, "invalid")]
 
 
 def test_thinner_keeps_of_every_window_the_same_instants() -> None:

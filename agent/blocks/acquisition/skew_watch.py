@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.blocks.acquisition.interface import SourceEvent
-from agent.numerics.faults.skew import Delays, Skew, SkewMeter, combined
+from agent.numerics.fitting.skew import Delays, Skew, SkewMeter, combined
 from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.types import FloatArray, IntArray
 

@@ -12,6 +12,7 @@ import numpy as np
 from agent.blocks.rig_model import RigModel, hop_plan, rig_model
 from agent.config import RigConfig
 from agent.numerics.fitting.information import bound_sd, window_information
+from agent.numerics.model.holds import straight
 from agent.numerics.model.statespace import discretise
 from agent.runtime.sources import wire_steps
 from agent.types import FloatArray
@@ -89,7 +90,8 @@ def _bounds(config: RigConfig, truth: Truth, last: int) -> dict[str, float]:
     if start < 0:
         return {}
     theta = np.array([truth.parameters[name][start] for name in _names(config)])
-    discrete = discretise(rig.model.continuous(theta), 1.0 / config.rig.sample_rate_hz, config.estimator.hold)
+    hold = straight(config.estimator.hold)
+    discrete = discretise(rig.model.continuous(theta), 1.0 / config.rig.sample_rate_hz, hold)
     x0 = np.array([truth.states[name][start] for name in _state_columns(rig)])
     u = np.column_stack([truth.forces[c.at][start : last + 1] for c in config.inputs])
     information = window_information(discrete, x0, u, _sigma(config, truth))

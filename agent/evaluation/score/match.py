@@ -108,7 +108,5 @@ def _shift(
         return guess
     near = (np.abs(truth.readings - values[whole[0]]) <= truth.room(truth.readings)).all(axis=1)
     shifts = np.flatnonzero(near) - index[whole[0]]
-    agreeing = [
-        int(s) for s in shifts if not _differs(truth, index[whole] + s, values[whole], absent[whole]).any()
-    ]
+    agreeing = [int(s) for s in shifts if not _differs(truth, index[whole] + s, values[whole], absent[whole]).any()]
     return min(agreeing, key=lambda s: abs(s - guess), default=guess)

@@ -1,97 +1,80 @@
-"""What undisturbed windows have said so far, and which rows leave it.
+"""What was learnt of a rig as JSON text, and back: for the next start."""
 
-Two memories: the reference is all windows up to now and says where to linearise; the past ends where the windows now
-coming begin and says whether they contradict it.
-"""
-
-from dataclasses import dataclass, replace
+import json
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.numerics.estimator.working_point import WorkingPoint
-from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.past import Past
-from agent.numerics.window.reference import Reference, mean_and_sd
-from agent.numerics.window.rows import Rows
+from agent.numerics.inference.constants import Constants, Hypothesis
+from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.scatter import Scatter
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-FAR = 6.0
-"""Standard deviations from theta_r at which an estimate is elsewhere for certain."""
+VERSION = 1
+LEAST_WINDOWS = 4
+"""Windows that must have been learnt from before it is worth keeping."""
 
 
-@dataclass(frozen=True, slots=True)
-class Memory:
-    """Disjoint healthy windows since the last change, in units of the parameters' sizes."""
-
-    reference: Reference
-    past: Past
-
-    @classmethod
-    def empty(cls, q: int) -> "Memory":
-        """Return the memory of nothing."""
-        return cls(Reference.empty(q), Past.empty(q))
-
-    def with_rows(self, point: WorkingPoint, rows: Rows, information: FloatArray, chosen: IntArray) -> "Memory":
-        """Return the memory after some rows, one or more, whose windows are healthy and disjoint."""
-        theta = rows.theta[chosen] / point.scale
-        A, b = self.reference.with_windows(information[chosen], theta)
-        return Memory(Reference(A[-1], b[-1]), self.past.after(information[chosen], theta))
-
-    def with_reference(self, reference: Reference) -> "Memory":
-        """Return the same past with another reference."""
-        return replace(self, reference=reference)
-
-    def without_past(self) -> "Memory":
-        """Return the same reference without a past: what came before is not what is now."""
-        return replace(self, past=Past.empty(len(self.reference.b)))
-
-    def contradicted(self, point: WorkingPoint, rows: Rows, information: FloatArray, passes: BoolArray) -> BoolArray:
-        """(N,) some estimate leaves what was known before its window began, beyond chance and enough to matter.
-
-        passes (N,): rows whose residual is no larger than it may be.
-        """
-        estimates = (rows.theta / point.scale, rows.sd / point.scale)
-        matters = point.settings.enough_sd / point.scale
-        chosen = disjoint(point.settings.plan, rows, passes)
-        while True:
-            found = self.past.contradicted(estimates, chosen, information, point.widening, matters)
-            wrong = chosen[found[chosen]]
-            if not len(wrong):
-                return found
-            # a contradicted row is not remembered, so it must not speak for those after it either
-            chosen = chosen[chosen != wrong[0]]
-
-    def drifted(self, point: WorkingPoint, rows: Rows, information: FloatArray, healthy: BoolArray) -> BoolArray:
-        """(N,) the windows up to a row, together, put theta away from theta_r."""
-        drifted = np.zeros(len(rows.index), dtype=bool)
-        chosen = disjoint(point.settings.plan, rows, healthy)
-        if len(chosen):
-            A, b = self.reference.with_windows(information[chosen], rows.theta[chosen] / point.scale)
-            mean, sd = mean_and_sd(A, b)
-            change = np.abs(mean * point.scale - point.theta)
-            known = sd * point.scale < point.settings.enough_sd
-            beyond = (change > 3 * sd * point.scale) & (change > point.negligible)
-            drifted[chosen] = np.any(known & beyond, axis=1)
-        return drifted
+def to_text(known: Knowledge) -> str:
+    """Return knowledge as JSON text, arrays to nine digits."""
+    noise, constants, scatter = known.noise, known.constants, known.scatter
+    content = {
+        "version": VERSION, "theta": _list(known.theta), "eta": _list(known.eta), "kept": known.kept,
+        "noise": {
+            "log_sigma": _list(noise.log_sigma), "log_sigma_var": _list(noise.log_sigma_var),
+            "power": _sparse(noise.power), "dof": _sparse(noise.dof), "nodes": _list(noise.nodes),
+            "log_weight": _list(noise.log_weight), "intensity": _list(noise.intensity),
+            "spread": _list(noise.spread), "windows": noise.windows, "turn": noise.turn,
+            "walk": noise.walk, "counted": noise.counted,
+        },
+        "constants": {
+            "names": [h.name for h in constants.hypotheses], "weight": _list(constants.weight),
+            "mean": _list(constants.mean), "covariance": _list(constants.covariance),
+        },
+        "scatter": {
+            "within": _list(scatter.within), "between": _list(scatter.between), "dof": scatter.dof,
+            "compared": scatter.compared,
+        },
+    }  # fmt: skip
+    return json.dumps(content, sort_keys=True, allow_nan=False)
 
 
-def disjoint(plan: HopPlan, rows: Rows, healthy: BoolArray) -> IntArray:
-    """Return which healthy rows have windows that follow each other without overlap: one in ceil(W/H)."""
-    number = rows.index // plan.hop
-    chosen = number % (plan.fulls + 1) == 0
-    return np.flatnonzero(chosen & healthy & rows.full & np.isfinite(rows.theta).all(axis=1))
+def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) -> Knowledge | None:
+    """Return knowledge from its text; None where it is of another version or of other sizes than `fresh`."""
+    found = json.loads(content)
+    if found.get("version") != VERSION or found["constants"]["names"] != [h.name for h in hypotheses]:
+        return None
+    n, c, s = found["noise"], found["constants"], found["scatter"]
+    array = np.array
+    noise = Noise(
+        array(n["log_sigma"]), array(n["log_sigma_var"]), _dense(n["power"], fresh.power), _dense(n["dof"], fresh.dof),
+        array(n["nodes"]), array(n["log_weight"]), array(n["intensity"]), array(n["spread"]), n["windows"], n["turn"],
+        n["walk"], n["counted"],
+    )  # fmt: skip
+    if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
+        return None
+    count = len(found["eta"])
+    constants = Constants(
+        hypotheses, array(c["weight"]), array(c["mean"]).reshape(len(hypotheses), count),
+        array(c["covariance"]).reshape(len(hypotheses), count, count),
+    )  # fmt: skip
+    scatter = Scatter(array(s["within"]), array(s["between"]), s["dof"], s["compared"])
+    return Knowledge(array(found["theta"]), array(found["eta"]), noise, constants, scatter, found["kept"])
 
 
-def far(point: WorkingPoint, rows: Rows) -> BoolArray:
-    """(N,) some estimate is so far from theta_r, and so surely, that the linearisation should move at once."""
-    change = np.abs(rows.theta - point.theta)
-    known = rows.sd < point.settings.enough_sd
-    return np.asarray(np.any(known & (change > FAR * rows.sd) & (change > point.negligible), axis=1))
+def _list(values: np.ndarray) -> object:
+    return np.vectorize(lambda x: float(f"{x:.9g}"), otypes=[float])(values).tolist() if values.size else []
 
 
-def quieter(point: WorkingPoint, rows: Rows) -> BoolArray:
-    """(N,) the residual is so far below a learnt reference that the reference was learnt in a disturbance."""
-    return np.asarray(point.calibrator.learns & (rows.ratio < 2.0 - point.gate))
+def _sparse(values: np.ndarray) -> dict[str, object]:
+    """Bins that differ from what is usual: most do not by much, and a minute's window has 30,000."""
+    usual = np.median(values, axis=0)
+    odd = np.flatnonzero((np.abs(values / usual - 1) > 0.5).any(axis=1))
+    return {"usual": _list(usual), "bins": odd.tolist(), "values": _list(values[odd])}
+
+
+def _dense(kept: dict[str, list], fresh: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    out = np.tile(np.array(kept["usual"]), (len(fresh), 1)).astype(float)
+    inside = [i for i, place in enumerate(kept["bins"]) if place < len(fresh)]
+    if inside:
+        out[np.array(kept["bins"])[inside]] = np.array(kept["values"])[inside]
+    return out

@@ -1,195 +1,208 @@
-"""Iterated maximum-likelihood fit of one window on its samples: variable projection with Levenberg-Marquardt steps.
+"""One window, fitted alone: Gauss-Newton by output error, begun with unknown forces that may explain everything.
 
-The sliding estimate of `window` is one Gauss-Newton step about theta_r. Where the parameters have moved far this fit
-iterates to the maximum, from a wide basin (with an observer that corrects) to the efficient one (without, where the
-model allows it), and works on samples, so that it resolves residuals far below what a Gram matrix does.
+With forces on every mass the problem is nearly the equation error's, which is linear in springs and dampers, so that a
+start far away does no harm; without them it is the maximum likelihood under white sensor noise (Ljung, System
+Identification, 2nd ed. 1999, section 7.4). Nothing is carried from window to window.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fitting.eliminated import Unknowns
-from agent.numerics.fitting.window_filter import WindowFilter, without_parameters
 from agent.numerics.fitting.work import WORK
-from agent.numerics.model.observer import Gain
-from agent.numerics.model.statespace import Discrete, StateSpace
-from agent.numerics.preprocessing.bridge import Bridge
+from agent.numerics.inference.algebra import inverse
+from agent.numerics.inference.bins import Bins
+from agent.numerics.inference.columns import Regressor, Window
+from agent.numerics.inference.covariance import Cells, inverse_of
+from agent.numerics.inference.response import Response
+from agent.numerics.model.statespace import Hold, Model
+from agent.numerics.model.uncertain import Rig, sampled
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ComplexArray = NDArray[np.complex128]
+GREATEST = 1e60
+"""What a motion may grow to within a window."""
+HALVINGS = 8
+"""Most times that a step is halved until it leaves less."""
+PUSHED_STEPS = 6
+"""Most steps with unknown forces: they only bring the parameters near."""
+FARTHEST = 0.5
+"""Longest step downwards, as a share of the parameter; upwards twice that."""
 
 
-@dataclass(frozen=True, slots=True)
-class Linearised:
-    """A window's innovations and sensitivities at one (theta, x0), the initial state projected out.
+@dataclass(frozen=True)
+class Problem:
+    """What windows are fitted with.
 
     Attributes:
-        e: (W p,) innovations left, in units of their standard deviation.
-        psi: (W p, q) sensitivities left.
-        e0: (n,) correction of the initial state that was taken out.
-        e0_by_theta: (n, q) how that correction moves with theta.
+        model: parametric model; its inputs are the windows' inputs.
+        period_s, hold: of the sampled model.
+        sigma: (p,) sensor sds.
+        push: (n, d) directions in which unknown forces push the state.
+        scale, lower: (q,) size and lower bound of each parameter.
     """
 
-    e: FloatArray
-    psi: FloatArray
-    e0: FloatArray
-    e0_by_theta: FloatArray
+    model: Model
+    period_s: float
+    hold: Hold
+    sigma: FloatArray
+    push: FloatArray
+    scale: FloatArray
+    lower: FloatArray
 
     @property
-    def cost(self) -> float:
-        """Sum of squares left."""
-        return float(self.e @ self.e)
+    def rig(self) -> Rig:
+        """The rig without constants to be uncertain of."""
+        inputs = self.model.continuous(self.model.nominal).m
+        every, none = np.arange(inputs, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        driven = np.ones(inputs, dtype=bool)
+        q = len(self.model.parameters)
+        return Rig(self.model, q, every, driven, none, (), self.period_s, self.hold, self.scale, self.lower)
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
-    """The maximum of the likelihood on one window.
+class WindowFit:
+    """What a window says alone.
 
     Attributes:
-        theta: (q,) estimate.
-        x0: (n,) shifted state at the window's first sample.
-        covariance: (q, q) for unit noise variance; inf on the diagonal where nothing is known.
-        residual: (W, p) innovations left, in units of their standard deviation.
-        psi: (W p, q) sensitivities, the initial state projected out.
-        steps: Gauss-Newton steps taken.
-        converged: the last step was below the tolerance.
+        theta: (q,) where the fit came to rest;  covariance: (q, q) there.
+        left: (p,) sum of the squared residuals of each output, SI.
+        cost: sum of the squared residuals, each in its noise's sd.
+        converged: it came to rest.
     """
 
     theta: FloatArray
-    x0: FloatArray
     covariance: FloatArray
-    residual: FloatArray
-    psi: FloatArray
-    steps: int
+    left: FloatArray
+    cost: float
     converged: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
-    """One window to fit.
+class _Point:
+    """A window linearised at theta: step and covariance in units of `unit`, cost and what is left there."""
 
-    Attributes:
-        sample: theta (q,) -> the sampled model there.
-        v: (W, p+m) outputs and inputs.
-        scale: (q,) size of each parameter, for tolerances and the weak prior that keeps what is unexcited in place.
-        lower: (q,) bounds from below; -inf where there is none.
-        bridge: the readings that v lacks, where it was filled.
-    """
-
-    sample: Callable[[FloatArray], Discrete]
-    v: FloatArray
-    scale: FloatArray
-    lower: FloatArray
-    bridge: Bridge | None = None
-
-    def at(self, theta: FloatArray, gain: Gain, x0: FloatArray) -> Linearised:
-        """Linearise the window about (theta, x0)."""
-        return linearise(self.sample(theta).model, gain, self.v, x0, self.bridge)
-
-
-def linearise(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge | None = None) -> Linearised:
-    """Run observer (from x0) and sensitivities over a window v (W, p+m) and project the initial state out.
-
-    What the window lacks (bridge) is eliminated too, by its prior where it has one.
-    """
-    WORK.evaluate(len(v))
-    return linearised(WindowFilter(model, gain, len(v)), v, x0, bridge)
-
-
-def linearised(window: WindowFilter, v: FloatArray, x0: FloatArray, bridge: Bridge | None = None) -> Linearised:
-    """Linearise a window v (W, p+m), as `linearise` does, by filters that are there already."""
-    n, q = window.system.n, window.system.q
-    unknowns = Unknowns.of(window, bridge)
-    best = unknowns.solve(unknowns.emptied(window.innovations(v, x0)[:, None]))
-    e0 = best.state[:, 0]
-    # the sensitivities at the best missing readings, as at the best initial state: else this is no gradient
-    moved = unknowns.emptied(window.outputs(unknowns.completed(v, best.readings[:, 0]), x0))
-    moved[:, 0] = best.rest[:, 0]
-    moved[:, 1:] += unknowns.emptied(window.G[:, n:]).reshape(len(moved), q, n) @ e0
-    again = unknowns.solve(moved)
-    moved = unknowns.left_of(again)
-    return Linearised(moved[:, 0], moved[:, 1:], e0, -again.state[:, 1:])
-
-
-def least_cost(model: StateSpace, gain: Gain, v: FloatArray, x0: FloatArray, bridge: Bridge | None) -> float:
-    """Return the sum of squares that a window v (W, p+m) leaves, its initial state and what it lacks eliminated."""
-    WORK.evaluate(len(v))
-    window = WindowFilter(without_parameters(model), gain, len(v))
-    unknowns = Unknowns.of(window, bridge)
-    return unknowns.least_cost(unknowns.emptied(window.innovations(v, x0)))
+    theta: FloatArray
+    unit: FloatArray
+    step: FloatArray
+    covariance: FloatArray
+    cost: float
+    left: FloatArray
 
 
 def fit_window(
-    problem: Problem, theta: FloatArray, x0: FloatArray, gains: Sequence[Callable[[Discrete], Gain]],
-    max_steps: int = 12, tolerance: float = 1e-5,
-) -> Fit:  # fmt: skip
-    """Maximise the likelihood of a window from (theta, x0), one stage a gain, the last one's maximum is returned.
+    problem: Problem, window: Window, theta: FloatArray, max_steps: int = 20, tolerance: float = 1e-4
+) -> WindowFit:
+    """Fit a window from theta (q,); tolerance: step, in sds, below which it has come to rest.
 
-    Each gain is a function of the sampled model at the stage's first point; within a stage it stays fixed.
+    Raises ValueError or LinAlgError where the model is no number at theta, or grows beyond all bounds.
     """
-    fit = Fit(theta, x0, np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)), 0, False)
-    for stage, gain_at in enumerate(gains):
-        last = stage == len(gains) - 1
-        fit = _stage(problem, fit, gain_at(problem.sample(fit.theta)), max_steps, tolerance if last else 1e-2)
-    return fit
+    near = theta
+    if problem.push.size:
+        near, _ = _descended(problem, window, theta, PUSHED_STEPS, 1.0, pushed=True)
+    found, converged = _descended(problem, window, near, max_steps, tolerance, pushed=False)
+    at = _linearised(problem, window, found, pushed=False)
+    covariance = at.covariance * np.outer(at.unit, at.unit)
+    return WindowFit(found, covariance, at.left, at.cost, converged)
 
 
-def nowhere(problem: Problem, theta: FloatArray, x0: FloatArray) -> Fit:
-    """Return what stands for a fit that failed from (theta, x0): it explains nothing and did not converge."""
-    model, q = problem.sample(theta).model, len(theta)
-    residual = problem.v[:, : model.p].copy()
-    return Fit(theta, x0, np.full((q, q), np.inf), residual, np.zeros((residual.size, q)), 0, False)
+def _descended(
+    problem: Problem, window: Window, theta: FloatArray, steps: int, tolerance: float, *, pushed: bool
+) -> tuple[FloatArray, bool]:
+    """Return where Gauss-Newton ends, and whether it came to rest there."""
+    at = _linearised(problem, window, theta, pushed=pushed)
+    for _ in range(steps):
+        at = _anchored(at, theta) if pushed else at
+        sd = np.sqrt(np.maximum(np.diag(at.covariance), 0.0))
+        if np.all(np.abs(at.step) <= tolerance * sd):
+            return at.theta, True
+        better = _better(problem, window, at, pushed=pushed)
+        if better is None:
+            # no step leaves less: round-off, or as near as the linearisation can tell
+            return at.theta, bool(np.all(np.abs(at.step) <= np.maximum(sd, 1e-9)))
+        at = better
+    sd = np.sqrt(np.maximum(np.diag(at.covariance), 0.0))
+    return at.theta, bool(np.all(np.abs(at.step) <= sd))
 
 
-def _stage(problem: Problem, start: Fit, gain: Gain, max_steps: int, tolerance: float) -> Fit:
-    theta, x0, damping, converged = start.theta, start.x0, 0.0, False
-    here = problem.at(theta, gain, x0)
-    steps = 0
-    while steps < max_steps and not converged:
-        steps += 1
-        step = _damped_step(here, damping, problem.scale)
-        moved = np.maximum(theta + step, problem.lower)
-        x_moved = x0 + here.e0 + here.e0_by_theta @ (moved - theta)
-        there = problem.at(moved, gain, x_moved)
-        small = bool(np.all(np.abs(moved - theta) <= tolerance * problem.scale))
-        if there.cost <= here.cost * (1 + 1e-9) or small:
-            theta, x0, here, converged = moved, x_moved, there, small
-            damping *= 0.1 if damping > 1e-8 else 0.0
-        elif np.isfinite(there.cost) or damping < 1e8:
-            damping = max(10 * damping, 1e-3)
-    return _finish(problem, replace(start, theta=theta, x0=x0, steps=start.steps + steps, converged=converged), here)
+def _anchored(at: _Point, anchor: FloatArray) -> _Point:
+    """Return a point whose step knows that parameters lie about where the fit began, delays and offsets of 0 aside."""
+    precision = inverse(at.covariance)
+    held = np.diag(np.where(anchor != 0, FARTHEST**-2, 0.0))
+    covariance = inverse(precision + held)
+    step = covariance @ (precision @ at.step + held @ ((anchor - at.theta) / at.unit))
+    return replace(at, step=step, covariance=covariance)
 
 
-def _damped_step(here: Linearised, damping: float, scale: FloatArray) -> FloatArray:
-    """Solve (H + damping diag H + weak prior) step = g in units of the parameters' sizes."""
-    psi = here.psi * scale
-    H = psi.T @ psi
-    # the prior of ten times a parameter's size decides only where the data say nothing
-    H += damping * np.diag(np.diag(H)) + 1e-2 * np.eye(len(scale)) * min(1.0, here.cost / max(len(here.e), 1))
-    root = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    step = np.linalg.lstsq(H / np.outer(root, root), (psi.T @ here.e) / root, rcond=1e-15)[0] / root
-    return np.asarray(np.clip(step, -0.9, 2.0) * scale)
+def _better(problem: Problem, window: Window, at: _Point, *, pushed: bool) -> _Point | None:
+    """Return the point after a step, halved until it leaves less; None where none does."""
+    step = at.step / max(1.0, float(np.max(-at.step / FARTHEST)), float(np.max(at.step / (2 * FARTHEST))))
+    for _ in range(HALVINGS):
+        moved = np.maximum(at.theta + at.unit * step, problem.lower)
+        there = _attempted(problem, window, moved, pushed=pushed)
+        # the forces' share of what is left depends on theta: steps are not compared by it
+        if there is not None and (pushed or there.cost < at.cost):
+            return there
+        step = 0.5 * step
+    return None
 
 
-def _finish(problem: Problem, fit: Fit, here: Linearised) -> Fit:
-    """Take the last, undamped step on the samples by orthogonal factors and attach covariance and residual."""
-    norms = np.linalg.norm(here.psi, axis=0)
-    scale = np.where(norms > 0, 1.0 / np.where(norms > 0, norms, 1.0), 0.0)
-    left, values, right = np.linalg.svd(here.psi * scale, full_matrices=False)
-    sound = bool(norms.all()) and values[-1] > 1e-7 * values[0]
-    p = len(here.e) // len(problem.v)
-    if not sound:
-        unknown = np.full((len(norms), len(norms)), np.inf)
-        return replace(fit, x0=fit.x0 + here.e0, covariance=unknown, residual=here.e.reshape(-1, p), psi=here.psi)
-    root = scale[:, None] * (right.T / values)
-    step = root @ (left.T @ here.e)
-    if not np.all(np.abs(step) <= 1e-2 * problem.scale):
-        step = np.zeros_like(step)
-    # a little beyond a bound is where noise puts half of the estimates of what lies on it: cut off they were biased
-    theta = fit.theta + step
-    x0 = fit.x0 + here.e0 + here.e0_by_theta @ (theta - fit.theta)
-    residual = here.e - here.psi @ (theta - fit.theta)
-    covariance = root @ root.T
-    return replace(fit, theta=theta, x0=x0, covariance=covariance, residual=residual.reshape(-1, p), psi=here.psi)
+def _attempted(problem: Problem, window: Window, theta: FloatArray, *, pushed: bool) -> _Point | None:
+    """Return the point at theta; None where the model is no number there."""
+    try:
+        return _linearised(problem, window, theta, pushed=pushed)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+
+
+def _linearised(problem: Problem, window: Window, theta: FloatArray, *, pushed: bool) -> _Point:
+    WORK.evaluate(window.length)
+    rig = problem.rig
+    response = _response(rig, window, theta)
+    cells = Cells(response, _directions(problem, response, window, pushed=pushed), np.ones((0, 0)))
+    Si = inverse_of(_covariance(problem, cells))
+    regressor = Regressor(rig, response, (), np.zeros(0))
+    regression = regressor.build(window, lambda X: cells.gram(Si, X), np.zeros(0, dtype=np.int64))
+    G = cells.gram(Si, regression.X)
+    if not np.all(np.isfinite(G)) or G[-1, -1] > GREATEST**2:
+        raise ValueError("the window is no number")
+    V, psi = inverse(G[:-1, :-1]), regression.layout.psi
+    left = cells.weight @ np.abs(regression.X[..., -1]) ** 2
+    return _Point(theta, response.at.unit, (V @ G[:-1, -1])[psi], V[psi, psi], float(G[-1, -1]), left)
+
+
+def _response(rig: Rig, window: Window, theta: FloatArray) -> Response:
+    if not np.all(np.isfinite(theta)):
+        raise ValueError("the fit left the numbers")
+    model = sampled(rig, theta, np.zeros(0))
+    radius = float(np.abs(np.linalg.eigvals(model.A)).max(initial=0.0))
+    if window.length * np.log10(max(radius, 1.0)) > np.log10(GREATEST) / 2:
+        raise ValueError("the model grows beyond all bounds")
+    return Response(model, Bins(window.length, window.length // 2 + 1))
+
+
+def _covariance(problem: Problem, cells: Cells) -> ComplexArray:
+    """Return S (C, p, p): sensor noise and what forces add."""
+    S = cells.D @ cells.D.conj().transpose(0, 2, 1)
+    every = range(len(problem.sigma))
+    S[:, every, every] += problem.sigma**2
+    return np.asarray(S)
+
+
+def _directions(problem: Problem, response: Response, window: Window, *, pushed: bool) -> ComplexArray:
+    """Return (C, p, d) what forces add to the outputs, each as much as the outputs hold; nothing when not pushed."""
+    if not pushed:
+        return np.zeros((len(response.z), len(problem.sigma), 0), dtype=complex)
+    H = response.CR @ (problem.period_s * problem.push)
+    seen = float(np.sum((window.y / problem.sigma) ** 2))
+    each = np.einsum("k,kpd,p->d", response.weight, np.abs(H) ** 2, problem.sigma**-2.0)
+    return np.asarray(H * np.sqrt(seen / np.maximum(each, 1e-300)))
+
+
+def sized(scale: FloatArray, column: IntArray | None, v: FloatArray) -> FloatArray:
+    """Return sizes (q,) of parameters; offsets, whose scale is NaN, have that of their column of v (N, p + m)."""
+    rms = np.sqrt(np.mean(v**2, axis=0))
+    own = rms[np.zeros(len(scale), dtype=np.int64) if column is None else np.minimum(column, len(rms) - 1)]
+    return np.where(np.isfinite(scale), scale, np.where(own > 0, own, 1.0))

@@ -1,29 +1,38 @@
-"""Fisher information of a window and the Cramer-Rao bound: the least sd that any unbiased estimate can have.
+"""Fisher information of a window and the Cramér-Rao bound: the least sd that any unbiased estimate can have.
 
-White sensor noise of known standard deviation, an unknown initial state, a known input (Ljung, System Identification,
-2nd ed. 1999, section 7.4).
+White sensor noise of known standard deviation, an unknown initial state, known inputs (Ljung, System Identification,
+2nd ed. 1999, section 7.4). Constants of the rig enter with their data sheets as priors, which makes it the bound of
+van Trees (Detection, Estimation and Modulation Theory I, 1968, section 2.4.3).
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fitting.fit import linearised
-from agent.numerics.fitting.window_filter import WindowFilter
-from agent.numerics.model.observer import plain_gain
-from agent.numerics.model.statespace import Discrete, simulate
+from agent.numerics.inference.algebra import scales
+from agent.numerics.model.statespace import Discrete
+from agent.numerics.model.uncertain import Constant, Rig, Sampled, sampled
 
 FloatArray = NDArray[np.float64]
+SINGULAR = 1e-14
+"""Smallest eigenvalue of an information matrix of unit diagonal that still says something, of its largest."""
 
 
-def information_filter(discrete: Discrete, sigma: FloatArray, window: int) -> WindowFilter:
-    """Return what `window_information` runs over a window; built once, it serves every window of a model and noise."""
-    model = discrete.model
-    return WindowFilter(model, plain_gain(np.zeros((model.n, model.p)), sigma), window)
+@dataclass(frozen=True, slots=True)
+class PredictedSd:
+    """The sds to expect of a window's parameters.
+
+    Attributes:
+        sd: (q,) against nominal: the constants known as their data sheets say.
+        sd_repeat: (q,) against another window of the same rig: the constants as they are.
+    """
+
+    sd: FloatArray
+    sd_repeat: FloatArray
 
 
-def window_information(
-    discrete: Discrete, x0: FloatArray, u: FloatArray, sigma: FloatArray, filters: WindowFilter | None = None
-) -> FloatArray:
+def window_information(discrete: Discrete, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> FloatArray:
     """Return the Fisher information (q, q) of a window's parameters, the initial state projected out.
 
     Args:
@@ -31,49 +40,98 @@ def window_information(
         x0: (n,) the physical state at the window's first sample.
         u: (W, m) inputs.
         sigma: (p,) standard deviation of each output's noise.
-        filters: of `information_filter`, where there are several windows.
     """
-    _, y = simulate(discrete, x0, u)
-    shifted = x0 - discrete.B1 @ u[0]
-    filters = filters or information_filter(discrete, sigma, len(u))
-    window = linearised(filters, np.hstack([y, u]), shifted)
-    return window.psi.T @ window.psi
+    m = discrete.model
+    states = _run(m.A, (u @ m.B.T)[None], (x0 - discrete.B1 @ u[0])[None])[0]
+    columns = _parameters(m.A, m.C, (m.dA, m.dB, m.dC, m.dD), states, u)
+    return _information(columns, _free(m.A, m.C, len(u)), sigma)
+
+
+def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> PredictedSd:
+    """Return the sds to expect of a window at nominal; x0 (n,) shifted state, u (W, m) the measured inputs, in SI."""
+    at = sampled(rig, rig.nominal, np.zeros(rig.masses))
+    states = _run(at.A, (u @ at.B.T)[None], x0[None])[0]
+    columns = _parameters(at.A, at.C, (at.dA, at.dB, at.dC, at.dD), states, u)
+    sensors = [_sensor(rig, at, constant, states, u) for constant in rig.constants[rig.masses :]]
+    whole = np.concatenate([columns, np.array(sensors).reshape(-1, *columns.shape[1:])])
+    information = _information(whole, _free(at.A, at.C, len(u)), sigma)
+    q, sheet = rig.q, np.array([max(constant.sheet, 1e-9) for constant in rig.constants])
+    repeat = bound_sd(information[:q, :q])
+    return PredictedSd(at.unit * np.hypot(repeat, _spread(information, q, sheet)), at.unit * repeat)
+
+
+def _spread(information: FloatArray, q: int, sheet: FloatArray) -> FloatArray:
+    """Return the sd (q,) that constants known to `sheet` (c,) add; information (q + c, q + c)."""
+    if not len(sheet):
+        return np.zeros(q)
+    d = scales(information[:q, :q])
+    V = np.linalg.pinv(information[:q, :q] * np.outer(d, d), rcond=SINGULAR, hermitian=True) * np.outer(d, d)
+    sensitivity = V @ information[:q, q:]
+    own = information[q:, q:] - information[q:, :q] @ sensitivity
+    # round-off may leave what the window does not tell of them slightly negative
+    values, vectors = np.linalg.eigh(own * np.outer(sheet, sheet))
+    root = sheet[:, None] * vectors / np.sqrt(1.0 + np.maximum(values, 0.0))
+    return np.asarray(np.linalg.norm(sensitivity @ root, axis=1))
 
 
 def bound_sd(information: FloatArray) -> FloatArray:
-    """Return the Cramer-Rao standard deviations (q,) of an information matrix; inf where it says nothing."""
+    """Return the Cramér-Rao standard deviations (q,) of an information matrix; inf where it says nothing."""
     diagonal = np.diag(information)
     if not np.all(diagonal > 0):
         return np.full(len(diagonal), np.inf)
     scale = 1.0 / np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    if values[0] <= 1e-14 * values[-1]:
+    if values[0] <= SINGULAR * values[-1]:
         return np.full(len(diagonal), np.inf)
     return np.asarray(scale * np.sqrt(np.sum(vectors**2 / values, axis=1)))
 
 
-def expected_sd(
-    discrete: Discrete, force_rms: FloatArray, sigma: FloatArray, window: int, seed: int = 0, windows: int = 8
-) -> FloatArray:
-    """Return the sd (q,) to expect of a window under white force: the rms of the bound over several windows.
+def _run(A: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:
+    """Return states (r, W, n) of r runs x(k+1) = A x(k) + pushed(k), pushed (r, W, n), from start (r, n)."""
+    states, x = np.empty_like(pushed), start
+    for k in range(pushed.shape[1]):
+        states[:, k] = x
+        x = x @ A.T + pushed[:, k]
+    return states
 
-    Args:
-        discrete: the sampled model.
-        force_rms: (m,) rms of each input.
-        sigma: (p,) standard deviation of each output's noise.
-        window: samples.
-        seed: of the excitation drawn.
-        windows: how many windows to average over.
-    """
-    rng = np.random.default_rng(seed)
-    settle = min(20 * window, 20_000)
-    x = np.zeros(discrete.model.n)
-    u = rng.standard_normal((settle, len(force_rms))) * force_rms
-    states, _ = simulate(discrete, x, u)
-    bounds = []
-    for _ in range(windows):
-        start = int(rng.integers(settle // 2, max(settle - window, settle // 2 + 1)))
-        u_window = u[start : start + window]
-        if len(u_window) == window:
-            bounds.append(bound_sd(window_information(discrete, states[start], u_window, sigma)))
-    return np.asarray(np.sqrt(np.mean(np.square(bounds), axis=0)))
+
+def _free(A: FloatArray, C: FloatArray, count: int) -> FloatArray:
+    """Return how outputs follow from each initial state, (n, W, p)."""
+    n = len(A)
+    return _run(A, np.zeros((n, count, n)), np.eye(n)) @ C.T
+
+
+def _parameters(
+    A: FloatArray, C: FloatArray, derivatives: tuple[FloatArray, ...], states: FloatArray, u: FloatArray
+) -> FloatArray:
+    """Return d y by each parameter (k, W, p)."""
+    dA, dB, dC, dD = derivatives
+    pushed = np.einsum("kij,wj->kwi", dA, states) + np.einsum("kij,wj->kwi", dB, u)
+    moved = _run(A, pushed, np.zeros((len(dA), len(A)))) @ C.T
+    return np.asarray(moved + np.einsum("kij,wj->kwi", dC, states) + np.einsum("kij,wj->kwi", dD, u))
+
+
+def _sensor(rig: Rig, at: Sampled, constant: Constant, states: FloatArray, u: FloatArray) -> FloatArray:
+    """Return d y (W, p) by the logarithm of a gain, or by the delay of the measured inputs in samples."""
+    if constant.kind == "output":
+        column = np.zeros((len(u), len(at.C)))
+        column[:, constant.number] = states @ at.C[constant.number] + u @ at.D[constant.number]
+        return column
+    change = np.zeros_like(u)
+    if constant.kind == "input":
+        change[:, constant.number] = u[:, constant.number]
+    else:
+        change = np.where(rig.driven, -np.diff(u, axis=0, prepend=u[:1]), 0.0)
+    return np.asarray(_run(at.A, (change @ at.B.T)[None], np.zeros((1, at.n)))[0] @ at.C.T + change @ at.D.T)
+
+
+def _information(columns: FloatArray, free: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return the information (k, k) of columns (k, W, p) with those of the initial state, (n, W, p), projected out."""
+    psi = (columns / sigma).reshape(len(columns), -1).T
+    gamma = (free / sigma).reshape(len(free), -1).T
+    length = np.linalg.norm(gamma, axis=0)
+    basis, size, _ = np.linalg.svd(gamma / np.where(length > 0, length, 1.0), full_matrices=False)
+    basis = basis[:, size > SINGULAR * size[0]]
+    for _ in range(2):  # the second time takes what round-off left of the first
+        psi = psi - basis @ (basis.T @ psi)
+    return np.asarray(psi.T @ psi)

@@ -13,9 +13,9 @@ from agent.numerics.model.observer import (
     matched_gain,
     plain_gain,
     poles_gain,
-    spectral_radius,
     start_gain,
 )
+from agent.numerics.model.riccati import spectral_radius
 from agent.numerics.model.statespace import Discrete
 from agent.types import FloatArray
 

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from agent.numerics.model.statespace import StateSpace, stacked
-from agent.types import FloatArray
+from agent.types import BoolArray, FloatArray
 
 GROUND = "ground"
 Quantity = Literal["displacement", "velocity", "acceleration"]
@@ -77,10 +77,16 @@ class MassSpringDamper:
         if missing:
             raise ValueError(f"no element is called {missing}; elements are {sorted(values)}")
         object.__setattr__(self, "nominal", np.array([values[name] for name in self.parameters], dtype=float))
-        masses = self.structure.masses
-        if all(m.value > 0 and m.name not in self.parameters for m in masses):
-            # all matrices are straight lines in theta: assembled once, at zero
-            object.__setattr__(self, "_affine", self._assembled(np.zeros(len(self.parameters))))
+        if all(m.value > 0 for m in self.structure.masses):
+            # at nominal masses all matrices are straight lines in the elements: assembled once, at zero
+            weightless = np.where(self._is_mass, self.nominal, 0.0)
+            object.__setattr__(self, "_affine", self._assembled(weightless))
+
+    @property
+    def _is_mass(self) -> BoolArray:
+        """(q,) which parameters are masses."""
+        masses = {m.name for m in self.structure.masses}
+        return np.array([name in masses for name in self.parameters], dtype=bool)
 
     def _values(self) -> dict[str, float]:
         s = self.structure
@@ -109,11 +115,31 @@ class MassSpringDamper:
         base = self._affine
         if base is None:
             return self._assembled(theta)
+        elements = np.where(self._is_mass, 0.0, theta)
         A, B, C, D = (
-            matrix + np.tensordot(theta, slope, 1)
+            matrix + np.tensordot(elements, slope, 1)
             for matrix, slope in ((base.A, base.dA), (base.B, base.dB), (base.C, base.dC), (base.D, base.dD))
         )
-        return StateSpace(A, B, C, D, base.dA, base.dB, base.dC, base.dD)
+        straight = StateSpace(A, B, C, D, base.dA, base.dB, base.dC, base.dD)
+        return self._weighed(straight, theta) if self._is_mass.any() else straight
+
+    def _weighed(self, at: StateSpace, theta: FloatArray) -> StateSpace:
+        """Put the masses in theta in the place of the nominal ones: a mass divides its row, and what senses it."""
+        dA, dB, dC, dD = at.dA.copy(), at.dB.copy(), at.dC.copy(), at.dD.copy()
+        names = self.state_names
+        for i in np.flatnonzero(self._is_mass).tolist():
+            row, mass = names.index(f"velocity of {self.parameters[i]}"), theta[i]
+            sensed = [o for o, output in enumerate(self.outputs) if self._accelerates(output, self.parameters[i])]
+            for matrix, slope, rows in ((at.A, dA, [row]), (at.B, dB, [row]), (at.C, dC, sensed), (at.D, dD, sensed)):
+                matrix[rows] *= self.nominal[i] / mass
+                slope[:, rows] *= self.nominal[i] / mass
+                slope[i] = 0.0
+                slope[i, rows] = -matrix[rows] / mass
+        return StateSpace(at.A, at.B, at.C, at.D, dA, dB, dC, dD)
+
+    @staticmethod
+    def _accelerates(output: Output, mass: str) -> bool:
+        return output.quantity == "acceleration" and output.at == mass
 
     def _assembled(self, theta: FloatArray) -> StateSpace:
         """Return the same from the elements one by one."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.model.riccati import state_units, steady_covariance
+from agent.numerics.model.riccati import spectral_radius, state_units, steady_covariance
 from agent.numerics.model.statespace import Discrete, StateSpace
 from agent.types import FloatArray
 
@@ -19,11 +19,6 @@ WEAKEST, STRONGEST, STRIDE = -8.0, 8.0, 2.0
 BISECTIONS = 7
 """Of a stride: the intensity is found to 4 %."""
 NO_GAIN = "no stabilising observer gain: the outputs do not show a mode that does not decay"
-
-
-def spectral_radius(A: FloatArray) -> float:
-    """Return the largest magnitude of the eigenvalues of A."""
-    return float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
 
 
 def poles_gain(model: StateSpace, poles: Sequence[complex], period_s: float) -> FloatArray:
@@ -37,21 +32,6 @@ def poles_gain(model: StateSpace, poles: Sequence[complex], period_s: float) -> 
         raise ValueError(f"{len(poles)} poles for {model.n} states; give {model.n}")
     placed = np.exp(np.asarray(poles) * period_s)
     return np.ascontiguousarray(place_poles(model.A.T, model.C.T, placed).gain_matrix.T)
-
-
-def kalman_gain(model: StateSpace, process: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the steady-state predictor gain L = A P C' S^-1, (n, p), and the innovations' S = C P C' + R, (p, p).
-
-    Args:
-        model: the sampled model.
-        process: (n, n) covariance of the process noise a sample.
-        noise: (p, p) covariance R of the sensor noise.
-
-    Raises ValueError when the Riccati equation has no stabilising solution.
-    """
-    root = np.linalg.cholesky(noise)
-    L, S = _unit_gain(model.A, np.linalg.solve(root, model.C), process)
-    return np.linalg.solve(root.T, L.T).T, root @ S @ root.T
 
 
 def _unit_gain(A: FloatArray, C: FloatArray, process: FloatArray) -> tuple[FloatArray, FloatArray]:

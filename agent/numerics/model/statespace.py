@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from agent.types import FloatArray
 
-Hold = Literal["first", "zero", "euler"]
+Hold = Literal["first", "zero", "euler", "cubic", "quintic"]
 BLOCK = 32
 """Samples that are simulated by one product."""
 
@@ -153,7 +153,11 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     With a straight line x(k+1) = A x(k) + B0 u(k) + B1 u(k+1); the shifted state xs = x - B1 u makes that causal:
     B = A B1 + B0, D = D_c + C B1. The matrices are blocks of one matrix exponential and their derivatives blocks of
     its Frechet derivative (Van Loan, IEEE Trans. Automatic Control 23 (1978) 395).
+
+    Raises ValueError for polynomials through more readings, which no shift makes causal (see `holds.sample`).
     """
+    if hold in ("cubic", "quintic"):
+        raise ValueError(f'hold "{hold}" takes readings yet to come: use holds.sample')
     if hold == "euler":
         return _euler(continuous, period_s)
     n, m = continuous.n, continuous.m
@@ -166,7 +170,7 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     directions = np.zeros((continuous.q, size, size))
     directions[:, :n, :n] = continuous.dA * period_s
     directions[:, :n, n : n + m] = continuous.dB * period_s
-    exponential, derivatives = _exponential_with_derivatives(generator, directions)
+    exponential, derivatives = exponential_with_derivatives(generator, directions)
     A, dA = exponential[:n, :n], derivatives[:, :n, :n]
     G1, dG1 = exponential[:n, n : n + m], derivatives[:, :n, n : n + m]
     # zero hold: G2 is of no use and B1 = 0
@@ -181,7 +185,7 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     return Discrete(model, B1, dB1, period_s)
 
 
-def _exponential_with_derivatives(generator: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def exponential_with_derivatives(generator: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return exp(X), (s, s), and its derivatives along each direction, (q, s, s), by exp([[X, E], [0, X]])."""
     size = len(generator)
     if not len(directions):

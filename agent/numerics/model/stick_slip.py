@@ -14,23 +14,20 @@ integral is right under the model's hold. (Karnopp, ASME J. Dyn. Sys. 107 (1985)
 own; Armstrong-Helouvry et al., Automatica 30 (1994) 1083.)
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.numerics.model.friction import FASTEST, SLOWEST, differences
-from agent.numerics.model.mechanics import MassSpringDamper
+from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.numerics.model.observer import start_gain, unobservable_states
 from agent.numerics.model.statespace import Discrete, Hold, StateSpace, discretise
 from agent.types import FloatArray
 
 SPEED = 50.0
 """Slowest pole of the observer, 1/s: with 100 the noise of a sensor of 0.1 mm at 1 kHz reverses the velocity."""
-LEAST, BY_NOISE, MOST = 0.003, 0.04, 0.1
-"""Rms share of a friction that is not known of a sample: at least, for each share of what it takes in a sample that
-is the velocity's noise, and at most. A reversal every few hundred samples is known to that noise over the change of
-velocity in a sample, which is a few times what the friction takes. A model that took the friction for exact would have
-windows contradict each other, and intervals a few times too narrow."""
+SLOWEST, FASTEST = 0.02, 0.3
+"""Least and most that the slowest pole may forget in one sample, whatever the rate."""
 DEVIATIONS, REST = 3.0, 2.0
 """A velocity that stays within so many deviations of its noise for REST over SPEED rests, and where friction takes less
 than that in a sample, no share of it can be told: it is 0."""
@@ -78,7 +75,7 @@ def friction_observer(model: MassSpringDamper, period_s: float, hold: Hold, sigm
     m = len(model.forces)
     continuous = plain.continuous(plain.nominal)
     held = continuous.n
-    difference = differences(plain, [element.between for element in rubbing])
+    difference = _differences(plain, [element.between for element in rubbing])
     continuous = _drifting(continuous, model)
     discrete = discretise(continuous, period_s, hold)
     d, B1 = discrete.model, discrete.B1
@@ -94,6 +91,17 @@ def friction_observer(model: MassSpringDamper, period_s: float, hold: Hold, sigm
     return FrictionObserver(M, W, (B0 + B1)[:, m:], first, hold == "first", noise, round(REST / (SPEED * period_s)))
 
 
+def _differences(model: MassSpringDamper, pairs: Sequence[tuple[str, str]]) -> FloatArray:
+    """Return (r, n) rows that take the relative displacement of each pair from the states."""
+    names = model.state_names
+    difference = np.zeros((len(pairs), len(names)))
+    for row, pair in zip(difference, pairs, strict=True):
+        for node, sign in zip(pair, (1.0, -1.0), strict=True):
+            if node != GROUND:
+                row[names.index(f"displacement of {node}")] += sign
+    return difference
+
+
 def _noise(Phi: FloatArray, push: FloatArray, W: FloatArray) -> FloatArray:
     """Return the sd (r,) that white noise pushing by push (n, p) leaves in W z."""
     total = np.zeros(len(W))
@@ -101,22 +109,6 @@ def _noise(Phi: FloatArray, push: FloatArray, W: FloatArray) -> FloatArray:
         total += np.sum((W @ push) ** 2, axis=1)
         push = Phi @ push
     return np.asarray(np.sqrt(total))
-
-
-def least_force(model: MassSpringDamper, period_s: float, hold: Hold, sigma: FloatArray) -> FloatArray | None:
-    """Return the unknown force (d,) on each mass that friction brings in any case, N; None where there is none.
-
-    sigma as in `friction_observer`; where it is not known, what friction brings is learnt with it.
-    """
-    rubbing = model.structure.frictions
-    masses = [mass.name for mass in model.structure.masses if mass.value > 0]
-    if not rubbing or not masses or not np.all(np.isfinite(sigma)):
-        return None
-    observer = friction_observer(model, period_s, hold, sigma)
-    share = np.clip(np.hypot(LEAST, BY_NOISE * observer.noise / np.maximum(observer.takes, 1e-300)), LEAST, MOST)
-    force = share * np.array([abs(element.nominal) for element in rubbing])
-    touched = np.array([[name in element.between for element in rubbing] for name in masses])
-    return np.asarray(touched @ force)
 
 
 def _drifting(continuous: StateSpace, model: MassSpringDamper) -> StateSpace:

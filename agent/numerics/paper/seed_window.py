@@ -12,9 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
-from agent.numerics.faults.suspects import Accusation
-from agent.numerics.fitting.work import Budget
+from agent.numerics.estimator.faults import Finding
+from agent.numerics.estimator.outcome import Outcome
+from agent.numerics.inference.verdicts import Belief
 from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
 from agent.numerics.paper.seed import (
@@ -28,8 +30,7 @@ from agent.numerics.paper.seed import (
     structured,
 )
 from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.rows import Rows
-from agent.types import BoolArray, Calibrated, FloatArray
+from agent.types import BoolArray, FloatArray, Reason, Status
 
 RUN_AWAY = 1e60
 """States of an observer that is not stable any more, small enough for their squares to be figures."""
@@ -46,6 +47,7 @@ class SeedSettings:
     Attributes:
         period_s: sampling period, s.
         plan: window and hop, samples.
+        enough_sd: (q,) sd above which a window cannot judge a parameter.
         hold: how the input runs between samples; "euler" is the paper's (23).
         gain: (n, p) the observer's K_e, kept in every pass.
         passes: 1 is the method as printed.
@@ -62,6 +64,7 @@ class SeedSettings:
     gain: FloatArray
     passes: int
     scale: FloatArray
+    enough_sd: FloatArray
     settled: float = 1e-6
     rank: int | None = None
     stopping: Stopping = field(default_factory=Stopping)
@@ -199,14 +202,13 @@ def innovation_step(
 
 
 class SeedWindow:
-    """The seed's estimator over a stream of samples; the same calls as `agent.numerics.estimator.window_ml.WindowML`.
+    """The seed's estimator over a stream of samples; the same calls as `agent.numerics.estimator.sliding`.
 
     The observer's first pass runs once over the stream from state zero, as printed. A row counts as full when a whole
     window lies after the observer has settled.
     """
 
     def __init__(self, model: Model, settings: SeedSettings) -> None:
-        self.budget = Budget(0.0, 0.0)
         self.model = model
         self.settings = settings
         self._sampled = discretise(model.continuous(model.nominal), settings.period_s, settings.hold).model
@@ -214,18 +216,21 @@ class SeedWindow:
         self._history = settings.plan.window + self._run_up
         self.start_segment()
 
-    def calibrated(self) -> Calibrated | None:
-        """Return nothing: this method learns no disturbances."""
-        return None
+    def knowledge(self) -> None:
+        """Return nothing: this method learns nothing that lasts."""
 
-    def adopt(self, known: Calibrated) -> None:
+    def adopt(self, content: str) -> None:
         """Take nothing."""
 
     def hurry(self) -> None:
         """Go on as ever: rows are all that this method makes."""
 
-    def take_findings(self) -> list[tuple[int, Accusation]]:
-        """Return nothing: this method does not ask what the model lacks."""
+    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
+        """Return nothing: this method believes its constants."""
+        return []
+
+    def take_findings(self) -> list[Finding]:
+        """Return nothing: this method believes its channels."""
         return []
 
     def start_segment(self) -> None:
@@ -240,11 +245,11 @@ class SeedWindow:
     def step(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
         suspect: BoolArray | None = None,
-    ) -> Rows:  # fmt: skip
+    ) -> Outcome:  # fmt: skip
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
         self._append(y, u)
         due = self.settings.plan.rows_between(index, index + len(y))
-        rows = Rows.warming(due, len(self.model.nominal))
+        rows = Outcome.warming(due, len(self.model.nominal))
         newest = index + len(y) - 1
         for row, at in enumerate(due.tolist()):
             after = newest - at
@@ -279,10 +284,15 @@ class SeedWindow:
         settled = np.all(left <= np.maximum(ENOUGH * self.settings.scale, DEVIATIONS * fit.sd))
         return replace(fit, sd=np.hypot(fit.sd, left), settled=bool(settled))
 
-    def _write(self, rows: Rows, row: int, fit: SeedFit) -> None:
-        rows.theta[row], rows.sd[row] = fit.theta, fit.sd
-        rows.dof[row], rows.full[row], rows.ratio[row] = fit.dof, True, 1.0
-        rows.diverged[row] = not fit.settled
+    def _write(self, rows: Outcome, row: int, fit: SeedFit) -> None:
+        half = stdtrit(fit.dof, 0.975) * fit.sd
+        rows.theta[row], rows.sd[row], rows.sd_repeat[row] = fit.theta, fit.sd, fit.sd
+        rows.lower[row], rows.upper[row] = fit.theta - half, fit.theta + half
+        rows.dof[row], rows.window[row] = fit.dof, self.settings.plan.window
+        known = fit.sd <= self.settings.enough_sd
+        rows.status[row] = np.where(known, int(Status.VALID), int(Status.UNEXCITED))
+        if not fit.settled:
+            rows.invalidate(row, Reason.DIVERGED)
 
     def _trim(self) -> None:
         """Forget samples that no later row can need."""

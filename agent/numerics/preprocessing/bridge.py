@@ -1,20 +1,15 @@
 """Readings that a window lacks, as unknowns of its estimate.
 
-A missing reading is filled with its cubic interpolant, and what the interpolant misses is one more unknown d:
-
-    e = Gamma e0 + U d + sum psi_i delta_i + noise
-
-A missing output says nothing at all (d is free: for an observer without correction the same as leaving its row out,
-for a Kalman gain the likelihood of what was seen). A missing input lies near its interpolant, as near as interpolants
-of such gaps lie to the readings elsewhere in the window, which gives d a prior (Ljung, System Identification, 2nd ed.
-1999, section 14.2). To believe an interpolated force would make intervals far too narrow.
+A missing reading is filled with its cubic interpolant, and what the interpolant misses is one more unknown d. A missing
+output says nothing at all (d is free). A missing input lies near its interpolant, as near as interpolants of such gaps
+lie to the readings elsewhere in the window, which gives d a prior (Ljung, System Identification, 2nd ed. 1999, section
+14.2). To believe an interpolated force would make intervals far too narrow.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.model.observer import Gain
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -31,22 +26,6 @@ class Bridge:
     sample: IntArray
     channel: IntArray
     sd: FloatArray
-
-    @property
-    def free(self) -> int:
-        """Unknowns without a prior: each costs a degree of freedom."""
-        return int(np.isinf(self.sd).sum())
-
-    def split(self, gain: Gain) -> "tuple[Bridge, IntArray]":
-        """Return the readings that must be unknowns under a gain, and the rows (k,) of a window that can be left out.
-
-        A missing output that nothing is corrected by, and no other output is weighed with, touches its own row only.
-        """
-        p = len(gain.whitening)
-        alone = not gain.L.any() and not np.any(gain.whitening - np.diag(np.diag(gain.whitening)))
-        out = alone & (self.channel < p)
-        rows = self.sample[out] * p + self.channel[out]
-        return Bridge(self.sample[~out], self.channel[~out], self.sd[~out]), rows
 
 
 def bridge_over(v: FloatArray, missing: BoolArray, outputs: int) -> Bridge | None:
@@ -123,35 +102,3 @@ def filled(signal: FloatArray, missing: BoolArray) -> FloatArray:
         else:
             result[place] = signal[seen[min(after, len(seen) - 1)]] if len(seen) else 0.0
     return result
-
-
-@dataclass(frozen=True, slots=True)
-class Shrinkage:
-    """What unknown readings with responses U take from a window's columns, by their products U'columns alone.
-
-    Attributes:
-        unknowns: (c, c) U'columns -> the unknowns that fit the columns best: (U'U + R)^-1.
-        taken: (c, c) with S = I - U taken U' the symmetric root of I - U (U'U + R)^-1 U'.
-    """
-
-    unknowns: FloatArray
-    taken: FloatArray
-
-
-def shrinkage(gram: FloatArray, sd: FloatArray) -> Shrinkage:
-    """Return what unknowns with gram = U'U (c, c) and priors of standard deviation sd (c,) take away.
-
-    U must be free of other nuisances already (the initial state). An unknown that leaves no trace takes nothing away.
-    """
-    with np.errstate(divide="ignore"):
-        scale = 1.0 / np.maximum(np.hypot(np.sqrt(np.diag(gram)), 1.0 / sd), 1e-300)
-    scaled = gram * scale[:, None] * scale
-    values, vectors = np.linalg.eigh(scaled + np.diag((scale / sd) ** 2))
-    kept = values > 1e-12 * max(float(values[-1]), 1e-300)
-    root = vectors[:, kept] / np.sqrt(values[kept])
-    # of I - B B' with B = U root the square root, by the eigenvectors of B'B, whose values are between 0 and 1
-    share, turn = np.linalg.eigh(root.T @ scaled @ root)
-    share = np.clip(share, 0.0, 1.0)
-    root = scale[:, None] * root
-    lengthened = root @ (turn * np.sqrt((1.0 - np.sqrt(1.0 - share)) / np.maximum(share, 1e-30)))
-    return Shrinkage(np.asarray(root @ root.T), np.asarray(lengthened @ lengthened.T))

@@ -34,6 +34,10 @@ DOUBTFUL = 1.5
 """An input that stands out so many times more is in doubt: whether it was a spike, the motion decides."""
 EXCESS_OF_INPUTS = 6.0
 """The same for EXCESS."""
+CROWD = 32
+"""Samples before a suspect input in which ..."""
+CROWDED = 12
+"""... no more second differences than two spikes leave may be in doubt: where more are, that is how the signal is."""
 WILD = 1e5
 """An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever the
 motion says: no sensor resolves that much, and sums of its square would leave no digit for those that come after."""
@@ -162,9 +166,15 @@ class Cleaner:
             if free and (length := self._spike_at(place, channel)):
                 spiked = slice(place, place + length)
                 if self._inputs[channel] and not self._is_wild(spiked, channel):
-                    self._suspect[spiked, channel] = True
+                    self._suspect[spiked, channel] = not self._is_crowded(place, channel)
                 else:
                     self._marked[spiked, channel] = self._spike[spiked, channel] = True
+
+    def _is_crowded(self, place: int, channel: int) -> bool:
+        """Tell whether so many second differences before a sample are in doubt that the signal itself is like that."""
+        start = max(0, place - CROWD)
+        size = np.abs(np.diff(self._raw[start:place, channel], n=2))
+        return int(np.count_nonzero(size > self._limits[start + 2 : place, channel])) >= CROWDED
 
     def _is_wild(self, spiked: slice, channel: int) -> bool:
         """Tell whether readings that stand out are beyond what the channel can have meant."""

@@ -1,1 +1,1 @@
-"""Sliding windows summarised from shared blocks of samples, and what each window estimates by itself."""
+"""Streaming bank: what every window says of the parameters, at a cost a sample that does not grow with the window."""

@@ -5,11 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.window.constants import GROUP
 from agent.numerics.window.products import row_products
 
 FloatArray = NDArray[np.float64]
-GROUP = 8
-"""Hops that advance from zero side by side before groups are joined one after the other."""
+
+
+def powers_of(transition: FloatArray) -> FloatArray:
+    """Return the transposed powers 0..GROUP of a transition over a hop, (GROUP+1, nz, nz)."""
+    powers = [np.eye(len(transition))]
+    for _ in range(GROUP):
+        powers.append(transition @ powers[-1])
+    return np.ascontiguousarray(np.stack(powers).transpose(0, 2, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +25,7 @@ class Course:
 
     Attributes:
         start: (nz,) state at the beginning of the group.
-        gained: (nz,) what the group's hops so far would leave when started from zero.
+        gained: (nz,) what the group's hops so far leave when started from zero.
         phase: number of those hops.
     """
 
@@ -31,35 +38,33 @@ class Course:
         """Return a course that begins at state z (nz,)."""
         return cls(z, np.zeros_like(z))
 
-    def over(self, transition: FloatArray, forced: FloatArray) -> "tuple[FloatArray, Course]":
+    def over(self, powers: FloatArray, forced: FloatArray) -> "tuple[FloatArray, Course]":
         """Solve z(j+1) = transition z(j) + forced(j) over N hops; return z(0..N-1), (N, nz), and the course after."""
         total, nz = self.phase + len(forced), len(self.start)
         groups = -(-total // GROUP)
         inputs = np.zeros((groups * GROUP, nz))
         inputs[self.phase : total] = forced
-        gained = self._gained(transition, inputs.reshape(groups, GROUP, nz))
-        starts = self._starts(transition, gained[-1])
-        states = np.empty((groups, GROUP, nz))
-        carried = starts[:groups]
-        for j in range(GROUP):
-            states[:, j] = carried + gained[j]
-            carried = row_products(carried, transition.T)
+        phases = range(self.phase, total) if groups == 1 else range(GROUP)  # all that are of use
+        gained = self._gained(powers[1], inputs.reshape(groups, GROUP, nz), phases)
         full, phase = divmod(total, GROUP)
+        starts = self._starts(powers[GROUP].T, gained[GROUP, :full])
+        states = np.empty((groups, GROUP, nz))
+        for j in phases:
+            states[:, j] = row_products(starts[:groups], powers[j]) + gained[j]
         after = Course(starts[full], gained[phase, full] if phase else np.zeros(nz), phase)
         return states.reshape(-1, nz)[self.phase : total], after
 
-    def _gained(self, transition: FloatArray, inputs: FloatArray) -> FloatArray:
+    def _gained(self, step: FloatArray, inputs: FloatArray, phases: range) -> FloatArray:
         """Return what 0..GROUP hops of each group leave when it starts from zero, (GROUP+1, groups, nz)."""
         gained = np.zeros((GROUP + 1, *inputs[:, 0].shape))
-        for j in range(GROUP):
-            if j == self.phase and len(inputs):
+        for j in phases:
+            if j == self.phase:
                 gained[j, 0] = self.gained
-            gained[j + 1] = row_products(gained[j], transition.T) + inputs[:, j]
+            gained[j + 1] = row_products(gained[j], step) + inputs[:, j]
         return gained
 
-    def _starts(self, transition: FloatArray, gained: FloatArray) -> FloatArray:
-        """Return the state at the beginning of each group and after the last, (groups+1, nz)."""
-        over_group = np.linalg.matrix_power(transition, GROUP)
+    def _starts(self, over_group: FloatArray, gained: FloatArray) -> FloatArray:
+        """Return the state at the beginning of each group and after the last full one, (full+1, nz)."""
         starts = np.empty((len(gained) + 1, len(self.start)))
         starts[0] = self.start
         for number, one in enumerate(gained):

@@ -1,9 +1,13 @@
-"""What an estimation method gives: rows of estimates, one a hop."""
+"""What the bank gives: a row each hop, and for each window length the normal equations of the whole windows."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from agent.numerics.window.jump import Jumps
+from agent.numerics.window.solve import Normal, Starts
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -11,67 +15,93 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
-    """Estimates at N hops.
+class Asked:
+    """What one window says of readings that it was asked about.
+
+    Attributes:
+        index: newest sample of the window.
+        sample, channel, sd: (l,) the readings and their prior.
+        value: (l,) what the fill-in is wrong by at d = 0.
+        slope: (l, c) how that changes with d.
+        covariance: (l, l) with d given.
+    """
+
+    index: int
+    sample: IntArray
+    channel: IntArray
+    sd: FloatArray
+    value: FloatArray
+    slope: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Windowed:
+    """Rows of one window length.
 
     Attributes:
         index: (N,) newest sample of each window, counted from the run's first.
-        theta, sd: (N, q); NaN while warming.
-        dof: (N,) degrees of freedom of the residual variance.
-        full: (N,) a whole window was there.
-        changing, mismatch: (N,) the window is not to be believed: since less than a window's length, or for longer.
-        ratio: (N,) residual variance over the reference.
-        suspect: (N,) the Reason that a model which lacks something gives away; 0 where none does.
-        window: (N, q) length of the window that each estimate is of, samples; 0 while warming.
-        channel: (N,) the channel (outputs, then inputs) whose sensor may be what changed; -1 where none is blamed.
-        still: (N,) nothing moves in the window.
-        each_theta, each_sd: (N, L, q) what each of L windows says, shortest first, where there are several (else L is
-            0); NaN where a window is not whole.
-        each_dof: (N, L) their degrees of freedom.
-        each_fits: (N, L) the window is undisturbed.
-        diverged: (N,) the method failed or its passes did not settle: there is no estimate to believe.
+        normal: normal equations.
+        starts: filter states at each window's first sample.
+        jumps: columns of one jump inside; None for all but the first length, and where windows have no hop inside.
+        lost: (N,) readings of which nothing is known, for which the normal equations stand as if they had never been.
+        unsolved: (N,) windows that lost more readings than can be eliminated: their normal equations count them as
+            filled.
+        asked: of the first length, what windows say of the readings that they were asked about.
     """
 
     index: IntArray
-    theta: FloatArray
-    sd: FloatArray
-    dof: FloatArray
-    full: BoolArray
-    changing: BoolArray
-    mismatch: BoolArray
-    ratio: FloatArray
-    suspect: IntArray
-    window: IntArray
-    channel: IntArray
-    still: BoolArray
-    each_theta: FloatArray
-    each_sd: FloatArray
-    each_dof: FloatArray
-    each_fits: BoolArray
-    diverged: BoolArray
+    normal: Normal
+    starts: Starts
+    jumps: Jumps | None
+    lost: IntArray
+    unsolved: BoolArray
+    asked: tuple[Asked, ...] = ()
 
-    @classmethod
-    def warming(cls, index: IntArray, q: int, windows: int = 0) -> "Rows":
-        """Return rows without estimates, with room for those of several windows."""
-        count = len(index)
-        nothing, no = np.full((count, q), np.nan), np.zeros(count, dtype=bool)
-        unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
-        window, channel = np.zeros((count, q), dtype=np.int64), np.full(count, -1, dtype=np.int64)
-        return cls(
-            index, nothing, nothing.copy(), unknown, no, no.copy(), no.copy(), unknown.copy(), none, window, channel,
-            no.copy(), np.full((count, windows, q), np.nan), np.full((count, windows, q), np.nan),
-            np.full((count, windows), np.nan), np.zeros((count, windows), dtype=bool),
-            no.copy(),
-        )  # fmt: skip
 
-    @classmethod
-    def joined(cls, pieces: "list[Rows]", q: int) -> "Rows":
-        """Return rows one after the other."""
-        if len(pieces) == 1:
-            return pieces[0]
-        pieces = pieces or [cls.warming(np.zeros(0, np.int64), q)]
-        return cls(*(np.concatenate([getattr(piece, f.name) for piece in pieces]) for f in fields(cls)))
+@dataclass(frozen=True, slots=True)
+class BankRows:
+    """Rows since the last call.
 
-    def part(self, stop: int) -> "Rows":
-        """Return the first `stop` rows."""
-        return Rows(*(getattr(self, f.name)[:stop] for f in fields(self)))
+    Attributes:
+        index: (N,) samples at which rows fell due.
+        windows: one for each length, the plan's first; None while no window of that length is whole.
+    """
+
+    index: IntArray
+    windows: tuple[Windowed | None, ...]
+
+
+def joined(pieces: Sequence[BankRows], lengths: int) -> BankRows:
+    """Return rows one after the other."""
+    if not pieces:
+        return BankRows(np.zeros(0, dtype=np.int64), (None,) * lengths)
+    index = np.concatenate([piece.index for piece in pieces])
+    each = [[w for piece in pieces if (w := piece.windows[k]) is not None] for k in range(lengths)]
+    return BankRows(index, tuple(_windowed(windows) for windows in each))
+
+
+def _windowed(pieces: Sequence[Windowed]) -> Windowed | None:
+    if len(pieces) < 2:
+        return pieces[0] if pieces else None
+    normals = [piece.normal for piece in pieces]
+    starts = [piece.starts for piece in pieces]
+    jumps = [piece.jumps for piece in pieces if piece.jumps is not None]
+    cat = np.concatenate
+    normal = Normal(
+        cat([n.H for n in normals]), cat([n.g for n in normals]), cat([n.rss for n in normals]),
+        normals[-1].log_det, cat([n.x0 for n in normals]),
+    )  # fmt: skip
+    first = Starts(cat([s.predicted for s in starts]), cat([s.mean for s in starts]), cat([s.tangents for s in starts]))
+    return Windowed(
+        cat([piece.index for piece in pieces]), normal, first, _jumps(jumps), cat([piece.lost for piece in pieces]),
+        cat([piece.unsolved for piece in pieces]), tuple(one for piece in pieces for one in piece.asked),
+    )  # fmt: skip
+
+
+def _jumps(pieces: Sequence[Jumps]) -> Jumps | None:
+    if not pieces:
+        return None
+    cat = np.concatenate
+    index, cross, own = (cat([getattr(j, name) for j in pieces]) for name in ("index", "cross", "own"))
+    return Jumps(index, cross, own, pieces[0].samples)

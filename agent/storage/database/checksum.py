@@ -5,7 +5,7 @@ them. Every table of the store therefore carries a column `crc`, the last one, m
 """
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -40,15 +40,30 @@ def _position_tables(width: int) -> tuple[NDArray[np.uint32], int]:
     return tables, zlib.crc32(bytes(width))
 
 
-def column_crc(*columns: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int32]:
+def column_crc(*columns: NDArray[np.int64] | NDArray[np.float64], later: int = 0) -> NDArray[np.int32]:
     """Return the checksum of each row: zlib.crc32 of its columns, 8 bytes each, little-endian, one after the other.
 
     Args:
         columns: (n,) int64 or float64 each; NULL is float NaN (any NaN counts as the same one).
+        later: how many of the last columns, float64, came with a later version: a row in which they are NULL has the
+            checksum that it had before, so that no row is written again for their sake.
 
     Returns:
         (n,) the checksum as a signed 32-bit number, which SQLite keeps in four bytes.
     """
+    if not later:
+        return _crc(columns)
+    first = columns[:-later]
+    bare = np.all([np.isnan(column) for column in columns[-later:]], axis=0)
+    if not bare.any():
+        return _crc(columns)
+    out = _crc(first)
+    if not bare.all():
+        out[~bare] = _crc([column[~bare] for column in columns])
+    return out
+
+
+def _crc(columns: Sequence[NDArray[np.int64] | NDArray[np.float64]]) -> NDArray[np.int32]:
     rows = len(columns[0])
     table, start = _position_tables(8 * len(columns))
     packed = np.empty((rows, len(columns)), dtype="<i8")

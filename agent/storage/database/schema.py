@@ -8,24 +8,26 @@ fits, verdicts) is named by number.
 
 import sqlite3
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
 from agent import __version__
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
-from agent.storage.database.views_of_parts import STEPS
+from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from sqlite_utils import Database
     from sqlite_utils.migrations import Migrations
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -63,11 +65,15 @@ TABLES: dict[str, str] = {
     "alarms INTEGER NOT NULL, file TEXT NOT NULL, state TEXT NOT NULL, from_ns INTEGER NOT NULL, "
     "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, baseline_id INTEGER, "
     "message TEXT NOT NULL",
-    "calibrations": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, content TEXT NOT NULL",
+    "learnt": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, key TEXT NOT NULL, content TEXT NOT NULL",
+    "hypotheses": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, hypothesis TEXT NOT NULL, size REAL, sd REAL, "
+    "unit TEXT NOT NULL, probability REAL",
     "clocks": "run_id INTEGER NOT NULL, part_of INTEGER NOT NULL, offset_ns INTEGER, from_ns INTEGER NOT NULL",
 }
-"""Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`."""
-_SINCE = {"event_records": 2, "calibrations": 4, "clocks": 5}
+"""Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
+ADDED = {"estimates": ("repeat",)}
+"""Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
+_SINCE = {"event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6}
 """The version that brought a table, of those that version 1 did not have."""
 
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
@@ -90,7 +96,12 @@ _INDEXES = (
 
 def columns_of(table: str) -> list[str]:
     """Return the columns of a table in order, with seq and crc."""
-    return ["seq", *(part.strip().split()[0] for part in TABLES[table].split(",")), "crc"]
+    return ["seq", *(part.strip().split()[0] for part in TABLES[table].split(",")), *ADDED.get(table, ()), "crc"]
+
+
+def numbers_crc(table: str, columns: "Sequence[NDArray[np.int64] | NDArray[np.float64]]") -> "NDArray[np.int32]":
+    """Return the checksums of rows of a table of numbers, given as the columns before crc."""
+    return column_crc(*columns, later=len(ADDED.get(table, ())))
 
 
 def insert_sql(table: str, verb: str = "INSERT") -> str:
@@ -127,8 +138,7 @@ def _clocks(db: "Database") -> None:
 
 
 def _calibrations(db: "Database") -> None:
-    """Version 4: what was learnt of a rig's disturbances."""
-    _create(db.conn, "calibrations")
+    """Version 4: what was learnt of a rig's disturbances, in a table that version 6 has no more."""
     _mark(db.conn, 4)
 
 
@@ -151,12 +161,27 @@ _UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r
  FROM runs r WHERE a IS NOT NULL AND NOT EXISTS (SELECT 1 FROM events e WHERE e.run_id = r.seq
  AND e.source = 'clock' AND e.cause = 'clock step') ORDER BY r.seq"""
 
+
+def _repeat_and_verdicts(db: "Database") -> None:
+    """Version 6: sd_repeat, what is believed of a rig's constants, and what was learnt of it whatever else changed."""
+    for table, columns in ADDED.items():
+        for column in columns:
+            db.conn.execute(f"ALTER TABLE {table} ADD COLUMN {column} REAL")
+    db.conn.execute("DROP TABLE IF EXISTS calibrations")
+    _create(db.conn, "learnt")
+    _create(db.conn, "hypotheses")
+    for statement in REPEAT_AND_VERDICTS:
+        db.conn.execute(statement)
+    _mark(db.conn, 6)
+
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
     "0003_clocks": _clocks,
     "0004_calibrations": _calibrations,
     "0005_steps": _steps,
+    "0006_repeat_and_verdicts": _repeat_and_verdicts,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

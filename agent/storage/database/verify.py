@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.storage.database.checksum import column_crc, row_crc
+from agent.storage.database.checksum import row_crc
 from agent.storage.database.connect import damaged, is_damage
-from agent.storage.database.schema import TABLES, columns_of, strange_schema
+from agent.storage.database.schema import TABLES, columns_of, numbers_crc, strange_schema
 
 Row = tuple[Any, ...]
 _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}
@@ -34,23 +34,24 @@ def good_rows(table: str, rows: Sequence[Row]) -> NDArray[np.bool_]:
 def good_columns(table: str, columns: Sequence[Collection[Any]]) -> NDArray[np.bool_]:
     """Tell the same of the rows of a table of numbers, given as the columns that they make."""
     try:
-        return _numbers_right(columns, _NUMERIC[table])
+        return _numbers_right(table, columns)
     except (TypeError, ValueError, OverflowError):  # a cell that is not a number any more
         rows = list(zip(*columns, strict=True))
         plausible = np.array([_plausible(row, _NUMERIC[table]) for row in rows])
         right = np.zeros(len(rows), dtype=bool)
         if plausible.any():
             sound = zip(*(row for row, fine in zip(rows, plausible, strict=True) if fine), strict=True)
-            right[plausible] = _numbers_right(list(sound), _NUMERIC[table])
+            right[plausible] = _numbers_right(table, list(sound))
         return right
 
 
-def _numbers_right(cells: Sequence[Collection[Any]], integers: int) -> NDArray[np.bool_]:
-    """Check columns of `integers` integers, then reals or None, then the checksum; raises where they are not."""
+def _numbers_right(table: str, cells: Sequence[Collection[Any]]) -> NDArray[np.bool_]:
+    """Check columns of integers, then reals or None, then the checksum; raises where they are not."""
     *columns, stored = cells
+    integers = _NUMERIC[table]
     whole = [np.array(c, dtype=np.int64) for c in columns[:integers]]
     real = [_reals(c) for c in columns[integers:]]
-    return np.asarray(column_crc(*whole, *real) == np.array(stored, dtype=np.int64))
+    return np.asarray(numbers_crc(table, [*whole, *real]) == np.array(stored, dtype=np.int64))
 
 
 def _reals(column: Collection[Any]) -> NDArray[np.float64]:

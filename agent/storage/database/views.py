@@ -23,6 +23,10 @@ def covered(run: str, t_ns: str) -> str:
     return f"EXISTS (SELECT 1 FROM overlaps o WHERE o.run_id = {run} AND {t_ns} BETWEEN o.from_ns AND o.to_ns)"
 
 
+# estimates.repeat: sd_repeat in ten-thousandths of sd, NULL where they are the same
+SD_REPEAT = "coalesce(e.sd * e.repeat * 1e-4, e.sd) AS sd_repeat"
+
+
 def estimate_columns(run: str) -> str:
     """Return SQL for the columns of `v_estimates`; run: SQL for the number of the run."""
     return f"""g.name AS rig, {run} AS run_id, {time_text("h.t_ns")} AS time, h.t_ns AS t_ns,

@@ -7,6 +7,7 @@ Such a run has a row in `runs` for each setting of its clock; `clocks` says whic
 from agent.storage.database.views import (
     ESTIMATE_JOINS,
     NEWEST_OF_RUN,
+    SD_REPEAT,
     TIER_SHOWN,
     covered,
     estimate_columns,
@@ -64,3 +65,23 @@ _VIEWS = {
 STEPS: tuple[str, ...] = tuple(
     statement for view, text in _VIEWS.items() for statement in (f"DROP VIEW {view}", f"CREATE VIEW {view} AS {text}")
 )
+
+_VERDICTS = f"""SELECT g.name AS rig, coalesce(c.part_of, y.run_id) AS run_id, y.t_ns AS t_ns,
+ {time_text("y.t_ns")} AS time, y.hypothesis AS hypothesis, y.size AS size, y.sd AS sd, y.unit AS unit,
+ y.probability AS probability FROM hypotheses y JOIN runs r ON r.seq = y.run_id JOIN rigs g ON g.seq = r.rig_id
+ LEFT JOIN clocks c ON c.run_id = y.run_id WHERE NOT {covered("y.run_id", "y.t_ns")}"""
+
+
+def _with_repeat(text: str) -> str:
+    """Return a view's text with sd_repeat behind its columns."""
+    return text.replace("s.method AS method", f"s.method AS method, {SD_REPEAT}").replace(
+        "w.reason AS worst_reason", f"w.reason AS worst_reason, {SD_REPEAT}"
+    )
+
+
+_REPEATED = {view: _with_repeat(text) for view, text in _VIEWS.items() if view != "v_runs"}
+REPEAT_AND_VERDICTS: tuple[str, ...] = (
+    *(s for view, text in _REPEATED.items() for s in (f"DROP VIEW {view}", f"CREATE VIEW {view} AS {text}")),
+    f"CREATE VIEW v_verdicts AS {_VERDICTS}",
+)
+"""Came with version 6: sd_repeat, and what is believed of the constants of a rig."""

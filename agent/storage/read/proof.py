@@ -113,14 +113,15 @@ def differing(reader: sqlite3.Connection, table: str, columns: Sequence[str], se
 
 
 class Found(NamedTuple):
-    """Valid estimates: (n,) stamp ns (of an aggregate, the middle of what it covers), value, standard deviation."""
+    """Valid estimates: (n,) stamp ns (of an aggregate, the middle of what it covers), value, sd, sd_repeat."""
 
     t_ns: IntArray
     value: FloatArray
     sd: FloatArray
+    sd_repeat: FloatArray
 
 
-NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0))
 _VALID = int(Status.VALID) << 8
 _SAID = [name for name in columns_of("estimates") if name != "verdict_id"]
 _POINTS = f"""SELECT h.seq, h.t_ns, h.crc, {", ".join(f"e.{name}" for name in _SAID)} FROM hops h
@@ -156,12 +157,14 @@ def sound_points(reader: Reader, run: int, series: Sequence[int], span: int, fir
         return NOTHING
     columns = list(zip(*rows, strict=True))
     right = _right(reader, run, span, columns)
-    stamps, values, sds = (columns[place] for place in (1, 3 + _SAID.index("value"), 3 + _SAID.index("sd")))
+    said = (1, *(3 + _SAID.index(name) for name in ("value", "sd", "repeat")))
+    stamps, values, sds, repeats = (columns[place] for place in said)
     if not right.all():
         reader.refuse(int((~right).sum()))
-        stamps, values, sds = (tuple(compress(column, right)) for column in (stamps, values, sds))
+        stamps, values, sds, repeats = (tuple(compress(column, right)) for column in (stamps, values, sds, repeats))
     middle = np.array(stamps, dtype=np.int64) + span * 500_000_000
-    return Found(middle, np.array(values, dtype=np.float64), np.array(sds, dtype=np.float64))
+    sd, share = np.array(sds, dtype=np.float64), 1e-4 * np.array(repeats, dtype=np.float64)
+    return Found(middle, np.array(values, dtype=np.float64), sd, np.where(np.isnan(share), sd, sd * share))
 
 
 def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDArray[np.bool_]:

@@ -37,6 +37,7 @@ class Points:
         rig, parameter, unit: what they are of.
         t_ns: (n,) times, by the wall clock as it is set now; of an aggregate, the middle of what it covers.
         value, sd: (n,) estimate and standard deviation.
+        sd_repeat: (n,) standard deviation against the other points.
         span_s: (n,) 0, or what the aggregate covers.
         since_ns, until_ns: the stretch asked for; None where open.
         reference: what delta is counted from at the newest point; None without one.
@@ -49,6 +50,7 @@ class Points:
     t_ns: IntArray
     value: FloatArray
     sd: FloatArray
+    sd_repeat: FloatArray
     span_s: IntArray
     since_ns: int | None
     until_ns: int | None
@@ -163,6 +165,14 @@ def events(db: Path | str, rig: str | None = None) -> Rows:
         return _rows(connection, "v_events", f"{condition} ORDER BY id", values)
 
 
+def verdicts(db: Path | str, rig: str | None = None) -> Rows:
+    """Return rows of v_verdicts, oldest first."""
+    with reading(db) as connection:
+        _chosen_rigs(connection, rig)
+        condition, values = _where(rig=rig)
+        return _rows(connection, "v_verdicts", f"{condition} ORDER BY t_ns, run_id", values)
+
+
 def event_records(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_event_records, oldest first."""
     with reading(db) as connection:
@@ -206,19 +216,19 @@ def points(
         name = _one_rig(connection, rig)
         _check_parameter(connection, name, parameter)
         stretches, first, last = _stretches(connection, name, since, until)
-        t_ns, value, sd, span_s = _tiered(connection, stretches, series_of(connection, parameter))
+        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series_of(connection, parameter))
         unit, reference = _unit(connection, name, parameter)
         refused = connection.refused
     return Points(
-        name, parameter, unit, t_ns, value, sd, span_s, None if since is None else first,
+        name, parameter, unit, t_ns, value, sd, sd_repeat, span_s, None if since is None else first,
         None if until is None else last, reference, refused,
     )  # fmt: skip
 
 
 def _tiered(
     connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]]
-) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
-    """Return t_ns, value, sd, span_s from the finest tier that reaches back and is not too long, then finer rows."""
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
+    """Return t_ns, value, sd, sd_repeat, span_s from the finest tier that is not too long, then finer rows."""
     bounds = {span: _bounds(connection, stretches, span) for span in (0, 60, 3600)}
     oldest = min((b[0] for b in bounds.values() if b), default=0)
     fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= _MOST_POINTS]
@@ -230,8 +240,8 @@ def _tiered(
         if len(tiers[-1].t_ns):
             reached = int(tiers[-1].t_ns[-1]) + span * 500_000_000 + (span == 0)
             stretches = [stretch.after(reached) for stretch in stretches]
-    t_ns, value, sd = (np.concatenate(column) for column in zip(*tiers, strict=True))
-    return t_ns, value, sd, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
+    t_ns, value, sd, sd_repeat = (np.concatenate(column) for column in zip(*tiers, strict=True))
+    return t_ns, value, sd, sd_repeat, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
 
 
 def _bounds(connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int) -> tuple[int, int] | None:
@@ -253,9 +263,9 @@ def _tier_points(
     for part, shift, first, last in stretches:
         points = sound_points(connection, part, series.get(part, ()), span, first, last)
         found.append(points._replace(t_ns=points.t_ns + shift))
-    t_ns, value, sd = (np.concatenate(column) for column in zip(*found, strict=True))
+    t_ns, value, sd, sd_repeat = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.argsort(t_ns, kind="stable")
-    return Found(t_ns[order], value[order], sd[order])
+    return Found(t_ns[order], value[order], sd[order], sd_repeat[order])
 
 
 def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | None]:
@@ -326,9 +336,7 @@ def _list(names: Sequence[str]) -> str:
     return ", ".join(names) or "none yet"
 
 
-def _stretches(
-    connection: Reader, rig: str, since: str | None, until: str | None
-) -> tuple[list[_Stretch], int, int]:
+def _stretches(connection: Reader, rig: str, since: str | None, until: str | None) -> tuple[list[_Stretch], int, int]:
     """Return what was asked for, by part of a run, and its first and last instant (ns); open ends reach far enough.
 
     An age counts in true time back from the newest row, a date is compared with the stamps as they are.

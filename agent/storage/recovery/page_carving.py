@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 
-from agent.storage.database.schema import PAGE_SIZE, TABLES, columns_of
+from agent.storage.database.schema import ADDED, PAGE_SIZE, TABLES, columns_of
 from agent.storage.database.verify import good_rows
 from agent.storage.tables.rows import Row
 
@@ -17,7 +17,7 @@ _LEAF = 0x0D
 _WAL_HEADER, _FRAME_HEADER = 32, 24
 _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health", "events",
-    "event_records",
+    "event_records", "learnt", "hypotheses",
 )  # fmt: skip
 _AT_ONCE = 10_000
 _Key = tuple[int, bool]
@@ -28,9 +28,21 @@ def _shape(table: str) -> _Key:
     return len(columns_of(table)), "TEXT" in TABLES[table]
 
 
-_BY_SHAPE = {_shape(table): table for table in _SCANNED}
+_BY_SHAPE: dict[_Key, list[str]] = {}
+for _name in _SCANNED:
+    _cells, _texts = _shape(_name)
+    for _lacking in range(len(ADDED.get(_name, ())) + 1):
+        _BY_SHAPE.setdefault((_cells - _lacking, _texts), []).append(_name)
+_TEXTS = {
+    table: [i for i, column in enumerate(TABLES[table].split(", "), 1) if column.endswith(" TEXT NOT NULL")]
+    for table in _SCANNED
+}
 _REALS = {
-    table: [i for i, column in enumerate(TABLES[table].split(","), 1) if column.split()[1] == "REAL"]
+    table: [
+        place
+        for place, name in enumerate(columns_of(table))
+        if name in ADDED.get(table, ()) or f"{name} REAL" in TABLES[table].split(", ")
+    ]
     for table in _SCANNED
 }
 
@@ -49,10 +61,10 @@ def _scanned(pages: Iterable[bytes]) -> Iterator[tuple[str, list[Row]]]:
     waiting: dict[str, list[Row]] = {}
     for page in pages:
         for cells in _rows(page):
-            table = _BY_SHAPE.get((len(cells), any(isinstance(c, str) for c in cells)))
+            table = _table_of(cells)
             if table is None:
                 continue
-            waiting.setdefault(table, []).append(_typed(table, cells))
+            waiting.setdefault(table, []).append(_typed(table, _ordered(table, cells)))
             if len(waiting[table]) >= _AT_ONCE:
                 yield table, _proven(table, waiting.pop(table))
     for table, rows in waiting.items():
@@ -61,6 +73,20 @@ def _scanned(pages: Iterable[bytes]) -> Iterator[tuple[str, list[Row]]]:
 
 def _proven(table: str, rows: list[Row]) -> list[Row]:
     return [row for row, right in zip(rows, good_rows(table, rows), strict=True) if right]
+
+
+def _table_of(cells: list[object]) -> str | None:
+    """Return the table that a row may be of; None for none."""
+    alike = _BY_SHAPE.get((len(cells), any(isinstance(c, str) for c in cells)), ())
+    return next((table for table in alike if all(isinstance(cells[place], str) for place in _TEXTS[table])), None)
+
+
+def _ordered(table: str, cells: list[object]) -> list[object]:
+    """Return a row with its checksum last: columns added later stand after it, and rows of before lack them."""
+    added = len(ADDED.get(table, ()))
+    crc = len(columns_of(table)) - 1 - added
+    later = cells[crc + 1 :]
+    return [*cells[:crc], *later, *[None] * (added - len(later)), cells[crc]]
 
 
 def _typed(table: str, cells: list[object]) -> Row:

@@ -269,7 +269,8 @@ def _drop_orphans(target: sqlite3.Connection) -> None:
         "DELETE FROM spreads WHERE seq NOT IN (SELECT seq FROM estimates)",
         "DELETE FROM alarms WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM event_records WHERE run_id NOT IN (SELECT seq FROM runs)",
-        "DELETE FROM calibrations WHERE run_id NOT IN (SELECT seq FROM runs)",
+        "DELETE FROM learnt WHERE run_id NOT IN (SELECT seq FROM runs)",
+        "DELETE FROM hypotheses WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM clocks WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM alarm_events WHERE alarm_id NOT IN (SELECT seq FROM alarms)",
     ):

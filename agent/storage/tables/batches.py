@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from agent.types import EstimateBatch
 
 _PER_HOP = (
-    "index", "t_ns", "value", "sd", "lower", "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used",
-    "n_missing", "dof",
+    "index", "t_ns", "value", "sd", "lower", "upper", "sd_repeat", "status", "reason", "held", "held_age_s", "window_s",
+    "n_used", "n_missing", "dof",
 )  # fmt: skip
 
 

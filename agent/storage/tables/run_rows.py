@@ -9,23 +9,24 @@ import numpy as np
 from agent.storage.tables.ages import jump_words
 from agent.storage.tables.alarms import AlarmRows
 from agent.storage.tables.batches import joined_runs, take
-from agent.storage.tables.calibrations import CalibrationRows
 from agent.storage.tables.clocks import ClockRows
 from agent.storage.tables.coverage import Coverage
 from agent.storage.tables.estimates import add_estimates
 from agent.storage.tables.event_records import EventRecordRows
+from agent.storage.tables.learnt import LearntRows
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tables.status import HealthRows, add_event
+from agent.storage.tables.status import HealthRows, add_event, add_verdict
 from agent.types import (
     AlarmTransition,
-    CalibrationRecord,
     ClockRecord,
     EstimateBatch,
     EventRecord,
     Health,
     HealthEvent,
+    LearntRecord,
     Record,
     RunInfo,
+    Verdict,
 )
 
 _CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
@@ -56,7 +57,7 @@ class RunRows:
         self._clocks: dict[int, ClockRows] = {}
         self._settings = settings
         self._coverage: dict[int, Coverage] = {}
-        self._records, self._calibrations, self._health = EventRecordRows(), CalibrationRows(), HealthRows()
+        self._records, self._learnt, self._health = EventRecordRows(), LearntRows(), HealthRows()
 
     def __contains__(self, run_id: int) -> bool:
         return run_id in self._alarms
@@ -113,8 +114,10 @@ class RunRows:
             self._health.apply(plan, record, self._clocks[run_id].newest, self._numbers)
         elif isinstance(record, HealthEvent):
             add_event(plan, record, run_id, self._numbers)
-        elif isinstance(record, CalibrationRecord):
-            self._calibrations.apply(plan, record, run_id, self._numbers)
+        elif isinstance(record, Verdict):
+            add_verdict(plan, record, run_id, self._numbers)
+        elif isinstance(record, LearntRecord):
+            self._learnt.apply(plan, record, run_id, self._numbers)
         elif isinstance(record, EventRecord):
             self._records.apply(plan, record, run_id, self._numbers, self._connection())
 

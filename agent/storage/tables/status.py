@@ -1,11 +1,12 @@
-"""Rows of health and events: the conservation ledger of each source, and what happened once."""
+"""Rows of health, events and verdicts: the ledger of each source, what happened once, what is believed of constants."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import Health, HealthEvent, SourceClock
+from agent.types import Health, HealthEvent, SourceClock, Verdict
 
 
 class HealthRows:
@@ -54,3 +55,12 @@ def _counted(reasons: Mapping[str, int]) -> dict[str, int]:
 def add_event(plan: Plan, record: HealthEvent, run_id: int, numbers: Numbers) -> None:
     """Add something that happened once."""
     plan.sealed("events", numbers.take("events"), run_id, record.source, record.t_ns, record.cause, record.message)
+
+
+def add_verdict(plan: Plan, record: Verdict, run_id: int, numbers: Numbers) -> None:
+    """Add what is believed of a constant of the rig; what is no number is stored as NULL."""
+    size, sd, probability = (
+        float(x) if math.isfinite(x) else None for x in (record.size, record.sd, record.probability)
+    )
+    seq = numbers.take("hypotheses")
+    plan.sealed("hypotheses", seq, run_id, record.t_ns, record.hypothesis, size, sd, record.unit, probability)

@@ -22,7 +22,7 @@ _FREE_PAGES = 128
 _GROWING = 3  # parts of a run that rows may still come for
 _HOPS_A_PURGE = 50_000
 _YEAR_S = 365 * 86400
-_HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 44.0, 38.0, 60.0
+_HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 47.0, 38.0, 60.0
 
 
 @dataclass(frozen=True, slots=True)

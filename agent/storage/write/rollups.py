@@ -2,7 +2,8 @@
 
 An aggregate is the information-weighted mean of the valid rows of a period. Windows that overlap share samples, so a
 row counts for no more than the share of its window that is new since the row before; the mean's standard deviation
-then is that of independent windows however densely rows were kept.
+then is that of independent windows however densely rows were kept. What the rig's constants leave open (sd beyond
+sd_repeat) is common to all rows: it is not averaged away.
 """
 
 import sqlite3
@@ -12,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.storage.database.checksum import column_crc
-from agent.storage.database.schema import COLUMN_BITS
+from agent.storage.database.schema import COLUMN_BITS, numbers_crc
+from agent.storage.tables.estimates import repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.types import FloatArray, IntArray, Status
 
@@ -25,13 +26,13 @@ _LEAST_SD = 1e-150  # a noise-free replay may claim an sd of zero, whose weight 
 _NORMAL_DOF = 1e9
 
 _FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used, f.n_missing,
- 1, e.verdict_id = 256, e.value, e.value, e.verdict_id
+ 1, e.verdict_id = 256, e.value, e.value, e.verdict_id, coalesce(e.sd * e.repeat * 1e-4, e.sd)
  FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN fits f ON f.seq = e.fit_id
  WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? AND f.chosen = 1 ORDER BY e.series_id, h.t_ns"""
 
 _MINUTE_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used,
- f.n_missing, p.n, p.n_valid, p.low, p.high, p.worst_id
+ f.n_missing, p.n, p.n_valid, p.low, p.high, p.worst_id, coalesce(e.sd * e.repeat * 1e-4, e.sd)
  FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN fits f ON f.seq = e.fit_id
  CROSS JOIN spreads p ON p.seq = e.seq
@@ -46,6 +47,7 @@ class Groups:
     series: IntArray
     value: FloatArray
     sd: FloatArray
+    sd_repeat: FloatArray
     low: FloatArray
     high: FloatArray
     n: IntArray
@@ -66,20 +68,25 @@ def aggregate(connection: sqlite3.Connection, run_id: int, span: int, first_ns: 
 
 
 def grouped(columns: list[tuple[Any, ...]], span: int, source: int) -> Groups:
-    """Aggregate columns (t_ns, series, verdict, value, sd, window_s, n_used, n_missing, n, n_valid, low, high, worst).
+    """Aggregate rows to periods.
 
+    columns: t_ns, series, verdict, value, sd, window_s, n_used, n_missing, n, n_valid, low, high, worst, sd_repeat.
     The rows are in order of series, then time. span, source: lengths of the new periods and of the rows' own, s.
     """
     t_ns, series, verdict = (np.array(c, dtype=np.int64) for c in columns[:3])
     value, sd, window = (np.array(c, dtype=np.float64) for c in columns[3:6])
     used, missing, n, n_valid = (np.array(c, dtype=np.int64) for c in columns[6:10])
-    low, high = (np.array(c, dtype=np.float64) for c in columns[10:12])
+    low, high, sd_repeat = (np.array(columns[place], dtype=np.float64) for place in (10, 11, 13))
     period = (t_ns // (span * SECOND)) * (span * SECOND)
     starts = np.flatnonzero(np.r_[True, (series[1:] != series[:-1]) | (period[1:] != period[:-1])])
     valid = (verdict == _VALID) & np.isfinite(value) & np.isfinite(sd)
-    mean, mean_sd = _weighted(value, sd, _new_share(t_ns, series, window, source), valid, starts)
+    share = _new_share(t_ns, series, window, source)
+    mean, mean_repeat = _weighted(value, sd_repeat, share, valid, starts)
+    with np.errstate(invalid="ignore"):
+        common = np.sqrt(np.maximum(sd**2 - sd_repeat**2, 0.0))
+    mean_sd = np.hypot(mean_repeat, _weighted(common, sd_repeat, share, valid, starts)[0])
     return Groups(
-        period[starts], series[starts], mean, mean_sd,
+        period[starts], series[starts], mean, mean_sd, mean_repeat,
         _least(np.where(valid, low, np.nan), starts, np.fmin), _least(np.where(valid, high, np.nan), starts, np.fmax),
         np.add.reduceat(n, starts), np.add.reduceat(n_valid, starts),
         np.maximum.reduceat(_ranked(np.array(columns[12], dtype=np.int64)), starts) & 0xFFFF,
@@ -142,9 +149,10 @@ def add_groups(plan: Plan, groups: Groups, run_id: int, span: int, names: Names,
     fit = np.array([names.fit((window or None, used, lost, _NORMAL_DOF, True, 1)) for window, used, lost in fits])
     none = np.full(len(seq), np.nan)
     value, sd = groups.value[order], groups.sd[order]
-    _seal(plan, "estimates", seq, groups.series[order], fit, verdict, value, sd, none, none, none, none)
+    repeat = repeat_cells(sd, groups.sd_repeat[order])
+    _seal(plan, "estimates", seq, groups.series[order], fit, verdict, value, sd, none, none, none, none, repeat)
     _seal(plan, "spreads", seq, groups.n[order], valid, worst, groups.low[order], groups.high[order])
 
 
 def _seal(plan: Plan, table: str, *columns: NDArray[Any]) -> None:
-    plan.add(table, *zip(*(c.tolist() for c in (*columns, column_crc(*columns))), strict=True))
+    plan.add(table, *zip(*(c.tolist() for c in (*columns, numbers_crc(table, columns))), strict=True))

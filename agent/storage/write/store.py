@@ -28,13 +28,13 @@ from agent.storage.database.schema import insert_sql, upgrade
 from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
-from agent.storage.tables.calibrations import newest_calibration
+from agent.storage.tables.learnt import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
-from agent.types import AlarmTransition, Calibrated, ClockRecord, HealthEvent, Record, RunInfo
+from agent.types import AlarmTransition, ClockRecord, HealthEvent, Learnt, Record, RunInfo
 
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000
@@ -161,8 +161,12 @@ class Store:
         return None
 
     def _replace(self, damage: str) -> None:
-        """Go on in a new file with the rows that could be saved; runs must be begun again."""
+        """Go on in a new file with the rows that could be saved; runs must be begun again.
+
+        The recovery counts what is lost; what the damaged file itself seemed to lack is not reported beside it.
+        """
         self._disconnect()
+        self._missing = None
         self.recovery = recover(self.path, damage, self._watermarks.highs)
         self.names = Names(self.numbers)
         self._tiers = TierKeeper(self, self._keep)
@@ -218,10 +222,13 @@ class Store:
         with self._mutex:
             return standing_alarms(self.connection, rig, kind)
 
-    def calibration(self, run: RunInfo) -> Calibrated | None:
-        """Return what earlier runs like this one learnt of the rig's disturbances; None for nothing."""
+    def learnt(self, run: RunInfo) -> Learnt | None:
+        """Return what earlier runs of this one's rig, kind and key learnt; None for nothing."""
+        if run.learnt_key is None:
+            return None
         with self._mutex:
-            return newest_calibration(self.connection, run)
+            content = newest_learnt(self.connection, run.rig, run.kind, run.learnt_key)
+        return None if content is None else Learnt(run.learnt_key, content)
 
     def write(self, run_id: int, records: Sequence[Record]) -> None:
         """Store records of a run; on return they are committed and survive a power cut.

@@ -17,7 +17,7 @@ from agent.storage.write.commands import serve
 from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import JobQueue
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition, Calibrated, ClockRecord, EstimateBatch, HealthEvent, Record, RunInfo
+from agent.types import AlarmTransition, ClockRecord, EstimateBatch, HealthEvent, Learnt, Record, RunInfo
 
 _DISK = (sqlite3.Error, OSError)
 _FAILURE = (*_DISK, StoreError)
@@ -79,8 +79,8 @@ class StoreWriter:
         self.run_ids: dict[str, int] = {}
         self.standing: dict[str, list[AlarmRow]] = {}
         """The alarms that earlier live runs left standing, by rig, as they were when this one began."""
-        self.calibrations: dict[str, Calibrated | None] = {}
-        """What earlier runs with the same configuration learnt of each rig, as they were when this one began."""
+        self.learnt: dict[str, Learnt | None] = {}
+        """What earlier runs learnt of each rig for the same key, as it was when this one began."""
         self.progress = 0
         """Grows with every round of the thread; a watchdog may read it."""
         self.written = 0
@@ -294,7 +294,7 @@ class StoreWriter:
             self._server = self._serve(self._store)
         for rig, run in self._runs.items():
             if rig not in self.run_ids:
-                self.calibrations.setdefault(rig, self._store.calibration(run))
+                self.learnt.setdefault(rig, self._store.learnt(run))
                 self.standing[rig] = self._store.open_alarms(rig) if run.kind == "live" else []
                 self.run_ids[rig] = self._store.begin_run(run)
 

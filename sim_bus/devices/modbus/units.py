@@ -111,7 +111,6 @@ class Unit(ABC):
             "faults": self.faults.ledger(played),
         }
 
-
     def _absent(self, played: int) -> list[tuple[int, int]]:
         """Return the samples that no reader could get whole."""
         absent = Runs()

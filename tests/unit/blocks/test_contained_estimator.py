@@ -7,11 +7,11 @@ import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.blocks.estimation import BoolArray
-from agent.numerics.faults.suspects import Accusation
-from agent.numerics.fitting.work import Budget
+from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.outcome import Outcome
+from agent.numerics.inference.verdicts import Belief
 from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.rows import Rows
-from agent.types import Calibrated, FloatArray
+from agent.types import FloatArray, Reason, Status
 
 PLAN = HopPlan(window=20, hop=10)
 
@@ -22,38 +22,39 @@ class Fragile:
 
     bad: int
     error: Exception
-    adopted: list[Calibrated] = field(default_factory=list)
+    adopted: list[str] = field(default_factory=list)
     spikes: int = 0
-    budget: Budget = field(default_factory=lambda: Budget(1.0, 0.0))
+    budget: Budget = field(default_factory=lambda: Budget(20))
 
     def start_segment(self) -> None: ...
 
-    def calibrated(self) -> Calibrated | None:
+    def knowledge(self) -> str | None:
         return None
 
-    def adopt(self, known: Calibrated) -> None:
-        self.adopted.append(known)
+    def adopt(self, content: str) -> None:
+        self.adopted.append(content)
 
-    def hurry(self) -> None: ...
+    def hurry(self) -> None:
+        self.budget.close()
 
-    def take_findings(self) -> list[tuple[int, Accusation]]:
+    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
         return []
 
     def step(
         self, index: int, y: FloatArray, _u: FloatArray, missing: BoolArray | None = None,
         _suspect: BoolArray | None = None,
-    ) -> Rows:  # fmt: skip
+    ) -> Outcome:  # fmt: skip
         assert missing is None or len(missing) == len(y)
         if index <= self.bad < index + len(y):
             raise self.error
         self.spikes += 1
-        rows = Rows.warming(PLAN.rows_between(index, index + len(y)), 2)
-        rows.full[:], rows.theta[:], rows.sd[:] = True, 1.0, 0.1
+        rows = Outcome.warming(PLAN.rows_between(index, index + len(y)), 2)
+        rows.status[:], rows.theta[:], rows.sd[:] = Status.VALID, 1.0, 0.1
         return rows
 
 
 def contained(bad: int, error: Exception) -> ContainedEstimator:
-    return ContainedEstimator(lambda: Fragile(bad, error), PLAN, q=2)
+    return ContainedEstimator(lambda budget: Fragile(bad, error, budget=budget), Budget(20), PLAN, q=2)
 
 
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError("no SVD"), ValueError("no gain"), OverflowError("too far")])
@@ -62,15 +63,36 @@ def test_contained_estimator_numerical_failure_marks_its_window_and_no_other(err
     missing = np.zeros((100, 2), dtype=bool)
     rows = estimator.step(0, np.zeros((100, 1)), np.zeros((100, 1)), missing)
     assert rows.index.tolist() == list(range(9, 100, 10))
-    assert rows.index[rows.diverged].tolist() == [49, 59]
-    assert np.all(rows.full == ~rows.diverged)
+    diverged = rows.reason[:, 0] == Reason.DIVERGED
+    assert rows.index[diverged].tolist() == [49, 59]
+    assert np.all(rows.status[diverged] == Status.INVALID)
+    assert np.all(rows.status[~diverged] == Status.VALID)
     assert estimator.take_failures() == [(99, f"{type(error).__name__}: {error}")]
     assert estimator.take_failures() == []
 
 
+def test_contained_estimator_what_is_no_number_is_a_failure_of_its_window_and_in_no_row() -> None:
+    class Overflowing(Fragile):
+        """What numpy alone would warn of: the square of a number near the largest there is."""
+
+        def step(self, index: int, y: FloatArray, *more: FloatArray | None) -> Outcome:
+            rows = Fragile.step(self, index, y, *more)  # type: ignore[arg-type]
+            rows.theta[:] = (y**2).max()
+            return rows
+
+    estimator = ContainedEstimator(lambda budget: Overflowing(-1, KeyError(), budget=budget), Budget(20), PLAN, q=2)
+    y = np.ones((100, 1))
+    y[47] = 1e200
+    rows = estimator.step(0, y, y)
+    diverged = rows.reason[:, 0] == Reason.DIVERGED
+    assert rows.index[diverged].tolist() == [49, 59]
+    assert np.isfinite(rows.theta[~diverged]).all()
+    assert estimator.take_failures() == [(99, "FloatingPointError: overflow encountered in square")]
+
+
 def test_contained_estimator_made_anew_begins_with_what_was_adopted_and_keeps_its_counts() -> None:
     estimator = contained(47, ValueError("no gain"))
-    known = Calibrated((1e-6,), (0.0,), (1.0,), searched=True)
+    known = '{"learnt": "before"}'
     estimator.adopt(known)
     estimator.step(0, np.zeros((20, 1)), np.zeros((20, 1)))
     estimator.step(40, np.zeros((20, 1)), np.zeros((20, 1)))
@@ -87,13 +109,13 @@ def test_contained_estimator_fault_of_the_program_passes_on() -> None:
 def test_contained_estimator_made_anew_has_no_more_to_spend_than_was_left() -> None:
     made: list[Fragile] = []
 
-    def make() -> Fragile:
-        made.append(Fragile(25, ValueError("planted")))
+    def make(budget: Budget) -> Fragile:
+        made.append(Fragile(25, ValueError("planted"), budget=budget))
         return made[-1]
 
-    contained = ContainedEstimator(make, PLAN, 2)
+    contained = ContainedEstimator(make, Budget(20), PLAN, 2)
     contained.hurry()
     contained.step(0, np.zeros((60, 1)), np.zeros((60, 1)))
     assert len(made) > 1
-    assert all(one.budget is contained.budget for one in made)
-    assert not made[-1].budget.allows(60)
+    assert all(one.budget is made[0].budget for one in made)
+    assert made[-1].budget.closed

@@ -44,7 +44,9 @@ def batch(values: Any, status: Any = Status.VALID, sd: Any = 1.0, start: int = 0
         "parameters": ("k1", "k2", "B1")[: shape[1]], "units": ("N/m",) * shape[1],
         "reference": np.full(shape[1], 25.0), "baseline_id": None, "index": FIRST + HOP * rows,
         "t_ns": (FIRST + HOP * rows) * 1_000_000, "value": value, "sd": np.broadcast_to(np.asarray(sd, float), shape),
-        "lower": nothing, "upper": nothing, "status": status, "reason": np.full(shape, Reason.NONE, np.uint8),
+        "lower": nothing, "upper": nothing,
+        "sd_repeat": np.broadcast_to(np.asarray(sd, float), shape), "status": status,
+        "reason": np.full(shape, Reason.NONE, np.uint8),
         "held": nothing, "held_age_s": nothing, "window_s": np.full(shape, 0.25),
         "n_used": np.full(len(value), 250), "n_missing": np.zeros(len(value), int), "dof": np.full(len(value), np.inf),
     }  # fmt: skip

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,20 @@ import numpy as np
 import pytest
 
 from agent.cli.errors import faults_of
-from agent.cli.queries import ALARM_COLUMNS, ESTIMATE_COLUMNS, TABLE_ROWS, alarms, estimates
+from agent.cli.queries import (
+    ALARM_COLUMNS,
+    ESTIMATE_COLUMNS,
+    TABLE_ROWS,
+    VERDICT_COLUMNS,
+    alarms,
+    estimates,
+    verdicts,
+)
 from agent.cli.trend import trend
 from agent.errors import UsageError
 from agent.storage.read import queries
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition, EstimateBatch, Reason, RunInfo, Status
+from agent.types import AlarmTransition, EstimateBatch, Reason, RunInfo, Status, Verdict
 
 START = 1_770_000_000_000_000_000
 HOP_NS = 50_000_000
@@ -35,7 +44,7 @@ def rows_of(rig: str, rng: np.random.Generator, drift: float = 0.0) -> EstimateB
     return EstimateBatch(
         rig, "window-ml", ("k1", "B1"), ("N/m", "N s/m"), np.array([25.0, 5.0]), None,
         np.arange(ROWS) * 50 + 249, START + np.arange(ROWS) * HOP_NS, value, sd, value - 2 * sd, value + 2 * sd,
-        status, np.full((ROWS, 2), Reason.NONE, np.uint8), held, held * 0.1, np.full((ROWS, 2), 0.25),
+        0.5 * sd, status, np.full((ROWS, 2), Reason.NONE, np.uint8), held, held * 0.1, np.full((ROWS, 2), 0.25),
         np.full(ROWS, 250), np.zeros(ROWS, int), np.full(ROWS, 400.0),
     )  # fmt: skip
 
@@ -62,6 +71,7 @@ def db(tmp_path: Path, rng: np.random.Generator) -> Path:
                     step(rig, 4, "UNACK", "RTNUN", "clear"),
                     step(rig, 6, "RTNUN", "UNACK", "raise"),
                 ]
+                records.append(Verdict(rig, START + 10**9, "m1", 4.2, 0.6, "%", 0.97))
             store.write(run_id, records)
     finally:
         store.close()
@@ -92,6 +102,36 @@ def test_estimates_csv_equals_json_digit_for_digit(db: Path, said: Said) -> None
     rows = json.loads(said(estimates, db, "press-8", "k1", None, None, "json"))["rows"]
     found = list(csv.DictReader(io.StringIO(said(estimates, db, "press-8", "k1", None, None, "csv"))))
     assert [row["value"] for row in found] == ["" if r["value"] is None else repr(r["value"]) for r in rows]
+
+
+def test_trend_takes_what_the_constants_leave_open_for_part_of_the_level_not_of_the_slope(
+    db: Path, tmp_path: Path, rng: np.random.Generator, said: Said
+) -> None:
+    """k1 is as it is against nominal to 0.5; that of it which the masses leave open moves with no row."""
+    plain = rows_of("press-7", rng, 0.01)
+    answers = []
+    for name, share in (("same", 1.0), ("masses", 0.1)):
+        path = tmp_path / f"{name}.db"
+        with Store.open(path) as store:
+            run_id = store.begin_run(RunInfo("press-7", "replay", START, "0.1.0", "0" * 64))
+            store.write(run_id, [replace(plain, sd_repeat=share * plain.sd)])
+        answers.append(json.loads(said(trend, path, "k1", None, (None, None), None, "json", None)))
+    same, masses = answers
+    assert masses["slope_per_day"] == pytest.approx(same["slope_per_day"])
+    assert masses["slope_sd"] <= same["slope_sd"] * (1 + 1e-9)
+    assert masses["sd"] > 0.95 * np.sqrt(0.5**2 - 0.05**2)
+    assert same["sd"] < 0.5
+
+
+def test_verdicts_say_what_is_off_by_how_much_and_how_surely(db: Path, said: Said) -> None:
+    (row,) = json.loads(said(verdicts, db, "press-7", "json"))["verdicts"]
+    assert (row["hypothesis"], row["size"], row["sd"], row["unit"], row["probability"]) == ("m1", 4.2, 0.6, "%", 0.97)
+    (same,) = csv.DictReader(io.StringIO(said(verdicts, db, None, "csv")))
+    assert tuple(same) == VERDICT_COLUMNS == tuple(row)
+    table = said(verdicts, db, None, "table")
+    assert "m1" in table
+    assert "4.2 ± 0.6" in table
+    assert said(verdicts, db, "press-8", "table") == "no verdicts\n"
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,8 @@ def warned(document: Mapping[str, Any], path: str) -> list[str]:
 
 
 def predicted(document: Mapping[str, Any]) -> dict[tuple[float, str], float]:
-    return {(row["window_s"], row["parameter"]): row["sd"] for row in document["predicted_sd"]}
+    """What windows are to scatter by: the constants as they are."""
+    return {(row["window_s"], row["parameter"]): row["sd_repeat"] for row in document["predicted_sd"]}
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
@@ -45,7 +46,7 @@ def test_check_every_example_is_usable_and_its_document_complete(path: Path) -> 
     document = checked(path)
     assert document.keys() >= KEYS
     assert (document["ok"], document["errors"], document["observable"]) == (True, [], True)
-    assert all(np.isfinite(row["sd"]) and row["sd"] > 0 and row["assumes"] for row in document["predicted_sd"])
+    assert all(0 < row["sd_repeat"] <= row["sd"] < np.inf and row["assumes"] for row in document["predicted_sd"])
     assert 1e6 < document["bytes_per_rig_year"] < 1e9
 
 
@@ -90,7 +91,10 @@ def test_check_placed_poles_are_where_they_were_asked_for(tmp_path: Path) -> Non
 
 
 def test_check_predicted_sd_is_what_windows_then_deliver(tmp_path: Path) -> None:
-    """Played with 5 N rms instead of the 1 N that is assumed: a fifth of the sd, by the median over windows."""
+    """Played with 5 N rms instead of the 1 N that is assumed: a fifth of the sd, by the median over windows.
+
+    These are a rig's first windows, which do not exclude unknown forces yet.
+    """
     reported = predicted(checked(edited(tmp_path)))
     calm = '[[force]]\nkind = "random"\nrms = 5.0\n[noise]\ndisplacement = 1e-6\n'
     (tmp_path / "calm.toml").write_text(calm, encoding="utf-8")
@@ -98,10 +102,10 @@ def test_check_predicted_sd_is_what_windows_then_deliver(tmp_path: Path) -> None
     for seed in range(4):
         played = play(str(tmp_path / "calm.toml"), tmp_path, seed)
         for index in range(1249, 3000, 250):
-            for name, (_, sd, _) in played.row(index).items():
+            for name, sd in played.repeat(index).items():
                 seen.setdefault(name, []).append(sd)
     for name, sds in seen.items():
-        assert 0.6 < reported[0.25, name] / 5.0 / np.median(sds) < 1.6, name
+        assert 0.5 < reported[0.25, name] / 5.0 / np.median(sds) < 1.6, name
 
 
 def test_check_longer_windows_tell_more_and_more_force_tells_in_proportion(tmp_path: Path) -> None:
@@ -154,7 +158,21 @@ def test_check_warns_of_a_short_on_delay_and_a_slow_rate(tmp_path: Path) -> None
                ("window_s = 0.25", "window_s = 4.0"), ("hop_s = 0.05", "hop_s = 1.0"))  # fmt: skip
     document = checked(edited(tmp_path, *changes))
     assert len(warned(document, "alarm[0].on_delay_s")) == 1
-    assert "few samples a period" in warned(document, "rig.sample_rate_hz")[0]
+    (slow,) = [w for w in document["warnings"] if w["path"] == "rig.sample_rate_hz"]
+    assert "few samples a period" in slow["message"]
+    assert 'hold = "quintic"' in slow["advice"]
+
+
+def test_check_warns_under_twenty_samples_a_period_and_not_above(tmp_path: Path) -> None:
+    """The fastest mode is at 1.13 Hz."""
+    window = ("window_s = 0.25", "window_s = 4.0"), ("hop_s = 0.05", "hop_s = 1.0")
+    few, enough = (
+        checked(edited(tmp_path, ("sample_rate_hz = 1000.0", f"sample_rate_hz = {rate}"), *window))
+        for rate in ("20.0", "30.0")
+    )
+    (slow,) = [w for w in few["warnings"] if w["path"] == "rig.sample_rate_hz"]
+    assert 'hold = "cubic"' in slow["advice"]
+    assert warned(enough, "rig.sample_rate_hz") == []
 
 
 def test_check_faulty_model_still_tells_poles_and_every_fault(tmp_path: Path) -> None:

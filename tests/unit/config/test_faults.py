@@ -88,7 +88,22 @@ PRESS_TABLE = [
     ("scale = 1.0", "offset = nan", "channel[0].offset", "finite"),
     ("bias = false", 'bias = "no"', "channel[1].bias", "must be true or false"),
     ("bias = false", "gain = 1", "channel[1].gain", "must be true or false"),
+    # what data sheets leave open
+    ("value = 5.0 }", "value = 5.0, sd_percent = 0 }", None, ""),
+    ("value = 5.0 }", "value = 5.0, sd_percnt = 2 }", "model.mass[0].sd_percnt", 'nearest known key is "sd_percent"'),
+    ("value = 5.0 }", "value = 5.0, sd_percent = -1 }", "model.mass[0].sd_percent", "must not be less than 0"),
+    ("value = 5.0 }", "value = 5.0, sd_percent = 80 }", "model.mass[0].sd_percent", "at most 50 %, not 80; estimate"),
+    ("noise_sd = 1e-6", "noise_sd = 1e-6\ngain_sd_percent = 200", "channel[1].gain_sd_percent", "at most 50 %"),
+    ("noise_sd = 1e-6", "gain_sd_pct = 2", "channel[1].gain_sd_pct", 'the nearest known key is "gain_sd_percent"'),
+    ("bias = false", "gain = true\ngain_sd_percent = 2", "channel[1].gain_sd_percent", "takes it for unknown"),
+    ("noise_sd = 1e-6", "noise_sd_spread = 0.1", "channel[1].noise_sd_spread", "no noise_sd that it could be of"),
+    ("noise_sd = 1e-6", "noise_sd = 1e-6\nnoise_sd_spread = 30", "channel[1].noise_sd_spread", "0.3 is 30 %"),
+    ("noise_sd = 1e-6", "noise_sd = 1e-6\nnoise_sd_spread = 0", "channel[1].noise_sd_spread", "greater than 0"),
+    ("noise_sd = 1e-6", "delay_sd_s = 0.001", "channel[1].delay_sd_s", "goes with a force or an input"),
+    ("noise_sd = 1e-6", "delay_sd_s = 0", None, ""),
+    ("scale = 1.0", "delay_sd_s = 0.001", None, ""),
     # estimator
+    ('hold = "first"', 'hold = "quintic"', None, ""),
     ('method = "window-ml"', 'method = "magic"', "estimator.method", '"window-ml"'),
     ('method = "window-ml"', 'method = "ekf"', "estimator.method", "not in this version"),
     ("window_s = 0.25", "window_s = 0", "estimator.window_s", "must be greater than 0"),
@@ -100,8 +115,9 @@ PRESS_TABLE = [
     ("window_s = 0.25", "window_s = [0.5, 0.004]", "estimator.window_s[1]", "4 samples"),
     ("hop_s = 0.05", "hop_s = 0.0001", "estimator.hop_s", "less than a sample"),
     ("hop_s = 0.05", "hop_s = 1", "estimator.hop_s", "longer than the window"),
+    ("hop_s = 0.05", "hop_s = 0.05\ndrift_s = 1.0", "estimator.drift_s", "followed without it"),
     ("hop_s = 0.05", "hop_s = 0", "estimator.hop_s", "must be greater than 0"),
-    ('hold = "first"', 'hold = "second"', "estimator.hold", '"first", "zero"'),
+    ('hold = "first"', 'hold = "second"', "estimator.hold", '"first", "zero", "cubic", "quintic"'),
     ('"B1", "B2"]\nobserver', '"B1", "B3"]\nobserver', "estimator.estimate[3]", 'the nearest is "B'),
     ('"B1", "B2"]\nobserver', '"B1", "B1"]\nobserver', "estimator.estimate[3]", "named twice"),
     ('"B1", "B2"]\nobserver', '"B1", "x3.bias"]\nobserver', "estimator.estimate[3]", "no parameter is called"),
@@ -236,6 +252,30 @@ def test_config_with_many_changes_names_every_one() -> None:
     }  # fmt: skip
     changes = [("[store]", "[mqtt]\n[store]")] + [(old, new) for old, new, path in sorted(rows) if path != "mqtt"]
     assert {path for _, _, path in rows} <= set(faults(changed(PRESS, *changes)))
+
+
+@pytest.mark.parametrize(
+    ("estimate", "path"), [('"m1"', "model.mass[0].sd_percent"), ('"x1.gain"', "channel[1].gain_sd_percent")]
+)
+def test_config_data_sheet_of_what_is_estimated_is_refused(estimate: str, path: str) -> None:
+    stated = changed(
+        PRESS, ("value = 5.0 }", "value = 5.0, sd_percent = 3 }"), ("noise_sd = 1e-6", "gain_sd_percent = 3")
+    )
+    assert faults(stated) == {}
+    found = faults(changed(stated, ('"B1", "B2"]\nobserver', f'"B1", {estimate}]\nobserver')))
+    assert list(found) == [path]
+    assert "takes it for unknown" in found[path]
+
+
+def test_config_polynomial_hold_is_refused_for_the_method_that_cannot_wait() -> None:
+    found = faults(changed(PRESS, ('method = "window-ml"', 'method = "seed"'), ('hold = "first"', 'hold = "cubic"')))
+    assert "readings that come after" in found["estimator.hold"]
+
+
+def test_config_massless_node_has_no_data_sheet() -> None:
+    massless = '{ name = "m2", value = 3.0 }, { name = "m3", value = 0, sd_percent = 2 }]'
+    found = faults(changed(PRESS, ('{ name = "m2", value = 3.0 }]', massless)))
+    assert "massless node" in found["model.mass[2].sd_percent"]
 
 
 def test_config_channel_at_unknown_mass_reads_as_the_contract_writes_it() -> None:

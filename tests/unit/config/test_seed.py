@@ -29,7 +29,6 @@ def test_seed_default_gain_is_refused_with_the_number_of_poles() -> None:
     [
         (("window_s = 0.25", "window_s = [0.25, 0.5]"), "estimator.window_s"),
         (("window_s = 0.25", 'window_s = "auto"'), "estimator.window_s"),
-        (("window_s = 0.25", "window_s = 0.25\ndrift_s = 1.0"), "estimator.drift_s"),
         (("bias = false", "bias = true"), "channel[1].bias"),
         (("bias = false", "gain = true"), "channel[1].gain"),
         (('"B1", "B2"]\nobserver', '"B1", "x1.gain"]\nobserver'), "estimator.estimate[3]"),

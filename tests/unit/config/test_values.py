@@ -45,6 +45,9 @@ def test_config_with_little_written_has_the_defaults_of_the_contract() -> None:
     assert (alarm.deadband, alarm.on_delay_s, alarm.off_delay_s) == (5.0, 0.25, 0.0)
     channel = config.channel[0]
     assert (channel.scale, channel.offset, channel.noise_sd, channel.delay_s) == (1.0, 0.0, None, 0.0)
+    assert (channel.noise_sd_spread, channel.gain_sd_percent, channel.delay_sd_s) == (0.3, 1.0, None)
+    assert isinstance(config.model, MechanicsModel)
+    assert config.model.mass[0].sd_percent == 2.0
     assert not channel.bias
     assert not channel.gain
     assert (config.store.path, config.store.every_s, config.store.max_mb) == (Path("/rigs/bench.db"), 1.0, 1024)

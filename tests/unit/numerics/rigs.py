@@ -5,13 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.estimator.window_settings import WindowSettings
-from agent.numerics.model.gains import AutomaticGains, Gains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.observer import Gain, Noise, matched_gain, plain_gain, poles_gain
 from agent.numerics.model.sensitivity import SensitivityFilter, sensitivity_filter
 from agent.numerics.model.statespace import Discrete, discretise, simulate
-from agent.numerics.window.hops import HopPlan
 from tests.unit.numerics.paper_rig import rig
 
 FloatArray = NDArray[np.float64]
@@ -98,19 +95,6 @@ def gain_of(kind: str, discrete: Discrete, sigma: float) -> Gain:
     if kind == "kalman":
         return matched_gain(discrete, disturbance(rig()), Noise(noise, np.full(2, 0.5)))
     return plain_gain(poles_gain(discrete.model, [-45.0, -40.0, -35.0, -30.0], discrete.period_s), noise)
-
-
-def settings(
-    window: int, hop: int, sigma: float = 1e-6, limit: float = 0.1, gains: Gains | None = None
-) -> WindowSettings:
-    """The paper's rig; limit: alarm limit as a share of nominal; sigma NaN: to be learnt; gains: automatic."""
-    model = rig()
-    return WindowSettings(
-        period_s=PERIOD, plan=HopPlan(window, hop), hold="first",
-        gains=gains or AutomaticGains(disturbance(model), window), sigma=np.full(2, sigma), floor=np.zeros(2),
-        scale=model.nominal, scale_column=np.full(4, -1), lower=0.02 * model.nominal,
-        enough_sd=0.33 * limit * model.nominal,
-    )  # fmt: skip
 
 
 def noisy(rng: np.random.Generator, samples: int, sigma: float, theta: FloatArray | None = None) -> Record:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.blocks.advice import SOURCE
+from agent.blocks.constants_watch import SOURCE
 from agent.config import load
 from agent.runtime import results
 from agent.runtime.results import RunSummary

@@ -40,8 +40,6 @@ CASES = [
 ]
 
 
-
-
 def faults_of(command: str, rig: Path) -> list[Fault]:
     """Return what a command says against a configuration."""
     if command == "check":

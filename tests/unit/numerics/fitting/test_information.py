@@ -1,11 +1,14 @@
 """The Cramer-Rao bound against a bound worked out by finite differences of the output."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from agent.numerics.fitting.information import bound_sd, expected_sd, window_information
+from agent.numerics.fitting.information import bound_sd, predicted_sd, window_information
 from agent.numerics.model.statespace import simulate
-from tests.unit.numerics.paper_rig import NOMINAL
-from tests.unit.numerics.rigs import noisy, record, sampled
+from agent.numerics.model.uncertain import Constant, Rig
+from tests.unit.numerics.paper_rig import NOMINAL, rig
+from tests.unit.numerics.rigs import noisy, sampled
 
 
 def test_window_information_equals_finite_differences_by_parameters_and_start(rng: np.random.Generator) -> None:
@@ -27,12 +30,28 @@ def test_bound_sd_nothing_known_is_infinite() -> None:
     np.testing.assert_allclose(bound_sd(np.diag([4.0, 0.25])), [0.5, 2.0])
 
 
-def test_expected_sd_white_force_lies_among_windows_drawn_anew(rng: np.random.Generator) -> None:
-    """Windows shorter than the slowest period differ by factors, so it can only be an expectation."""
-    expected = expected_sd(sampled(), np.array([5.0]), np.full(2, 1e-6), 1000)
-    force, drawn = record(sampled(), 5.0 * rng.standard_normal((50_000, 1))), []
-    for start in rng.integers(10_000, 49_000, 100):
-        u = force.u[start : start + 1000]
-        drawn.append(bound_sd(window_information(sampled(), force.states[start], u, np.full(2, 1e-6))))
-    assert np.all(expected > np.quantile(drawn, 0.1, axis=0))
-    assert np.all(expected < np.quantile(drawn, 0.95, axis=0))
+def statistical(*constants: Constant) -> Rig:
+    model, every, none = rig(), np.arange(1), np.zeros(0, dtype=np.int64)
+    return Rig(model, 4, every, np.ones(1, dtype=bool), none, constants, 1e-3, "first", NOMINAL, np.zeros(4))
+
+
+def test_predicted_sd_without_constants_is_the_bound(rng: np.random.Generator) -> None:
+    truth, sigma = noisy(rng, 250, 0.0), np.array([1e-6, 3e-6])
+    shifted = truth.states[0] - sampled().B1 @ truth.u[0]
+    found = predicted_sd(statistical(), shifted, truth.u, sigma)
+    bound = bound_sd(window_information(sampled(), truth.states[0], truth.u, sigma))
+    np.testing.assert_allclose(found.sd, bound, rtol=1e-9)
+    np.testing.assert_allclose(found.sd_repeat, bound, rtol=1e-9)
+
+
+def test_predicted_sd_holds_what_the_data_sheet_leaves_open(rng: np.random.Generator) -> None:
+    """All masses, springs, dampers and forces times c move alike: c is known as well as masses to 2 %, force to 1 %."""
+    truth, sigma = noisy(rng, 4000, 0.0), np.full(2, 1e-7)
+    model = replace(rig(), parameters=("k1", "k2", "B1", "B2", "m1", "m2"))
+    constants = (Constant("m1", "mass", 0, 0.02), Constant("m2", "mass", 1, 0.02), Constant("u", "input", 0, 0.01))
+    shifted = truth.states[0] - sampled().B1 @ truth.u[0]
+    found = predicted_sd(replace(statistical(*constants), model=model), shifted, truth.u, sigma)
+    bound = bound_sd(window_information(sampled(), truth.states[0], truth.u, sigma))
+    np.testing.assert_allclose(found.sd_repeat, bound, rtol=1e-6)
+    common = 1 / np.sqrt(2 / 0.02**2 + 1 / 0.01**2)
+    np.testing.assert_allclose(found.sd / NOMINAL, common, rtol=0.02)

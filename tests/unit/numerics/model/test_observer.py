@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.model.observer import kalman_gain, poles_gain, spectral_radius, start_gain, unobservable_states
-from agent.numerics.model.statespace import Discrete, StateSpace
+from agent.numerics.model.observer import poles_gain, start_gain, unobservable_states
+from agent.numerics.model.riccati import spectral_radius
 from tests.unit.numerics.paper_rig import PERIOD, rig
 from tests.unit.numerics.rigs import disturbance, sampled
 
@@ -28,29 +28,6 @@ def test_poles_gain_paper_poles_are_where_they_were_asked_for() -> None:
 def test_poles_gain_wrong_number_is_refused() -> None:
     with pytest.raises(ValueError, match="3 poles for 4 states; give 4"):
         poles_gain(sampled().model, [-1.0, -2.0, -3.0], PERIOD)
-
-
-def test_kalman_gain_equals_the_recursion_run_to_its_end() -> None:
-    model = sampled().model
-    direction = disturbance(rig())
-    Q, R, P = direction @ direction.T * 1e-6, np.diag([1e-12, 4e-12]), np.eye(4)
-    for _ in range(20_000):
-        K = model.A @ P @ model.C.T @ np.linalg.inv(model.C @ P @ model.C.T + R)
-        P = (model.A - K @ model.C) @ P @ (model.A - K @ model.C).T + K @ R @ K.T + Q
-    gain, S = kalman_gain(model, Q, R)
-    np.testing.assert_allclose(gain, K, rtol=1e-7)
-    np.testing.assert_allclose(S, model.C @ P @ model.C.T + R, rtol=1e-7)
-
-
-def test_kalman_gain_hidden_mode_that_grows_is_refused() -> None:
-    none = np.zeros((0, 2, 2))
-    model = StateSpace(
-        np.diag([1.1, 0.5]), np.ones((2, 1)), np.array([[0.0, 1.0]]), np.zeros((1, 1)), none, none, none, none
-    )
-    with pytest.raises(ValueError, match="no stabilising"):
-        kalman_gain(model, np.eye(2), np.eye(1))
-    with pytest.raises(ValueError, match="no stabilising"):
-        start_gain(Discrete(model, np.zeros((2, 1)), none, 0.01), np.eye(2), np.ones(1), 100)
 
 
 @pytest.mark.parametrize("window", [100, 1000, 20_000])

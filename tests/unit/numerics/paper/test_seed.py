@@ -33,7 +33,15 @@ PUBLISHED_TRAIL = {
 
 def settings(passes: int, rank: int | None = 1) -> SeedSettings:
     return SeedSettings(
-        PERIOD, HopPlan(250, 50), "euler", GAIN, passes, NOMINAL, rank=rank, read=lambda M: read_off(M, 5.0, PERIOD)
+        PERIOD,
+        HopPlan(250, 50),
+        "euler",
+        GAIN,
+        passes,
+        NOMINAL,
+        np.full(4, np.inf),
+        rank=rank,
+        read=lambda M: read_off(M, 5.0, PERIOD),
     )
 
 

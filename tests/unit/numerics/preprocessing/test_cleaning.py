@@ -158,3 +158,16 @@ def test_force_that_is_held_is_searched_through_for_no_jump(monkeypatch: pytest.
     clean = cleaner.take(force[:, None])
     assert not clean.suspect.any()
     assert not asked
+
+
+@pytest.mark.parametrize("cuts", [[], [900, 1500, 1999, 2000, 2001, 2003, 2010, 2020, 2021]])
+def test_cleaner_random_force_after_a_rest_is_not_suspected_reading_by_reading(cuts: list[int]) -> None:
+    """At rest nothing is usual; where everything then stands out, that is how the force is."""
+    rng = np.random.default_rng(0)
+    _, v, _ = spiked(4, spikes=0)
+    v[1000:2000, 2] = 0.0
+    v[2000:, 2] = 5.0 * rng.standard_normal(len(v) - 2000)
+    v[2600, 2] += 200.0
+    suspect = np.flatnonzero(clean(v, cuts).suspect[:, 2])
+    assert suspect[-1] == 2600
+    assert len(suspect) < 16  # 135 where each is held against the rest

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from agent.numerics.faults.frozen import Frozen
 from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch
 from tests.unit.numerics.preprocessing.test_sensor_watch import INPUTS, KINDS, WINDOW, blows, smooth, under, watch
 from tests.unit.numerics.rigs import FloatArray
@@ -58,21 +57,6 @@ def test_watch_of_a_commanded_force_that_is_held_at_its_ends_finds_nothing(*, co
     v, steps = under(ramps(8000))
     named = SensorWatch(INPUTS, steps, WINDOW, KINDS, INPUTS & commanded).take(v)
     assert bool([finding for finding in named if finding.channel == 2]) == found
-
-
-def test_frozen_of_a_command_that_is_held_names_nobody() -> None:
-    rng = np.random.default_rng(0)
-    v = rng.standard_normal((100, 3))
-    held = v.copy()
-    held[:, 2] = 4.0
-    for commanded in (False, True):
-        frozen = Frozen(2, 1, commanded=commanded)
-        assert (frozen.find_unmoved(held) is None) == commanded
-        held[:, 2] = 0.0
-        assert (frozen.resting(held) is None) == commanded
-        frozen.note(v, np.array([100]), 100)
-        held[:, 2] = 4.0
-        assert (frozen.find(held) is None) == commanded
 
 
 class EachBlock(SensorWatch):

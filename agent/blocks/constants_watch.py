@@ -1,0 +1,139 @@
+"""Health assessment of a rig's constants: verdicts, events when one is sure, alarms when a sensor stays off."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from agent.numerics.inference.verdicts import Belief
+from agent.text import number
+from agent.types import HealthEvent, Reason, SensorEvent, SensorFault, Verdict
+
+SOURCE = "model"
+SURE = 0.95
+"""Probability from which on a hypothesis is said."""
+DROPPED = 0.5
+"""Probability below which it is taken back."""
+WORTH_A_ROW = 0.05
+"""Change of a probability that is stored."""
+ALARM = 0.99
+"""Probability that raises a sensor alarm when it lasts."""
+ALARM_WINDOWS = 10
+"""Windows learnt from that it must last."""
+TIED = 0.15
+"""Share of the probability that each of several explanations has that cannot be told apart."""
+
+
+@dataclass(slots=True)
+class ConstantsWatch:
+    """Follows the beliefs about one rig's constants.
+
+    Args:
+        rig: its name.
+        period_s: sampling period: delays are said in seconds.
+        channels: channel of each output that may raise a sensor alarm.
+    """
+
+    rig: str
+    period_s: float
+    channels: frozenset[str]
+    _stored: dict[str, float] = field(default_factory=dict)
+    _said: set[str] = field(default_factory=set)
+    _tie: tuple[str, ...] = ()
+    _lasting: dict[str, int] = field(default_factory=dict)
+    _alarmed: set[str] = field(default_factory=set)
+
+    def step(
+        self, learnt: Sequence[tuple[int, tuple[Belief, ...]]], times: Mapping[int, int]
+    ) -> tuple[list[Verdict], list[HealthEvent], list[SensorEvent]]:
+        """Take (sample, beliefs) of windows learnt from, and the samples' times; return what follows from them."""
+        verdicts: list[Verdict] = []
+        events: list[HealthEvent] = []
+        alarms: list[SensorEvent] = []
+        for sample, beliefs in learnt:
+            t_ns = times[sample]
+            verdicts += [self._verdict(belief, t_ns) for belief in beliefs if self._is_news(belief)]
+            events += [event for belief in beliefs if (event := self._said_now(belief, t_ns)) is not None]
+            events += self._ties(beliefs, t_ns)
+            alarms += self._alarms(beliefs, sample, t_ns)
+        return verdicts, events, alarms
+
+    def _is_news(self, belief: Belief) -> bool:
+        before = self._stored.get(belief.label, 0.0)
+        crossed = any((before >= level) != (belief.probability >= level) for level in (DROPPED, SURE, ALARM))
+        if not crossed and abs(belief.probability - before) < WORTH_A_ROW:
+            return False
+        self._stored[belief.label] = belief.probability
+        return True
+
+    def _verdict(self, belief: Belief, t_ns: int) -> Verdict:
+        factor, unit = (self.period_s, "s") if belief.kind == "delay" else (100.0, "%")
+        return Verdict(
+            self.rig, t_ns, belief.label, factor * belief.size, factor * belief.sd, unit, belief.probability
+        )  # fmt: skip
+
+    def _said_now(self, belief: Belief, t_ns: int) -> HealthEvent | None:
+        """An event when a hypothesis becomes sure, or is not believed any more."""
+        if belief.probability >= SURE and belief.label not in self._said:
+            self._said.add(belief.label)
+            return HealthEvent(self.rig, SOURCE, t_ns, _cause(belief), words(belief, self.period_s))
+        if belief.probability < DROPPED and belief.label in self._said:
+            self._said.discard(belief.label)
+            message = f"{belief.label}: no longer believed to be off (probability {belief.probability:.2f})"
+            return HealthEvent(self.rig, SOURCE, t_ns, "withdrawn", message)
+        return None
+
+    def _ties(self, beliefs: Sequence[Belief], t_ns: int) -> list[HealthEvent]:
+        """An event when several explanations share what is off between them."""
+        tied = tuple(b.label for b in beliefs if b.probability >= TIED)
+        together = sum(b.probability for b in beliefs if b.label in tied)
+        tied = tied if len(tied) > 1 and together >= SURE else ()
+        news, self._tie = tied != self._tie and bool(tied), tied
+        if not news:
+            return []
+        sizes = "; or ".join(words(b, self.period_s, advice=False) for b in beliefs if b.label in tied)
+        advice = "weigh a mass or calibrate a channel, and state how well it is known"
+        message = f"{sizes}: these data do not tell which; {advice}"
+        return [HealthEvent(self.rig, SOURCE, t_ns, "inseparable", message)]
+
+    def _alarms(self, beliefs: Sequence[Belief], sample: int, t_ns: int) -> list[SensorEvent]:
+        """A sensor whose gain stays off raises an alarm; it clears when that is no longer believed."""
+        off: dict[str, float] = {}
+        for belief in beliefs:
+            if belief.name in self.channels:
+                off[belief.name] = off.get(belief.name, 0.0) + belief.probability
+        events = []
+        for channel, probability in off.items():
+            self._lasting[channel] = self._lasting.get(channel, 0) + 1 if probability >= ALARM else 0
+            raised = channel in self._alarmed
+            if not raised and self._lasting[channel] >= ALARM_WINDOWS:
+                self._alarmed.add(channel)
+                events.append(SensorEvent(SensorFault(channel, Reason.SENSOR), True, sample, t_ns))
+            elif raised and probability < DROPPED:
+                self._alarmed.discard(channel)
+                events.append(SensorEvent(SensorFault(channel, Reason.SENSOR), False, sample, t_ns))
+        return events
+
+
+def _cause(belief: Belief) -> str:
+    if belief.kind in ("mass", "delay"):
+        return belief.kind
+    return "drift" if belief.drifts else "gain"
+
+
+def words(belief: Belief, period_s: float, advice: bool = True) -> str:
+    """Return a belief as a sentence for people."""
+    sure = f" (probability {belief.probability:.2f})"
+    if belief.kind == "delay":
+        late_ms, sd_ms = 1e3 * period_s * belief.size, 1e3 * period_s * belief.sd
+        text = f"the inputs act {number(late_ms, 3)} ± {number(sd_ms, 2)} ms late"
+        hint = '; state delay_s, or hold = "zero" where the command is held' if advice else ""
+        return text + sure + hint
+    larger = "larger" if belief.size > 0 else "smaller"
+    amount = f"{number(abs(100 * belief.size), 3)} ± {number(100 * belief.sd, 2)} % {larger}"
+    if belief.kind == "mass":
+        verb = "are" if belief.name.startswith("all") else "is"
+        hint = "; correct model.mass" if advice else ""
+        return f"{belief.name} {verb} {amount} than configured{sure}{hint}"
+    verb = "read" if belief.name.startswith("all") else "reads"
+    moves = " and drifts" if belief.drifts else ""
+    hint = "; calibrate the channel, or correct its scale" if advice else ""
+    return f"{belief.name} {verb} {amount} than it should{moves}{sure}{hint}"

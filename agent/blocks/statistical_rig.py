@@ -1,0 +1,223 @@
+"""From a checked configuration to the statistical model: parameters, unknown forces, constants."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.blocks.rig_model import estimated, hop_plan, longer_windows, output_noise, rig_model
+from agent.config import RigConfig
+from agent.config.tables import Channel, MechanicsModel
+from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.inference.tuning import DELAY_SHEET
+from agent.numerics.model.mechanics import GROUND, MassSpringDamper
+from agent.numerics.model.sensors import SensedModel
+from agent.numerics.model.statespace import AffineModel, Model, StateSpace
+from agent.numerics.model.uncertain import Constant, Rig, Rubbing
+from agent.numerics.window.hops import HopPlan
+from agent.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Reordered:
+    """A model whose parameters stand in another order.
+
+    Attributes:
+        model: the model.
+        order: (q,) which of its parameters stands at each place.
+    """
+
+    model: Model
+    order: IntArray
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names in the new order."""
+        return tuple(self.model.parameters[i] for i in self.order)
+
+    @property
+    def nominal(self) -> FloatArray:
+        """(q,) nominal values in the new order."""
+        return self.model.nominal[self.order]
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The model's states."""
+        return self.model.state_names
+
+    def continuous(self, theta: FloatArray) -> StateSpace:
+        """Return the model at theta (q,) in the new order."""
+        inner = np.empty(len(theta))
+        inner[self.order] = theta
+        found = self.model.continuous(inner)
+        o = self.order
+        return replace(found, dA=found.dA[o], dB=found.dB[o], dC=found.dC[o], dD=found.dD[o])
+
+
+@dataclass(frozen=True)
+class _Pushed:
+    """A model with unknown forces as further inputs, and masses that are constants as further parameters."""
+
+    model: Model
+    forces: int
+    masses: tuple[str, ...]
+    pushes: tuple[str, ...] = ()
+
+
+def statistical_rig(config: RigConfig) -> Rig:
+    """Build the statistical model of a configuration."""
+    built = rig_model(config)
+    q, measured = len(built.parameters), len(config.inputs)
+    pushed = _pushed(config, built.model)
+    model, m = pushed.model, measured + pushed.forces
+    total = _inputs(model)
+    others = np.arange(m, total)
+    columns = np.concatenate([np.arange(measured), others]).astype(np.int64)
+    driven = np.arange(len(columns)) < measured
+    nominal = model.nominal[:q]
+    limits = np.where(built.limits > 0, built.limits, np.nan)
+    scale = np.where(nominal != 0, np.abs(nominal), np.where(np.isfinite(limits), limits, 1.0))
+    physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in built.parameters], dtype=bool)
+    needed = np.array([p.kind == "mass" or p.name in _holding(config) for p in built.parameters], dtype=bool)
+    lower = np.where(physical & (nominal > 0), np.where(needed, 0.02 * scale, 0.0), -np.inf)
+    return Rig(
+        model, q, columns, driven, np.arange(measured, m), constants_of(config, pushed.masses),
+        1.0 / config.rig.sample_rate_hz, config.estimator.hold, scale, lower,
+        slow_forces=not _has_friction(config), white=_is_white(config), rubbings=_rubbings(config, pushed),
+    )  # fmt: skip
+
+
+def _inputs(model: Model) -> int:
+    return model.continuous(model.nominal).m
+
+
+def _pushed(config: RigConfig, model: Model) -> _Pushed:
+    """Put unknown forces beside the measured inputs, and masses that are constants behind the parameters."""
+    sensed = model if isinstance(model, SensedModel) else None
+    inner = sensed.model if sensed is not None else model
+    if isinstance(inner, MassSpringDamper):
+        nodes = inner.structure.masses
+        forced = tuple(m.name for m in nodes if m.value > 0) or tuple(m.name for m in nodes)
+        masses = _uncertain_masses(config, inner)
+        forced = () if _is_white(config) else forced
+        whole: Model = replace(inner, parameters=(*inner.parameters, *masses), forces=(*inner.forces, *forced))
+        count, weighing = len(forced), tuple(m.name for m in nodes if m.value > 0 and m.name in forced)
+    elif isinstance(inner, AffineModel):
+        whole, count, masses = _with_state_forces(inner), len(inner.state_names), ()
+        weighing = ()
+    else:
+        raise TypeError(f"no statistical model of a {type(inner).__name__}")
+    if sensed is None:
+        return _Pushed(whole, count, masses, weighing)
+    physical, constants = len(inner.parameters), len(sensed.nuisances)
+    order = np.concatenate(
+        [np.arange(physical), physical + len(masses) + np.arange(constants), physical + np.arange(len(masses))]
+    )
+    return _Pushed(Reordered(SensedModel(whole, sensed.nuisances), order.astype(np.int64)), count, masses, weighing)
+
+
+def _uncertain_masses(config: RigConfig, model: MassSpringDamper) -> tuple[str, ...]:
+    """Masses that are known as well as their data sheet says, and not estimated."""
+    if not isinstance(config.model, MechanicsModel):
+        return ()
+    known = {m.name for m in config.model.mass if m.value > 0 and m.sd_percent > 0}
+    return tuple(m.name for m in model.structure.masses if m.name in known and m.name not in model.parameters)
+
+
+def _with_state_forces(model: AffineModel) -> AffineModel:
+    """Let anything act on each state."""
+    at, n = model.at_nominal, len(model.state_names)
+    no_slope, no_reading = np.zeros((at.q, n, n)), np.zeros((at.q, at.p, n))
+    pushed = replace(
+        at, B=np.hstack([at.B, np.eye(n)]), D=np.hstack([at.D, np.zeros((at.p, n))]),
+        dB=np.concatenate([at.dB, no_slope], axis=2), dD=np.concatenate([at.dD, no_reading], axis=2),
+    )  # fmt: skip
+    return replace(model, at_nominal=pushed)
+
+
+def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, ...]:
+    """Return the constants that the data sheets leave open: masses, gains of outputs and inputs, the inputs' delay."""
+    sheets = {}
+    if isinstance(config.model, MechanicsModel):
+        sheets = {m.name: m.sd_percent / 100 for m in config.model.mass}
+    wanted = set(estimated(config))
+    # masses and forces times c, motions by c, are the same readings where no motion's gain is known
+    measured = not {f"{c.name}.gain" for c in config.outputs} <= wanted
+    out = [Constant(name, "mass", i, sheets[name], measured) for i, name in enumerate(masses)]
+    scaled = _has_known_mass(config) and measured
+    for kind, channels in (("output", config.outputs), ("input", config.inputs)):
+        out += [
+            Constant(c.name, kind, i, c.gain_sd_percent / 100, scaled)  # type: ignore[arg-type]
+            for i, c in enumerate(channels)
+            if c.gain_sd_percent > 0 and f"{c.name}.gain" not in wanted
+        ]
+    delay = _delay_samples(config)
+    return (*out, Constant("delay", "delay", 0, delay)) if delay > 0 else tuple(out)
+
+
+def _rubbings(config: RigConfig, pushed: _Pushed) -> tuple[Rubbing, ...]:
+    """Where dry friction may act that the model has no term for: across each damper between places that weigh."""
+    if not isinstance(config.model, MechanicsModel) or not pushed.pushes:
+        return ()
+    states, places = pushed.model.state_names, pushed.pushes
+    rubbing = {frozenset(f.between) for f in config.model.friction}
+    out = []
+    for damper in config.model.damper:
+        ends = [(node, sign) for node, sign in zip(damper.between, (1.0, -1.0), strict=True) if node != GROUND]
+        if frozenset(damper.between) in rubbing or not all(node in places for node, _ in ends):
+            continue
+        speed, push = np.zeros(len(states)), np.zeros(len(places))
+        for node, sign in ends:
+            speed[states.index(f"velocity of {node}")] += sign
+            push[places.index(node)] += sign
+        out.append(Rubbing(speed, push))
+    return tuple(out)
+
+
+def _is_white(config: RigConfig) -> bool:
+    """Whether the configuration denies unknown forces: the record is explained as a whole."""
+    return config.estimator.observer.process_sd == 0
+
+
+def _has_friction(config: RigConfig) -> bool:
+    return isinstance(config.model, MechanicsModel) and bool(config.model.friction)
+
+
+def _has_known_mass(config: RigConfig) -> bool:
+    """Whether a known mass sets the scale: without one all parameters times c fit as well."""
+    if not isinstance(config.model, MechanicsModel):
+        return True
+    wanted = set(estimated(config))
+    return any(m.value > 0 and m.name not in wanted for m in config.model.mass)
+
+
+def _delay_samples(config: RigConfig) -> float:
+    """Data-sheet sd of the inputs' delay, samples: 0 beside dry friction, which a delay would be taken for."""
+    if _has_friction(config) or not config.inputs or config.estimator.hold != "first":
+        return 0.0
+    stated = [c.delay_sd_s for c in config.inputs if c.delay_sd_s is not None]
+    return max(stated) * config.rig.sample_rate_hz if stated else DELAY_SHEET
+
+
+def _holding(config: RigConfig) -> set[str]:
+    """The dampers that hold nodes without mass: there is no motion without them."""
+    if not isinstance(config.model, MechanicsModel):
+        return set()
+    massless = {mass.name for mass in config.model.mass if mass.value == 0}
+    return {damper.name for damper in config.model.damper if massless & set(damper.between)}
+
+
+def estimator_settings(config: RigConfig, resolution: FloatArray) -> EstimatorSettings:
+    """Return the settings of window-ml; resolution (p,) is the wire's smallest step of each output, SI."""
+    built = rig_model(config)
+    sigma, floor = output_noise(config, resolution)
+    plan = hop_plan(config)
+    limits = np.where(built.limits > 0, built.limits, np.inf)
+    return EstimatorSettings(
+        rig=statistical_rig(config), plan=HopPlan(plan.window, plan.hop), longer=longer_windows(config, plan),
+        sigma=sigma, sigma_spread=_spreads(config.outputs), floor=floor,
+        enough_sd=config.estimator.resolve * limits, wanted_sd=0.1 * limits,
+    )  # fmt: skip
+
+
+def _spreads(outputs: tuple[Channel, ...]) -> FloatArray:
+    return np.array([c.noise_sd_spread for c in outputs])

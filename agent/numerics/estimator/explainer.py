@@ -1,0 +1,298 @@
+"""What is known of a rig and of its channels, and what each window that asks for it is explained by.
+
+    first window    -> learnt from, unless a channel wrong from the start explains it better
+    window due      -> noise, constants and the point are learnt
+    far from point  -> solved about itself; the bank goes there
+    broken          -> other parameters, parameters that run on, a channel, or other noise
+
+Each costs a token of the budget, but for what the schedule has learnt.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.bank import Bank
+from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.doubts import Doubts
+from agent.numerics.estimator.faults import WHOLE, Faults
+from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
+from agent.numerics.estimator.reading import Reading
+from agent.numerics.estimator.record import Record
+from agent.numerics.estimator.schedule import Disturbance, Schedule
+from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.inference import tuning
+from agent.numerics.inference.columns import Window, refilled
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.inference.verdicts import Belief, beliefs
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+REFILLS = 2
+"""Times that suspect inputs are put where the motion asks for them before a window is solved."""
+MOVED_SD = 0.2
+"""Difference between learner and bank, in sds, from which on the bank takes the learner's point."""
+MOVED_LOG_SD = 0.1
+"""The same for the logarithm of a sd."""
+
+
+class Explainer:
+    """Learns from windows and explains those that are broken or far.
+
+    Attributes:
+        known: what is carried from window to window; None before the first.
+        posterior: of the newest window that was learnt from.
+        lines: of windows whose parameters run on, by their newest samples, what they say of their ends.
+        bank, budget, schedule, disturbance, faults, doubts: see there.
+    """
+
+    def __init__(self, settings: EstimatorSettings, budget: Budget) -> None:
+        self.settings = settings
+        self.learner = Learner(settings.rig, settings.plan.window, settings.outputs, settings.floor)
+        self.known: Knowledge | None = None
+        self.posterior: Posterior | None = None
+        self.lines: dict[int, Posterior] = {}
+        self.bank = Bank(settings, self.learner.sources)
+        self.budget = budget
+        self.schedule = Schedule(settings.plan.window)
+        self.disturbance = Disturbance()
+        self.faults = Faults(self.learner, settings.floor)
+        self.doubts = Doubts()
+        self.solved = 0
+        self._adopted = False
+        self._moves = False
+        self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
+
+    def interrupted(self) -> None:
+        """Note the end of a segment; what was learnt stays."""
+        self.bank.stop()
+        self.doubts.forget()
+        self.disturbance = Disturbance()
+        self.lines, self._moves = {}, False
+        if self.known is not None:
+            self.known = replace(self.known, scatter=self.known.scatter.interrupted())
+
+    def knowledge(self) -> str | None:
+        """Return what was learnt, as JSON text; None before enough windows have been learnt from."""
+        if self.known is None or self.known.noise.windows < LEAST_WINDOWS:
+            return None
+        return to_text(self.known)
+
+    def adopt(self, content: str) -> None:
+        """Begin with what an earlier run learnt, where it is of the same rig and window."""
+        fresh = self.learner.prior(np.ones(self.settings.outputs), np.ones(self.settings.outputs))
+        self.known = from_text(content, self.learner.hypotheses, fresh.noise)
+        self._adopted = self.known is not None
+
+    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
+        """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
+        beliefs, self._beliefs = self._beliefs, []
+        return beliefs
+
+    def begin(self, record: Record, newest: int) -> bool:
+        """Learn from a segment's first whole window, and start the bank there; False where nothing fits it."""
+        if not self.budget.take(newest):
+            return False
+        window = self.window(record, newest)[0]
+        new = self.posterior is None and not self._adopted
+        posterior, learnt = self._first(window)
+        if not posterior.converged:
+            return False
+        fresh = self.learner.prior(*self._sigma(window.y))
+        if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior):
+            return False
+        self.faults.begun(record, newest, learnt.noise)
+        self.posterior = posterior
+        self._believe(newest, window, learnt)
+        self.schedule.done(newest)
+        self._move(record, posterior, newest)
+        return True
+
+    def _first(self, window: Window) -> tuple[Posterior, Knowledge]:
+        """Learn from a segment's first window; what an earlier run learnt and does not explain it is learnt anew.
+
+        A sensor that was replaced by a worse one would else have its noise taken for that of single bins.
+        """
+        fresh = self.learner.prior(*self._sigma(window.y))
+        self.known = self.known or fresh
+        posterior, learnt = self.learner.learn(window, self.known)
+        refuted = self._adopted and (posterior.mismatch or not posterior.converged)
+        self._adopted = False
+        if refuted:
+            self.known = fresh
+            posterior, learnt = self.learner.learn(window, fresh)
+        return posterior, learnt
+
+    def _believe(self, newest: int, window: Window, learnt: Knowledge) -> None:
+        """Take what was learnt from a window."""
+        self.known = learnt
+        self.faults.learnt(window)
+        kinds = tuple(c.kind for c in self.settings.rig.constants)
+        if kinds:
+            self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
+
+    def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Sensor sds (p,) to begin with, and the spread of their logarithms."""
+        stated = self.settings.sigma
+        guess = np.maximum(1e-3 * y.std(axis=0), np.maximum(self.settings.floor, 1e-300))
+        known = np.isfinite(stated)
+        spread = np.where(known, self.settings.sigma_spread, tuning.SIGMA_SPREAD_UNSTATED)
+        return np.where(known, stated, guess), spread
+
+    def _move(self, record: Record, posterior: Posterior, newest: int) -> None:
+        """Work from now on at what is known; rows from `newest` on are computed again."""
+        assert self.known is not None  # noqa: S101 - set by whoever calls
+        self.bank.move(record, self.known, posterior, newest)
+
+    def window(self, record: Record, newest: int) -> tuple[Window, FloatArray]:
+        """Return the window that ends with a sample, suspect inputs near what the motion asks of them, and by how much.
+
+        A blow moves what the window is linearised about, so it must be in before anything is solved.
+        """
+        window, known = record.window(newest, self.settings.plan.window), self.known
+        moved = np.zeros(len(window.lost))
+        doubted = self.doubts.among(window.lost, newest + 1 - window.length)
+        if known is None or not doubted.any():
+            return window, moved
+        for _ in range(REFILLS):
+            change = np.where(doubted, self.learner.lost_readings(window, known, moved)[0], 0.0)
+            window, moved = refilled(window, change, self.settings.rig), moved + change
+        return window, moved
+
+    def due(self, reading: Reading) -> BoolArray:
+        """(N,) rows whose windows are to be learnt from: it is time, or there is far less noise than was learnt."""
+        index, whole = reading.index, reading.index >= self.schedule.tried + self.settings.plan.window
+        quiet = (reading.excess < -tuning.MISMATCH_SD) & whole
+        return np.asarray(((index >= self.schedule.due) | quiet) & (not self.budget.closed))
+
+    def learn(self, record: Record, reading: Reading, i: int) -> bool:
+        """Learn from a row's window; return whether the bank moved."""
+        newest, known = int(reading.index[i]), self.known
+        assert known is not None  # noqa: S101 - known since the first window
+        if self.disturbance.since(self.schedule.tried):  # the windows before a change do not compare
+            known = replace(known, scatter=known.scatter.interrupted())
+        window = self.window(record, newest)[0]
+        posterior, learnt = self.learner.learn(window, known)
+        self.solved += 1
+        if posterior.changing or not posterior.converged:
+            self.schedule.later(newest)
+            return False
+        if self.settings.longer:
+            # longer windows need a sharper point than one short window gives
+            agree = np.all(np.abs(learnt.theta - known.theta) < tuning.AGREE_SD * posterior.sd_repeat)
+            learnt = replace(learnt, theta=known.theta) if agree else learnt
+        self._believe(newest, window, learnt)
+        self.posterior = posterior
+        self.schedule.done(newest)
+        if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise):
+            self.schedule.follow(newest)
+        if not self._is_elsewhere(reading, i, posterior):
+            return False
+        self._move(record, posterior, newest)
+        return True
+
+    def _is_elsewhere(self, reading: Reading, i: int, posterior: Posterior) -> bool:
+        """Whether the learner's answer differs from the row's."""
+        moved = np.abs(posterior.theta - reading.theta[i]) > MOVED_SD * reading.sd[i]
+        own = np.abs(np.log(posterior.sd_repeat / reading.sd_repeat[i])) > MOVED_LOG_SD
+        whole = np.abs(np.log(posterior.sd / reading.sd[i])) > MOVED_LOG_SD
+        return bool((moved | own | whole).any())
+
+    def centre(self, record: Record, newest: int, theta: FloatArray) -> bool:
+        """Move the bank to theta (q,), which a longer window found; return whether there was a token for it."""
+        if self.known is None or self.posterior is None or not self.budget.take(newest):
+            return False
+        self.known = replace(self.known, theta=np.maximum(theta, self.settings.rig.lower))
+        self._move(record, self.posterior, newest)
+        return True
+
+    def relinearise(self, record: Record, newest: int) -> bool:
+        """Solve a window that is far from the point; the bank goes there if it comes to rest."""
+        self.disturbance.tried(newest, self.settings.plan.window)
+        if not self.budget.take(newest):
+            return False
+        return self._solve(record, newest) is not None
+
+    def _solve(self, record: Record, newest: int) -> Posterior | None:
+        """Solve a window about itself; move there and return what it says if it holds, else None."""
+        known = self.known
+        assert known is not None  # noqa: S101 - known since the first window
+        self.solved += 1
+        window = self.window(record, newest)[0]
+        posterior, theta = self.learner.solve(window, known)
+        self._last = (window, posterior)
+        rests = posterior.converged and not posterior.changing and not posterior.mismatch
+        if not (rests and self._is_the_same(posterior)) and (
+            self._is_a_channel(record, window, newest, theta, rests) or not rests
+        ):
+            return None
+        self.known = replace(known, theta=theta)
+        self._move(record, posterior, newest)
+        return posterior
+
+    def _is_the_same(self, posterior: Posterior) -> bool:
+        """Whether a window that nothing broke says what the one learnt from last said: only the point was poor."""
+        if self.posterior is None or self.disturbance.onset is not None or self.faults.is_active:
+            return False
+        apart = np.abs(posterior.theta - self.posterior.theta)
+        return bool(np.all(apart < tuning.AGREE_SD * np.hypot(posterior.sd_repeat, self.posterior.sd_repeat)))
+
+    def _is_a_channel(self, record: Record, window: Window, newest: int, theta: FloatArray, rests: bool) -> bool:
+        """Whether a channel may be what is wrong with a window; asked where it is whole, or other parameters fit it."""
+        onset, faults, known = self.disturbance.onset, self.faults, self.known
+        whole = onset is not None and newest - onset >= WHOLE * self.settings.plan.window
+        if known is None or self.posterior is None or not (rests or whole or faults.is_active):
+            return False
+        found = faults.contest(record, window, newest, known, self.posterior.sd_repeat, theta)
+        return faults.follow(newest, found, onset, rests)
+
+    def explain(self, record: Record, newest: int) -> bool:
+        """Try to explain a broken row: other parameters, lines, or a whole window after its onset other noise."""
+        disturbance, length = self.disturbance, self.settings.plan.window
+        disturbance.at(newest)
+        disturbance.tried(newest, length)
+        if not self.budget.take(newest):
+            return False
+        if self._moves and self._runs_on(self.window(record, newest)[0], newest):
+            return False
+        if self._solve(record, newest) is not None:
+            if disturbance.is_more_than_a_change(newest, length):
+                return self._relearn(record, *self._last, newest, jumps=False) or True
+            self.known = replace(self.known, scatter=self.known.scatter.interrupted())  # type: ignore[union-attr,type-var]
+            self.schedule.follow(newest)
+            return True
+        window, posterior = self._last
+        early = newest - (disturbance.onset or newest) < length
+        if self.faults.standing is not None:  # it is looked at again a window later
+            disturbance.wait(newest + length)
+        if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
+            return False
+        return self._relearn(record, window, posterior, newest, jumps=posterior.changing)
+
+    def _relearn(self, record: Record, window: Window, posterior: Posterior, newest: int, *, jumps: bool) -> bool:
+        """Take a change of the noise for what broke a window, unless one jump explains it better."""
+        known = self.known
+        assert known is not None  # noqa: S101 - known since the first window
+        if jumps and not self.learner.contested(window, known, posterior):
+            return False
+        said, learnt = self.learner.learn(window, known, shaken=True, believe=True)
+        if not said.converged or (jumps and not learnt.noise.exceeds(known.noise)):
+            return False
+        self._believe(newest, window, learnt)
+        self.posterior = said
+        self.schedule.follow(newest)
+        self._move(record, said, newest)
+        return True
+
+    def _runs_on(self, window: Window, newest: int) -> bool:
+        """Whether parameters that run straight lines explain a window; its row then says where they are at its end."""
+        assert self.known is not None  # noqa: S101 - known since the first window
+        line = self.learner.line(window, self.known)
+        self._moves = line.holds
+        if line.holds:
+            self.lines[newest] = line.end
+            self.known = replace(self.known, theta=line.middle)
+            self.budget.give_back()
+        return line.holds

@@ -1,0 +1,236 @@
+"""Channels that read wrongly: suspected, named as long as that is what explains the rows, and cleared when they hold.
+
+A suspicion is a window that a channel explains better than other parameters do. It becomes a fault once a window lies
+all but wholly behind its onset. Until rows agree with what held before nothing is learnt, and no parameter moves.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.reading import Reading
+from agent.numerics.estimator.record import Record
+from agent.numerics.inference import tuning
+from agent.numerics.inference.channels import ChannelTest, Contest, Fault
+from agent.numerics.inference.columns import Window
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.preprocessing.noise import sensor_noise
+from agent.types import Reason
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+WHOLE = 0.8
+"""Share of a window that lies behind the onset of what it is to show."""
+AGREES_SD = 3.5
+"""Sds within which a row agrees with what held before the fault."""
+DOUBTS = 2
+"""Tries in a row that do not confirm a fault, after which it is withdrawn."""
+RESTS, MOST_RESTS = 4, 1000
+"""Rests of an input that last a window's share of 1 / RESTS are remembered, so many of them at the most."""
+NOISY = 2.0
+"""Times what the wire's resolution alone causes: a sensor with so much noise does not repeat itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """At a sample a fault of a channel began to stand, or (standing False) ended."""
+
+    sample: int
+    fault: Fault
+    standing: bool
+
+
+@dataclass(slots=True)
+class Faults:
+    """What is known of a rig's channels.
+
+    standing: the fault that stands; tied: a channel or the structure, and nothing tells which.
+    """
+
+    learner: Learner
+    floor: FloatArray
+    standing: Fault | None = None
+    tied: bool = False
+    _channel_test: ChannelTest = field(init=False)
+    _since: int | None = None
+    _doubts: int = 0
+    _findings: list[Finding] = field(default_factory=list)
+    _rests: set[tuple[int, float]] = field(default_factory=set)
+    _alive: bool = False
+    _lasts: bool = False
+    _usual: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        self._channel_test = ChannelTest(self.learner)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a channel is named or suspected."""
+        return self.standing is not None or self._since is not None
+
+    @property
+    def reason(self) -> Reason | None:
+        """What rows carry because of it; None where nothing is known of any channel."""
+        if self.standing is None:
+            return Reason.INSEPARABLE if self.tied else None
+        return Reason.STUCK if self.standing.kind == "stood" else Reason.SENSOR
+
+    def take(self) -> list[Finding]:
+        """Return what began or ended since the last call."""
+        found, self._findings = self._findings, []
+        return found
+
+    def over(self, index: int) -> None:
+        """Note a row that holds and agrees with what held before."""
+        self._since, self.tied, self._doubts = None, False, 0
+        self._set(index, None)
+
+    def agrees(self, reading: Reading, known: Knowledge) -> BoolArray:
+        """(N,) rows whose estimates are what they were."""
+        return np.asarray((np.abs(reading.theta - known.theta) < AGREES_SD * reading.sd_repeat).all(axis=1))
+
+    def learnt(self, window: Window) -> None:
+        """Note what channels are like in a window that was learnt from: whether no output can repeat itself at all."""
+        grain = [float(np.diff(np.unique(column)).min(initial=np.inf)) for column in window.y.T]
+        self._alive = bool(np.all(sensor_noise(window.y) > np.maximum(grain, NOISY * self.floor)))
+        self._usual = np.asarray(window.u.std(axis=0))
+
+    def rested(self, record: Record, index: IntArray) -> None:
+        """Note the values at which inputs rest in windows, ending at samples `index`, that hold."""
+        resting = record.resting_in(index, self.learner.window // RESTS)
+        for row, number in np.argwhere(resting & self.learner.rig.driven).tolist():
+            if len(self._rests) < MOST_RESTS:
+                self._rests.add((number, record.newest_input(int(index[row]), number)))
+
+    def frozen_in(self, record: Record, index: IntArray, still: BoolArray) -> BoolArray:
+        """(N,) windows that end at samples `index` in whose newer half no output changes, though each has noise."""
+        if not self._alive or not still.any():
+            return np.zeros(len(index), dtype=bool)
+        return np.asarray(still & (record.changes_in(index, self.learner.window // 2) == 0))
+
+    def freeze(self, record: Record, newest: int) -> None:
+        """Note that the outputs repeat themselves: the first of them is named."""
+        self._since = newest
+        self._name(newest, Fault(0, "stood", float(record.outputs(newest, newest + 1)[0, 0]), 0.0))
+
+    def begun(self, record: Record, newest: int, noise: Noise) -> None:
+        """Name an input that stood at one value all through a first window whose motion asks for unknown forces."""
+        self.over(newest)
+        forces = np.array([source.kind == "force" for source in self.learner.sources], dtype=bool)
+        asked = noise.is_started and np.any((noise.intensity > tuning.ACTIVE_NODES * noise.nodes[:, 0]) & forces)
+        for fault in self._standing_inputs(record, newest, self.learner.window)[: int(asked)]:
+            self._set(newest, fault)
+
+    def reads_wrongly(
+        self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge, found: Posterior
+    ) -> bool:
+        """Whether one channel, and not what a first window is taken to say, explains it; that channel is named.
+
+        Asked where a parameter found is many times its nominal, or unknown forces are as large as those that are
+        measured. The contest is between the stated noise and nominal parameters with one channel wrong, and anything
+        else.
+        """
+        length, nominal = self.learner.window, np.abs(self.learner.rig.nominal)
+        forces = self._unknown_forces(window, said)
+        odd = self.standing is not None or self._is_many_times(found.theta) or forces >= tuning.AS_LARGE
+        if self._standing_inputs(record, newest, length) or not odd:
+            return False
+        surely = self._is_many_times(found.theta) or forces >= tuning.LARGER
+        if newest + 1 - record.first < length + length // 4 and surely and not found.rubs:
+            return True  # nothing can be late yet: looked at again a quarter of a window on
+        spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
+        nominally = replace(fresh, kept=said.kept)
+        said_of_channels = self.contest(record, window, newest, nominally, spread, found.theta, first=True)
+        if said_of_channels.fault is not None:
+            self._name(newest, said_of_channels.fault)
+        return said_of_channels.fault is not None
+
+    def _unknown_forces(self, window: Window, said: Knowledge) -> float:
+        """The largest unknown force in a window, in units of the largest that is measured; 0 where none is."""
+        rig = self.learner.rig
+        measured = window.u[:, : len(rig.measured)][:, rig.driven].std(axis=0).max(initial=0.0)
+        forces = [v for v, s in zip(said.noise.intensity, self.learner.sources, strict=True) if s.kind == "force"]
+        return float(max(forces, default=0.0) / measured) if measured > 0 else 0.0
+
+    def _is_many_times(self, theta: FloatArray) -> bool:
+        """Whether a parameter (q,) is many times its nominal, or many times less."""
+        nominal = self.learner.rig.nominal
+        sized = nominal != 0
+        ratio = np.maximum(theta[sized] / nominal[sized], np.exp(-10.0 * tuning.MANY_TIMES))
+        return bool(np.any(np.abs(np.log(ratio)) > np.log(tuning.MANY_TIMES)))
+
+    def _standing_inputs(self, record: Record, newest: int, span: int) -> list[Fault]:
+        """Inputs that read one value other than 0 in the last `span` samples: a force at rest reads 0."""
+        resting = record.resting_in(np.array([newest]), span)[0] & self.learner.rig.driven
+        values = [(j, record.newest_input(newest, j)) for j in np.flatnonzero(resting).tolist()]
+        return [Fault(self.learner.p + j, "stood", value, 0.0) for j, value in values if value != 0.0]
+
+    def is_frozen(self, record: Record, index: int) -> bool:
+        """Whether an input that stood still reads what it stood at."""
+        fault, p = self.standing, self.learner.p
+        if fault is None or fault.kind != "stood" or fault.channel < p:
+            return False
+        return record.newest_input(index, fault.channel - p) == fault.size
+
+    def contest(
+        self, record: Record, window: Window, newest: int, known: Knowledge, sd: FloatArray, solved: FloatArray,
+        first: bool = False,
+    ) -> Contest:  # fmt: skip
+        """Put the window that ends with sample `newest` to a contest of explanations; solved: its own best θ."""
+
+        def late(channel: int, lag: int) -> Window | None:
+            return record.late(newest, self.learner.window, channel, lag, self.learner.rig) if lag else window
+
+        self._lasts = self.is_frozen(record, newest)
+        found = self._channel_test.contest(window, known, sd, solved, late, everything=first)
+        for number in np.flatnonzero(self.learner.rig.driven).tolist():
+            value = record.newest_input(newest, number)
+            stands = record.resting_in(np.array([newest]), int(WHOLE * self.learner.window))[0, number]
+            if stands and (number, value) not in self._rests and len(self._usual):
+                found = found.with_stood(
+                    self._channel_test.unbelieved(window, known, sd, number, value, self._usual[number])
+                )
+        return found
+
+    def follow(self, newest: int, found: Contest, onset: int | None, rests: bool) -> bool:
+        """Take what a contest says; return whether a channel may be what is wrong, so that no parameter moves.
+
+        onset: of broken rows, None where they hold; rests: other parameters fit the window.
+        """
+        if self._lasts:
+            return True
+        clear = found.fault is not None or self.standing is not None or not rests
+        if found.leads is None or not clear:
+            self._withdraw(newest)
+            return self.standing is not None
+        began = newest if self._since is None else self._since
+        self._since = began if onset is None else min(began, onset)
+        if newest - self._since < WHOLE * self.learner.window:
+            return True
+        self.tied = found.fault is None
+        if found.fault is not None:
+            self._name(newest, found.fault)
+        return True
+
+    def _name(self, newest: int, fault: Fault) -> None:
+        self._doubts = 0
+        same = self.standing is not None and self.standing.channel == fault.channel
+        if not same:
+            self._set(newest, fault)
+
+    def _withdraw(self, newest: int) -> None:
+        """A try that does not confirm: one may hold the fault's end."""
+        self._doubts += 1
+        if self._doubts >= DOUBTS or self.standing is None:
+            self.over(newest)
+
+    def _set(self, index: int, fault: Fault | None) -> None:
+        if self.standing is not None:
+            self._findings.append(Finding(index, self.standing, standing=False))
+        if fault is not None:
+            self._findings.append(Finding(index, fault, standing=True))
+        self.standing = fault

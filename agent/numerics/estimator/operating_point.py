@@ -1,0 +1,226 @@
+"""Where the bank works: the model with what is known of the constants, its noise, and what rows take from the learner.
+
+The constants enter rows through the few directions of their posterior that move the parameters: with P = L Lᵀ the
+covariance, Z = dθ/dη and s the parameters' own sds, the right singular vectors v of diag(1/s) Z L give columns
+L v of unit prior; the others change no sd by a hundredth.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference.mixture import NORMAL_975
+from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.inference.sources import Source
+from agent.numerics.model.statespace import StateSpace
+from agent.numerics.model.uncertain import Rig, sampled
+from agent.numerics.window.noise import Coloured, Line, NoiseModel, Push
+
+FloatArray = NDArray[np.float64]
+LEAST_SHARE = 0.01
+"""Directions of the constants that add less than this to every parameter's variance are left out."""
+PRESENT_NODES = 2.0
+"""Intensities below this many first nodes are taken as absent."""
+LINE_LEVEL = 8.0
+"""Bins whose noise level is beyond this are lines."""
+MOST_LINES = 4
+"""Lines followed, the strongest: each costs two states a channel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """How the mixture of the constants differs from one Gaussian, in units of the sd (q,) that it gives a parameter.
+
+    Attributes:
+        mean, centre: (q,) mean of the mixture and middle of its interval, from the Gaussian's mean.
+        share: (q,) sd of the Gaussian with as wide an interval.
+    """
+
+    mean: FloatArray
+    centre: FloatArray
+    share: FloatArray
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """The model, its noise, and how rows are read.
+
+    Attributes:
+        model: columns are the parameters (deviations in `unit`), then directions of the constants with unit priors.
+        push, noise: unknown forces and noise of the bank.
+        theta, unit: (q,) point and size of a deviation of 1;  sharpest: (q,) sd of the windows that tell most, in it.
+        wider: (q,) factor on the parameters' own variance: intensities not known, scatter beyond the model's.
+        shape: how the constants' mixture differs from one Gaussian.
+        unsure: variance of log σ that the misfit allows for.
+        scatter: largest factor by which jump statistics are divided.
+        slopes: inputs are followed by their slopes.
+    """
+
+    model: StateSpace
+    push: Push
+    noise: NoiseModel
+    theta: FloatArray
+    unit: FloatArray
+    sharpest: FloatArray
+    wider: FloatArray
+    shape: Shape
+    unsure: float
+    scatter: float
+    slopes: bool
+
+
+def operating_point(
+    rig: Rig, known: Knowledge, posterior: Posterior, sources: tuple[Source, ...], window: int, sharpest: FloatArray,
+) -> OperatingPoint:  # fmt: skip
+    """Return where the bank works, from what is known and what the newest window that was learnt from said.
+
+    sharpest: (q,) the parameters' own sd in the sharpest windows: what the constants' effect is held against.
+    """
+    # rows are of windows to come: constants walk until then
+    known = replace(known, constants=known.constants.predicted())
+    eta = known.constants.standing[0]
+    at = sampled(rig, known.theta, eta[: rig.masses])
+    seen = _Seen(rig, eta, at.B.shape[1])
+    base = seen.model(at.A, at.B, at.C, at.D)
+    columns = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q)]
+    constants = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q, len(at.dA))]
+    constants += [seen.sensor(i, base) for i in range(rig.masses, len(rig.constants))]
+    directions = _directions(known, posterior, sharpest)
+    columns += [_combined(constants, direction) for direction in directions.T]
+    dA, dB, dC, dD = (np.stack(part) for part in zip(*columns, strict=True))
+    model = StateSpace(*base, dA, dB, dC, dD)
+    push = Push(at.E, seen.output_gain[:, None] * at.F)
+    wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
+    shape = _shape(known, posterior, wider)
+    return OperatingPoint(
+        model, push, bank_noise(known, sources, window), known.theta, at.unit, sharpest / at.unit, wider, shape,
+        known.noise.unsure, max(1.0, float(known.scatter.within.max())), seen.slopes,
+    )  # fmt: skip
+
+
+def taps_of(rig: Rig, outputs: int, slopes: bool) -> list[list[tuple[int, int, float]]]:
+    """Return where a reading of each channel, outputs then inputs, enters the bank's samples (`window.lost.Taps`)."""
+    m = len(rig.driven)
+    each: list[list[tuple[int, int, float]]] = [[(0, column, 1.0)] for column in range(outputs)]
+    for number in range(len(rig.measured)):
+        # an input that no channel drives has one tap
+        shifts = zip((0, *rig.shifts), (rig.taps_of(number) + outputs).tolist(), strict=False)
+        entries = [(-shift, column, 1.0) for shift, column in shifts]
+        if slopes:
+            entries += [(o + k, column + m, 1.0 - 2 * k) for o, column, _ in entries for k in (0, 1)]
+        each.append(entries)
+    return each
+
+
+class _Seen:
+    """The model as it is seen through gains and delay at η; inputs are followed by slopes where there is a delay."""
+
+    def __init__(self, rig: Rig, eta: FloatArray, width: int) -> None:
+        self.rig, self.eta = rig, eta
+        self.slopes = bool(len(rig.of_kind("delay")))
+        self.delay = float(eta[rig.of_kind("delay")[0]]) if self.slopes else 0.0
+        outputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "output"}
+        inputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "input"}
+        p = len(rig.model.continuous(rig.model.nominal).C)
+        self.output_gain = np.array([outputs.get(r, 1.0) for r in range(p)])
+        self.input_gain = np.ones(width)
+        for number, gain in inputs.items():
+            self.input_gain[rig.taps_of(number)] = gain
+
+    def model(
+        self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C, D (or a derivative of them) with gains and delay in."""
+        y = self.output_gain[:, None]
+        return A, self._late(B * self.input_gain), y * C, self._late(y * D * self.input_gain)
+
+    parameter = model
+
+    def _late(self, M: FloatArray) -> FloatArray:
+        """Append the slopes' columns: u(k) − d (u(k) − u(k−1))."""
+        if not self.slopes:
+            return M
+        return np.hstack([M, -self.delay * M * self.rig.driven])
+
+    def sensor(
+        self, number: int, base: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the derivatives of A, B, C, D by the constant with this number, a gain or the delay."""
+        constant, (A, B, C, D) = self.rig.constants[number], base
+        dA, dB, dC, dD = np.zeros_like(A), np.zeros_like(B), np.zeros_like(C), np.zeros_like(D)
+        m = len(self.rig.measured)
+        if constant.kind == "output":
+            dC[constant.number], dD[constant.number] = C[constant.number], D[constant.number]
+        elif constant.kind == "input":
+            taps = self.rig.taps_of(constant.number)
+            columns = np.concatenate([taps, taps + m]) if self.slopes else taps
+            dB[:, columns], dD[:, columns] = B[:, columns], D[:, columns]
+        else:
+            dB[:, m:], dD[:, m:] = -B[:, :m] * self.rig.driven, -D[:, :m] * self.rig.driven
+        return dA, dB, dC, dD
+
+
+def _combined(
+    constants: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]], direction: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    parts = zip(*constants, strict=True)
+    return tuple(np.tensordot(direction, np.stack(part), 1) for part in parts)  # type: ignore[return-value]
+
+
+def _own(known: Knowledge, posterior: Posterior) -> FloatArray:
+    """(q,) the parameters' own sd, constants given and without widening."""
+    wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
+    return np.asarray(posterior.sd_repeat / np.sqrt(wider))
+
+
+def _directions(known: Knowledge, posterior: Posterior, sharpest: FloatArray) -> FloatArray:
+    """(c, r) combinations of the constants, of unit prior each, that move the parameters."""
+    c = len(known.eta)
+    if not c:
+        return np.zeros((0, 0))
+    L = _root(known.constants.standing[1])
+    effect = (posterior.sensitivity @ L) / np.minimum(_own(known, posterior), sharpest)[:, None]
+    _, size, right = np.linalg.svd(effect, full_matrices=False)
+    return np.asarray(L @ right[size**2 > LEAST_SHARE].T)
+
+
+def _shape(known: Knowledge, posterior: Posterior, wider: FloatArray) -> Shape:
+    """Return the shape of the mixture in the window that was learnt from."""
+    by_constants = np.sqrt(((posterior.sensitivity @ _root(known.constants.standing[1])) ** 2).sum(axis=1))
+    own = _own(known, posterior) * np.sqrt(wider)
+    size = np.maximum(by_constants, 1e-6 * own)
+    centre = (0.5 * (posterior.lower + posterior.upper) - posterior.linear) / size
+    half = 0.5 * (posterior.upper - posterior.lower) / NORMAL_975
+    share = np.sqrt(np.maximum(half**2 - own**2, 0.0)) / size
+    known_well = by_constants < 0.1 * own
+    return Shape(
+        np.where(known_well, 0.0, (posterior.theta - posterior.linear) / size), np.where(known_well, 0.0, centre),
+        np.where(known_well, 1.0, share),
+    )  # fmt: skip
+
+
+def _root(P: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(P)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int) -> NoiseModel:
+    """Return the learnt noise as the bank can realise it: intensities as states, high bins as lines."""
+    noise = known.noise
+    levels = noise.levels
+    is_line = levels > max(LINE_LEVEL, float(np.sort(levels.max(axis=1))[-MOST_LINES - 1]))
+    usual = np.where(is_line, 1.0, levels)[: max(known.kept, 1)].mean(axis=0)
+    sigma = np.exp(noise.log_sigma) * np.sqrt(usual)
+    forces = max((s.number for s in sources if s.kind == "force"), default=-1) + 1
+    white, coloured = np.zeros(forces), []
+    nodes = noise.nodes[:, 0] if noise.is_started else np.full(len(sources), np.inf)
+    for source, intensity, first in zip(sources, noise.intensity, nodes, strict=True):
+        if intensity < PRESENT_NODES * first:
+            continue
+        if source.kind == "force" and source.pole == 0:
+            white[source.number] = intensity
+        else:
+            coloured.append(Coloured(source.kind, source.number, source.pole, float(intensity)))
+    lines = [Line(int(c), 2 * np.pi * int(k) / window) for k, c in np.argwhere(is_line) if 0 < k < window / 2]
+    return NoiseModel(sigma, white, tuple(coloured), tuple(lines))

@@ -1,0 +1,128 @@
+"""Rows of estimates with status and reason, one a hop."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.reading import Reading
+from agent.numerics.inference.posterior import Posterior
+from agent.types import Reason, Status
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+CodeArray = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Estimates at N hops.
+
+    Attributes:
+        index: (N,) newest sample of each window, counted from the run's first.
+        theta, sd, lower, upper, sd_repeat: (N, q); NaN while warming.
+        status, reason: (N, q) codes of Status and Reason.
+        window: (N, q) samples of the window that each estimate is of; 0 while warming.
+        dof: (N,) degrees of freedom of the residual.
+        others: what each of several windows says; empty where there is one.
+    """
+
+    index: IntArray
+    theta: FloatArray
+    sd: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    sd_repeat: FloatArray
+    status: CodeArray
+    reason: CodeArray
+    window: IntArray
+    dof: FloatArray
+    others: tuple["Outcome", ...] = ()
+
+    @classmethod
+    def warming(cls, index: IntArray, q: int) -> "Outcome":
+        """Return rows without estimates."""
+        shape = (len(index), q)
+        theta, sd, lower, upper, repeat = (np.full(shape, np.nan) for _ in range(5))
+        status = np.full(shape, int(Status.WARMING), dtype=np.uint8)
+        none, window = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.int64)
+        dof = np.full(len(index), np.nan)
+        return cls(index, theta, sd, lower, upper, repeat, status, none, window, dof)
+
+    @classmethod
+    def unexplained(cls, index: IntArray, q: int, reason: Reason = Reason.MISMATCH) -> "Outcome":
+        """Return rows of windows that nothing fits, or that a channel spoils."""
+        rows = cls.warming(index, q)
+        rows.status[:], rows.reason[:] = Status.INVALID, reason
+        return rows
+
+    @classmethod
+    def of(cls, reading: Reading, enough_sd: FloatArray) -> "Outcome":
+        """Return rows that hold what windows say, unexcited where it is too little."""
+        shape = reading.theta.shape
+        status = np.full(shape, int(Status.VALID), dtype=np.uint8)
+        status[~(reading.sd <= enough_sd)] = Status.UNEXCITED
+        window = np.full(shape, reading.samples, dtype=np.int64)
+        return cls(
+            reading.index, reading.theta.copy(), reading.sd.copy(), reading.lower.copy(), reading.upper.copy(),
+            reading.sd_repeat.copy(), status, np.zeros(shape, dtype=np.uint8), window,
+            reading.dof.copy(),
+        )  # fmt: skip
+
+    def copy(self) -> "Outcome":
+        """Return rows that may be changed by themselves."""
+        columns = [f.name for f in fields(self) if f.name not in ("index", "others")]
+        return replace(self, **{name: getattr(self, name).copy() for name in columns})
+
+    def write(self, row: int, posterior: Posterior, enough_sd: FloatArray) -> None:
+        """Put what a window was found to say by itself in the place of a row."""
+        for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
+            getattr(self, name)[row] = getattr(posterior, name)
+        self.status[row] = np.where(posterior.sd <= enough_sd, int(Status.VALID), int(Status.UNEXCITED))
+        self.reason[row] = Reason.NONE
+
+    def invalidate(self, row: int, reason: Reason) -> None:
+        """Mark a row invalid."""
+        self.status[row], self.reason[row] = Status.INVALID, reason
+
+    def stand_still(self, rows: NDArray[np.bool_]) -> None:
+        """Mark rows (N,) of windows in which nothing moved."""
+        self.status[rows], self.reason[rows] = Status.UNEXCITED, Reason.STANDSTILL
+
+    def lack(self, rows: NDArray[np.bool_]) -> None:
+        """Mark rows (N,) of windows that lost too many readings."""
+        self.status[rows], self.reason[rows] = Status.INVALID, Reason.GAP
+
+    def take(
+        self, rows: IntArray, wanted: NDArray[np.bool_], found: Reading, which: NDArray[np.bool_], enough: FloatArray
+    ) -> None:
+        """Take estimates of rows (k,) from another window's reading, where `wanted` (k, q); which: its k windows."""
+        for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
+            mine, other = getattr(self, name), getattr(found, name)[which]
+            mine[rows] = np.where(wanted, other, mine[rows])
+        status = np.where(found.sd[which] <= enough, int(Status.VALID), int(Status.UNEXCITED))
+        self.status[rows] = np.where(wanted, status, self.status[rows])
+        self.window[rows] = np.where(wanted, found.samples, self.window[rows])
+
+    @classmethod
+    def joined(cls, pieces: "list[Outcome]", q: int) -> "Outcome":
+        """Return rows one after the other."""
+        if len(pieces) == 1:
+            return pieces[0]
+        pieces = pieces or [cls.warming(np.zeros(0, dtype=np.int64), q)]
+        columns = [f.name for f in fields(cls) if f.name != "others"]
+        whole = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in columns}
+        count = max(len(piece.others) for piece in pieces)
+        each = [[_other(piece, k, q) for piece in pieces] for k in range(count)]
+        return replace(pieces[0], others=tuple(cls.joined(one, q) for one in each), **whole)
+
+    def part(self, start: int, stop: int) -> "Outcome":
+        """Return rows [start, stop)."""
+        columns = [f.name for f in fields(self) if f.name != "others"]
+        others = tuple(other.part(start, stop) for other in self.others)
+        return replace(self, others=others, **{name: getattr(self, name)[start:stop] for name in columns})
+
+
+def _other(piece: Outcome, number: int, q: int) -> Outcome:
+    """Return what one of several windows says in some rows; nothing where there is but one."""
+    return piece.others[number] if piece.others else Outcome.warming(piece.index, q)

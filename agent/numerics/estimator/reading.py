@@ -1,0 +1,134 @@
+"""Rows from the bank's normal equations: posterior of the parameters, and the two tests of every window."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.doubts import Found
+from agent.numerics.estimator.operating_point import OperatingPoint
+from agent.numerics.inference.mixture import NORMAL_975
+from agent.numerics.inference.noise import chance, louder
+from agent.numerics.inference.tuning import MISMATCH_SD
+from agent.numerics.window.rows import Windowed
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+FAR_SD = 3.0
+"""Sds from the point that chance alone does not reach in a window."""
+FAR_CURVATURE = 0.1
+"""Share of the sd that the neglected second-order term of a row may be."""
+FAR_SHARPEST = 0.25
+"""Sd, as a share of the parameter, beyond which a window says too little of it to move the point."""
+FARTHEST_SD = 5.0
+"""The same where sharper or longer windows placed the point: what chance does in a day does not move it."""
+POORER = 2.0
+"""Times the sd of the sharpest windows that makes a window poorer than what placed the point."""
+EVEN = 0.1
+"""Skewness of an interval, in sds, that is not kept."""
+FLAT = 1e-6
+"""Prior precision of a parameter in units of its size: within a thousand times itself."""
+SINGULAR = 1e-13
+"""Added to unit diagonals: a parameter that nothing shows has no sd to speak of, and the others theirs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What N windows of one length say.
+
+    Attributes:
+        index: (N,) newest sample.
+        theta, sd, lower, upper, sd_repeat: (N, q).
+        jump: (N,) largest statistic of a jump; 0 where none is tested.
+        excess: (N,) misfit in predictive standard deviations.
+        far: (N,) linearised too far away for its sharpness.
+        dof: (N,) degrees of freedom.
+        samples: length of the window.
+        unsolved: (N,) windows that lost too many readings.
+        found: what windows, by their newest samples, say of suspect readings.
+    """
+
+    index: IntArray
+    theta: FloatArray
+    sd: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    sd_repeat: FloatArray
+    jump: FloatArray
+    excess: FloatArray
+    far: BoolArray
+    dof: FloatArray
+    samples: int
+    unsolved: BoolArray
+    found: Mapping[int, Found]
+
+    def broken(self, threshold: float) -> BoolArray:
+        """(N,) windows that hold a change, or that nothing known explains."""
+        return np.asarray((self.jump > threshold) | (self.excess > MISMATCH_SD) | ~np.isfinite(self.sd).all(axis=1))
+
+
+def read(
+    windowed: Windowed, point: OperatingPoint, samples: int, jump_before: float = 0.0, far_sd: float = FAR_SD
+) -> Reading:
+    """Return what windows of a length say, constants and intensities as known at the operating point.
+
+    jump_before: the newest statistic of a jump before these rows, which stands until the next row that is scanned.
+    far_sd: sds from the point beyond which a window is linearised too far away.
+    """
+    normal, q = windowed.normal, len(point.theta)
+    c = normal.H.shape[1]
+    prior = np.concatenate([np.full(q, FLAT), np.ones(c - q)])
+    M = normal.H + np.diag(prior)
+    covariance = _inverse(M)
+    d = np.einsum("nij,nj->ni", covariance, normal.g)
+    own = np.diagonal(covariance, axis1=1, axis2=2)[:, :q]
+    if c > q:
+        own = np.diagonal(_inverse(M[:, :q, :q]), axis1=1, axis2=2)
+    own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
+    by_constants = point.unit * np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0))
+    theta = point.theta + point.unit * d[:, :q]
+    sharp = np.sqrt(own)
+    # the point was found by sharper windows: a poor one moves it only by what chance never does
+    least = np.where(sharp > POORER * point.sharpest, FARTHEST_SD, far_sd)
+    far = np.abs(d[:, :q]) > np.maximum(least * sharp, np.sqrt(FAR_CURVATURE * sharp))
+    far &= sharp < FAR_SHARPEST
+    rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
+    dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
+    excess = np.log(rss / dof) / chance(dof, point.unsure)
+    repeat = point.unit * np.sqrt(own * point.wider * louder(rss / dof, dof, point.unsure)[:, None])
+    shape = point.shape
+    width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
+    jump = np.full(len(rss), jump_before)
+    if windowed.jumps is not None and len(windowed.jumps.index):
+        at = np.searchsorted(windowed.index, windowed.jumps.index)
+        found = windowed.jumps.glr(d[at], covariance[at]).max(axis=1, initial=0.0)
+        found = found / (np.maximum(1.0, rss[at] / dof[at]) * point.scatter)
+        # a row that is not scanned shows what the newest one before it that was did
+        place = np.searchsorted(at, np.arange(len(rss)), side="right") - 1
+        jump = np.where(place >= 0, found[np.maximum(place, 0)], jump_before)
+    centre, half = theta + shape.centre * by_constants, NORMAL_975 * width
+    even = np.abs(shape.centre - shape.mean) * by_constants < EVEN * width
+    centre = np.where(even, theta + shape.mean * by_constants, centre)
+    return Reading(
+        windowed.index, theta + shape.mean * by_constants, width, centre - half, centre + half, repeat, jump, excess,
+        far.any(axis=1), dof, samples, windowed.unsolved, _found(windowed, d, covariance),
+    )  # fmt: skip
+
+
+def _found(windowed: Windowed, d: FloatArray, covariance: FloatArray) -> dict[int, Found]:
+    """Return what windows say of the readings that they were asked about."""
+    answers: dict[int, Found] = {}
+    for asked in windowed.asked:
+        i = int(np.searchsorted(windowed.index, asked.index))
+        places = zip(asked.sample.tolist(), asked.channel.tolist(), strict=True)
+        spread = asked.covariance + asked.slope @ covariance[i] @ asked.slope.T
+        answers[asked.index] = Found(tuple(places), asked.value + asked.slope @ d[i], spread, asked.sd)
+    return answers
+
+
+def _inverse(M: FloatArray) -> FloatArray:
+    d = 1.0 / np.sqrt(np.maximum(np.diagonal(M, axis1=1, axis2=2), 1e-300))
+    scaled = M * d[:, :, None] * d[:, None, :] + SINGULAR * np.eye(M.shape[1])
+    return np.asarray(np.linalg.inv(scaled) * d[:, :, None] * d[:, None, :])

@@ -1,0 +1,155 @@
+"""The newest samples of a segment with what was lost of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.doubts import Doubts
+from agent.numerics.inference.columns import Window, window_of
+from agent.numerics.model.uncertain import Rig
+from agent.numerics.preprocessing.bridge import Bridge, bridge_over
+from agent.numerics.window.lost import Lost
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+SPARE = 8192
+"""Samples beyond those kept that may wait before the oldest are let go."""
+
+
+class Record:
+    """Samples y (N, p), u (N, m) of one uninterrupted stretch from number `first` on, and which were filled in."""
+
+    def __init__(self, first: int, outputs: int, inputs: int, doubts: Doubts | None = None) -> None:
+        self.first, self.p = first, outputs
+        self.doubts = doubts or Doubts()
+        self._v = np.zeros((0, outputs + inputs))
+        self._lost = np.zeros((0, outputs + inputs), dtype=bool)
+
+    @property
+    def stop(self) -> int:
+        """Number after the newest sample."""
+        return self.first + len(self._v)
+
+    def append(self, y: FloatArray, u: FloatArray, lost: BoolArray | None) -> None:
+        """Take samples that follow at once; lost (N, p+m)."""
+        v = np.hstack([y, u])
+        self._v = np.concatenate([self._v, v])
+        self._lost = np.concatenate([self._lost, np.zeros(v.shape, dtype=bool) if lost is None else lost])
+
+    def outputs(self, start: int, stop: int) -> FloatArray:
+        """Return y of samples [start, stop)."""
+        return self._v[start - self.first : stop - self.first, : self.p]
+
+    def inputs(self, start: int, stop: int) -> FloatArray:
+        """Return u of samples [start, stop)."""
+        return self._v[start - self.first : stop - self.first, self.p :]
+
+    def inputs_with_slopes(self, start: int, stop: int) -> FloatArray:
+        """Return u and its change since the sample before, side by side; 0 for the stretch's first sample."""
+        u = self.inputs(start, stop)
+        before = self.inputs(start - 1, start) if start > self.first else u[:1]
+        return np.hstack([u, np.diff(u, axis=0, prepend=before)])
+
+    def lost_in(self, index: IntArray, window: int) -> IntArray:
+        """Return how many samples (N,) with lost readings the windows that end at samples `index` hold."""
+        total = np.concatenate([[0], np.cumsum(self._lost.any(axis=1))])
+        stop = index + 1 - self.first
+        return np.asarray(total[stop] - total[np.maximum(stop - window, 0)])
+
+    def changes_in(self, index: IntArray, window: int) -> IntArray:
+        """Return in how many samples (N,) of the windows that end at samples `index` some output shows another code."""
+        y = self._v[:, : self.p]
+        moved = np.concatenate([[0, 0], np.cumsum((y[1:] != y[:-1]).any(axis=1))])
+        stop = index + 1 - self.first
+        return np.asarray(moved[stop] - moved[np.maximum(stop - window + 1, 0)])
+
+    def spread_in(self, index: IntArray, window: int) -> FloatArray:
+        """Return the standard deviation (N, p) of each output over the windows that end at samples `index`."""
+        oldest = max(int(index[0]) + 1 - window - self.first, 0)
+        y = self._v[oldest : int(index[-1]) + 1 - self.first, : self.p]
+        y = y - y[0]  # sums of squares keep their digits where a displacement stands far from zero
+        sums = np.concatenate([np.zeros((1, 2 * self.p)), np.cumsum(np.hstack([y, y * y]), axis=0)])
+        stop = index + 1 - self.first - oldest
+        mean, square = np.split((sums[stop] - sums[np.maximum(stop - window, 0)]) / window, 2, axis=1)
+        return np.asarray(np.sqrt(np.maximum(square - mean**2, 0.0)))
+
+    def loses(self, start: int, stop: int) -> bool:
+        """Whether any reading of samples [start, stop) is lost."""
+        return bool(self._lost[start - self.first : stop - self.first].any())
+
+    def lost_between(self, start: int, stop: int, window: int) -> Lost:
+        """Return the lost readings of samples [start, stop), judged by the `window` samples before `stop`.
+
+        What a fill-in may be wrong by is how wrong such fill-ins are elsewhere among those samples.
+        """
+        first = max(stop - window, self.first)
+        part = slice(first - self.first, stop - self.first)
+        if not self.loses(start, stop):
+            return Lost.none()
+        bridge = bridge_over(self._v[part], self._lost[part], self.p)
+        if bridge is None:
+            return Lost.none()
+        sample = bridge.sample + first
+        sd, doubted = self._doubted(sample, bridge)
+        return Lost(sample, bridge.channel, sd, doubted).between(start, stop)
+
+    def _doubted(self, sample: IntArray, bridge: Bridge) -> tuple[FloatArray, BoolArray]:
+        """Return the prior sd (l,) of lost readings, suspect ones as wide as they are large, and which are suspect."""
+        places = zip(sample.tolist(), bridge.channel.tolist(), strict=True)
+        sizes = np.array([abs(self.doubts.size.get(place, 0.0)) for place in places])
+        return np.maximum(bridge.sd, sizes), sizes > 0
+
+    def restore(self, sample: int, taps: Sequence[tuple[int, int, float]], channel: int, change: float) -> None:
+        """Take a reading for read: `change` more than it was filled with, wherever it enters."""
+        self._lost[sample - self.first, channel] = False
+        for offset, column, weight in taps:
+            if column < self._v.shape[1] and self.first <= sample + offset < self.stop:
+                self._v[sample + offset - self.first, column] += weight * change
+
+    def resting_in(self, index: IntArray, span: int) -> BoolArray:
+        """Return which inputs (N, m) read one value in the last `span` samples before and at samples `index`."""
+        u = self._v[:, self.p :]
+        moved = np.concatenate([np.zeros((1, u.shape[1]), dtype=int), np.cumsum(u[1:] != u[:-1], axis=0)])
+        stop = index - self.first
+        known = (stop - span + 1 >= 0)[:, None]
+        return np.asarray(known & (moved[stop] == moved[np.maximum(stop - span + 1, 0)]))
+
+    def newest_input(self, index: int, number: int) -> float:
+        """Return what an input read at a sample."""
+        return float(self._v[index - self.first, self.p + number])
+
+    def late(self, newest: int, length: int, channel: int, lag: int, rig: Rig) -> Window | None:
+        """Return the window of `length` samples that ends with number `newest` - lag, a channel read `lag` later.
+
+        None where samples of it are not kept, or lost.
+        """
+        start, stop = newest + 1 - lag - length, newest + 1 - lag
+        before = start - 1 - self.first
+        if before < 0 or self._lost[before : stop + lag - self.first].any():
+            return None
+        v = self._v[before : stop - self.first].copy()
+        columns = [channel] if channel < self.p else (self.p + rig.taps_of(channel - self.p)).tolist()
+        v[:, columns] = self._v[before + lag : stop + lag - self.first, columns]
+        return window_of(v[1:, : self.p], v[1:, self.p :], v[0, self.p :])
+
+    def window(self, newest: int, length: int) -> Window:
+        """Return the window of `length` samples that ends with number `newest`."""
+        start, stop = newest + 1 - length, newest + 1
+        before = self.inputs(start - 1, start)[0] if start > self.first else None
+        whole = window_of(self.outputs(start, stop), self.inputs(start, stop), before)
+        part = slice(start - self.first, stop - self.first)
+        bridge = bridge_over(self._v[part], self._lost[part], self.p)
+        if bridge is None:
+            return whole
+        lost = np.column_stack([bridge.sample, bridge.channel])
+        return Window(whole.y, whole.u, whole.slope, lost, self._doubted(bridge.sample + start, bridge)[0])
+
+    def trim(self, keep: int) -> None:
+        """Let go of samples older than the newest `keep`, now and then."""
+        spare = len(self._v) - keep
+        if spare > keep + SPARE:
+            self._v, self._lost = self._v[spare:].copy(), self._lost[spare:].copy()
+            self.first += spare
+            self.doubts.trim(self.first)

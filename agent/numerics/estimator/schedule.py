@@ -1,0 +1,77 @@
+"""When a window is learnt from, and when a broken one is tried again; all counted in samples, so replay agrees."""
+
+from dataclasses import dataclass
+
+EAGER = 32
+"""Windows learnt from one after another before learning becomes seldom."""
+SELDOM = 32
+"""Windows between two that are learnt from, at the most."""
+TRIES = 8
+"""Tries a window length to solve windows that are broken."""
+AGAIN = 3
+"""Windows within which parameters that change twice are rather pushed by forces that nobody measures."""
+LASTS = 1.5
+"""Windows that one change is in the way at the most; what lasts longer may be forces that began."""
+
+
+@dataclass(slots=True)
+class Schedule:
+    """When to learn: from every window at first, then ever more seldom."""
+
+    window: int
+    learnt: int = 0
+    due: int = 0
+    tried: int = 0
+
+    def done(self, index: int) -> None:
+        """Note that the window ending at sample `index` was learnt from."""
+        self.learnt, self.tried = self.learnt + 1, index
+        doublings = max(0, self.learnt - EAGER) // 8
+        self.due = index + self.window * min(2**doublings, SELDOM)
+
+    def later(self, index: int) -> None:
+        """Try again a quarter of a window on."""
+        self.tried = index
+        self.due = index + max(1, self.window // 4)
+
+    def follow(self, index: int) -> None:
+        """Learn soon: something changed."""
+        self.learnt = min(self.learnt, EAGER)
+        self.due = index + self.window
+
+
+@dataclass(slots=True)
+class Disturbance:
+    """A stretch of broken rows: since which sample, None outside of one; `again`: the sample it is next tried at."""
+
+    onset: int | None = None
+    again: int = -(1 << 60)
+    ended: int = -(1 << 60)
+    changed: int = -(1 << 60)
+
+    def at(self, index: int) -> None:
+        """Note a broken row."""
+        if self.onset is None:
+            self.onset = index
+
+    def is_more_than_a_change(self, index: int, window: int) -> bool:
+        """Note that other parameters fit; return whether it took longer than one change, or came too soon after one."""
+        before, self.changed = self.changed, index
+        return index - before < AGAIN * window or index - (self.onset or index) > LASTS * window
+
+    def tried(self, index: int, window: int) -> None:
+        """Note a try at sample `index`."""
+        self.again = index + max(1, window // TRIES)
+
+    def wait(self, until: int) -> None:
+        """Let sample `until` pass before the next try."""
+        self.again = max(self.again, until)
+
+    def since(self, index: int) -> bool:
+        """Whether rows after sample `index` were broken."""
+        return self.onset is not None or self.ended > index
+
+    def over(self, index: int) -> None:
+        """Note a row that holds."""
+        if self.onset is not None:
+            self.onset, self.ended = None, index

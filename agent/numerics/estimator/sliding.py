@@ -1,0 +1,310 @@
+"""The product's estimator: samples in, one row of estimates a hop.
+
+    hop -> row          from the streaming bank, at the operating point
+    window -> learn     noise, constants and the point itself, on disjoint windows, ever more seldom
+    broken row -> solve about the window itself: the parameters changed, or the noise did, or the model does not hold
+    budget              what all of this may cost beside the rows
+
+The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one likelihood.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.doubts import Found
+from agent.numerics.estimator.explainer import Explainer
+from agent.numerics.estimator.faults import Finding
+from agent.numerics.estimator.look_ahead import LookAhead, Ready
+from agent.numerics.estimator.operating_point import taps_of
+from agent.numerics.estimator.outcome import Outcome
+from agent.numerics.estimator.reading import FAR_SD, FARTHEST_SD, Reading, read
+from agent.numerics.estimator.record import Record
+from agent.numerics.estimator.schedule import TRIES
+from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.estimator.windows import chosen, clean
+from agent.numerics.inference import tuning
+from agent.numerics.inference.verdicts import Belief
+from agent.numerics.window.rows import BankRows
+from agent.types import Reason
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+RETRY = 4
+"""Tries a window length to find a first window that fits."""
+MOST_LOST = 0.1
+"""Share of a window's samples that may have lost readings; beyond it a window says too little for what it costs."""
+
+
+class SlidingEstimator:
+    """Sliding-window maximum a-posteriori estimation over a stream; the same however the stream is cut."""
+
+    def __init__(self, settings: EstimatorSettings, budget: Budget | None = None) -> None:
+        self.settings = settings
+        self.explainer = Explainer(settings, budget or Budget(settings.plan.window))
+        self._ahead = LookAhead(settings.rig)
+        self._record: Record | None = None
+        self._jump = 0.0
+        self._spikes = 0
+        self._centred_at = -(1 << 60)
+
+    @property
+    def spikes(self) -> int:
+        """Samples so far of which nothing but an input was taken for a spike."""
+        return self._spikes
+
+    def knowledge(self) -> str | None:
+        """Return what was learnt, as JSON text; None before enough windows have been learnt from."""
+        return self.explainer.knowledge()
+
+    def adopt(self, content: str) -> None:
+        """Begin with what an earlier run learnt, where it is of the same rig and window."""
+        self.explainer.adopt(content)
+
+    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
+        """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
+        return self.explainer.take_beliefs()
+
+    def hurry(self) -> None:
+        """Do nothing but rows from now on: no fit, no search."""
+        self.explainer.budget.close()
+
+    def take_findings(self) -> list[Finding]:
+        """Return which faults of channels began or ended since the last call."""
+        return self.explainer.faults.take()
+
+    def start_segment(self) -> None:
+        """Forget the samples before a gap; what was learnt stays."""
+        self._record = None
+        self._ahead.forget()
+        self.explainer.interrupted()
+
+    def step(
+        self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
+        suspect: BoolArray | None = None,
+    ) -> Outcome:  # fmt: skip
+        """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end.
+
+        missing (N, p+m): readings (outputs, then inputs) that were filled in. suspect (N, p+m): inputs that may be
+        spikes: they count as lost, and the motion says which of them were.
+        """
+        u = self.explainer.doubts.replaced(index, u, suspect, y.shape[1])
+        ready = self._ahead.step(index, y, u, missing, suspect)
+        return self._rows(ready) if len(ready.y) else Outcome.joined([], self.settings.rig.q)
+
+    def _rows(self, ready: Ready) -> Outcome:
+        """Take complete samples; return the rows they end."""
+        index, y, u = ready.index, ready.y, ready.u
+        missing = _lost(ready.missing, ready.suspect, u.shape[1] + y.shape[1])
+        plan, q = self.settings.plan, self.settings.rig.q
+        if self._record is None:
+            self._record = Record(index, y.shape[1], u.shape[1], self.explainer.doubts)
+            self._whole = -(-index // plan.hop) * plan.hop + plan.window - 1
+        record = self._record
+        record.append(y, u, missing)
+        due = plan.rows_between(index, index + len(y))
+        pieces = [Outcome.warming(due[due < self._whole], q)]
+        while not self.explainer.bank.is_running and record.stop > self._whole:
+            first, begun = self._whole, self._begin(record)
+            if not begun:
+                self._whole += -(-plan.window // (RETRY * plan.hop)) * plan.hop
+                passed = due[(due >= first) & (due < self._whole)]
+                unexplained = Outcome.unexplained(passed, q, self.explainer.faults.reason or Reason.MISMATCH)
+                newest = np.minimum(passed, record.stop - 1)
+                unexplained.lack(self._hollow(record, newest))
+                unexplained.stand_still(self._still(record, newest))
+                pieces.append(unexplained)
+        while (batch := self.explainer.bank.next(record)) is not None:
+            pieces.append(self._settled(record, batch))
+        record.trim(max(self.settings.windows) + plan.window + plan.hop + 1)
+        return Outcome.joined([piece for piece in pieces if len(piece.index)], q)
+
+    def _begin(self, record: Record) -> bool:
+        """Start rows at a segment's first whole window; False where it says nothing, or nothing fits it."""
+        at = np.array([self._whole])
+        if self._hollow(record, at)[0] or self._still(record, at)[0]:
+            return False
+        return self.explainer.begin(record, self._whole)
+
+    # ------------------------------------------------------------------ the rows
+    def _settled(self, record: Record, batch: BankRows) -> Outcome:
+        """Read a batch of rows and act at the first that asks for it; later rows of the batch are then void."""
+        windowed, point, plan = batch.windows[0], self.explainer.bank.point, self.settings.plan
+        if windowed is None or point is None:
+            return Outcome.warming(batch.index, self.settings.rig.q)
+        far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
+        reading = read(windowed, point, plan.window, self._jump, far_sd)
+        hollow = self._hollow(record, reading.index) | reading.unsolved
+        still = self._still(record, reading.index)
+        frozen = self.explainer.faults.frozen_in(record, reading.index, still)
+        broken = (reading.broken(self.explainer.learner.threshold) | hollow) & ~still | frozen
+        sound = ~broken & ~still
+        assert self.explainer.known is not None  # noqa: S101 - known since the first window
+        agrees = self.explainer.faults.agrees(reading, self.explainer.known)
+        rows = Outcome.of(reading, self.settings.enough_sd)
+        ended = np.empty(len(rows.index), dtype=np.int64)
+        stop, position, marked, moved = len(reading.index), 0, 0, False
+        while position < stop:
+            if self.explainer.faults.is_active:
+                broken[position] |= sound[position] and not agrees[position]  # biased by a channel, though it fits
+            else:
+                position = self._first_event(reading, broken & ~hollow, hollow | still, position)
+            # what is done at a row depends on the rows before it, however many of them came at once
+            self._mark(record, rows, range(marked, position), broken, hollow, still, ended)
+            marked = position
+            if position < stop and frozen[position]:
+                self.explainer.faults.freeze(record, int(reading.index[position]))
+            elif position < stop and self._meet(record, reading, position, broken, hollow | still):
+                stop, moved = position, True
+            position += 1
+        self._mark(record, rows, range(marked, stop), broken, hollow, still, ended)
+        if self.settings.longer:
+            longer = [
+                None if windowed is None else read(windowed, point, samples)
+                for samples, windowed in zip(self.settings.longer, batch.windows[1:], strict=True)
+            ]
+            stop = stop if moved else self._centred(record, rows, longer, broken, ended, stop)
+            rows = chosen(rows.part(0, stop), longer, broken[:stop], ended[:stop], self.settings)
+        else:
+            rows = rows.part(0, stop)
+        rows.stand_still((still & ~frozen)[:stop])
+        self.explainer.faults.rested(record, reading.index[:stop][sound[:stop]])
+        if moved:
+            self._jump = 0.0  # what jumped did so about another point
+        elif stop:
+            self._jump = float(reading.jump[stop - 1])
+        return rows
+
+    def _still(self, record: Record, index: IntArray) -> BoolArray:
+        """(N,) windows that end at samples `index` which teach nothing: codes rest, or show nothing but noise."""
+        window, known = self.settings.plan.window, self.explainer.known
+        rests = np.asarray(record.changes_in(index, window) < min(tuning.LEAST_CHANGES, window // 8))
+        if known is None or not known.noise.is_started or not len(index):
+            return rests
+        chance = 1 + tuning.STANDSTILL_SD * np.sqrt(0.5 / window)  # of a standard deviation from so many samples
+        quiet = record.spread_in(index, window) < chance * self.explainer.learner.spread(known.noise)
+        return np.asarray(rests | quiet.all(axis=1))
+
+    def _hollow(self, record: Record, index: IntArray) -> BoolArray:
+        """(N,) windows that end at samples `index` and lost too many readings to say anything."""
+        window = self.settings.plan.window
+        return np.asarray(record.lost_in(index, window) > MOST_LOST * window)
+
+    def _decide(self, record: Record, reading: Reading, i: int, broken: bool) -> bool:
+        """Tell spikes from blows among the suspect inputs due at a row; return whether the bank runs again."""
+        newest = int(reading.index[i])
+        self.explainer.doubts.lapse(newest - self.settings.plan.window)
+        due = self.explainer.doubts.due(newest, self.settings.plan.window)
+        if not due:
+            return False
+        found = self._found(record, newest) if broken else reading.found.get(newest, Found.nothing())
+        refused, confirmed = self.explainer.doubts.decide(due, found)
+        self._spikes += refused
+        for (sample, channel), change in confirmed.items():
+            entries = taps_of(self.settings.rig, self.settings.outputs, slopes=False)[channel]
+            record.restore(sample, entries, channel, change)
+        if confirmed:
+            self.explainer.bank.run_again(record, newest)
+        return bool(confirmed)
+
+    def _found(self, record: Record, newest: int) -> Found:
+        """Return what the window that ends with a sample says of its suspect inputs, about itself."""
+        known = self.explainer.known
+        assert known is not None  # noqa: S101 - known since the first window
+        whole, moved = self.explainer.window(record, newest)
+        values, covariance = self.explainer.learner.lost_readings(whole, known, moved)
+        start = newest + 1 - whole.length
+        places = tuple((start + row, channel) for row, channel in whole.lost.tolist())
+        return Found(places, values + moved, covariance, whole.lost_sd)
+
+    def _centred(
+        self, record: Record, rows: Outcome, longer: list[Reading | None], broken: BoolArray, ended: IntArray, stop: int
+    ) -> int:
+        """Move the point to what the longest window says that is too sharp for it; return how many rows stand."""
+        for found in reversed(longer):
+            if found is None:
+                continue
+            at, use = clean(found, rows.index[:stop], broken[:stop], ended[:stop])
+            far = np.flatnonzero(use & found.far & (found.index >= self._centred_at + found.samples // TRIES))
+            if len(far):
+                newest = int(found.index[far[0]])
+                self._centred_at = newest
+                if self.explainer.centre(record, newest, found.theta[far[0]]):
+                    return int(at[far[0]])
+        return stop
+
+    def _first_event(self, reading: Reading, broken: BoolArray, hollow: BoolArray, start: int) -> int:
+        """Return the first row from `start` on at which something is to be done; the number of rows if none."""
+        events = self._calls(reading, broken, hollow)
+        decision = self.explainer.doubts.first_due(self.settings.plan.window)
+        if decision is not None:
+            events |= (reading.index >= decision) & ~hollow
+        events = events[start:]
+        return start + int(np.argmax(events)) if events.any() else len(reading.index)
+
+    def _calls(self, reading: Reading, broken: BoolArray, hollow: BoolArray) -> BoolArray:
+        """(N,) rows that ask for their window to be learnt from or solved."""
+        index = reading.index
+        sound = ~broken & ~hollow
+        due = self.explainer.due(reading) & sound
+        return np.asarray(due | ((broken | (reading.far & sound)) & (index >= self.explainer.disturbance.again)))
+
+    def _meet(self, record: Record, reading: Reading, i: int, broken: BoolArray, hollow: BoolArray) -> bool:
+        """Do what a row asks for; return whether the bank moved or runs again."""
+        if self._decide(record, reading, i, bool(broken[i])):
+            return True
+        calls = self._calls(reading, broken & ~hollow, hollow)
+        return bool(calls[i]) and self._act(record, reading, i, broken)
+
+    def _mark(
+        self,
+        record: Record,
+        rows: Outcome,
+        which: range,
+        broken: BoolArray,
+        hollow: BoolArray,
+        still: BoolArray,
+        ended: IntArray,
+    ) -> None:
+        """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.
+
+        ended (N,) is filled with the sample at which the last stretch of broken rows before each of them ended.
+        """
+        for i in which:
+            index = int(rows.index[i])
+            if broken[i]:
+                self.explainer.disturbance.at(index)
+                if index in self.explainer.lines:
+                    rows.write(i, self.explainer.lines.pop(index), self.settings.enough_sd)
+                    ended[i] = self.explainer.disturbance.ended
+                    continue
+                lasting = index - (self.explainer.disturbance.onset or 0) > self.settings.plan.window
+                reason = self.explainer.faults.reason or (Reason.MISMATCH if lasting else Reason.CHANGING)
+                rows.invalidate(i, Reason.GAP if hollow[i] else reason)
+            else:
+                self.explainer.disturbance.over(index)
+                if not still[i] and not self.explainer.faults.is_frozen(record, index):
+                    self.explainer.faults.over(index)
+                if self.explainer.posterior is not None and self.explainer.posterior.rubs:
+                    rows.invalidate(i, Reason.DRY_FRICTION)
+            ended[i] = self.explainer.disturbance.ended
+
+    def _act(self, record: Record, reading: Reading, i: int, broken: BoolArray) -> bool:
+        """Learn from a row's window, or solve it; return whether the bank moved."""
+        newest = int(reading.index[i])
+        due = newest >= self.explainer.disturbance.again
+        if broken[i]:
+            return due and self.explainer.explain(record, newest)
+        if self.explainer.due(reading)[i]:
+            return self.explainer.learn(record, reading, i)
+        return bool(reading.far[i]) and due and self.explainer.relinearise(record, newest)
+
+
+def _lost(missing: BoolArray | None, suspect: BoolArray | None, width: int) -> BoolArray | None:
+    """Return (N, width) what counts as lost; the constant input never does."""
+    marks = [mask for mask in (missing, suspect) if mask is not None]
+    if not marks:
+        return None
+    lost = np.logical_or.reduce(marks)
+    return np.asarray(np.pad(lost, ((0, 0), (0, width - lost.shape[1]))))

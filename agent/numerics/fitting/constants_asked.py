@@ -1,0 +1,177 @@
+"""Which one constant of one channel, left free, would explain readings: its zero, its scale or its delay."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import log
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from agent.numerics.fitting.fit import Problem, fit_window, sized
+from agent.numerics.fitting.skew import Group, SkewMeter
+from agent.numerics.inference.columns import window_of
+from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
+from agent.numerics.model.statespace import Hold, Model
+from agent.numerics.preprocessing.noise import sensor_noise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Kind = Literal["offset", "scale", "delay"]
+TINY = 1e-3
+"""Of an output's rms: smaller differences are nobody's fault."""
+WIDE = 50.0
+"""Log likelihood by which a constant must beat the readings as they are."""
+STILL = 5.0
+"""An output that does not rise over so many times its noise tells nothing."""
+FITS = 1.5
+"""Times the noise that a scale or a delay may leave: one that leaves more may as well be something else."""
+NEAR = 1.1
+"""Constants that leave no more than this many times what the best one leaves cannot be told from it."""
+MARGIN = 50
+"""Samples at either end that delays are looked for within."""
+SMALLEST = {"offset": 0.0, "scale": log(1.03), "delay": 0.25}
+"""Least size worth a word: any offset, 3 % (three times the data sheet's sd), a quarter of a sample."""
+
+
+class Asked(NamedTuple):
+    """What a channel is asked to be wrong by.
+
+    kind, channel: which constant of which channel, inputs first; size: SI, factor, or s; share: (p,) of each output
+    that is left; theta: the model's own parameters.
+    """
+
+    kind: Kind
+    channel: int
+    size: float
+    share: FloatArray
+    theta: FloatArray
+
+    @property
+    def left(self) -> float:
+        """Share left, geometric mean over the outputs."""
+        return float(np.exp(np.mean(np.log(np.maximum(self.share, 1e-12)))))
+
+
+@dataclass(frozen=True)
+class ConstantsAsked:
+    """Leaves each constant of each channel free in turn.
+
+    Attributes: those of `wiring.Examiner` of the same names.
+    """
+
+    model: Model
+    inputs: int
+    period_s: float
+    hold: Hold
+    sigma: FloatArray
+    push: FloatArray
+    scale: FloatArray
+    scale_column: IntArray | None
+    lower: FloatArray
+    complete: Callable[[FloatArray, FloatArray], FloatArray]
+
+    def find(self, v: FloatArray) -> tuple[float, Sequence[Asked]]:
+        """Return what readings v (N, c), inputs first, leave as they are, and what explains them, the best first."""
+        u, y = v[:, : self.inputs], v[:, self.inputs :]
+        noise = np.maximum(sensor_noise(y), 1e-12 * np.abs(y).max(axis=0) + 1e-300)
+        rms = np.maximum(np.sqrt(np.mean(y**2, axis=0)), 1e-300)
+        if not np.any(y.std(axis=0) > STILL * noise):
+            return np.nan, ()
+        with np.errstate(all="ignore"):  # of a model far from its rig the first fit is no number
+            try:
+                plain = self._fitted(self.model, self.scale, self.lower, self.model.nominal, y, self.complete(y, u))
+            except (ValueError, np.linalg.LinAlgError):
+                return np.nan, ()
+        before = float(np.exp(np.mean(np.log(np.maximum(plain[0], 1e-12)))))
+        fits = np.maximum(FITS * noise / rms, TINY)
+        if np.all(plain[0] <= fits):
+            return before, ()
+        asked = [one for one in self._each(v) if one.kind == "offset" or np.all(one.share <= fits)]
+        # twice the log likelihood ratio of white residuals whose sds are not known
+        better = [one for one in asked if len(y) * np.sum(np.log(plain[0] / one.share)) > 2 * WIDE]
+        better = [one for one in better if 2 * one.left < before]
+        better.sort(key=lambda one: one.left)
+        return before, tuple(one for one in better if one.left <= NEAR * better[0].left)
+
+    def _each(self, v: FloatArray) -> Iterator[Asked]:
+        for channel in range(v.shape[1]):
+            for attempt in (self._offset, self._scale, self._delay):
+                with np.errstate(all="ignore"):  # what a wrong hypothesis does to a fit is its own affair
+                    try:
+                        one = attempt(v, channel)
+                    except (ValueError, np.linalg.LinAlgError):
+                        continue
+                if one is not None and np.all(np.isfinite(one.share)):
+                    yield one
+
+    def _offset(self, v: FloatArray, channel: int) -> Asked | None:
+        share, theta = self._free("bias", v, channel)
+        return Asked("offset", channel, float(theta[-1]), share, theta[:-1])
+
+    def _scale(self, v: FloatArray, channel: int) -> Asked | None:
+        share, theta = self._free("gain", v, channel)
+        # an input's gain is what it is to be multiplied by, an output's what it was multiplied by
+        factor = float(1.0 / theta[-1] if channel < self.inputs else theta[-1])
+        if not factor > 0 or abs(log(factor)) < SMALLEST["scale"]:
+            return None
+        return Asked("scale", channel, factor, share, theta[:-1])
+
+    def _delay(self, v: FloatArray, channel: int) -> Asked | None:
+        y = v[:, self.inputs :]
+        group = Group((channel,), ()) if channel < self.inputs else Group((), (channel - self.inputs,))
+        meter = SkewMeter(
+            self.model, (group,), self.inputs, self.period_s, self.hold, self.push, self._noise(y), self.scale,
+            self.scale_column, self.lower,
+        )  # fmt: skip
+        spline, at = CubicSpline(np.arange(len(v)), v[:, channel]), np.arange(MARGIN, len(v) - MARGIN)
+
+        def resampled(delays: FloatArray) -> FloatArray:
+            moved = v[MARGIN:-MARGIN].copy()
+            moved[:, channel] = spline(at + np.clip(delays[0] / self.period_s, -MARGIN, MARGIN))
+            outputs = moved[:, self.inputs :]
+            return np.hstack([outputs, self.complete(outputs, moved[:, : self.inputs])])
+
+        found = meter.measure(resampled, np.zeros(1), self.model.nominal)
+        late = float(found.delay_s[0])
+        if not found.sure or abs(late) / self.period_s < SMALLEST["delay"]:
+            return None
+        share = self._fitted_columns(resampled(found.delay_s), found.theta)
+        return Asked("delay", channel, late, share, found.theta)
+
+    def _noise(self, y: FloatArray) -> FloatArray:
+        """(p,) what residuals are weighed by: no output more than a thousand times its size."""
+        rms = np.sqrt(np.mean(y**2, axis=0))
+        return np.asarray(np.maximum(sensor_noise(y), TINY * rms + 1e-300))
+
+    def _free(self, kind: Literal["bias", "gain"], v: FloatArray, channel: int) -> tuple[FloatArray, FloatArray]:
+        u, y = v[:, : self.inputs], v[:, self.inputs :]
+        side, number = ("input", channel) if channel < self.inputs else ("output", channel - self.inputs)
+        inner = self.model.model if isinstance(self.model, SensedModel) else self.model
+        known = self.model.nuisances if isinstance(self.model, SensedModel) else ()
+        if any((n.kind, n.side, n.number) == (kind, side, number) for n in known):
+            raise ValueError("it is estimated already")
+        asked = Nuisance(f"asked {kind}", kind, side, number)  # type: ignore[arg-type]
+        model = SensedModel(inner, (*known, asked))
+        size = 1.0 if kind == "gain" else max(float(np.std(v[:, channel])), 1e-300)
+        u = with_constant(self.complete(y, u), model.continuous(model.nominal).m)
+        scale, lower = np.append(self.scale, size), np.append(self.lower, -np.inf)
+        return self._fitted(model, scale, lower, model.nominal, y, u)
+
+    def _fitted(
+        self, model: Model, scale: FloatArray, lower: FloatArray, start: FloatArray, y: FloatArray, u: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the share (p,) left of each output, and the parameters there."""
+        column = self.scale_column
+        if column is not None and len(column) < len(scale):
+            column = np.append(column, np.zeros(len(scale) - len(column), dtype=np.int64))
+        size = sized(scale, column, np.hstack([y, u]))
+        problem = Problem(model, self.period_s, self.hold, self._noise(y), self.push, size, lower)
+        fit = fit_window(problem, window_of(y, u), start, max_steps=10, tolerance=0.1)
+        return np.sqrt(fit.left / np.maximum(np.sum(y**2, axis=0), 1e-300)), fit.theta
+
+    def _fitted_columns(self, columns: FloatArray, theta: FloatArray) -> FloatArray:
+        p = len(self.sigma)
+        y, u = columns[:, :p], columns[:, p:]
+        return self._fitted(self.model, self.scale, self.lower, theta, y, u)[0]

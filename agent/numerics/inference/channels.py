@@ -1,0 +1,386 @@
+"""A contest of explanations: did the parameters change, or does one channel read wrongly?
+
+All are put to one window by evidence (Schwarz, Ann. Stat. 6 (1978) 461), 2 log L − k log ν, under the noise known:
+
+    structure    θ as it was, free, one of its elements free, or free with a jump inside the window
+    channel      θ ~ N(as it was, sd²), and one channel mended by one number: offset, gain or delay
+
+At given θ the window is linear in the readings, so the column of an offset is a constant, that of a gain the reading
+itself; that of a delay is the change a sample. A number found so is mended in the readings and the window looked at
+again, until it rests: what counts is the evidence of the mended window.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.algebra import inverse
+from agent.numerics.inference.bins import unitary
+from agent.numerics.inference.columns import Regressor, Window
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.linearise import Linearised
+from agent.numerics.inference.noise import chance
+from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.model.uncertain import Rig
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Kind = Literal["offset", "gain", "delay", "stood"]
+Late = Callable[[int, int], Window | None]
+"""(channel, lag) -> the window in which a channel's readings are moved back by so many samples; None where not whole"""
+RESTS_SD, RESTS_SAMPLES = 0.3, 0.6
+"""Sds of an offset or a gain, samples of a delay, below which what is left of it is not mended further."""
+FLAT = 1e-6
+"""Prior precision of a free parameter: within a thousand times itself."""
+LEAST_FACTOR = 1e-9
+"""A gain that would mend a reading by less than this has no reading left."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What one channel does wrong.
+
+    Attributes:
+        channel: outputs first, then inputs.
+        kind: what it does;  size, sd: how much: what is read too much (SI), a share, samples; the value it stood at.
+    """
+
+    channel: int
+    kind: Kind
+    size: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """One explanation of a window.
+
+    Attributes:
+        fault: None where it is the structure.
+        evidence: log of the marginal likelihood, but for what all have in common.
+        excess: predictive standard deviations by which what it leaves is too large.
+    """
+
+    fault: Fault | None
+    evidence: float
+    excess: float
+
+    @property
+    def explains(self) -> bool:
+        """Whether what it leaves is like the noise: no more, and no less."""
+        return abs(self.excess) <= tuning.EXPLAINED_SD
+
+
+@dataclass(frozen=True, slots=True)
+class Contest:
+    """The explanations of a window: the best by the structure, and the best of each channel, best first."""
+
+    structure: Explanation
+    channels: tuple[Explanation, ...]
+
+    @property
+    def fault(self) -> Fault | None:
+        """What is believed of a channel: it explains the window, and nothing else does nearly as well."""
+        if not self.channels or not self.channels[0].explains:
+            return None
+        best, others = self.channels[0], [self.structure, *self.channels[1:2]]
+        clear = all(best.evidence - other.evidence > tuning.CHANNEL_EVIDENCE for other in others)
+        return best.fault if clear else None
+
+    @property
+    def leads(self) -> Fault | None:
+        """The fault that explains the window better than the structure does, be it by little; None where none does."""
+        explain = [e for e in self.channels if e.explains]
+        best = explain[0] if explain else None
+        return best.fault if best is not None and best.evidence > self.structure.evidence else None
+
+    def with_stood(self, one: Explanation) -> "Contest":
+        """Return the contest with an input that is not believed as one more explanation."""
+        return replace(self, channels=_best_of_each([*self.channels, one]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """Precision R (k, k) of columns, R times their means b (k,), and meansᵀ R means."""
+
+    R: FloatArray
+    b: FloatArray
+    constant: float
+
+
+class ChannelTest:
+    """Weighs explanations of windows of one rig."""
+
+    def __init__(self, learner: Learner) -> None:
+        self._learner, self._rig = learner, learner.rig
+        self._inputs = np.flatnonzero(learner.rig.driven).tolist()
+
+    def contest(
+        self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray, late: Late, everything: bool = False
+    ) -> Contest:
+        """Weigh a window; known: what held before, sd (q,) of its θ; solved (q,): θ where the window came to rest."""
+        there = self._learner.at_point(window, replace(known, theta=solved), jumps=True)
+        before = self._learner.at_point(window, known)
+        structure = max((self._structure(at, known, sd) for at in (before, there)), key=lambda e: e.evidence)
+        # linear evidences are of one scale: what is far behind is not mended
+        first = list(self._looked(before, window, known, sd))
+        least = min((value for _, value in first), default=0.0)
+        worth = [
+            fault for fault, value in first if everything or value - least < 2 * tuning.WORTH_MENDING * _temper(known)
+        ]
+        found = [e for fault in worth if (e := self._mended(fault, known, sd, late)) is not None]
+        contest = Contest(structure, _best_of_each(found))
+        if contest.leads is None:
+            return contest
+        return replace(contest, structure=self._noisier(window, known, solved, contest))
+
+    def _noisier(self, window: Window, known: Knowledge, solved: FloatArray, contest: Contest) -> Explanation:
+        """The structure with other noise or unknown forces, where that explains a window better."""
+        options = [contest.structure]
+        for theta in (solved, known.theta):
+            there = replace(known, theta=theta)
+            noisier = replace(there, noise=self._learner.other_noise(window, there))
+            at = self._learner.at_point(window, noisier)
+            free = self._under_prior(at, known, np.full(self._rig.q, FLAT), self._rig.q)
+            options.append(replace(free, evidence=free.evidence - tuning.NOISE_PRICE))
+        return max(options, key=lambda e: e.evidence)
+
+    # ------------------------------------------------------------------ the structure
+    def _structure(self, at: Linearised, known: Knowledge, sd: FloatArray) -> Explanation:
+        layout, dof = at.regression.layout, self._dof(at)
+        q, nb = self._rig.q, layout.base
+        flat = np.full(q, FLAT)
+        held = (at.unit / sd) ** 2
+        base = list(range(nb))
+        options = [(base, held, 0), (base, flat, q)]
+        options += [(base, np.where(np.arange(q) == i, flat, held), 1) for i in range(q)]
+        for cut in range(layout.cuts):
+            t = layout.jump(cut)
+            options.append(([*base, *range(t.start, t.stop)], flat, 2 * q))
+            options += [([*base, t.start + i], np.where(np.arange(q) == i, flat, held), 2) for i in range(q)]
+        best = (-np.inf, np.inf)
+        for columns, precision, count in options:
+            prior = self._prior(at, known, precision, len(columns) - nb)
+            rss, _, _ = _fit(at.G[np.ix_([*columns, -1], [*columns, -1])], prior)
+            best = max(best, (-0.5 * rss / _temper(known) - 0.5 * count * np.log(dof), self._excess(rss, dof, known)))
+        return Explanation(None, best[0] - self._spread_of_noise(at), best[1])
+
+    # ------------------------------------------------------------------ the channels
+    def _looked(
+        self, at: Linearised, window: Window, known: Knowledge, sd: FloatArray
+    ) -> Iterator[tuple[Fault, float]]:
+        """Yield each fault at its linear size, with what it leaves."""
+        p = self._learner.p
+        kinds: tuple[Kind, ...] = ("offset", "gain", "delay")
+        faults = [(channel, kind) for channel in (*range(p), *(p + j for j in self._inputs)) for kind in kinds]
+        columns = np.stack([self._column(at, window, known, *fault) for fault in faults], axis=2)
+        for (channel, kind), found in zip(faults, self._with(at, known, sd, columns), strict=True):
+            if found is not None:
+                yield Fault(channel, kind, found[1], found[2]), found[0]
+
+    def _with(
+        self, at: Linearised, known: Knowledge, sd: FloatArray, more: ComplexArray
+    ) -> Iterator[tuple[float, float, float] | None]:
+        """Yield what is left with one of the columns (kept, p, f), its size and its sd; None where nothing shows it."""
+        nb = at.regression.layout.base
+        G = at.cells.gram(at.Si, np.concatenate([at.regression.X[..., :nb], more, at.regression.X[..., -1:]], axis=2))
+        G[-1, -1] = at.G[-1, -1]
+        prior = self._prior(at, known, (at.unit / sd) ** 2, 1)
+        for i in range(nb, len(G) - 1):
+            columns = [*range(nb), i, -1]
+            if G[i, i] <= 0:
+                yield None
+                continue
+            rss, fit, V = _fit(G[np.ix_(columns, columns)], prior)
+            yield rss, float(fit[-1]), float(np.sqrt(V[-1, -1]))
+
+    def _column(self, at: Linearised, window: Window, known: Knowledge, channel: int, kind: Kind) -> ComplexArray:
+        """(kept, p) what the residual holds where a channel reads 1 too little, 1/2 of what it should, 1 late."""
+        response, p = at.cells.response, self._learner.p
+        kept = response.bins.kept
+        regressor = Regressor(self._rig, response, self._learner.sources, known.eta)
+        if channel < p:
+            out = np.zeros((kept, p), dtype=complex)
+            out[:, channel] = self._signal(at, regressor, window, kind, channel)
+            return out
+        change = window.slope if kind == "delay" else window.u if kind == "gain" else np.ones_like(window.u)
+        taps = self._rig.taps_of(channel - p)
+        U = unitary(change[:, taps])[:kept] * regressor.input_gain[taps]
+        driven = [response.driven(int(j), U[:, i]) for i, j in enumerate(taps)]
+        return np.asarray(np.sum(driven, axis=0) * regressor.output_gain)
+
+    def _signal(self, at: Linearised, regressor: Regressor, window: Window, kind: Kind, channel: int) -> ComplexArray:
+        """(kept,) what an output's own residual holds."""
+        response = at.cells.response
+        kept = response.bins.kept
+        if kind == "delay":
+            U = unitary(regressor.inputs(window))[:kept]
+            change = at.regression.states @ (response.at.A.T - np.eye(response.at.n)) + U @ response.at.B.T
+            return np.asarray(-(change @ response.at.C[channel]) * regressor.output_gain[channel])
+        reading = window.y[:, channel] if kind == "gain" else np.ones(window.length)
+        return -unitary(reading)[:kept]
+
+    def _mended(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late) -> Explanation | None:
+        """Mend the readings by a fault's size, and by what is left of it, until it rests; None where it never does."""
+        for _ in range(tuning.MENDINGS):
+            lag = round(fault.size) if fault.kind == "delay" else 0
+            whole = late(fault.channel, lag) if 0 <= lag < self._learner.window // 4 else None
+            if whole is None:
+                return None
+            window = _put_right(whole, self._rig, fault)
+            at = self._learner.at_point(window, known)
+            (found,) = self._with(at, known, sd, self._column(at, window, known, fault.channel, fault.kind)[..., None])
+            if found is None:
+                return None
+            _, step, spread = found
+            fault = replace(fault, sd=spread, size=lag if fault.kind == "delay" else fault.size)
+            if fault.kind == "delay" and abs(step) < RESTS_SAMPLES:
+                return self._explained(replace(fault, size=lag + step), window, known, sd)
+            if abs(step) < RESTS_SD * spread:
+                return self._explained(fault, window, known, sd)
+            fault = replace(
+                fault, size=(1 + fault.size) * (1 + step) - 1 if fault.kind == "gain" else fault.size + step
+            )
+        return None
+
+    def _explained(self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray) -> Explanation | None:
+        """A mended window's evidence: of a gain, its noise behind the gain or before it, whichever is likelier."""
+        factor = abs(1 + fault.size) if fault.kind == "gain" else 1.0
+        if factor < LEAST_FACTOR:
+            return None
+        behind = np.zeros(self._learner.p)
+        if fault.channel < self._learner.p:
+            behind[fault.channel] = np.log(factor)
+        shifts = [behind, np.zeros_like(behind)] if abs(behind).max() > 0 else [behind]
+        return max((self._under(fault, window, known, sd, s) for s in shifts), key=lambda e: e.evidence)
+
+    def _under(self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, shift: FloatArray) -> Explanation:
+        """The evidence of a mended window whose log σ is shifted (p,), as a density of the readings as they came."""
+        noise = replace(known.noise, log_sigma=known.noise.log_sigma + shift)
+        at = self._learner.at_point(window, replace(known, noise=noise))
+        found = self._under_prior(at, known, (at.unit / sd) ** 2, 1)
+        stretched = fault.kind == "gain" and fault.channel < self._learner.p
+        volume = float(at.cells.weight.sum() * np.log(abs(1 + fault.size))) if stretched else 0.0
+        return replace(found, fault=_as_read(fault), evidence=found.evidence + volume)
+
+    def unbelieved(
+        self, window: Window, known: Knowledge, sd: FloatArray, number: int, value: float, usual: float
+    ) -> Explanation:
+        """The evidence of a window whose input is not believed: a white force in its place about as large as it was."""
+        at = self._learner.at_point(window, known)
+        return max(
+            (self._in_its_place(at, known, sd, Fault(self._learner.p + number, "stood", value, share * usual))
+             for share in tuning.STOOD_SHARES),
+            key=lambda e: e.evidence,
+        )  # fmt: skip
+
+    def _in_its_place(self, at: Linearised, known: Knowledge, sd: FloatArray, fault: Fault) -> Explanation:
+        """The evidence under a force of intensity fault.sd, white and lasting; its mean and its ends are free."""
+        response, kept, W = at.cells.response, at.cells.kept, self._learner.window
+        taps = self._rig.taps_of(fault.channel - self._learner.p)
+        z, pole = response.z[:kept], np.exp(-2 * np.pi / W)
+        tapped = [z**shift for shift, _ in zip((0, *self._rig.shifts), taps, strict=False)]
+        lasting = (1 - pole**W) / (1 - pole / z) / np.sqrt(W)
+        more = [np.sum([response.driven(int(j), t * signal) for j, t in zip(taps, tapped, strict=True)], axis=0)
+                for signal in (unitary(np.ones(W))[:kept].astype(complex), lasting)]  # fmt: skip
+        h = np.sum([response.HU[:kept, :, j] * t[:, None] for j, t in zip(taps, tapped, strict=True)], axis=0)
+        power = fault.sd**2 * (1 + (1 - pole**2) / np.abs(1 - pole / z) ** 2)
+        S = np.linalg.inv(at.Si)
+        S[:kept] += power[:, None, None] * h[:, :, None] * h[:, None, :].conj()
+        unsure = replace(at, Si=np.asarray(np.linalg.inv(S), dtype=complex))
+        nb = at.regression.layout.base
+        X = np.concatenate([at.regression.X[..., :nb], np.stack(more, axis=2), at.regression.X[..., -1:]], axis=2)
+        G = at.cells.gram(unsure.Si, X)
+        # above the kept bins only the start that a wrong input led to would show: they count as what is expected
+        G[-1, -1] += at.cells.weight[kept:].sum() * self._learner.p
+        rss, _, _ = _fit(G, self._prior(at, known, (at.unit / sd) ** 2, len(more)))
+        return replace(self._explanation(unsure, known, rss, 1 + len(more)), fault=fault)
+
+    # ------------------------------------------------------------------ what all share
+    def _under_prior(self, at: Linearised, known: Knowledge, precision: FloatArray, count: int) -> Explanation:
+        """The evidence of a window with θ ~ N(as known, 1/precision) and so many numbers found from it."""
+        columns = [*range(at.regression.layout.base), -1]
+        rss, _, _ = _fit(at.G[np.ix_(columns, columns)], self._prior(at, known, precision, 0))
+        return self._explanation(at, known, rss, count)
+
+    def _explanation(self, at: Linearised, known: Knowledge, rss: float, count: int) -> Explanation:
+        dof = self._dof(at)
+        evidence = -0.5 * rss / _temper(known) - 0.5 * count * np.log(dof) - self._spread_of_noise(at)
+        return Explanation(None, evidence, self._excess(rss, dof, known))
+
+    def _prior(self, at: Linearised, known: Knowledge, precision: FloatArray, more: int) -> _Prior:
+        """Prior with θ ~ N(as known, 1/precision), constants as they stand, and so many further flat columns."""
+        layout, k = at.regression.layout, at.regression.layout.base + more
+        R, mean = np.zeros((k, k)), np.zeros(k)
+        R[: layout.base, : layout.base] = at.ridge.R
+        psi, xi = layout.psi, layout.xi
+        R[psi, psi] = np.diag(precision)
+        mean[psi] = (known.theta - at.theta) / at.unit
+        if len(known.eta):
+            centre, P = known.constants.standing
+            R[xi, xi], mean[xi] = inverse(P), centre - known.eta
+        b = R @ mean
+        return _Prior(R, b, float(mean @ b))
+
+    def _dof(self, at: Linearised) -> float:
+        layout = at.regression.layout
+        return float(at.cells.weight.sum() * self._learner.p - layout.n)
+
+    def _excess(self, rss: float, dof: float, known: Knowledge) -> float:
+        return float(np.log(max(rss, 1e-300) / dof) / chance(dof, known.noise.unsure))
+
+    def _spread_of_noise(self, at: Linearised) -> float:
+        """Half of log det S: unknown forces show otherwise where the parameters are others."""
+        return float(-0.5 * at.cells.weight @ np.linalg.slogdet(at.Si)[1])
+
+
+def _temper(known: Knowledge) -> float:
+    """Scatter beyond the model's tempers the likelihood."""
+    return max(1.0, float(known.scatter.within.max()))
+
+
+def _fit(G: FloatArray, prior: _Prior) -> tuple[float, FloatArray, FloatArray]:
+    """Least cost of a Gram whose last column is the residual, where it lies (k,), and the covariance (k, k)."""
+    V = inverse(G[:-1, :-1] + prior.R)
+    score = G[:-1, -1] + prior.b
+    fit = V @ score
+    return float(G[-1, -1] + prior.constant - score @ fit), fit, V
+
+
+def _put_right(window: Window, rig: Rig, fault: Fault) -> Window:
+    """Return the readings without an offset or gain: plus, or times 1 +, the fault's size; delays are moved before."""
+    more, factor = (fault.size, 1.0) if fault.kind == "offset" else (0.0, 1.0 + fault.size)
+    if fault.kind == "delay":
+        return window
+    p = window.y.shape[1]
+    y, u, slope = window.y.copy(), window.u.copy(), window.slope.copy()
+    if fault.channel < p:
+        y[:, fault.channel] = factor * y[:, fault.channel] + more
+    else:
+        taps = rig.taps_of(fault.channel - p)
+        u[:, taps] = factor * u[:, taps] + more
+        slope[:, taps] *= factor
+    return replace(window, y=y, u=u, slope=slope)
+
+
+def _as_read(fault: Fault) -> Fault:
+    """Turn what mends a channel into what it does wrong: x = reading + size reads −size too much."""
+    if fault.kind == "offset":
+        return replace(fault, size=-fault.size)
+    if fault.kind == "gain":
+        factor = 1.0 / (1.0 + fault.size)
+        return replace(fault, size=factor - 1.0, sd=fault.sd * abs(factor))
+    return fault
+
+
+def _best_of_each(found: list[Explanation]) -> tuple[Explanation, ...]:
+    """The best explanation of each channel, best first."""
+    best: dict[int, Explanation] = {}
+    for e in sorted(found, key=lambda e: -e.evidence):
+        assert e.fault is not None  # noqa: S101 - a channel's
+        best.setdefault(e.fault.channel, e)
+    return tuple(best.values())

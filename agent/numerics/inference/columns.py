@@ -1,0 +1,335 @@
+"""A window as a linear regression: [Γ | τ | lost | Ψ | Ξ | jumps | r] on the kept bins, and the residual above them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference.bins import unitary
+from agent.numerics.inference.response import Response, end_states
+from agent.numerics.inference.sources import Source, end_effect
+from agent.numerics.model.uncertain import Rig
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ComplexArray = NDArray[np.complex128]
+Weigh = Callable[[ComplexArray], FloatArray]
+"""The Gram (c, c) of columns (kept, p, c) under today's noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The samples of one window.
+
+    Attributes:
+        y: (W, p) outputs, lost readings filled in.
+        u: (W, m) inputs.
+        slope: (W, m) change of each input since the sample before: a straight line is late by d samples as u − d·slope.
+        lost: (l, 2) row and channel (outputs, then inputs) of readings that were filled in.
+        lost_sd: (l,) prior sd of what the fill-in is wrong by; inf for outputs (the reading counts for nothing).
+    """
+
+    y: FloatArray
+    u: FloatArray
+    slope: FloatArray
+    lost: IntArray
+    lost_sd: FloatArray
+
+    @property
+    def length(self) -> int:
+        """W."""
+        return len(self.y)
+
+
+def window_of(y: FloatArray, u: FloatArray, before: FloatArray | None = None) -> Window:
+    """Return a whole window without lost readings; before (m,): the inputs one sample earlier, where known."""
+    first = u[:1] if before is None else before[None]
+    slope = np.diff(u, axis=0, prepend=first)
+    return Window(y, u, slope, np.zeros((0, 2), dtype=np.int64), np.zeros(0))
+
+
+def refilled(window: Window, change: FloatArray, rig: Rig) -> Window:
+    """Return a window whose lost inputs are filled with `change` (l,) more than before, at every tap."""
+    u, slope, p = window.u.copy(), window.slope.copy(), window.y.shape[1]
+    for (row, channel), more in zip(window.lost.tolist(), change.tolist(), strict=True):
+        if channel < p:
+            continue
+        for shift, column in zip((0, *rig.shifts), rig.taps_of(channel - p).tolist(), strict=False):
+            if 0 <= row - shift < window.length:
+                u[row - shift, column] += more
+                slope[row - shift : row - shift + 2, column] += np.array([more, -more])[: window.length - row + shift]
+    return replace(window, u=u, slope=slope)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where the columns of each kind stand.
+
+    Attributes:
+        n: initial states, the last `free` of them momenta of free masses; slow: end effects; lost: lost readings;
+        q: parameters; constants: of the rig; cuts: jumps.
+    """
+
+    n: int
+    free: int
+    slow: int
+    lost: int
+    q: int
+    constants: int
+    cuts: int
+
+    @property
+    def base(self) -> int:
+        """Columns without the jumps and the residual."""
+        return self.n + self.slow + self.lost + self.q + self.constants
+
+    @property
+    def nuisance(self) -> slice:
+        """Everything before the parameters."""
+        return slice(0, self.n + self.slow + self.lost)
+
+    @property
+    def ends(self) -> slice:
+        """What unknown forces do at the window's ends."""
+        return slice(self.n - self.free, self.n + self.slow)
+
+    @property
+    def gaps(self) -> slice:
+        """The lost readings."""
+        return slice(self.n + self.slow, self.n + self.slow + self.lost)
+
+    @property
+    def psi(self) -> slice:
+        """The parameters of interest."""
+        start = self.nuisance.stop
+        return slice(start, start + self.q)
+
+    @property
+    def xi(self) -> slice:
+        """The constants of the rig."""
+        return slice(self.psi.stop, self.base)
+
+    def jump(self, i: int) -> slice:
+        """A jump of the parameters at cut i."""
+        return slice(self.base + i * self.q, self.base + (i + 1) * self.q)
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """The columns of a window, linearised at the point and the window's own best initial state.
+
+    Attributes:
+        X: (kept, p, base + jumps + 1) columns; the last is the residual.
+        high: (h, p) residual on the high bins.
+        states: (kept, n) the trajectory.
+        layout: where the columns stand.
+    """
+
+    X: ComplexArray
+    high: ComplexArray
+    states: ComplexArray
+    layout: Layout
+
+    @property
+    def without_jumps(self) -> ComplexArray:
+        """The base columns and the residual."""
+        if not self.layout.cuts:
+            return self.X
+        return np.concatenate([self.X[..., : self.layout.base], self.X[..., -1:]], axis=2)
+
+
+class Regressor:
+    """Builds the regression of windows of one rig at one response and one set of constants.
+
+    Args:
+        rig, response, sources: what is modelled.
+        eta: (c,) deviations of the constants at which the model stands; masses are in the response already.
+    """
+
+    def __init__(self, rig: Rig, response: Response, sources: tuple[Source, ...], eta: FloatArray) -> None:
+        self.rig, self.response = rig, response
+        self.slow = tuple(s for s in sources if s.is_slow_force)
+        p, m = len(response.at.C), response.at.B.shape[1]
+        self.output_gain, self.input_gain = np.ones(p), np.ones(m)
+        for i, constant in enumerate(rig.constants):
+            if constant.kind == "output":
+                self.output_gain[constant.number] = np.exp(eta[i])
+            elif constant.kind == "input":
+                self.input_gain[rig.taps_of(constant.number)] = np.exp(eta[i])
+        delays = rig.of_kind("delay")
+        self.delay = float(eta[delays[0]]) if len(delays) else 0.0
+
+    def inputs(self, window: Window) -> FloatArray:
+        """Return the inputs (W, m) with gains and delay put right."""
+        if not self.delay:
+            return np.asarray(self.input_gain * window.u)
+        late = np.where(self.rig.driven, self.delay * window.slope, 0.0)
+        return np.asarray(self.input_gain * (window.u - late))
+
+    def layout(self, window: Window, cuts: int) -> Layout:
+        """Return where the columns stand."""
+        rig = self.rig
+        free, constants = len(self.response.left), len(rig.constants)
+        return Layout(self.response.at.n, free, len(self.slow), len(window.lost), rig.q, constants, cuts)
+
+    def build(self, window: Window, weigh: Weigh, cuts: IntArray, driven: ComplexArray | None = None) -> Regression:
+        """Return the regression; `weigh` gives the Gram of columns under today's noise, for the initial state.
+
+        driven (kept, n, p): S⁻¹ of readings to the states that unknown forces drive. The initial state of the periodic
+        response is e0; the state that the window began with is e0 and what those forces had driven by then.
+        """
+        response, at, bins = self.response, self.response.at, self.response.bins
+        u = self.inputs(window)
+        fu, fy = unitary(u), unitary(window.y)
+        edges = np.concatenate([[0], cuts, [bins.window]]).astype(np.int64)
+        forced = self._forced(u, edges)
+        low = fu[: bins.kept]
+        X = np.einsum("kij,kj->ki", response.RB, low) - response.zR @ forced[-1]
+        gamma: ComplexArray = np.asarray(response.gamma * self.output_gain[:, None], dtype=complex)
+        residual = fy[: bins.kept] - self._outputs(X, low)
+        x0 = self._best_start(weigh, gamma, residual)
+        sums = np.zeros((len(edges), at.n))
+        if response.is_free:
+            x0, sums = self._placed(x0, u, fy[0].real, fu[0].real, edges)
+        elif driven is not None:
+            left = residual - ((response.free @ x0) @ at.C.T) * self.output_gain
+            states = (driven @ left[..., None])[..., 0]
+            x0 = x0 + (states.real * response.bins.multiplicity[: bins.kept, None]).sum(axis=0) / np.sqrt(bins.window)
+        X = X + response.free @ x0
+        if response.is_free:
+            X[0] = sums[-1] / np.sqrt(bins.window)
+        modelled = self._outputs(X, low)
+        parts = [gamma, self._ends(), self._lost(window), *self._parameters(X, low)]
+        parts.append(self._constants(window, modelled, u, low))
+        parts += self._jumps(u, x0, forced, edges, sums)
+        parts.append((fy[: bins.kept] - modelled)[..., None])
+        high = self._high(fy, fu, x0, forced[-1])
+        return Regression(np.concatenate(parts, axis=2), high, X, self.layout(window, len(cuts)))
+
+    def _outputs(self, X: ComplexArray, U: ComplexArray) -> ComplexArray:
+        at = self.response.at
+        return np.asarray((X @ at.C.T + U @ at.D.T) * self.output_gain)
+
+    def _best_start(self, weigh: Weigh, gamma: ComplexArray, residual: ComplexArray) -> FloatArray:
+        """The initial state (n,) that explains the residual best (Golub & Pereyra, SIAM J. Num. Anal. 10, 1973)."""
+        response = self.response
+        n = response.starts.shape[1]
+        G = weigh(np.concatenate([gamma[..., :n], residual[..., None]], axis=2))
+        ridge = 1e-13 * np.trace(G[:n, :n]) * np.eye(n)
+        return np.asarray(response.starts @ (np.linalg.solve(G[:n, :n] + ridge, G[:n, n]) / response.gamma_scale[:n]))
+
+    def _placed(
+        self, x0: FloatArray, u: FloatArray, y_mean: FloatArray, u_mean: FloatArray, edges: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """The initial state with free masses where bin 0 shows them, and sums (len(edges), n) of earlier states."""
+        at, W, n = self.response.at, self.response.bins.window, self.response.at.n
+        # the state beside its running sum
+        A = np.block([[at.A, np.zeros((n, n))], [np.eye(n), np.eye(n)]])
+        forced = _edge_states(A, np.pad(u @ at.B.T, ((0, 0), (0, n))), edges)[:, n:]
+        powers = np.array([np.linalg.matrix_power(A, int(edge))[n:, :n] for edge in edges])
+        sums = forced + powers @ x0
+        wanted = y_mean / self.output_gain - at.C @ sums[-1] / np.sqrt(W) - at.D @ u_mean
+        still = self.response.still
+        shift = np.linalg.lstsq(at.C @ powers[-1] @ still / np.sqrt(W), wanted, rcond=None)[0]
+        return x0 + still @ shift, sums + powers @ (still @ shift)
+
+    def _forced(self, u: FloatArray, edges: IntArray) -> FloatArray:
+        """(len(edges), n) states at the edges when started from zero."""
+        return _edge_states(self.response.at.A, u @ self.response.at.B.T, edges)
+
+    def _ends(self) -> ComplexArray:
+        kept, p = self.response.bins.kept, len(self.output_gain)
+        columns = [end_effect(self.response, source, kept) * self.output_gain for source in self.slow]
+        return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)
+
+    def _lost(self, window: Window) -> ComplexArray:
+        """One column a lost reading: an error of 1 in what was filled in."""
+        kept, p, W = self.response.bins.kept, len(self.output_gain), window.length
+        out = np.zeros((kept, p, len(window.lost)), dtype=complex)
+        k = np.arange(kept)
+        for column, (row, channel) in enumerate(window.lost):
+            impulse = np.exp(-2j * np.pi * k * row / W) / np.sqrt(W)
+            if channel < p:
+                out[:, channel, column] = impulse
+            else:
+                out[:, :, column] = self._impulse(int(row), int(channel) - p, W) * self.output_gain
+        return out
+
+    def _impulse(self, row: int, number: int, length: int) -> ComplexArray:
+        """Return the response (kept, p) to 1 more in one reading of a measured input, at every tap that holds it."""
+        k = np.arange(self.response.bins.kept)
+        out = np.zeros((len(k), len(self.output_gain)), dtype=complex)
+        # an input that no channel drives has one tap
+        for shift, column in zip((0, *self.rig.shifts), self.rig.taps_of(number).tolist(), strict=False):
+            if 0 <= row - shift < length:
+                signal = np.exp(-2j * np.pi * k * (row - shift) / length) / np.sqrt(length)
+                out += self.response.driven(column, signal)
+        return out
+
+    def _parameters(self, X: ComplexArray, U: ComplexArray) -> list[ComplexArray]:
+        columns = self.response.columns(X, U) * self.output_gain[:, None]
+        return [columns[..., : self.rig.q], columns[..., self.rig.q :]]
+
+    def _constants(self, window: Window, modelled: ComplexArray, u: FloatArray, U: ComplexArray) -> ComplexArray:
+        """Columns of gains and delay, in the order of the rig's constants after the masses."""
+        kept, p = modelled.shape
+        rig, columns = self.rig, []
+        for constant in rig.constants[rig.masses :]:
+            column = np.zeros((kept, p), dtype=complex)
+            if constant.kind == "output":
+                column[:, constant.number] = modelled[:, constant.number]
+            elif constant.kind == "input":
+                taps = rig.taps_of(constant.number).tolist()
+                column = np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
+            else:
+                slope = unitary(np.where(self.rig.driven, self.input_gain * window.slope, 0.0))[:kept]
+                late = [self.response.driven(j, slope[:, j]) for j in np.flatnonzero(self.rig.driven).tolist()]
+                column = -np.sum(late, axis=0) * self.output_gain
+            columns.append(column)
+        return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)
+
+    def _jumps(
+        self, u: FloatArray, x0: FloatArray, forced: FloatArray, edges: IntArray, sums: FloatArray
+    ) -> list[ComplexArray]:
+        """Columns of a jump of all parameters at each inner edge: Ψ of the trajectory set to 0 before it."""
+        cuts = edges[1:-1]
+        if not len(cuts):
+            return []
+        response, at, W = self.response, self.response.at, self.response.bins.window
+        z, kept = response.z[: response.bins.kept], response.bins.kept
+        states = [forced[i] + np.linalg.matrix_power(at.A, int(edge)) @ x0 for i, edge in enumerate(edges)]
+        later = np.concatenate([u * (np.arange(W) >= cut)[:, None] for cut in cuts], axis=1)
+        spectra = unitary(later)[:kept].reshape(kept, len(cuts), u.shape[1])
+        out = []
+        for i, cut in enumerate(cuts):
+            U = spectra[:, i]
+            ends = (z ** (1 - int(cut)))[:, None] * states[i + 1] - z[:, None] * states[-1]
+            X = np.einsum("kij,kj->ki", response.R, U @ at.B.T + ends / np.sqrt(W))
+            if response.is_free:
+                X[0] = (sums[-1] - sums[i + 1]) / np.sqrt(W)
+            out.append(response.columns(X, U)[..., : self.rig.q] * self.output_gain[:, None])
+        return out
+
+    def _high(self, fy: ComplexArray, fu: ComplexArray, x0: FloatArray, end: FloatArray) -> ComplexArray:
+        """Residual (h, p) on the high bins at the same trajectory."""
+        bins = self.response.bins
+        if not bins.groups:
+            return np.zeros((0, len(self.output_gain)), dtype=complex)
+        HU, zCR, closing = self.response.high
+        modelled = np.einsum("kpm,km->kp", HU, fu[bins.high]) + zCR @ (closing @ x0 - end)
+        return np.asarray(fy[bins.high] - modelled * self.output_gain)
+
+
+def _edge_states(A: FloatArray, w: FloatArray, edges: IntArray) -> FloatArray:
+    """States (len(edges), n) of x(k+1) = A x + w(k) at the edges when started from zero."""
+    lengths = np.diff(edges)
+    padded = np.zeros((len(lengths), lengths.max(), len(A)))
+    for i, (start, stop) in enumerate(pairwise(edges.tolist())):
+        padded[i, len(padded[i]) - (stop - start) :] = w[start:stop]
+    ends = end_states(A, padded)
+    states = [np.zeros(len(A))]
+    for length, end in zip(lengths, ends, strict=True):
+        states.append(np.linalg.matrix_power(A, int(length)) @ states[-1] + end)
+    return np.array(states)

@@ -1,0 +1,160 @@
+"""What is known of the rig's constants: a Gaussian sum over hypotheses, carried from window to window.
+
+Hypotheses: every constant as configured; all within a common factor of their data sheets; one constant, or one group
+(all masses, all outputs, all inputs) off, or drifting. Each carries mean and covariance; the window's marginal
+likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.algebra import inverse, log_determinant, root
+from agent.numerics.model.uncertain import Constant, Kind
+
+FloatArray = NDArray[np.float64]
+GROUPS: tuple[tuple[Kind, str], ...] = (("mass", "all masses"), ("output", "all outputs"), ("input", "all inputs"))
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """One belief about the constants.
+
+    Attributes:
+        name: "as configured", "within data sheet", or what is off: "m1", "all masses".
+        members: (c,) 1 for each constant that is off together; all 0 for the others.
+        drifts: whether it changes from window to window.
+        covariance, walk: (c, c) prior covariance and random walk a window.
+        prior: probability before any data.
+    """
+
+    name: str
+    members: FloatArray
+    drifts: bool
+    covariance: FloatArray
+    walk: FloatArray
+    prior: float
+
+
+def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
+    """Return the hypotheses on a rig's constants; those that no data show are within their data sheets."""
+    sheet = np.array([c.sheet for c in constants])
+    shows = np.array([c.shows for c in constants], dtype=bool)
+    quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
+    base = [("as configured", _within(sheet, shows, tuning.AS_CONFIGURED), quiet)]
+    base += [
+        ("within data sheet", _within(sheet, shows, factor), np.diag((tuning.SHEET_WALK * factor * sheet) ** 2))
+        for factor in tuning.SHEET_FACTORS
+    ]
+    none = np.zeros(len(constants))
+    share = tuning.PRIOR_HEALTHY / len(base)
+    off = _off(constants)
+    healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
+    usual, share_off = base[0][1] + _least(sheet), (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
+    others = [
+        Hypothesis(name, e, drifts, usual + size**2 * np.outer(e, e), quiet + walk**2 * np.outer(e, e), share_off)
+        for name, e, drifts, size, walk in off
+    ]  # fmt: skip
+    return tuple(healthy + others)
+
+
+def _within(sheet: FloatArray, shows: NDArray[np.bool_], factor: float) -> FloatArray:
+    """Covariance of constants within a factor of their data sheets; those that no data show stay at theirs."""
+    return np.diag((np.where(shows, factor, 1.0) * sheet) ** 2)
+
+
+def _least(sheet: FloatArray) -> FloatArray:
+    """A variance that keeps exactly known constants (sheet 0) invertible."""
+    return np.diag(np.where(sheet > 0, 0.0, 1e-12))
+
+
+def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, bool, float, float]]:
+    """(name, members, drifts, prior sd, walk) of everything that may be off."""
+    out: list[tuple[str, FloatArray, bool, float, float]] = []
+    single = [(c.name, np.eye(len(constants))[i], c.kind) for i, c in enumerate(constants) if c.sheet > 0 and c.shows]
+    for kind, name in GROUPS:
+        together = np.array([float(c.kind == kind and c.sheet > 0 and c.shows) for c in constants])
+        if together.sum() > 1:
+            single.append((name, together, kind))
+    for name, members, kind in single:
+        size = tuning.OFF_DELAY if kind == "delay" else tuning.OFF_RELATIVE
+        out.append((name, members, False, size, 0.0))
+        if kind in ("output", "input"):
+            out.append((name, members, True, size, tuning.DRIFT_WALK))
+    return out
+
+
+@dataclass(frozen=True)
+class Constants:
+    """The Gaussian sum.
+
+    Attributes:
+        hypotheses: what they are.
+        weight: (h,);  mean: (h, c);  covariance: (h, c, c).
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    weight: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def prior(cls, hypotheses: tuple[Hypothesis, ...]) -> "Constants":
+        """Return what is known before the first window."""
+        weight = np.array([h.prior for h in hypotheses])
+        covariance = np.array([h.covariance for h in hypotheses])
+        return cls(hypotheses, weight / weight.sum(), np.zeros(covariance.shape[:2]), covariance)
+
+    @cached_property
+    def expected(self) -> FloatArray:
+        """(c,) mean of the mixture."""
+        return np.asarray(self.weight @ self.mean)
+
+    @cached_property
+    def total(self) -> FloatArray:
+        """(c, c) covariance of the mixture."""
+        apart = self.mean - self.expected
+        within = np.einsum("h,hij->ij", self.weight, self.covariance)
+        return np.asarray(within + (self.weight[:, None] * apart).T @ apart)
+
+    @cached_property
+    def standing(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (c,) and covariance (c, c) of the hypotheses that stand: what is unlikely moves no estimate.
+
+        One Gaussian with the whole mixture's covariance would let the noise of a window pull the constants as far as an
+        explanation of 1 % weight allows.
+        """
+        kept = self.weight >= tuning.STANDING_WEIGHT * self.weight.max()
+        weight = self.weight[kept] / self.weight[kept].sum()
+        mean = weight @ self.mean[kept]
+        apart = self.mean[kept] - mean
+        return mean, np.einsum("h,hij->ij", weight, self.covariance[kept]) + (weight[:, None] * apart).T @ apart
+
+    def predicted(self) -> "Constants":
+        """Return what is known one window later: constants walk, hypotheses switch."""
+        prior = np.array([h.prior for h in self.hypotheses])
+        prior /= prior.sum()
+        walk = np.array([h.walk for h in self.hypotheses])
+        weight = (1 - tuning.SWITCH) * self.weight + tuning.SWITCH * prior
+        return Constants(self.hypotheses, weight, self.mean, self.covariance + walk)
+
+    def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
+        """Return what is known after a window with information S (c, c) and score g (c,) about η = at (c,)."""
+        deviation = self.mean - at
+        score = g - deviation @ S
+        # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16 times larger
+        F = root(self.covariance)
+        M = np.eye(len(S)) + F.swapaxes(1, 2) @ S @ F
+        covariance = F @ inverse(M) @ F.swapaxes(1, 2)
+        moved = np.einsum("hij,hj->hi", covariance, score)
+        evidence = 0.5 * ((score * moved).sum(axis=1) - log_determinant(M)) + ((g + score) * deviation).sum(axis=1) / 2
+        log = np.log(np.maximum(self.weight, 1e-300)) + evidence
+        weight = np.exp(log - log.max())
+        return Constants(self.hypotheses, weight / weight.sum(), self.mean + moved, covariance)
+
+    def probability(self, name: str) -> float:
+        """Return the probability that what is called `name` is off or drifts."""
+        return float(sum(w for w, h in zip(self.weight, self.hypotheses, strict=True) if h.name == name))

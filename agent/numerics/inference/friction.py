@@ -1,0 +1,56 @@
+"""Is there dry friction that the model has no term for? The score test of one more column a damper.
+
+The column is the response to a force of 1 N against the sign of the speed across a damper, from the window's own
+trajectory. Its likelihood ratio is weighed against what a column costs (Schwarz, Ann. Stat. 6 (1978) 461).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.algebra import inverse
+from agent.numerics.inference.bins import unitary
+from agent.numerics.inference.response import Response
+from agent.numerics.model.uncertain import Rubbing
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """What one more column would say.
+
+    Attributes:
+        evidence: log Bayes factor for dry friction across a damper;  size: how much, N.
+        shift: (q,) by how much its column moves the parameters, in units of their deviations.
+    """
+
+    evidence: float
+    size: float
+    shift: FloatArray
+
+
+def column(response: Response, states: ComplexArray, rubbing: Rubbing, output_gain: FloatArray) -> ComplexArray:
+    """Return the response (kept, p) to a force of 1 against the speed across a damper; states (kept, n)."""
+    kept, window = response.bins.kept, response.bins.window
+    speed = np.fft.irfft(states @ rubbing.speed, window) * np.sqrt(window)
+    sign = np.where(np.abs(speed) > tuning.CREEP * np.abs(speed).max(), np.sign(speed), 0.0)
+    signal = unitary(sign)[:kept]
+    pushes = [-w * response.pushed(int(j), signal) for j, w in enumerate(rubbing.push) if w]
+    return np.asarray(np.sum(pushes, axis=0) * output_gain)
+
+
+def friction(gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: float, misfit: float) -> Friction:
+    """Weigh the last column but one of a Gram (base + 2, base + 2), its last the residual; R, b: the base's prior."""
+    nb = len(R)
+    V = inverse(gram[:nb, :nb] + R)
+    along = V @ gram[:nb, nb]
+    J = gram[nb, nb] - gram[:nb, nb] @ along
+    g = gram[nb, -1] - along @ (gram[:nb, -1] + b)
+    size = g / max(J, 1e-300)
+    evidence = 0.5 * g * size / misfit - 0.5 * np.log(dof)
+    # friction that drives is none
+    return Friction(float(evidence if size > 0 else -np.inf), float(size), np.asarray(-along[psi] * size))

@@ -1,0 +1,308 @@
+"""One window through the whole model: linearise, test for a change, learn the noise, weigh the constants.
+
+window -> Gauss-Newton about θ_r -> jump? unexplained? -> noise -> hypotheses on the constants -> posterior
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.algebra import inverse, quadratic
+from agent.numerics.inference.columns import Regressor, Window
+from agent.numerics.inference.constants import Constants, hypotheses_of
+from agent.numerics.inference.friction import column, friction
+from agent.numerics.inference.linearise import Linearised, Lineariser, eliminated
+from agent.numerics.inference.mixture import NORMAL_975, interval95
+from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, learn, louder
+from agent.numerics.inference.posterior import Knowledge, Line, Posterior
+from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio
+from agent.numerics.inference.sources import sources_of
+from agent.numerics.model.uncertain import Rig
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ComplexArray = NDArray[np.complex128]
+
+FIRM = 1e6
+"""Times as many degrees of freedom behind the level of each bin as were seen: one window moves none."""
+
+
+class Learner:
+    """Learns from windows of one rig and one length.
+
+    Args:
+        rig: what is modelled.
+        window: W, samples.
+        outputs: p.
+        floor: (p,) sensor sd that the wire's resolution alone causes.
+    """
+
+    def __init__(self, rig: Rig, window: int, outputs: int, floor: FloatArray) -> None:
+        self.rig, self.window, self.p = rig, window, outputs
+        self.log_floor = np.log(np.maximum(floor, 1e-300))
+        self.sources = sources_of(rig, window, outputs)
+        self.hypotheses = hypotheses_of(rig.constants)
+        self.cuts = np.unique(np.round(np.array(tuning.CUTS) * window).astype(np.int64))
+        self.threshold = float(chdtri(rig.q, tuning.JUMP_LEVEL))
+        self.lineariser = Lineariser(rig, window, outputs, self.sources, self.cuts)
+
+    def prior(self, sigma: FloatArray, spread: FloatArray) -> Knowledge:
+        """Return what is known before the first window; sigma (p,) stated or guessed, spread (p,) of its logarithm."""
+        rig, c = self.rig, len(self.rig.constants)
+        total = self.window // 2 + 1
+        noise = Noise.prior(np.maximum(sigma, np.exp(self.log_floor)), spread, total, len(self.sources), rig.q)
+        return Knowledge(rig.nominal.copy(), np.zeros(c), noise, Constants.prior(self.hypotheses), Scatter.prior(rig.q))
+
+    def spread(self, noise: Noise) -> FloatArray:
+        """Return the sd (p,) of each output's readings where nothing moves: white and coloured noise of its sensor."""
+        variance = np.exp(2 * noise.log_sigma)
+        for source, intensity in zip(self.sources, noise.intensity, strict=True):
+            if source.kind == "sensor":
+                variance[source.number] += intensity**2
+        return np.asarray(np.sqrt(variance))
+
+    # ------------------------------------------------------------------ the way through one window
+    def learn(
+        self, window: Window, known: Knowledge, shaken: bool = False, believe: bool = False
+    ) -> tuple[Posterior, Knowledge]:
+        """Return what a window says and what is known after it; a window that changes teaches nothing.
+
+        shaken: σ may have changed more than usual. believe: it holds no change, whatever the jump test says.
+        """
+        known = self.lineariser.prepared(window, known)
+        predicted = replace(known, constants=known.constants.predicted())
+        at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
+        posterior = self._posterior(at, predicted)
+        if (posterior.changing and not believe) or not posterior.converged:
+            return posterior, known
+        for _ in range(tuning.ROUNDS):
+            noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
+            constants = self._constants_after(settled, predicted)
+            moved = np.abs(constants.expected - predicted.eta) > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
+            if not moved.any():
+                break
+            # the constants are elsewhere: the model is made straight there before anything is believed
+            predicted = replace(predicted, eta=constants.expected, theta=at.theta)
+            at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
+        ratio = self._ratio(settled)
+        _, _, alone, V, _ = eliminated(settled)
+        unit = settled.unit
+        scatter = known.scatter.after(ratio, settled.theta + unit * alone, unit**2 * np.diag(V))
+        learnt = replace(predicted, theta=self.lineariser.nearer(settled, known.theta), noise=noise, scatter=scatter)
+        posterior = replace(
+            self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
+            jump=posterior.jump, jump_raw=posterior.jump_raw, excess=posterior.excess,
+            beyond_jump=posterior.beyond_jump,
+        )  # fmt: skip
+        posterior = replace(posterior, rubs=self._rubs(settled, learnt, posterior))
+        return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
+
+    def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:
+        """Whether dry friction across some damper is evident and would move an estimate by more than its sd."""
+        layout = at.regression.layout
+        gain = Regressor(self.rig, at.cells.response, self.sources, known.eta).output_gain
+        misfit = max(1.0, float(known.scatter.within.max()))
+        for rubbing in self.rig.rubbings:
+            more = column(at.cells.response, at.regression.states, rubbing, gain)[..., None]
+            X = np.concatenate([at.regression.X[..., : layout.base], more, at.regression.X[..., -1:]], axis=2)
+            found = friction(at.cells.gram(at.Si, X), at.ridge.R, at.ridge.b, layout.psi, posterior.dof, misfit)
+            moved = np.abs(at.unit * found.shift) > posterior.sd
+            if found.evidence > tuning.FRICTION_EVIDENCE and moved.any():
+                return True
+        return False
+
+    def _noise_after(
+        self, window: Window, at: Linearised, known: Knowledge, shaken: bool, anew: bool
+    ) -> tuple[Noise, Linearised]:
+        """The noise learnt from a linearised window, and the window under it."""
+        # what nothing known explains may be a constant that is off, rather than forces
+        spread = self.lineariser.wide() if anew else known.constants.total
+        centre = -known.eta if anew else known.constants.expected - known.eta
+        wide = self.lineariser.ridge(at.regression.layout, window, spread, centre)
+        least = self._least(known.noise)
+        noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
+        noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
+        return noise, self.lineariser.without_jumps(at, fit)
+
+    def _floor(self, window: Window) -> FloatArray:
+        """(p,) least log σ: what the wire resolves, or more digits than any sensor has."""
+        return np.asarray(np.maximum(self.log_floor, np.log(np.maximum(tuning.DIGITS * window.y.std(axis=0), 1e-300))))
+
+    def _least(self, noise: Noise) -> FloatArray:
+        """(p,) least that log σ may turn out to be: what is stated, or where nothing is, what the wire resolves."""
+        spread = np.sqrt(noise.log_sigma_var)
+        unknown = spread > tuning.SIGMA_UNKNOWN
+        return np.where(unknown, np.maximum(self.log_floor, noise.log_sigma - 2 * spread), noise.log_sigma)
+
+    def solve(self, window: Window, known: Knowledge, steps: int = tuning.STEPS) -> tuple[Posterior, FloatArray]:
+        """Return what a window says under what is known, and where it came to rest; nothing is learnt."""
+        at = self.lineariser.linearised(window, known, jumps=known.noise.is_started, steps=steps)
+        return self._posterior(at, known), at.theta
+
+    def at_point(self, window: Window, known: Knowledge, jumps: bool = False) -> Linearised:
+        """Return a window linearised at what is known, wherever its own best parameters are."""
+        return self.lineariser.point(window, known, known.theta, self.cuts if jumps else np.zeros(0, dtype=np.int64))
+
+    def lost_readings(self, window: Window, known: Knowledge, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the filled-in readings of a window are wrong by (l,), and the covariance of that (l, l).
+
+        moved (l,): what the window is filled with beyond the mean of the prior.
+        """
+        at = self.lineariser.linearised(window, known, jumps=False, steps=2)
+        layout = at.regression.layout
+        V = inverse(at.G[: layout.base, : layout.base] + at.ridge.R)
+        pull = at.ridge.b.copy()
+        pull[layout.gaps] -= moved / window.lost_sd**2
+        found = V @ (at.G[: layout.base, -1] + pull)
+        return found[layout.gaps], V[layout.gaps, layout.gaps]
+
+    def contested(self, window: Window, known: Knowledge, posterior: Posterior) -> bool:
+        """Whether a change of the noise explains a window as well as a jump of the parameters does."""
+        at = self.lineariser.linearised(window, known, jumps=False)
+        wide = self.lineariser.ridge(at.regression.layout, window, self.lineariser.wide(), -known.eta)
+        before, fit = self._open_minded(at, known, wide)
+        gain = fit.restricted_log_likelihood() - before
+        q, dof = self.rig.q, posterior.dof
+        price = 0.5 * q * np.log(dof) + np.log(len(self.cuts))
+        return bool(gain > 0.5 * posterior.jump_raw.max() - price)
+
+    def other_noise(self, window: Window, known: Knowledge) -> Noise:
+        """Return the noise that explains a window best at the point known; single bins stay as they are.
+
+        A level of its own for a bin would take an offset for the noise of bin 0.
+        """
+        mean, P = known.constants.standing
+        at = self.at_point(window, known)
+        ridge = self.lineariser.ridge(at.regression.layout, window, P, mean - known.eta)
+        noise = known.noise
+        firm = replace(noise, power=FIRM * noise.power, dof=FIRM * noise.dof)
+        _, fit = self._open_minded(at, replace(known, noise=firm), ridge)
+        return replace(noise, log_sigma=np.maximum(fit.log_sigma, self._floor(window)), intensity=fit.intensity)
+
+    def _open_minded(self, at: Linearised, known: Knowledge, ridge: Ridge) -> tuple[float, NoiseFit]:
+        """Restricted log likelihood of a window under the noise known, and the fit of whatever noise explains it."""
+        before = NoiseFit(known.noise, at.cells, at.regression, self.sources, ridge).restricted_log_likelihood()
+        open_minded = replace(known.noise, log_weight=0.1 * known.noise.log_weight, windows=min(known.noise.windows, 1))
+        least = self._least(known.noise)
+        _, fit = learn(open_minded, at.cells, at.regression, self.sources, ridge, None, least, shaken=True)
+        return before, fit
+
+    # ------------------------------------------------------------------ what it says
+    def _constants_after(self, at: Linearised, known: Knowledge) -> Constants:
+        S, g, *_ = eliminated(at)
+        temper = max(1.0, float(np.mean(known.scatter.factor)))
+        return known.constants.updated(S / temper, g / temper, known.eta)
+
+    def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
+        """Marginal posterior of the parameters over the hypotheses on the constants."""
+        if after is None:
+            after = self._constants_after(at, known)
+        _, _, alone, V, Z = eliminated(at)
+        u, own = at.unit, np.diag(V)
+        means = _moved(at.theta + u * alone, u * ((after.mean - known.eta) @ -Z.T))
+        # a square: what is below 0 is rounding
+        unsure = np.maximum(np.einsum("ia,hab,ib->hi", Z, after.covariance, Z, optimize=True), 0.0)
+        variance = u**2 * (own + unsure)
+        mean = after.weight @ means
+        # not knowing the intensities, and scatter beyond the model's, widen what the data say
+        wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)
+        jump, raw, (excess, beyond), power, dof = self._tests(at, known)
+        wider = wider * known.scatter.factor * louder(power, dof, known.noise.unsure)
+        extra = u**2 * own * (wider - 1)
+        sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
+        lower, upper = interval95(after.weight, means, sds)
+        return Posterior(
+            theta=mean, sd=(upper - lower) / (2 * NORMAL_975), lower=lower, upper=upper,
+            linear=at.theta + u * (alone - Z @ (after.standing[0] - known.eta)),
+            sd_repeat=np.sqrt(np.maximum(u**2 * own + extra, 0.3 * u**2 * own)), sensitivity=-u[:, None] * Z,
+            converged=at.converged, jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
+            changing=bool(len(jump) and jump.max() > self.threshold), dof=dof,
+        )  # fmt: skip
+
+    def _tests(
+        self, at: Linearised, known: Knowledge
+    ) -> tuple[FloatArray, FloatArray, tuple[float, float], float, float]:
+        """Jump statistics; misfit without and with the best jump, predictive sds; power a degree of freedom; these."""
+        layout = at.regression.layout
+        nb = layout.base
+        V = inverse(at.G[:nb, :nb] + at.ridge.R)
+        fit = V @ (at.G[:nb, -1] + at.ridge.b)
+        rss = float(at.G[-1, -1] - (at.G[:nb, -1] + at.ridge.b) @ fit)
+        dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
+        raw = np.array([self._jump(at, V, fit, i) for i in range(layout.cuts)])
+        left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
+        excess, beyond = np.log(left / dof) / chance(dof, known.noise.unsure) * bool(known.noise.windows)
+        misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max()))
+        return raw / misfit, raw, (float(excess), float(beyond)), rss / dof, dof
+
+    def line(self, window: Window, known: Knowledge) -> Line:
+        """Return what a window says if its parameters move on and on through it.
+
+        The line of a parameter is taken as equal jumps at all cuts, which leaves a twenty-fifth of what a constant
+        leaves of it. `changing` says that one jump of all parameters explains the window better.
+        """
+        at = self.lineariser.linearised(window, known, jumps=True)
+        layout, q = at.regression.layout, self.rig.q
+        nb, cuts = layout.base, layout.cuts
+        to = np.zeros((len(at.G), nb + q + 1))  # base columns at the window's middle, lines, residual
+        to[:nb, :nb], to[-1, -1] = np.eye(nb), 1.0
+        for i in range(cuts):
+            to[layout.jump(i), nb : nb + q] = np.eye(q) / cuts
+        to[layout.psi, nb : nb + q] = -0.5 * np.eye(q)
+        G = to.T @ at.G @ to
+        R = np.zeros((nb + q, nb + q))
+        R[:nb, :nb], R[nb:, nb:] = at.ridge.R, np.eye(q) / tuning.LINE_SD**2
+        score = G[:-1, -1] + np.concatenate([at.ridge.b, np.zeros(q)])
+        V = inverse(G[:-1, :-1] + R)
+        fit = V @ score
+        end = np.zeros((q, nb + q))
+        end[:, layout.psi] = np.eye(q)
+        end[:, nb:] = 0.5 * np.eye(q)
+        theta, middle = at.theta + at.unit * (end @ fit), at.theta + at.unit * fit[layout.psi]
+        left = max(float(G[-1, -1] - score @ fit), 1e-300)
+        plain = self._posterior(at, known, known.constants)  # a window of this kind says nothing of the constants
+        open_constants = plain.sd**2 - plain.sd_repeat**2
+        misfit = known.scatter.factor * max(1.0, left / plain.dof)
+        stair = fit[nb:] ** 2 / (12 * cuts**2)
+        own = at.unit * np.sqrt(np.diag(end @ V @ end.T) * misfit + stair)
+        sd = np.sqrt(own**2 + np.maximum(open_constants, 0.0))
+        excess = float(np.log(left / plain.dof) / chance(plain.dof, known.noise.unsure))
+        said = replace(
+            plain, theta=theta, sd=sd, lower=theta - NORMAL_975 * sd, upper=theta + NORMAL_975 * sd, sd_repeat=own,
+            excess=excess, changing=excess > plain.beyond_jump,
+        )  # fmt: skip
+        moves = bool(np.any(np.abs(fit[nb:]) > tuning.AGREE_SD * np.sqrt(np.diag(V)[nb:] * misfit)))
+        return Line(said, np.asarray(np.maximum(middle, self.rig.lower)), moves)
+
+    def _jump(self, at: Linearised, V: FloatArray, fit: FloatArray, i: int) -> float:
+        """Score statistic of one jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108)."""
+        nb, t = at.regression.layout.base, at.regression.layout.jump(i)
+        cross = at.G[:nb, t]
+        J = at.G[t, t] - cross.T @ V @ cross
+        g = at.G[t, -1] - cross.T @ fit
+        return quadratic(J, g)
+
+    def _ratio(self, at: Linearised) -> FloatArray:
+        """Jackknife ratio (q,) of this window."""
+        layout = at.regression.layout
+        kept = at.cells.kept
+        L = np.linalg.cholesky(at.Si[:kept])
+        used = (at.cells.weight[:kept] > 0)[:, None, None]
+        whitened = used * (L.conj().transpose(0, 2, 1) @ at.regression.X)
+        low = float(at.cells.gram(at.Si, at.regression.X)[-1, -1])
+        blocks = block_grams(whitened, self.window, max(0.0, float(at.G[-1, -1]) - low))
+        return block_ratio(blocks, at.ridge.R, at.ridge.b, layout.psi)
+
+
+def _moved(theta: FloatArray, shift: FloatArray) -> FloatArray:
+    """Parameters theta (q,) moved by shifts (h, q) that constants cause: as factors, since constants scale parameters.
+
+    All masses, springs, dampers and forces times c give the same motion: along that line the logarithms run straight.
+    """
+    size = np.abs(theta)
+    relative = shift / np.where(size > 0, size, 1.0)
+    as_factor = (size > 0) & (np.abs(relative) < 1.0)
+    return np.where(as_factor, theta * np.exp(np.sign(theta) * np.where(as_factor, relative, 0.0)), theta + shift)

@@ -1,0 +1,303 @@
+"""A window linearised about parameters and constants: Gauss-Newton, the prior of its columns, the bins kept."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.algebra import inverse, refined, scales, shown
+from agent.numerics.inference.bins import Bins
+from agent.numerics.inference.columns import Layout, Regression, Regressor, Window
+from agent.numerics.inference.covariance import Cells, HighPower, inverse_of
+from agent.numerics.inference.ends import Ends
+from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, layout_free
+from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.response import Response
+from agent.numerics.inference.sources import Source, directions
+from agent.numerics.model.uncertain import Rig, sampled, unit_of
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """A window at the end of Gauss-Newton.
+
+    Attributes:
+        theta: (q,) the point;  unit: (q,) size of a deviation of 1.
+        regression, cells, regressor: the window there.
+        G: Gram of all columns, residual last;  Si: S⁻¹;  ridge: the prior;  converged: it came to rest.
+    """
+
+    theta: FloatArray
+    unit: FloatArray
+    regression: Regression
+    cells: Cells
+    G: FloatArray
+    Si: ComplexArray
+    ridge: Ridge
+    converged: bool
+
+
+class Lineariser:
+    """Linearises windows of one rig and one length.
+
+    Args:
+        rig: what is modelled.
+        window: W, samples.
+        outputs: p.
+        sources: of noise.
+        cuts: (cuts,) samples at which jumps are tested.
+    """
+
+    def __init__(self, rig: Rig, window: int, outputs: int, sources: tuple[Source, ...], cuts: IntArray) -> None:
+        self.rig, self.window, self.p, self.sources, self.cuts = rig, window, outputs, sources, cuts
+        self._response: Response | None = None
+        self._cells: tuple[FloatArray, Cells] | None = None
+
+    def prepared(self, window: Window, known: Knowledge) -> Knowledge:
+        """Return what is known with the bins to keep chosen, to be linearised where the constants are now."""
+        mean = known.constants.expected
+        far = np.abs(mean - known.eta) > self.eta_tolerance()
+        eta = np.where(far.any(), mean, known.eta)
+        known = replace(known, eta=eta)
+        due = known.noise.windows in (0, 1, 4, 13, 40)
+        return replace(known, kept=self._kept(window, known)) if due or not known.kept else known
+
+    def eta_tolerance(self) -> FloatArray:
+        """Return by how much constants (c,) may be off where the model is linearised."""
+        return np.array([0.02 if c.kind == "delay" else 2e-3 for c in self.rig.constants])
+
+    def _at(self, theta: FloatArray, known: Knowledge, kept: int) -> Response:
+        """The response at a point; the last one is kept."""
+        log_mass = known.eta[: self.rig.masses]
+        old = self._response
+        same = (
+            old is not None and old.bins.kept == kept
+            and np.array_equal(old.at.theta, theta) and np.array_equal(old.at.log_mass, log_mass)
+        )  # fmt: skip
+        if old is None or not same:
+            old = Response(sampled(self.rig, theta, log_mass), Bins(self.window, kept))
+            self._response, self._cells = old, None
+        return old
+
+    def _sources_at(self, response: Response, output_gain: FloatArray) -> Cells:
+        if self._cells is None or not np.array_equal(self._cells[0], output_gain):
+            spectra = np.array([source.spectrum(response.z) for source in self.sources])
+            spectra = spectra.reshape(len(self.sources), len(response.z))
+            self._cells = (output_gain, Cells(response, directions(response, self.sources, output_gain), spectra))
+        return self._cells[1]
+
+    def linearised(self, window: Window, known: Knowledge, jumps: bool, steps: int = tuning.STEPS) -> Linearised:
+        """Return a window at the end of Gauss-Newton; constants are given where estimated ones hide what is curved."""
+        at = self._descended(window, known, jumps, steps, given=False)
+        if at.converged or not len(self.rig.constants):
+            return at
+        again = self._descended(window, known, jumps, steps, given=True)
+        return again if again.converged else at
+
+    def _descended(self, window: Window, known: Knowledge, jumps: bool, steps: int, given: bool) -> Linearised:
+        """Gauss-Newton from θ_r: until the second-order term that is neglected is small against the sd."""
+        no_cuts = np.zeros(0, dtype=np.int64)
+        cuts = self.cuts if jumps else no_cuts
+        at = self.point(window, known, known.theta.copy(), cuts)
+        for _ in range(steps):
+            delta, sd = self._step(at, known, given)
+            held = (at.theta <= self.rig.lower) & (delta < 0)
+            far = ~held & (np.abs(delta) > np.maximum(sd, np.sqrt(tuning.CURVATURE * sd)))
+            if not far.any():
+                return at
+            lower = self._lower(window, known, at, delta, given)
+            if lower is None:
+                break
+            at = self.point(window, known, lower, cuts)
+        return replace(at, converged=False)
+
+    def _lower(
+        self, window: Window, known: Knowledge, at: Linearised, delta: FloatArray, given: bool
+    ) -> FloatArray | None:
+        """The point (q,) towards which the cost falls: a full step, half of it, a quarter ...; None where none does."""
+        linear = self.rig.nominal == 0
+        longest = np.where(linear, np.inf, tuning.LONGEST_STEP)
+        share, before = 1.0, self._cost(at, at.regression, given) + self._strayed(at.theta, known)
+        for _ in range(tuning.HALVINGS):
+            moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
+            moved = np.maximum(moved, self.rig.lower)
+            response = self._at(moved, known, known.kept)
+            regressor = Regressor(self.rig, response, self.sources, known.eta)
+            trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), np.zeros(0, dtype=np.int64))
+            if self._cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
+                return np.asarray(moved)
+            share *= 0.5
+        return None
+
+    def _cost(self, at: Linearised, regression: Regression, given: bool) -> float:
+        """Twice the negative log posterior of a trajectory under the noise of a point, all but the parameters free."""
+        X = regression.without_jumps
+        G = at.cells.gram(at.Si, X)
+        layout = regression.layout
+        others = np.arange(layout.nuisance.stop)
+        if not given:
+            others = np.concatenate([others, np.arange(layout.xi.start, layout.base)])
+        score = G[others, -1] + at.ridge.b[others]
+        V = inverse(G[np.ix_(others, others)] + at.ridge.R[np.ix_(others, others)])
+        return float(G[-1, -1] - score @ V @ score)
+
+    def point(self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray) -> Linearised:
+        """Return the window at theta (q,), with columns of jumps at `cuts`."""
+        response = self._at(theta, known, known.kept)
+        regressor = Regressor(self.rig, response, self.sources, known.eta)
+        cells = self._sources_at(response, regressor.output_gain)
+        noise = known.noise
+        S = cells.covariance(noise.log_sigma, noise.levels, noise.intensity)
+        Si = inverse_of(S)
+        driven = self._driven(response, cells, noise, Si)
+        regression = regressor.build(window, lambda X: cells.gram(Si, X), cuts, driven)
+        G = cells.gram(Si, regression.X)
+        G[-1, -1] += HighPower(response, regression.high, noise.levels).quadratic(Si)
+        constants = known.constants
+        ridge = self.ridge(regression.layout, window, constants.total, constants.expected - known.eta, noise.intensity)
+        return Linearised(theta, response.at.unit, regression, cells, G, Si, ridge, True)
+
+    def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:
+        """(kept, n, p) regression of the states that unknown forces drive on the readings: Cov(x, y) S⁻¹."""
+        kept = response.bins.kept
+        out = np.zeros((kept, response.at.n, self.p), dtype=complex)
+        RE = response.R @ response.at.E
+        for a, source in enumerate(self.sources):
+            if source.kind == "force":
+                power = noise.intensity[a] ** 2 * cells.spectra[a, :kept]
+                out += (power[:, None] * RE[:, :, source.number])[:, :, None] * cells.D[:kept, :, a].conj()[:, None, :]
+        return out @ Si[:kept]
+
+    def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, FloatArray]:
+        """The step (q,), constants estimated beside it or given, and the sd (q,) with them given."""
+        at = self._anchored(at, known.theta)
+        _, _, alone, V, Z = eliminated(at)
+        sd = np.sqrt(np.diag(V))
+        if given:
+            return alone - Z @ (known.constants.expected - known.eta), sd
+        layout, nb = at.regression.layout, at.regression.layout.base
+        step = inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b)
+        return step[layout.psi], sd
+
+    def _anchored(self, at: Linearised, anchor: FloatArray) -> Linearised:
+        """A window with the point's own prior on the parameters: what says little of one moves no point far.
+
+        N(anchor, (POINT_SD unit)²) steers where the model is linearised, and enters nothing that is said of the window.
+        """
+        psi, spread = at.regression.layout.psi, self._anchor_spread(anchor)
+        R, b = at.ridge.R.copy(), at.ridge.b.copy()
+        R[psi, psi] += np.diag((at.unit / spread) ** 2)
+        b[psi] -= at.unit * (at.theta - anchor) / spread**2
+        return replace(at, ridge=Ridge(R, b))
+
+    def _strayed(self, theta: FloatArray, known: Knowledge) -> float:
+        """Twice the negative log prior of a point."""
+        return float((((theta - known.theta) / self._anchor_spread(known.theta)) ** 2).sum())
+
+    def _anchor_spread(self, anchor: FloatArray) -> FloatArray:
+        """(q,) sd of the point's prior; none for what is nominally 0, whose size says nothing."""
+        return np.where(self.rig.nominal == 0, np.inf, tuning.POINT_SD * unit_of(self.rig, anchor))
+
+    def wide(self) -> FloatArray:
+        """Return the prior (c, c) of the constants while the noise is learnt: as far off as any of them may be."""
+        sizes = [tuning.OFF_DELAY if c.kind == "delay" else tuning.OFF_RELATIVE for c in self.rig.constants]
+        known = np.array([c.sheet > 0 for c in self.rig.constants], dtype=bool)
+        return np.diag(np.where(known, sizes, 1e-6) ** 2) if sizes else np.zeros((0, 0))
+
+    def ridge(
+        self, layout: Layout, window: Window, P: FloatArray, mean: FloatArray, intensity: FloatArray | None = None
+    ) -> Ridge:
+        """Return the base columns' prior: constants N(mean, P), lost readings, end effects of given intensities."""
+        R, b = np.diag(layout_free(layout)), np.zeros(layout.base)
+        if len(window.lost):
+            R[layout.gaps, layout.gaps] = np.diag(1.0 / window.lost_sd**2)
+        if intensity is not None:
+            assert self._response is not None  # noqa: S101 - the layout is of its regression
+            ends = range(layout.ends.start, layout.ends.stop)
+            R[ends, ends] = Ends(self._response, self.sources).precision(intensity)
+        if len(mean):
+            precision = inverse(P)
+            R[layout.xi, layout.xi] = precision
+            b[layout.xi] = precision @ mean
+        return Ridge(R, b)
+
+    def without_jumps(self, at: Linearised, fit: NoiseFit) -> Linearised:
+        """Return the same window under the noise that was just learnt."""
+        layout = replace(at.regression.layout, cuts=0)
+        R = at.ridge.R.copy()
+        ends = range(layout.ends.start, layout.ends.stop)
+        R[ends, ends] = fit.ridge()[ends, ends]
+        regression = replace(at.regression, X=fit.X, layout=layout)
+        return replace(at, G=fit.G, Si=fit.Si, regression=regression, ridge=replace(at.ridge, R=R))
+
+    def nearer(self, at: Linearised, before: FloatArray) -> FloatArray:
+        """Return the next point (q,): what this window says, averaged with the last point where they agree."""
+        _, _, alone, V, _ = eliminated(self._anchored(at, before))
+        here, sd = at.theta + at.unit * alone, at.unit * np.sqrt(np.diag(V))
+        agree = np.all(np.abs(here - before) < tuning.AGREE_SD * sd)
+        share = tuning.POINT_SHARE if agree else 1.0
+        return np.asarray(np.maximum(before + share * (here - before), self.rig.lower))
+
+    # ------------------------------------------------------------------ which bins
+    def _kept(self, window: Window, known: Knowledge) -> int:
+        """The fewest bins that cost no parameter more than a share of its sd, constants given and at data sheet."""
+        total = self.window // 2 + 1
+        top = min(total, tuning.MOST_BINS)
+        if total < tuning.ALL_BINS:
+            return total
+        at = self.point(window, replace(known, kept=top), known.theta, np.zeros(0, dtype=np.int64))
+        ladder = np.unique(np.round(np.geomspace(10, top, 24)).astype(np.int64))
+        layout = at.regression.layout
+        least = 2 * layout.n + 4
+        sds = [self._sd_of(at, window, gram) for gram in self._running(at, ladder)]
+        enough = [
+            kept for kept, sd in zip(ladder, sds, strict=True)
+            if kept > least and np.all(sd < (1 + tuning.INFORMATION_LOSS) * sds[-1])
+        ]  # fmt: skip
+        best = int(enough[0]) if enough else top
+        return total if best > 0.8 * total else best
+
+    def _running(self, at: Linearised, ladder: IntArray) -> list[FloatArray]:
+        """Grams of the base columns up to each rung, every bin summed once."""
+        X = at.regression.without_jumps[..., :-1]
+        weighted = (at.Si[: at.cells.kept] @ X) * at.cells.weight[: at.cells.kept, None, None]
+        out, total, start = [], np.zeros((X.shape[-1],) * 2), 0
+        for stop in ladder:
+            a, b = X[start:stop].reshape(-1, X.shape[-1]), weighted[start:stop].reshape(-1, X.shape[-1])
+            total = total + a.real.T @ b.real + a.imag.T @ b.imag
+            out.append(total)
+            start = int(stop)
+        return out
+
+    def _sd_of(self, at: Linearised, window: Window, gram: FloatArray) -> FloatArray:
+        """Sds of the parameters with constants as good as given, then at their data sheet."""
+        layout = at.regression.layout
+        sheet = np.array([max(c.sheet, 1e-6) for c in self.rig.constants])
+        out = []
+        for share in (0.1 * tuning.AS_CONFIGURED, 1.0):
+            P = np.diag((share * sheet) ** 2)
+            R = self.ridge(layout, window, P, np.zeros(len(sheet)), np.full(len(self.sources), 1e-150)).R
+            M = gram + R
+            d = scales(M)
+            V = np.linalg.pinv(M * np.outer(d, d), rcond=1e-14, hermitian=True)
+            out.append(np.sqrt(np.abs(np.diag(V))[layout.psi]) * d[layout.psi])
+        return np.concatenate(out)
+
+
+def eliminated(at: Linearised) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return, all but the constants eliminated, their information and score, θ at η = 0, its variance, dθ/dη."""
+    layout = at.regression.layout
+    na, nb, psi = layout.xi.start, layout.base, layout.psi
+    M = at.G[:na, :na] + at.ridge.R[:na, :na]
+    V = inverse(M)
+    rest = at.G[:na, na:nb]
+    alone = refined(M, V, at.G[:na, -1] + at.ridge.b[:na])
+    Z = refined(M, V, rest)  # what the constants are known by is a small difference of large numbers
+    S = at.G[na:nb, na:nb] - rest.T @ Z
+    g = at.G[na:nb, -1] - rest.T @ alone
+    return *shown(S, g, np.diag(at.G)[na:nb]), alone[psi], V[psi, psi], Z[psi]

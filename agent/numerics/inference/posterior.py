@@ -1,0 +1,95 @@
+"""What is carried from window to window, and what one window says."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.constants import Constants
+from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.scatter import Scatter
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is carried from window to window.
+
+    Attributes:
+        theta: (q,) where the model is linearised;  eta: (c,) likewise for the constants.
+        noise, constants, scatter: what has been learnt.
+        kept: bins kept with all columns; 0 until a window has shown how many are needed.
+        unexplained: the newest window was not explained by the noise known before.
+    """
+
+    theta: FloatArray
+    eta: FloatArray
+    noise: Noise
+    constants: Constants
+    scatter: Scatter
+    kept: int = 0
+    unexplained: bool = False
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What one window says.
+
+    Attributes:
+        theta, lower, upper: (q,) mean and 95 % interval, the constants' uncertainty in it.
+        sd: (q,) that of the Gaussian with as wide an interval: a hypothesis of 1 % weight does not double it.
+        linear: (q,) mean of the one Gaussian that has mean and covariance of the hypotheses that stand.
+        sd_repeat: (q,) standard deviation against another window of the same rig: the constants taken as they are.
+        sensitivity: (q, c) change of θ by a change of each constant.
+        converged: Gauss-Newton came to rest.
+        jump: (cuts,) twice the log likelihood ratio of a jump at each cut; jump_raw: not divided by the misfit.
+        excess: predictive standard deviations by which the residual's power is too large;  beyond_jump: the same of
+            what the best jump leaves.
+        changing: a jump fits beyond what chance allows.
+        dof: degrees of freedom of the residual.
+        rubs: dry friction that the model has no term for is evident, and moves an estimate by more than its sd.
+    """
+
+    theta: FloatArray
+    sd: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    linear: FloatArray
+    sd_repeat: FloatArray
+    sensitivity: FloatArray
+    converged: bool
+    jump: FloatArray
+    jump_raw: FloatArray
+    excess: float
+    beyond_jump: float
+    changing: bool
+    dof: float
+    rubs: bool = False
+
+    @property
+    def mismatch(self) -> bool:
+        """Whether the residual's power is not explained by what the noise may be."""
+        return self.excess > tuning.MISMATCH_SD
+
+
+@dataclass(frozen=True)
+class Line:
+    """What one window says if each of its parameters runs a straight line through it.
+
+    Attributes:
+        end: what it says of its end; `changing`: one jump of all parameters explains it better.
+        middle: (q,) where they are at its middle.
+        moves: some line is more than chance.
+    """
+
+    end: Posterior
+    middle: FloatArray
+    moves: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether lines explain the window, and better than anything that jumps once."""
+        end = self.end
+        return end.converged and not end.mismatch and not end.changing and self.moves

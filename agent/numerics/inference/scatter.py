@@ -1,0 +1,132 @@
+"""Is the scatter of the data that of the model? A delete-a-block jackknife, divided by its own expectation.
+
+With block Grams G_j of the whitened columns and M = Σ G_j + R, leaving block j out moves the estimate by
+d_j = M_−j⁻¹ g_−j − M⁻¹ g; under the model its covariance is
+
+    E_j = (M_−j⁻¹ − M⁻¹) G_−j (M_−j⁻¹ − M⁻¹)ᵀ + M⁻¹ G_j M⁻¹
+
+so r = Σ diag d_j d_jᵀ / Σ diag E_j is 1 in expectation whatever leverage or prior a block has (Shao & Wu, Ann. Stat. 17
+(1989) 1176, gives the plain form). r is pooled over disjoint windows; the scatter between windows is judged by second
+differences, in which a slow change of the parameters cancels. Either is 1 by the model, or anything: a few windows say
+little of it, so its expectation weighs both (a spike at 1 and a scaled inverse χ² slab).
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, gammaln
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.algebra import inverse
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Carried belief about the scatter, in units of the model's variance.
+
+    Attributes:
+        within: (q,) c, pooled ratio of the jackknife's variance to the model's; dof: behind it.
+        between: (q,) c_b, the same for differences between windows.
+        compared: how many differences between windows there were.
+        last: the estimates (q,) and variances (q,) of the two newest disjoint windows.
+    """
+
+    within: FloatArray
+    between: FloatArray
+    dof: float = tuning.SCATTER_PRIOR_DOF
+    compared: int = 0
+    last: tuple[tuple[FloatArray, FloatArray], ...] = ()
+
+    @classmethod
+    def prior(cls, q: int) -> "Scatter":
+        """Return the belief before any window: the model's."""
+        return cls(np.ones(q), np.ones(q))
+
+    def pooled(self, ratio: FloatArray) -> FloatArray:
+        """Return c (q,) with one more window's ratio; an odd window counts for three usual ones at most."""
+        finite = np.where(np.isfinite(ratio), ratio, 1.0)
+        most = 3 * np.maximum(self.within, 1) if self.dof > 20 else np.full_like(finite, 1e4)
+        fresh = tuning.JACKKNIFE_BLOCKS - 1
+        return np.asarray((self.dof * self.within + fresh * np.minimum(finite, most)) / (self.dof + fresh))
+
+    def after(self, ratio: FloatArray, theta: FloatArray, variance: FloatArray) -> "Scatter":
+        """Return the belief after one more disjoint window with estimate and variance (q,)."""
+        within = self.pooled(ratio)
+        dof = min(self.dof + tuning.JACKKNIFE_BLOCKS - 1, tuning.SCATTER_MOST_DOF)
+        between = self._between(theta, variance * np.maximum(within, 1.0))
+        compared = self.compared + (len(self.last) == 2)
+        return Scatter(within, between, dof, compared, (*self.last, (theta, variance))[-2:])
+
+    def _between(self, theta: FloatArray, variance: FloatArray) -> FloatArray:
+        """Second differences of disjoint windows against their variances, each counted as 9 times usual at most."""
+        if len(self.last) < 2:
+            return self.between
+        (first, v1), (second, v2) = self.last
+        z2 = (theta - 2 * second + first) ** 2 / (v1 + 4 * v2 + variance)
+        usual = np.maximum(self.between, 1.0)
+        memory = min(self.compared + tuning.SCATTER_PRIOR_DOF, tuning.BETWEEN_DOF)
+        return np.asarray(self.between + (np.minimum(z2, 9 * usual) - self.between) / memory)
+
+    @property
+    def factor(self) -> FloatArray:
+        """(q,) what the model's variance is multiplied by; never below 1: noise as small as the model's is no luck."""
+        differences = min(self.compared, tuning.BETWEEN_DOF - tuning.SCATTER_PRIOR_DOF)
+        return expected(self.within, self.dof - tuning.SCATTER_PRIOR_DOF) * expected(self.between, differences)
+
+    def interrupted(self) -> "Scatter":
+        """Return the belief after a change or a gap: the windows before it do not compare."""
+        return replace(self, last=())
+
+
+def expected(pooled: FloatArray, seen: float) -> FloatArray:
+    """Return the expectation (q,) of a factor on the variance: 1 by the model, or what was pooled.
+
+    pooled (q,): mean of `seen` ratios and of SCATTER_PRIOR_DOF ones. Neighbouring second differences, and leverages
+    that differ from block to block, leave half of them independent.
+    """
+    prior, half = tuning.SCATTER_PRIOR_DOF, 0.5 * seen
+    power = np.maximum(0.5 * ((seen + prior) * pooled - prior), 0.0)  # Σ z² of the independent ones
+    after = 0.5 * (prior + half)
+    slab = gammaln(after) - gammaln(0.5 * prior) + 0.5 * prior * np.log(0.5 * prior)
+    odds = slab - after * np.log(0.5 * (prior + power)) + 0.5 * power  # log Bayes factor against the model
+    return np.asarray(1 + expit(odds) * (np.maximum(pooled, 1.0) - 1))
+
+
+def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) -> FloatArray:
+    """Return r (q,) from block Grams (J, k+1, k+1) of [columns, residual] and the columns' prior (k, k), (k,)."""
+    k = len(R)
+    whole = blocks.sum(axis=0)
+    V = inverse(whole[:k, :k] + R)
+    fit = V @ (whole[:k, k] + b)
+    rest = whole - blocks
+    Vj = inverse(rest[:, :k, :k] + R)
+    moved = (Vj @ (rest[:, :k, k] + b)[..., None])[..., 0] - fit
+    apart = Vj - V
+    expected = apart @ rest[:, :k, :k] @ apart.transpose(0, 2, 1) + V @ blocks[:, :k, :k] @ V
+    seen = (moved[:, psi] ** 2).sum(axis=0)
+    usual = np.einsum("jii->ji", expected)[:, psi].sum(axis=0)
+    return np.asarray(seen / np.maximum(usual, 1e-300))
+
+
+def block_grams(whitened: ComplexArray, window: int, power_above: float) -> FloatArray:
+    """Return Grams (J, c, c) of consecutive blocks from whitened columns (kept, p, c) on the lowest bins.
+
+    Back in time the columns of the lowest bins are sampled at 2·kept points or more; Parseval makes the blocks' sum
+    the window's Gram. power_above (residual on the high bins) is spread evenly.
+    """
+    kept = len(whitened)
+    length = window if kept == window // 2 + 1 else 2 * kept
+    samples = np.fft.irfft(whitened, length, axis=0) * np.sqrt(length)
+    edges = np.linspace(0, length, tuning.JACKKNIFE_BLOCKS + 1).astype(int)
+    out = []
+    for start, stop in pairwise(edges.tolist()):
+        part = samples[start:stop].reshape(-1, whitened.shape[-1])
+        gram = part.T @ part
+        gram[-1, -1] += power_above / tuning.JACKKNIFE_BLOCKS
+        out.append(gram)
+    return np.array(out)

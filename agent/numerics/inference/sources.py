@@ -1,0 +1,86 @@
+"""Where noise comes from: unknown forces, fresh and slow, and coloured sensor noise, each of unknown intensity.
+
+    S(z) = diag(σ_c² s_c(z)) + Σ_a v_a² |P_a(z)|² d_a d_a*,     |P|² = (1 − a²) / |1 − a/z|²   (a = 0: white)
+
+d_a is the response H_j to a force on mass j, or the unit vector of sensor c (Gauss-Markov noise of the sensor itself).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference.response import Response
+from agent.numerics.inference.tuning import FORCE_CORNER_OF_SLOWEST, FORCE_CORNERS, SENSOR_CORNERS
+from agent.numerics.model.uncertain import Rig, sampled
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One source of noise.
+
+    Attributes:
+        kind: a force, or a sensor's own.
+        number: which unknown force, or which output.
+        pole: a of the first-order Gauss-Markov process; 0 for white noise.
+    """
+
+    kind: Literal["force", "sensor"]
+    number: int
+    pole: float
+
+    @property
+    def is_slow_force(self) -> bool:
+        """Whether it is a force that lasts beyond the window's ends."""
+        return self.kind == "force" and self.pole > 0
+
+    def spectrum(self, z: ComplexArray) -> FloatArray:
+        """Return |P(z)|², of mean 1 over all frequencies."""
+        a = self.pole
+        return np.asarray((1 - a * a) / np.abs(1 - a / z) ** 2)
+
+
+def sources_of(rig: Rig, window: int, outputs: int) -> tuple[Source, ...]:
+    """Return the sources that a window can tell apart: each force white and slow, each sensor in three colours."""
+    if rig.white:
+        return ()
+    corners = force_corner_hz(rig, window) * np.array(FORCE_CORNERS)
+    lasting_poles = np.exp(-2 * np.pi * np.minimum(corners * rig.period_s, 0.25))
+    forces = range(len(rig.pushed))
+    white = [Source("force", j, 0.0) for j in forces]
+    lasting = [Source("force", j, float(pole)) for pole in lasting_poles for j in forces if rig.slow_forces]
+    poles = np.exp(-2 * np.pi * np.array(SENSOR_CORNERS))
+    coloured = [Source("sensor", c, float(pole)) for pole in poles for c in range(outputs)]
+    return (*white, *lasting, *coloured)
+
+
+def force_corner_hz(rig: Rig, window: int) -> float:
+    """Return the corner of slow forces, Hz: half the slowest mode's frequency, or what the window can show."""
+    at = sampled(rig, rig.nominal, np.zeros(rig.masses))
+    speed = np.abs(np.log(np.linalg.eigvals(at.A).astype(complex))) / (2 * np.pi * rig.period_s)
+    moving = speed[speed > 1e-6 / rig.period_s / window]
+    slowest = float(moving.min()) if len(moving) else 0.0
+    return max(FORCE_CORNER_OF_SLOWEST * slowest, 0.5 / (window * rig.period_s))
+
+
+def directions(response: Response, sources: tuple[Source, ...], output_gain: FloatArray) -> ComplexArray:
+    """Return d (cells, p, a): how the outputs respond to each source; output_gain (p,)."""
+    cells, p = len(response.z), len(output_gain)
+    out = np.zeros((cells, p, len(sources)), dtype=complex)
+    for a, source in enumerate(sources):
+        if source.kind == "force":
+            out[:, :, a] = response.H[:, :, source.number] * output_gain
+        else:
+            out[:, source.number, a] = 1.0
+    return out
+
+
+def end_effect(response: Response, source: Source, kept: int) -> ComplexArray:
+    """Return τ (kept, p): the response to a^k, by which a slow force differs from its periodic likeness."""
+    z, W, a = response.z[:kept], response.bins.window, source.pole
+    decay = (1 - a**W) / (1 - a / z) / np.sqrt(W)
+    return response.pushed(source.number, decay)

@@ -1,0 +1,140 @@
+"""Tuned numbers of the statistical model: one table, each with its unit, its source and what needs it.
+
+Every number is a prior or a numerical tolerance of the model in `agent.numerics.inference`; none is a limit on a
+verdict of its own. "Needed by" names the row of docs/statistics.md that fails without it.
+"""
+
+SIGMA_SPREAD_UNSTATED = 5.0
+"""Prior sd of log σ where no noise_sd is stated: nothing is known. Needed by: white noise to be learnt."""
+SIGMA_UNKNOWN = 1.0
+"""Prior sd of log σ beyond which it counts as not known when grids of intensities are laid out. Needed by: EMPS."""
+DIGITS = 1e-7
+"""Least σ as a share of a signal's spread: 23 bits, more than a sensor has. Needed by: no noise at all."""
+SIGMA_WALK = 0.1
+"""Prior sd of the random walk of log σ from window to window. Needed by: jitter, whose noise grows with speed."""
+SIGMA_WALK_DOF = 4.0
+"""Windows that this prior counts for; what windows then show comes down to 0.03 on a steady rig. Needed by: jitter."""
+LEVEL_DOF = 30.0
+"""Prior degrees of freedom of each frequency bin's own noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
+FORGET = 0.97
+"""What is left, one window later, of the log-weights of force and colour intensities. Needed by: forces that begin."""
+SHAKEN = 0.1
+"""The same for a window that only other noise explains: sources are looked for as in a first window."""
+UNSETTLED = 0.1
+"""Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
+LARGE_NODES = 20.0
+"""An intensity beyond this many first nodes is followed so: one that hardly shows moves by chance. Cost only."""
+NODES = 44
+"""Nodes of the grid of each intensity; fewer stop short of the forces of EMPS. Needed by: EMPS."""
+NODE_RATIO = 1.6
+"""Ratio of neighbouring nodes: a quarter of a decade, finer than a window tells intensities apart (sd of log ≥ 0.3)."""
+FIRST_NODE = 0.1
+"""First node, as a share of the intensity that equals the white sensor noise where the source is strongest."""
+LOWEST_LOG_WEIGHT = -30.0
+"""Floor of carried log-weights: the chance that an intensity jumps anywhere in a window is e^-30."""
+SENSOR_CORNERS = (0.05, 0.01, 0.002)
+"""Corner frequencies of coloured sensor noise, shares of the sampling rate. Needed by: AR(0.95) sensor noise."""
+FORCE_CORNER_OF_SLOWEST = 0.5
+"""Lowest corner of slow unknown forces as a share of the slowest mode's frequency. Needed by: AR(0.99) forces."""
+FORCE_CORNERS = (1.0, 4.0)
+"""Corners of slow unknown forces, in units of the lowest: one alone fits no other. Needed by: AR(0.99) forces."""
+STANDING_WEIGHT = 0.1
+"""An interval holds 95 % under each hypothesis of at least this weight. Needed by: both masses +10 %."""
+
+DELAY_SHEET = 0.25
+"""Data-sheet sd of the inputs' delay, samples, where none is stated. Needed by: force not straight between samples."""
+AS_CONFIGURED = 0.02
+"""The hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
+SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0)
+"""Common factors on all data-sheet sds, one hypothesis each. Needed by: all constants off within their data sheet."""
+OFF_RELATIVE = 0.3
+"""Prior sd of a mass or gain that is "off". Needed by: m2 −20 %."""
+OFF_DELAY = 1.0
+"""Prior sd of a delay that is "off", samples. Needed by: held but hold = "first" (half a sample)."""
+DRIFT_WALK = 0.005
+"""Random walk a window of a gain that "drifts". Needed by: sensor y1 drifting 5 %."""
+QUIET_WALK = 1e-4
+"""Random walk a window of constants that do not drift, in data-sheet sds: keeps covariances from closing."""
+SWITCH = 1e-3
+"""Chance a window that another hypothesis on the constants becomes the true one."""
+PRIOR_HEALTHY = 0.7
+"""Prior probability that every constant is within its data sheet."""
+
+JUMP_LEVEL = 1e-6
+"""False-alarm probability of the test of one jump inside a window. Needed by: 0 false `changing` in 10,000 hops."""
+MISMATCH_SD = 5.0
+"""Predictive standard deviations beyond which a window's residual power is not explained by the model."""
+CUTS = (0.125, 0.375, 0.625, 0.875)
+"""Places inside the window at which a jump is tested, as shares of it."""
+
+INFORMATION_LOSS = 0.01
+"""Share of any parameter's sd that may be given up by leaving out columns at high frequencies."""
+MOST_BINS = 2048
+"""Most bins kept with all columns, and most bins above the cut whose residual power is used."""
+HIGH_GROUPS = 16
+"""Groups of bins above the cut: noise is taken as flat within each (a twelfth of a decade)."""
+ALL_BINS = 24
+"""Windows with fewer bins than this keep them all."""
+ROTATION = 3
+"""Intensities scanned in a window besides the active ones. Cost only: every one has its turn."""
+ACTIVE_NODES = 5.0
+"""An intensity beyond this many first nodes is scanned in every window."""
+HALVINGS = 8
+"""Most times that a Gauss-Newton step that does not lower the cost is halved. Needed by: EMPS."""
+STEPS = 12
+"""Most Gauss-Newton steps of one window."""
+CURVATURE = 0.03
+"""Linearised again where the neglected second-order term, step², exceeds this share of the sd."""
+LONGEST_STEP = 0.5
+"""Longest Gauss-Newton step downwards, as a share of the parameter (twice that upwards)."""
+
+JACKKNIFE_BLOCKS = 8
+"""Blocks left out in turn. Needed by: recorded machines, whose model error is common to neighbouring samples."""
+SCATTER_PRIOR_DOF = 4.0
+"""Degrees of freedom behind the first belief that the scatter is the model's. Needed by: first windows of ECP-210."""
+SCATTER_MOST_DOF = 160.0
+"""Most degrees of freedom carried: about 23 windows of 7."""
+BETWEEN_DOF = 40.0
+"""Memory of the scatter between windows, windows. Needed by: ECP-210, whose dampers are equivalents of friction."""
+ROUNDS = 6
+"""Most times that one window is linearised anew because the constants moved. Needed by: m2 −20 %."""
+FAR_TOLERANCES = 1.0
+"""Tolerances beyond which constants have moved so far that the window is done again."""
+PRIOR_ABSENT = 0.5
+"""Prior probability that a source of noise is absent. Needed by: right models near the bound."""
+AGREE_SD = 3.0
+"""Sds within which a window's estimate and the point of linearisation agree."""
+POINT_SD = 1.5
+"""Prior sd of the next point about the last, shares of the parameter. Needed by: standstills in normal operation."""
+POINT_SHARE = 0.25
+"""Share of a window's estimate in the next point where they agree: the point is an average of some windows."""
+SHEET_WALK = 0.01
+"""Random walk a window of constants within their data sheets, in data-sheet sds. Needed by: y1 drifts."""
+LEAST_CHANGES = 20
+"""Changes of a sensor's code below which a window is a standstill: it teaches nothing. Needed by: ECP-210, clamped."""
+STANDSTILL_SD = 4.0
+"""Sds of its own chance by which a window's spread may exceed the noise alone. Needed by: standstill."""
+LINE_SD = 0.3
+"""Prior sd of a parameter's change within one window, shares of it. Needed by: a spring that softens in seconds."""
+CREEP = 0.02
+"""Share of the greatest speed below which the sign of a speed is not known. Needed by: EMPS without its friction."""
+FRICTION_EVIDENCE = 12.0
+"""Log Bayes factor from which dry friction is believed: against odds of 1 : 10,000. Needed by: EMPS, no friction."""
+EXPLAINED_SD = 2.5
+"""Predictive sds within which what an explanation leaves is noise. Needed by: a bias that begins inside a window."""
+CHANNEL_EVIDENCE = 9.2
+"""Log odds, 99 : 1 after a hundred looks, by which a channel must lead all else. Needed by: forces that begin."""
+WORTH_MENDING = 60.0
+"""Log evidence, as linearised, behind the best channel beyond which an explanation is not followed up. Cost only."""
+MENDINGS = 8
+"""Most times that a window is mended and looked at again. Needed by: channels that come 40 samples late."""
+STOOD_SHARES = (1.0, 0.3, 0.1)
+"""Sizes of the force in place of an input that froze, shares of what it used to be. Needed by: a force that freezes."""
+NOISE_PRICE = 7.6
+"""Log evidence that a change of noise costs: two numbers of a window of 2000 readings. Needed by: forces that begin."""
+MANY_TIMES = 4.0
+"""Factor from its nominal at which a parameter competes with a channel that is wrong from the start."""
+AS_LARGE = 0.3
+"""Share of the measured inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
+LARGER = 0.9
+"""The same where a first window waits for a quarter of a window more, in which a channel can show that it is late."""

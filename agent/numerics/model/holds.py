@@ -1,0 +1,103 @@
+"""Exact sampling with the input between samples a polynomial through several readings, some of them yet to come.
+
+    x(k+1) = A x(k) + sum_o B_o u(k+o),   y(k) = C x(k) + D u(k),   o = -1..2 for a cubic, -2..3 for a quintic
+
+The Lagrange polynomial through u(k+o) is integrated exactly: its derivatives at the sample's start are a chain of
+integrators behind the input, and the blocks of one matrix exponential are what each of them leads to (Van Loan, IEEE
+Trans. Automatic Control 23 (1978) 395; a straight line is degree 1). Unlike `statespace.discretise`, the state here is
+the physical one.
+"""
+
+from dataclasses import dataclass
+from math import factorial
+from typing import Final
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from agent.numerics.model.statespace import Hold, StateSpace, exponential_with_derivatives
+from agent.types import FloatArray
+
+_TAPS: Final[dict[Hold, tuple[int, ...]]] = {
+    "zero": (0,), "first": (0, 1), "cubic": (-1, 0, 1, 2), "quintic": (-2, -1, 0, 1, 2, 3),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Tapped:
+    """A sampled model that takes several readings of its inputs at once.
+
+    Attributes:
+        model: x(k+1) = A x(k) + B v(k), y(k) = C x(k) + D v(k), with derivatives by every parameter;
+            v(k) = [u(k+o) for o in taps], m columns a tap (see `side_by_side`). D acts on u(k) alone.
+        taps: offsets of the readings, ascending.
+        period_s: sampling period, s.
+    """
+
+    model: StateSpace
+    taps: tuple[int, ...]
+    period_s: float
+
+
+def taps(hold: Hold) -> tuple[int, ...]:
+    """Return the offsets of the readings that the input between samples k and k+1 is made of.
+
+    Raises ValueError for "euler", which is no hold.
+    """
+    if hold not in _TAPS:
+        raise ValueError(f'"{hold}" is no hold: holds are {", ".join(_TAPS)}')
+    return _TAPS[hold]
+
+
+def straight(hold: Hold) -> Hold:
+    """Return what stands in for a polynomial where readings yet to come cannot be waited for: a straight line."""
+    return "first" if hold in ("cubic", "quintic") else hold
+
+
+def sample(continuous: StateSpace, period_s: float, hold: Hold) -> Tapped:
+    """Sample a continuous model exactly, derivatives included, for any hold."""
+    offsets = taps(hold)
+    weights = _derivative_weights(offsets)
+    A, dA, G, dG = _chain(continuous, period_s, len(offsets))
+    # B_o = sum_j weights[o, j] G_j
+    columns = len(offsets) * continuous.m
+    B = np.einsum("oj,jnm->nom", weights, G).reshape(continuous.n, columns)
+    dB = np.einsum("oj,qjnm->qnom", weights, dG).reshape(continuous.q, continuous.n, columns)
+    D, dD = _direct(continuous.D, offsets), _direct(continuous.dD, offsets)
+    return Tapped(StateSpace(A, B, continuous.C, D, dA, dB, continuous.dC, dD), offsets, period_s)
+
+
+def _derivative_weights(offsets: tuple[int, ...]) -> FloatArray:
+    """Return (taps, degree + 1): what each reading adds to the polynomial's derivatives at 0, time in samples."""
+    rows = []
+    for o in offsets:
+        others = [other for other in offsets if other != o]
+        lagrange = polynomial.polyfromroots(others) / np.prod([float(o - other) for other in others])
+        rows.append([factorial(j) * c for j, c in enumerate(lagrange)])
+    return np.array(rows)
+
+
+def _chain(
+    continuous: StateSpace, period_s: float, length: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, dA and what the input's derivatives (length, n, m) at the sample's start lead to at its end."""
+    n, m, q = continuous.n, continuous.m, continuous.q
+    size = n + length * m
+    generator, directions = np.zeros((size, size)), np.zeros((q, size, size))
+    generator[:n, :n], directions[:, :n, :n] = continuous.A * period_s, continuous.dA * period_s
+    generator[:n, n : n + m], directions[:, :n, n : n + m] = continuous.B * period_s, continuous.dB * period_s
+    generator[n : size - m, n + m :] = np.eye(size - n - m)
+    found, derivatives = exponential_with_derivatives(generator, directions)
+    G = found[:n, n:].reshape(n, length, m).transpose(1, 0, 2)
+    dG = derivatives[:, :n, n:].reshape(q, n, length, m).transpose(0, 2, 1, 3)
+    return found[:n, :n], derivatives[:, :n, :n], G, dG
+
+
+def _direct(D: NDArray[np.float64], offsets: tuple[int, ...]) -> FloatArray:
+    """Return D (..., p, m) for readings side by side (..., p, taps * m): only that of the sample itself acts."""
+    m = D.shape[-1]
+    out = np.zeros((*D.shape[:-1], len(offsets) * m))
+    place = offsets.index(0) * m
+    out[..., place : place + m] = D
+    return out

@@ -1,0 +1,188 @@
+"""What is modelled: the parametric state space of a rig with its unknown forces and its uncertain constants."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.model.holds import sample, straight, taps
+from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+Kind = Literal["mass", "output", "input", "delay"]
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A constant of the rig that is known as well as its data sheet says.
+
+    Attributes:
+        name: of the mass or channel; "delay" for the delay of the inputs.
+        kind: a mass, an output's or an input's gain, or the delay of all measured inputs.
+        number: which mass (of the model's parameters after θ), output or input it belongs to.
+        sheet: standard deviation of its logarithm; of the delay: samples.
+        shows: whether data can tell that it is off: no gain can be told where all masses are estimated or absent.
+    """
+
+    name: str
+    kind: Kind
+    number: int
+    sheet: float
+    shows: bool = True
+
+
+@dataclass(frozen=True)
+class Rubbing:
+    """Two places that may rub on each other.
+
+    Attributes:
+        speed: (n,) takes their relative speed from the states.
+        push: (d,) how the unknown forces act where a force acts between them.
+    """
+
+    speed: FloatArray
+    push: FloatArray
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rig as the estimator sees it.
+
+    Attributes:
+        model: parametric model; its parameters are θ (q of them), then the masses that are constants.
+        q: how many parameters are estimated.
+        measured: columns of the model's inputs that the samples u hold, in their order.
+        driven: (m,) which of those are measured by a channel (a friction's sign and the constant 1 are not).
+        pushed: columns of the model's inputs that are unknown forces.
+        constants: what is known by its data sheet only; masses first, in the model's order.
+        period_s: sampling period, s.
+        hold: how inputs run between samples.
+        scale: (q,) size of each parameter: |nominal|, or what stands for it.
+        lower: (q,) bound from below of the point of linearisation.
+        slow_forces: unknown forces may last; beside dry friction nothing tells them from it.
+        rubbings: where dry friction is looked for that the model has no term for.
+        white: what the model leaves is white noise of the sensors, and nothing else, by the configuration.
+    """
+
+    model: Model
+    q: int
+    measured: IntArray
+    driven: BoolArray
+    pushed: IntArray
+    constants: tuple[Constant, ...]
+    period_s: float
+    hold: Hold
+    scale: FloatArray
+    lower: FloatArray
+    slow_forces: bool = True
+    white: bool = False
+    rubbings: tuple[Rubbing, ...] = ()
+
+    @property
+    def masses(self) -> int:
+        """Number of masses among the constants."""
+        return len(self.model.parameters) - self.q
+
+    @property
+    def nominal(self) -> FloatArray:
+        """(q,) nominal parameters."""
+        return self.model.nominal[: self.q]
+
+    @property
+    def shifts(self) -> tuple[int, ...]:
+        """Offsets of the further readings that a polynomial hold takes of the driven inputs; none for other holds."""
+        return () if self.hold == straight(self.hold) else tuple(o for o in taps(self.hold) if o)
+
+    def taps_of(self, number: int) -> IntArray:
+        """Return the columns of the stacked inputs that hold readings of one measured input."""
+        if not self.driven[number]:
+            return np.array([number])
+        place, count = int(np.count_nonzero(self.driven[:number])), int(np.count_nonzero(self.driven))
+        return np.array([number, *(len(self.measured) + i * count + place for i in range(len(self.shifts)))])
+
+    def of_kind(self, kind: Kind) -> IntArray:
+        """Return which constants are of a kind."""
+        return np.array([i for i, c in enumerate(self.constants) if c.kind == kind], dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Sampled:
+    """The sampled model at a point, x(k+1) = A x + B u + E f, y = C x + D u + F f (shifted state, see `discretise`).
+
+    With a polynomial hold u is stacked: the m inputs at sample k, then the driven ones at k + o for each of the rig's
+    shifts; the state is then the physical one as to the driven inputs, and shifted as to the others and f.
+
+    Attributes:
+        A, B, C, D: (n, n), (n, m), (p, n), (p, m).
+        E, F: (n, d), (p, d) for unknown forces f.
+        dA, dB, dC, dD: the derivatives of A, B, C, D by θ_i in units of `unit`, then by each mass's logarithm.
+        theta, log_mass: the point.
+        unit: (q,) what a deviation of 1 means for each parameter.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    E: FloatArray
+    F: FloatArray
+    dA: FloatArray
+    dB: FloatArray
+    dC: FloatArray
+    dD: FloatArray
+    theta: FloatArray
+    log_mass: FloatArray
+    unit: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+
+def unit_of(rig: Rig, theta: FloatArray) -> FloatArray:
+    """Return what a deviation of 1 means for each parameter at theta (q,): its size, or a tenth of its nominal one."""
+    return np.asarray(np.maximum(np.abs(theta), 0.1 * rig.scale))
+
+
+def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray) -> Sampled:
+    """Return the sampled model at θ (q,) and masses nominal · exp(log_mass)."""
+    mass = rig.model.nominal[rig.q :] * np.exp(log_mass)
+    continuous = rig.model.continuous(np.concatenate([theta, mass]))
+    model = discretise(continuous, rig.period_s, straight(rig.hold)).model
+    B, D, dB, dD = _stacked(rig, continuous, model)
+    unit = unit_of(rig, theta)
+    steps = np.concatenate([unit, mass])[:, None, None]
+    f = rig.pushed
+    return Sampled(
+        model.A, B, model.C, D, model.B[:, f], model.D[:, f],
+        model.dA * steps, dB * steps, model.dC * steps, dD * steps,
+        theta.copy(), log_mass.copy(), unit,
+    )  # fmt: skip
+
+
+def _stacked(
+    rig: Rig, continuous: StateSpace, model: StateSpace
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return B, D, dB, dD of the measured inputs; `model` is the sampled one of straight lines or steps."""
+    u = rig.measured
+    straight_lines = model.B[:, u], model.D[:, u], model.dB[:, :, u], model.dD[:, :, u]
+    if not rig.shifts:
+        return straight_lines
+    c, pushing = continuous, u[rig.driven]
+    driven = StateSpace(
+        c.A, c.B[:, pushing], c.C, c.D[:, pushing], c.dA, c.dB[:, :, pushing], c.dC, c.dD[:, :, pushing]
+    )
+    tapped = sample(driven, rig.period_s, rig.hold)
+    polynomials = tapped.model.B, tapped.model.D, tapped.model.dB, tapped.model.dD
+    places = np.split(np.arange(polynomials[0].shape[1]), len(tapped.taps))
+    at_sample = places.pop(tapped.taps.index(0))
+    out = []
+    for line, polynomial in zip(straight_lines, polynomials, strict=True):
+        here = line.copy()
+        here[..., rig.driven] = polynomial[..., at_sample]
+        out.append(np.concatenate([here, polynomial[..., np.concatenate(places)]], axis=-1))
+    return out[0], out[1], out[2], out[3]

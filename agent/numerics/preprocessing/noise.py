@@ -1,0 +1,15 @@
+"""Sensor noise as readings show it without any model."""
+
+import numpy as np
+
+from agent.types import FloatArray
+
+ROUND_OFF = 1e-10
+"""Share of a signal's peak below which differences are the computer's own."""
+
+
+def sensor_noise(y: FloatArray) -> FloatArray:
+    """Return the noise sd (p,) that fourth differences of y (N, p) show: motion is smooth over five samples."""
+    differences = np.diff(y, n=4, axis=0)
+    spread = np.median(np.abs(differences - np.median(differences, axis=0)), axis=0) / 0.6745
+    return np.asarray(spread / np.sqrt(70.0))

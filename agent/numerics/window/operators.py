@@ -1,0 +1,106 @@
+"""All constants of the bank for one model, one noise and one set of window lengths."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.model.riccati import spectral_radius
+from agent.numerics.model.statespace import StateSpace
+from agent.numerics.window.basis import balanced_basis
+from agent.numerics.window.constants import CHUNK, ROWS, STABLE
+from agent.numerics.window.filters import Filters, filter_system
+from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.jump import JumpScan, boundaries, scanned_rows
+from agent.numerics.window.noise import NoiseModel, Push, predictor_of
+from agent.numerics.window.products import row_products
+from agent.numerics.window.solve import Solved, Starts, WindowSolver
+from agent.numerics.window.summary import Summary
+
+FloatArray = NDArray[np.float64]
+
+
+class Operators:
+    """What the bank multiplies by.
+
+    Args:
+        model: sampled model in shifted-state form; its first `interest` parameters are flat in each window.
+        push: how unknown forces enter.
+        noise: hyperparameters.
+        plan: hop and window.
+        longer: whole hops before the head in each further window.
+        interest: parameters that a jump may be of.
+
+    Raises:
+        NoSteadyStateError: this noise has no stable predictor.
+    """
+
+    def __init__(
+        self, model: StateSpace, push: Push, noise: NoiseModel, plan: HopPlan, longer: Sequence[int], interest: int
+    ) -> None:
+        self.plan, self.lengths = plan, (plan.fulls, *longer)
+        self.longest = max(self.lengths)
+        self.real, self.predictor = predictor_of(model, push, noise)
+        self.system = system = filter_system(model, self.real, self.predictor)
+        self.size = system.size
+        self.filters = Filters(system, plan)
+        self.basis = balanced_basis(system, self.real, self.predictor, plan, self.longest)
+        self.solvers = tuple(WindowSolver(self.basis, self.real, self.predictor, fulls) for fulls in self.lengths)
+        self.rights = boundaries(plan.fulls)
+        self.over = {count: self.basis.over(count) for count in (*self.lengths, *self.rights)}
+        self.scans = tuple(
+            JumpScan(self.basis, self.solvers[0], model, plan.fulls, right, interest) for right in self.rights
+        )
+        self.every = scanned_rows(plan.fulls + 1)
+        self.decays = spectral_radius(model.A) < 1 - STABLE
+
+    def summarise(
+        self, lengths: Sequence[int], v: FloatArray, z: FloatArray, forced: Sequence[FloatArray]
+    ) -> tuple[Summary, FloatArray]:
+        """Return the summaries of N stretches v (N, L, p+m) from states z (N, nz), and the states after them."""
+        step = max(1, CHUNK // (ROWS * self.plan.hop)) * ROWS
+        count, width = len(v), 1 + self.size.c
+        U = self.basis.U[: v.shape[1] * self.size.p]
+        gram, moment = np.empty((count, width, width)), np.empty((count, width, U.shape[1]))
+        after = np.empty_like(z)
+        for start in range(0, count, step):
+            part = slice(start, start + step)
+            columns, after[part] = self.filters.outputs(lengths, v[part], z[part], [one[part] for one in forced])
+            np.matmul(columns, columns.transpose(0, 2, 1), out=gram[part])
+            moment[part] = row_products(columns, U)
+        return Summary(gram, moment), after
+
+    @cached_property
+    def powers(self) -> FloatArray:
+        """Π over 0, 1, .. whole hops, (longest + 2, r, r)."""
+        powers = [np.eye(len(self.basis.steps[2]))]
+        for _ in range(self.longest + 1):
+            powers.append(self.basis.steps[2] @ powers[-1])
+        return np.array(powers)
+
+    @cached_property
+    def squares(self) -> FloatArray:
+        """U'U over 0, 1, .. whole hops and a head, (longest + 1, r, r)."""
+        U, step = self.basis.U, self.basis.steps[2]
+        head = U[: self.plan.head * self.size.p]
+        hop, squares = U.T @ U, [head.T @ head]
+        for _ in range(self.longest):
+            squares.append(hop + step.T @ squares[-1] @ step)
+        return np.array(squares)
+
+    def columns(self, hop_samples: FloatArray, start: FloatArray) -> FloatArray:
+        """Return [e ψ] (1+c, samples p) over a hop or its head, v (samples, p+m), from state `start` (nz,)."""
+        filters = self.filters
+        lengths = filters.head if len(hop_samples) == self.plan.head else (*filters.head, *filters.rest)
+        v = hop_samples[None]
+        return np.asarray(filters.outputs(lengths, v, start[None], filters.forced(lengths, v))[0][0])
+
+    def scan(
+        self, solved: Solved, rights: Sequence[Summary], starts: Starts, ats: Sequence[Starts]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return cross and own (see `Jumps`) of N windows of the first length, at each boundary."""
+        each = [
+            scan.columns(solved, right, starts, at) for scan, right, at in zip(self.scans, rights, ats, strict=True)
+        ]
+        return np.stack([e[0] for e in each], 1), np.stack([e[1] for e in each], 1)

@@ -1,0 +1,74 @@
+"""The small parts of the sliding estimator: budget, record of samples, memory of what was learnt."""
+
+import numpy as np
+import pytest
+
+from agent.numerics.estimator.budget import BURST, WINDOWS_A_TOKEN, Budget
+from agent.numerics.estimator.memory import from_text, to_text
+from agent.numerics.estimator.record import SPARE, Record
+from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
+from tests.unit.numerics.inference.frequency import learner_of, record
+
+
+def test_budget_gives_a_burst_then_one_token_in_some_windows() -> None:
+    budget, window = Budget(2000), 2000
+    assert sum(budget.take(0) for _ in range(2 * BURST)) == BURST
+    many = 100
+    taken = sum(budget.take(index) for index in range(0, many * window, 10))
+    assert taken == pytest.approx(many / WINDOWS_A_TOKEN, abs=1)
+
+
+def test_budget_is_the_same_however_often_it_is_asked() -> None:
+    rare, often = Budget(2000), Budget(2000)
+    for budget in (rare, often):
+        while budget.take(0):
+            pass
+    for index in range(0, 12_000, 100):
+        often.take(index)
+    assert rare.take(12_000) == often.take(12_000)
+
+
+def test_record_keeps_what_is_asked_for_and_counts_what_was_lost() -> None:
+    rng = np.random.default_rng(1)
+    v = rng.standard_normal((30_000, 3))
+    lost = np.zeros(v.shape, dtype=bool)
+    lost[[5, 25_000], 1] = True
+    kept = Record(7, 2, 1)
+    for start in range(0, len(v), 1000):
+        part = slice(start, start + 1000)
+        kept.append(v[part, :2], v[part, 2:], lost[part])
+        kept.trim(2000)
+    assert kept.stop == 7 + len(v)
+    assert kept.stop - kept.first <= 2 * (2000 + SPARE)
+    assert kept.outputs(29_000, 29_100) == pytest.approx(v[28_993:29_093, :2])
+    assert kept.lost_in(np.array([25_006, 25_007, 27_006, 27_007]), 2000).tolist() == [0, 1, 1, 0]
+    window = kept.window(25_500, 1000)
+    assert window.lost.tolist() == [[25_007 - 24_501, 1]]
+    assert window.slope[0] == pytest.approx(v[24_494, 2:] - v[24_493, 2:])
+    assert kept.inputs_with_slopes(29_000, 29_002)[:, 1] == pytest.approx(np.diff(v[28_992:28_995, 2]))
+
+
+def test_memory_round_trip_gives_the_same_answers() -> None:
+    rig, rng = ChainRig(), np.random.default_rng(2)
+    noise = DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
+    learner = learner_of(rig)
+    known = learner.prior(noise.sigma, np.full(2, 0.3))
+    fresh = known.noise
+    for _ in range(5):
+        known = learner.learn(record(rig, rng, noise)[0], known)[1]
+    again = from_text(to_text(known), learner.hypotheses, fresh)
+    assert again is not None
+    window = record(rig, rng, noise)[0]
+    one, other = (learner.solve(window, k)[0] for k in (known, again))
+    assert np.abs((one.theta - other.theta) / one.sd).max() < 0.1
+    # levels of single bins are kept where they stand out only
+    assert other.sd == pytest.approx(one.sd, rel=0.05)
+    assert to_text(again) == to_text(from_text(to_text(again), learner.hypotheses, fresh))  # type: ignore[arg-type]
+
+
+def test_memory_of_other_constants_or_another_version_is_not_taken() -> None:
+    rig = ChainRig()
+    learner, other = learner_of(rig), learner_of(ChainRig(sheet=(0.0, 0.01, 0.01, 0.25)))
+    known = learner.prior(np.full(2, 1e-4), np.full(2, 0.3))
+    assert from_text(to_text(known), other.hypotheses, known.noise) is None
+    assert from_text(to_text(known).replace('"version": 1', '"version": 0'), learner.hypotheses, known.noise) is None

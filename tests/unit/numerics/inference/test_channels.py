@@ -1,0 +1,123 @@
+"""The contest of explanations: the channel that is wrong wins, evidence is the dense one, a step is a step."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agent.numerics.inference.channels import ChannelTest, Contest, Kind
+from agent.numerics.inference.columns import Window, window_of
+from tests.unit.numerics.inference.chain import ChainRig, DenseNoise, DenseWindow
+from tests.unit.numerics.inference.frequency import W, knowledge, learner_of, record
+
+FloatArray = NDArray[np.float64]
+RIGS = {
+    1: ChainRig((2.0,), (180.0,), (4.0,), seen=("displacement",), sheet=(0.0, 0.0, 0.0, 0.0)),
+    2: ChainRig(sheet=(0.0, 0.0, 0.0, 0.0)),
+    3: ChainRig((5.0, 3.0, 2.0), (250.0, 400.0, 300.0), (5.0, 3.0, 4.0), seen=("displacement",) * 3,
+                sheet=(0.0, 0.0, 0.0, 0.0)),
+}  # fmt: skip
+SURE = 0.01
+"""Sd of θ as it was, a share of it."""
+LATE, NEWTONS = 6, 4.0
+
+
+def noise_of(rig: ChainRig) -> DenseNoise:
+    return DenseNoise(np.full(len(rig.seen), 1e-4), np.zeros(rig.count))
+
+
+def contest(rig: ChainRig, y: FloatArray, u: FloatArray) -> Contest:
+    """Put the newest window of readings to a contest; θ was nominal."""
+    learner = learner_of(rig)
+    known = knowledge(learner, noise_of(rig))
+    p, newest = y.shape[1], len(y)
+
+    def late(channel: int, lag: int) -> Window | None:
+        if newest - lag - W < 1:
+            return None
+        v = np.hstack([y, u])[newest - lag - W - 1 : newest - lag]
+        v[:, channel] = np.hstack([y, u])[newest - W - 1 : newest, channel]
+        return window_of(v[1:, :p], v[1:, p:], v[0, p:])
+
+    window = late(0, 0)
+    assert window is not None
+    _, solved = learner.solve(window, known)
+    return ChannelTest(learner).contest(window, known, SURE * rig.theta, solved, late)
+
+
+def spoilt(y: FloatArray, u: FloatArray, channel: int, kind: Kind, size: float) -> tuple[FloatArray, FloatArray]:
+    """Readings (N - LATE, p), (N - LATE, 1) of which a channel is wrong from the first on."""
+    v = np.hstack([y, u])
+    out = v[LATE:].copy()
+    if kind == "delay":
+        out[:, channel] = v[LATE - int(size) : len(v) - int(size), channel]
+    else:
+        out[:, channel] = out[:, channel] * (1 + size) if kind == "gain" else out[:, channel] + size
+    return out[:, : y.shape[1]], out[:, y.shape[1] :]
+
+
+@pytest.mark.parametrize("masses", [2, 3])
+@pytest.mark.parametrize(("kind", "size"), [("offset", 2e-3), ("gain", 0.05), ("gain", -2.0), ("delay", float(LATE))])
+def test_contest_names_the_channel_that_is_wrong_and_by_how_much(masses: int, kind: Kind, size: float) -> None:
+    rig = RIGS[masses]
+    rng = np.random.default_rng(masses)
+    for channel in range(masses + 1):
+        _, y, u = record(rig, rng, noise_of(rig), W + 40, off=1.0)
+        wrong = NEWTONS if channel == masses and kind == "offset" else size
+        found = contest(rig, *spoilt(y, u, channel, kind, wrong))
+        fault = found.fault
+        assert fault is not None, (channel, found)
+        assert (fault.channel, fault.kind) == (channel, kind)
+        assert abs(fault.size - wrong) < (0.1 if kind == "delay" else 5 * max(fault.sd, 1e-3 * abs(wrong)))
+
+
+@pytest.mark.parametrize(("kind", "size"), [("gain", 0.05), ("offset", 2e-3)])
+def test_contest_names_nobody_where_one_output_and_its_force_explain_the_same(kind: Kind, size: float) -> None:
+    rig = RIGS[1]
+    _, y, u = record(rig, np.random.default_rng(3), noise_of(rig), W + 40, off=1.0)
+    found = contest(rig, *spoilt(y, u, 0, kind, size))
+    assert found.fault is None
+    assert {e.fault.channel for e in found.channels if e.fault is not None} == {0, 1}
+
+
+def test_contest_blames_no_channel_for_200_steps_of_parameters() -> None:
+    rng = np.random.default_rng(9)
+    for masses, count in ((1, 80), (2, 80), (3, 40)):
+        rig = RIGS[masses]
+        for _ in range(count):
+            u = 20.0 * rng.standard_normal((W + 42, 1))
+            factor = np.ones(2 * masses)
+            factor[rng.integers(2 * masses)] = 1 + rng.choice([0.05, 0.15, 0.5]) * rng.choice([-1.0, 1.0])
+            eta, x0 = np.zeros(len(rig.constants)), 0.01 * rng.standard_normal(2 * masses)
+            y = rig.readings(factor * rig.theta, eta, x0, u[1:], np.diff(u, axis=0)).real
+            y = y + 1e-4 * rng.standard_normal(y.shape)
+            assert contest(rig, y, u[1:]).fault is None
+
+
+@pytest.mark.parametrize("masses", [1, 2, 3])
+def test_evidence_of_a_mended_window_is_that_of_dense_least_squares(masses: int) -> None:
+    rig, noise = RIGS[masses], noise_of(RIGS[masses])
+    learner = learner_of(rig)
+    known = knowledge(learner, noise)
+    judge, precision = ChannelTest(learner), np.full(2 * masses, SURE**-2)
+    window, *_ = record(rig, np.random.default_rng(5), noise, off=1.0)
+
+    def both(one: Window) -> tuple[float, float]:
+        found = judge._under_prior(learner.at_point(one, known), known, precision, 0)
+        dense = DenseWindow.of(rig, noise, one.y, one.u, one.slope, rig.theta, np.zeros(len(rig.constants)))
+        return found.evidence, -0.5 * cost(dense, precision)
+
+    offset = 1e-4 * np.eye(masses)[0]
+    whole, mended = both(window), both(replace(window, y=window.y + offset))
+    assert mended[0] - whole[0] == pytest.approx(mended[1] - whole[1], rel=1e-4, abs=1e-3)
+
+
+def cost(dense: DenseWindow, precision: FloatArray) -> float:
+    """What a window leaves with θ ~ N(as linearised, 1/precision), constants exact, the initial state free."""
+    L = np.linalg.cholesky(dense.S)
+    psi, r = np.linalg.solve(L, dense.psi), np.linalg.solve(L, dense.residual)
+    Q = np.linalg.qr(np.linalg.solve(L, dense.flat))[0]
+    psi, r = psi - Q @ (Q.T @ psi), r - Q @ (Q.T @ r)
+    g = psi.T @ r
+    return float(r @ r - g @ np.linalg.solve(psi.T @ psi + np.diag(precision), g))

@@ -1,0 +1,77 @@
+"""The Gaussian sum over hypotheses on the constants against Bayes' rule on a linear problem, by hand."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.constants import Constants, hypotheses_of
+from agent.numerics.model.uncertain import Constant
+
+CONSTANTS = (Constant("m1", "mass", 0, 0.02), Constant("m2", "mass", 1, 0.02), Constant("x1", "output", 0, 0.01))
+
+
+def problem() -> tuple[np.ndarray, np.ndarray, float]:
+    rng = np.random.default_rng(3)
+    X, sd = rng.standard_normal((40, 3)), 0.05
+    return X, X @ np.array([0.05, -0.01, 0.0]) + sd * rng.standard_normal(40), sd
+
+
+def test_constants_update_is_the_exact_mixture_posterior() -> None:
+    X, y, sd = problem()
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    at = np.array([0.02, 0.0, -0.01])
+    # information and score about another point than the mean
+    after = prior.updated(X.T @ X / sd**2, X.T @ (y - X @ at) / sd**2, at)
+    evidence = []
+    for i, h in enumerate(prior.hypotheses):
+        P = h.covariance
+        S = X @ P @ X.T + sd**2 * np.eye(len(y))
+        evidence.append(np.log(prior.weight[i]) + multivariate_normal.logpdf(y, np.zeros(len(y)), S))
+        gain = P @ X.T @ np.linalg.inv(S)
+        assert after.mean[i] == pytest.approx(gain @ y, abs=1e-9)
+        assert after.covariance[i] == pytest.approx(P - gain @ X @ P, abs=1e-11)
+    wanted = np.exp(np.array(evidence) - max(evidence))
+    assert after.weight == pytest.approx(wanted / wanted.sum(), abs=1e-9)
+    assert after.probability("m1") > 0.5
+
+
+def test_constants_moments_are_those_of_the_mixture() -> None:
+    X, y, sd = problem()
+    after = Constants.prior(hypotheses_of(CONSTANTS)).updated(X.T @ X / sd**2, X.T @ y / sd**2, np.zeros(3))
+    rng = np.random.default_rng(1)
+    which = rng.choice(len(after.weight), 200_000, p=after.weight)
+    draws = np.empty((len(which), 3))
+    for i in np.unique(which):
+        draws[which == i] = rng.multivariate_normal(after.mean[i], after.covariance[i], int((which == i).sum()))
+    assert after.expected == pytest.approx(draws.mean(axis=0), abs=1e-4)
+    assert np.sqrt(np.diag(after.total)) == pytest.approx(draws.std(axis=0), rel=0.02)
+
+
+def test_constants_switch_and_walk_from_window_to_window() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    sure = Constants(prior.hypotheses, np.eye(len(prior.weight))[0], prior.mean, prior.covariance)
+    later = sure.predicted()
+    assert later.weight.sum() == pytest.approx(1.0)
+    assert 1 - later.weight[0] == pytest.approx(tuning.SWITCH * (1 - prior.weight[0]))
+    drifting = next(i for i, h in enumerate(prior.hypotheses) if h.drifts and h.name == "x1")
+    grown = later.covariance[drifting, 2, 2] - sure.covariance[drifting, 2, 2]
+    assert grown == pytest.approx(tuning.DRIFT_WALK**2, rel=1e-3)
+
+
+def test_constants_that_are_exact_have_no_hypothesis() -> None:
+    exact = (Constant("m1", "mass", 0, 0.0), *CONSTANTS[1:])
+    assert "m1" not in {h.name for h in hypotheses_of(exact)}
+    assert "m2" in {h.name for h in hypotheses_of(exact)}
+
+
+def test_constants_update_by_information_that_drowns_the_prior_leaves_no_negative_variance(
+    rng: np.random.Generator,
+) -> None:
+    known = Constants.prior(hypotheses_of(CONSTANTS))
+    direction = rng.standard_normal(3)
+    for _ in range(5):
+        known = known.predicted().updated(1e22 * np.outer(direction, direction), 1e12 * direction, np.zeros(3))
+        size = np.einsum("hii->h", known.covariance)
+        assert (np.linalg.eigvalsh(known.covariance)[:, 0] > -1e-13 * size).all()
+        assert np.isfinite(known.weight).all()

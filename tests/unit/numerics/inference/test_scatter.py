@@ -1,0 +1,103 @@
+"""The jackknife divided by its own expectation, and the scatter between windows."""
+
+import numpy as np
+import pytest
+from scipy.special import gammaln
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio, expected
+
+FREE = np.zeros((3, 3))
+
+
+def blocks_of(rng: np.random.Generator, scale: float, common: float = 0.0) -> np.ndarray:
+    """Grams of eight blocks of regressions with leverages that differ, residuals of sd `scale`."""
+    out = []
+    for j in range(8):
+        X = (0.2 + j) * rng.standard_normal((60, 3))
+        r = scale * rng.standard_normal(60) + common * X[:, 0] * rng.standard_normal()
+        Z = np.column_stack([X, r])
+        out.append(Z.T @ Z)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_scatter_ratio_is_the_factor_on_the_variance_whatever_the_leverage(scale: float) -> None:
+    rng = np.random.default_rng(2)
+    ratios = [block_ratio(blocks_of(rng, scale), FREE, np.zeros(3), slice(0, 3)) for _ in range(600)]
+    sd = np.std(ratios, axis=0) / np.sqrt(len(ratios))
+    assert np.all(np.abs(np.mean(ratios, axis=0) - scale**2) < 4 * sd)
+    assert sd.max() < 0.05 * scale**2
+
+
+def test_scatter_ratio_keeps_one_beside_a_prior() -> None:
+    rng = np.random.default_rng(4)
+    R = np.diag([0.0, 1e4, 0.0])
+    ratios = []
+    for _ in range(600):
+        truth = rng.standard_normal(3) * np.array([0, 1e-2, 0])
+        blocks = []
+        for _ in range(8):
+            X = rng.standard_normal((60, 3))
+            Z = np.column_stack([X, X @ truth + rng.standard_normal(60)])
+            blocks.append(Z.T @ Z)
+        ratios.append(block_ratio(np.array(blocks), R, np.zeros(3), slice(0, 1))[0])
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+
+
+def test_scatter_common_to_a_block_is_seen() -> None:
+    rng = np.random.default_rng(5)
+    ratios = [block_ratio(blocks_of(rng, 1.0, 0.2), FREE, np.zeros(3), slice(0, 3)) for _ in range(100)]
+    assert np.mean(ratios, axis=0)[0] > 3.0
+
+
+def test_scatter_blocks_sum_to_the_gram_of_the_bins() -> None:
+    rng = np.random.default_rng(6)
+    samples = rng.standard_normal((160, 2, 4))
+    bins = np.fft.rfft(samples, axis=0) / np.sqrt(160)
+    grams = block_grams(bins, 160, 0.0)
+    flat = samples.reshape(-1, 4)
+    assert grams.sum(axis=0) == pytest.approx(flat.T @ flat)
+    assert grams[0] == pytest.approx(flat[:40].T @ flat[:40])
+
+
+def test_scatter_between_windows_ignores_drift_and_sees_jumps() -> None:
+    rng = np.random.default_rng(7)
+    drifting = wild = Scatter.prior(1)
+    one = np.ones(1)
+    for w in range(200):
+        noise = rng.standard_normal(1)
+        drifting = drifting.after(one, noise + 3.0 * w, one)
+        wild = wild.after(one, 3.0 * noise, one)
+    assert drifting.between[0] == pytest.approx(1.0, abs=0.5)
+    assert wild.between[0] > 5.0
+
+
+def test_scatter_never_makes_intervals_smaller_than_the_model() -> None:
+    calm = Scatter.prior(2)
+    for _ in range(30):
+        calm = calm.after(np.full(2, 0.2), np.zeros(2), np.ones(2))
+    assert np.all(calm.factor == 1.0)
+    assert calm.dof <= tuning.SCATTER_MOST_DOF
+
+
+def test_scatter_of_few_windows_is_weighed_against_the_model_and_of_many_believed() -> None:
+    pooled = np.array([0.5, 1.0, 1.5, 4.0])
+    few, many = expected(pooled, 2.0), expected(pooled, 100.0)
+    assert few[:2] == pytest.approx(1.0)
+    assert many[:2] == pytest.approx(1.0)
+    assert 1.0 < few[2] < 1.3
+    assert few[3] < 3.7
+    assert many[3] > 3.99
+
+
+def test_scatter_expected_is_that_of_a_mixture_of_both_explanations() -> None:
+    """Against the marginal likelihoods by quadrature: c = 1, or 1 / c from a gamma distribution of mean 1."""
+    prior, seen, pooled = tuning.SCATTER_PRIOR_DOF, 6.0, 1.8
+    power, n = 0.5 * ((seen + prior) * pooled - prior), 0.5 * seen
+    t = np.linspace(1e-4, 12.0, 400_001)
+    a = 0.5 * prior
+    density = t ** (a - 1) * np.exp(-a * t) * a**a / np.exp(gammaln(a))
+    slab = np.trapezoid(density * t ** (0.5 * n) * np.exp(-0.5 * power * t), t)
+    odds = slab / np.exp(-0.5 * power)
+    assert expected(np.array([pooled]), seen)[0] == pytest.approx(1 + odds / (1 + odds) * (pooled - 1), rel=1e-6)

@@ -57,8 +57,9 @@ def window_ml(samples: Record, window_s: float) -> Timed:
         begun = time.process_time_ns()
         for first in range(START, START + SAMPLES, START):
             ml.step(first, samples.y[first : first + START], samples.u[first : first + START])
-        assert ml.known is not None
-        assert np.all(np.abs(ml.known.theta - NOMINAL) < 0.2 * NOMINAL)
+        known = ml.explainer.known
+        assert known is not None
+        assert np.all(np.abs(known.theta - NOMINAL) < 0.2 * NOMINAL)
         return (time.process_time_ns() - begun) / SAMPLES
 
     return run
@@ -80,8 +81,9 @@ def stream(samples: Record, missing: BoolArray) -> Timed:
         ml = SlidingEstimator(settings(1000, 50, SIGMA))
         begun = time.process_time_ns()
         ml.step(0, v[:, :2], v[:, 2:], missing)
-        assert ml.known is not None
-        assert np.all(np.abs(ml.known.theta - NOMINAL) < 0.2 * NOMINAL)
+        known = ml.explainer.known
+        assert known is not None
+        assert np.all(np.abs(known.theta - NOMINAL) < 0.2 * NOMINAL)
         return (time.process_time_ns() - begun) / LOSSY
 
     return run

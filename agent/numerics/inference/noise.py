@@ -84,7 +84,8 @@ class Noise:
         """Whether an intensity that is large moved by more than a share since an earlier window."""
         if not before.is_started:
             return True
-        there = before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]
+        # what may as well be absent has a mean that moves by chance
+        there = (before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]) & (before.log_weight[:, 0] < -tuning.SURE)
         moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
         return bool((moved > tuning.UNSETTLED).any())
 

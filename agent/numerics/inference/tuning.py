@@ -24,6 +24,8 @@ UNSETTLED = 0.1
 """Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
 LARGE_NODES = 20.0
 """An intensity beyond this many first nodes is followed so: one that hardly shows moves by chance. Cost only."""
+SURE = 3.0
+"""Log-weight of "absent" below the best node from which an intensity that changes is followed. Cost only."""
 NODES = 44
 """Nodes of the grid of each intensity; fewer stop short of the forces of EMPS. Needed by: EMPS."""
 NODE_RATIO = 1.6

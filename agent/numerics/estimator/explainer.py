@@ -224,9 +224,8 @@ class Explainer:
         posterior, theta = self.learner.solve(window, known)
         self._last = (window, posterior)
         rests = posterior.converged and not posterior.changing and not posterior.mismatch
-        if not (rests and self._is_the_same(posterior)) and (
-            self._is_a_channel(record, window, newest, theta, rests) or not rests
-        ):
+        same = rests and self._is_the_same(posterior)
+        if (not same and self._is_a_channel(record, window, newest, theta, rests)) or not rests:
             return None
         self.known = replace(known, theta=theta)
         self._move(record, posterior, newest)

@@ -16,7 +16,7 @@ from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.explainer import Explainer
 from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
-from agent.numerics.estimator.operating_point import taps_of
+from agent.numerics.estimator.operating_point import OperatingPoint, taps_of
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.estimator.reading import FAR_SD, FARTHEST_SD, Reading, read
 from agent.numerics.estimator.record import Record
@@ -144,6 +144,7 @@ class SlidingEstimator:
         agrees = self.explainer.faults.agrees(reading, self.explainer.known)
         rows = Outcome.of(reading, self.settings.enough_sd)
         ended = np.empty(len(rows.index), dtype=np.int64)
+        longer = self._longer(batch, point)
         stop, position, marked, moved = len(reading.index), 0, 0, False
         while position < stop:
             if self.explainer.faults.is_active:
@@ -153,21 +154,18 @@ class SlidingEstimator:
             # what is done at a row depends on the rows before it, however many of them came at once
             self._mark(record, rows, range(marked, position), broken, hollow, still, ended)
             marked = position
-            if position < stop and frozen[position]:
+            if (centred := self._centred(record, rows, longer, broken, ended, position)) < position:
+                stop = centred
+            elif position < stop and frozen[position]:
                 self.explainer.faults.freeze(record, int(reading.index[position]))
             elif position < stop and self._meet(record, reading, position, broken, hollow | still):
                 stop, moved = position, True
             position += 1
         self._mark(record, rows, range(marked, stop), broken, hollow, still, ended)
-        if self.settings.longer:
-            longer = [
-                None if windowed is None else read(windowed, point, samples)
-                for samples, windowed in zip(self.settings.longer, batch.windows[1:], strict=True)
-            ]
-            stop = stop if moved else self._centred(record, rows, longer, broken, ended, stop)
-            rows = chosen(rows.part(0, stop), longer, broken[:stop], ended[:stop], self.settings)
-        else:
-            rows = rows.part(0, stop)
+        if marked < stop:
+            stop = self._centred(record, rows, longer, broken, ended, stop)
+        rows = rows.part(0, stop)
+        rows = chosen(rows, longer, broken[:stop], ended[:stop], self.settings) if longer else rows
         rows.stand_still((still & ~frozen)[:stop])
         self.explainer.faults.rested(record, reading.index[:stop][sound[:stop]])
         if moved:
@@ -175,6 +173,11 @@ class SlidingEstimator:
         elif stop:
             self._jump = float(reading.jump[stop - 1])
         return rows
+
+    def _longer(self, batch: BankRows, point: OperatingPoint) -> list[Reading | None]:
+        """Return what the longer windows say; None of one that is not whole yet."""
+        each = zip(self.settings.longer, batch.windows[1:], strict=True)
+        return [None if windowed is None else read(windowed, point, samples) for samples, windowed in each]
 
     def _still(self, record: Record, index: IntArray) -> BoolArray:
         """(N,) windows that end at samples `index` which teach nothing: codes rest, or show nothing but noise."""

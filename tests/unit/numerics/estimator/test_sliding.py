@@ -88,13 +88,13 @@ def test_sliding_later_segment_keeps_the_grid_and_waits_for_a_whole_window(
     assert full(rows).tolist() == [i >= first for i in expected]
 
 
-@pytest.mark.parametrize("longer", [(), (1000, 2000)])
+@pytest.mark.parametrize(("window", "longer"), [(500, ()), (500, (1000, 2000)), (250, (500, 1000))])
 def test_sliding_any_cutting_of_the_stream_gives_the_same_rows(
-    longer: tuple[int, ...], rng: np.random.Generator
+    window: int, longer: tuple[int, ...], rng: np.random.Generator
 ) -> None:
     samples = worn_at(rng, 3210, 6000)
     cuttings = [[], list(range(1, 6000, 97)), np.unique(rng.integers(1, 6000, 40)).tolist(), [1, 2, 3, 4999]]
-    first, *others = (run(estimator(500, 50, longer=longer), samples, cuts) for cuts in cuttings)
+    first, *others = (run(estimator(window, 50, longer=longer), samples, cuts) for cuts in cuttings)
     for other in others:
         for name in ("index", "status", "reason", "window"):
             np.testing.assert_array_equal(getattr(other, name), getattr(first, name), err_msg=name)

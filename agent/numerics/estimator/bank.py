@@ -13,7 +13,7 @@ from agent.numerics.window.rows import BankRows
 from agent.numerics.window.stream import Stream
 
 UNITS_LEAST = 32
-UNITS_MOST = 1024
+UNITS_MOST = 1280
 """Hops that the bank is given at once: few after the operating point moved, which throws the rest of them away."""
 DULLED = 1.05
 """Growth of the sharpest sd seen each time that the operating point moves: it follows what the machine does."""
@@ -104,12 +104,14 @@ class Bank:
     def _lost_until(self, record: Record, stop: int) -> Lost:
         """Return the lost readings of the heads and the rests of hops that are whole by sample `stop`."""
         plan, lost = self._settings.plan, Lost.none()
-        loses = record.loses(self._lost_fed, stop)
+        if not record.loses(self._lost_fed, stop):
+            into = stop % plan.hop
+            self._lost_fed = max(self._lost_fed, stop - into + (plan.head if into >= plan.head else 0))
+            return lost
         while True:
             into = self._lost_fed % plan.hop
             end = self._lost_fed - into + (plan.head if into < plan.head else plan.hop)
             if end > stop:
                 return lost
-            if loses:
-                lost = lost.followed(record.lost_between(self._lost_fed, end, plan.window))
+            lost = lost.followed(record.lost_between(self._lost_fed, end, plan.window))
             self._lost_fed = end

@@ -62,6 +62,7 @@ class Explainer:
         self.doubts = Doubts()
         self.solved = 0
         self._adopted = False
+        self._learnt_at = 0
         self._moves = False
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
 
@@ -127,7 +128,7 @@ class Explainer:
 
     def _believe(self, newest: int, window: Window, learnt: Knowledge) -> None:
         """Take what was learnt from a window."""
-        self.known = learnt
+        self.known, self._learnt_at = learnt, newest
         self.faults.learnt(window)
         kinds = tuple(c.kind for c in self.settings.rig.constants)
         if kinds:
@@ -174,7 +175,8 @@ class Explainer:
         if self.disturbance.since(self.schedule.tried):  # the windows before a change do not compare
             known = replace(known, scatter=known.scatter.interrupted())
         window = self.window(record, newest)[0]
-        posterior, learnt = self.learner.learn(window, known)
+        later = (newest - self._learnt_at) / self.settings.plan.window
+        posterior, learnt = self.learner.learn(window, known, later=max(later, 1.0))
         self.solved += 1
         if posterior.changing or not posterior.converged:
             self.schedule.later(newest)
@@ -186,7 +188,8 @@ class Explainer:
         self._believe(newest, window, learnt)
         self.posterior = posterior
         self.schedule.done(newest)
-        if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise):
+        drifts = learnt.constants.drifting > tuning.DRIFT_FOLLOWED
+        if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise) or drifts:
             self.schedule.follow(newest)
         if not self._is_elsewhere(reading, i, posterior):
             return False

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.sources import Source
+from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import Rig, sampled
 from agent.numerics.window.noise import Coloured, Line, NoiseModel, Push
@@ -206,21 +207,28 @@ def _root(P: FloatArray) -> FloatArray:
 
 
 def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int) -> NoiseModel:
-    """Return the learnt noise as the bank can realise it: intensities as states, high bins as lines."""
+    """Return the learnt noise as the bank can realise it: intensities as states, high bins as lines.
+
+    A slow force that may as well be absent is taken for a white one that shows as much.
+    """
     noise = known.noise
     levels = noise.levels
     is_line = levels > max(LINE_LEVEL, float(np.sort(levels.max(axis=1))[-MOST_LINES - 1]))
     usual = np.where(is_line, 1.0, levels)[: max(known.kept, 1)].mean(axis=0)
     sigma = np.exp(noise.log_sigma) * np.sqrt(usual)
     forces = max((s.number for s in sources if s.kind == "force"), default=-1) + 1
-    white, coloured = np.zeros(forces), []
     nodes = noise.nodes[:, 0] if noise.is_started else np.full(len(sources), np.inf)
-    for source, intensity, first in zip(sources, noise.intensity, nodes, strict=True):
-        if intensity < PRESENT_NODES * first:
+    first_white = {s.number: nodes[a] for a, s in enumerate(sources) if s.kind == "force" and s.pole == 0}
+    white, coloured = np.zeros(forces), []
+    for a, source in enumerate(sources):
+        shown = noise.intensity[a] / nodes[a]  # beside the sensors' noise, where the source is strongest
+        doubtful = shown < ACTIVE_NODES and noise.log_weight[a, 0] > -SURE
+        if shown < PRESENT_NODES:
             continue
-        if source.kind == "force" and source.pole == 0:
-            white[source.number] = intensity
+        if source.kind == "force" and (source.pole == 0 or doubtful):
+            # two states for a force that may as well be absent would cost as much as all else
+            white[source.number] = np.hypot(white[source.number], shown * first_white[source.number])
         else:
-            coloured.append(Coloured(source.kind, source.number, source.pole, float(intensity)))
+            coloured.append(Coloured(source.kind, source.number, source.pole, float(noise.intensity[a])))
     lines = [Line(int(c), 2 * np.pi * int(k) / window) for k, c in np.argwhere(is_line) if 0 < k < window / 2]
     return NoiseModel(sigma, white, tuple(coloured), tuple(lines))

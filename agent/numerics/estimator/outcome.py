@@ -81,9 +81,9 @@ class Outcome:
         self.status[row] = np.where(posterior.sd <= enough_sd, int(Status.VALID), int(Status.UNEXCITED))
         self.reason[row] = Reason.NONE
 
-    def invalidate(self, row: int, reason: Reason) -> None:
-        """Mark a row invalid."""
-        self.status[row], self.reason[row] = Status.INVALID, reason
+    def invalidate(self, rows: int | slice, reason: Reason) -> None:
+        """Mark rows invalid."""
+        self.status[rows], self.reason[rows] = Status.INVALID, reason
 
     def stand_still(self, rows: NDArray[np.bool_]) -> None:
         """Mark rows (N,) of windows in which nothing moved."""

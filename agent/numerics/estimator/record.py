@@ -26,6 +26,7 @@ class Record:
         self.doubts = doubts or Doubts()
         self._v = np.zeros((0, outputs + inputs))
         self._lost = np.zeros((0, outputs + inputs), dtype=bool)
+        self._holed, self._changed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)  # samples, any reading or output
 
     @property
     def stop(self) -> int:
@@ -35,8 +36,11 @@ class Record:
     def append(self, y: FloatArray, u: FloatArray, lost: BoolArray | None) -> None:
         """Take samples that follow at once; lost (N, p+m)."""
         v = np.hstack([y, u])
-        self._v = np.concatenate([self._v, v])
-        self._lost = np.concatenate([self._lost, np.zeros(v.shape, dtype=bool) if lost is None else lost])
+        lost = np.zeros(v.shape, dtype=bool) if lost is None else lost
+        before = self._v[-1:, : self.p] if len(self._v) else y[:1]
+        self._changed = np.concatenate([self._changed, _any(np.diff(y, axis=0, prepend=before) != 0)])
+        self._holed = np.concatenate([self._holed, _any(lost)])
+        self._v, self._lost = np.concatenate([self._v, v]), np.concatenate([self._lost, lost])
 
     def outputs(self, start: int, stop: int) -> FloatArray:
         """Return y of samples [start, stop)."""
@@ -54,25 +58,30 @@ class Record:
 
     def lost_in(self, index: IntArray, window: int) -> IntArray:
         """Return how many samples (N,) with lost readings the windows that end at samples `index` hold."""
-        total = np.concatenate([[0], np.cumsum(self._lost.any(axis=1))])
-        stop = index + 1 - self.first
-        return np.asarray(total[stop] - total[np.maximum(stop - window, 0)])
+        return self._count(self._holed, index, window)
 
     def changes_in(self, index: IntArray, window: int) -> IntArray:
         """Return in how many samples (N,) of the windows that end at samples `index` some output shows another code."""
-        y = self._v[:, : self.p]
-        moved = np.concatenate([[0, 0], np.cumsum((y[1:] != y[:-1]).any(axis=1))])
-        stop = index + 1 - self.first
-        return np.asarray(moved[stop] - moved[np.maximum(stop - window + 1, 0)])
+        return self._count(self._changed, index, window - 1)
+
+    def _count(self, marks: BoolArray, index: IntArray, samples: int) -> IntArray:
+        """(N,) marks among so many samples that end at samples `index`."""
+        oldest = max(int(index[0]) + 1 - samples - self.first, 0) if len(index) else 0
+        total = np.concatenate([[0], np.cumsum(marks[oldest:])])
+        stop = index + 1 - self.first - oldest
+        return np.asarray(total[stop] - total[np.maximum(stop - samples, 0)])
 
     def spread_in(self, index: IntArray, window: int) -> FloatArray:
         """Return the standard deviation (N, p) of each output over the windows that end at samples `index`."""
-        oldest = max(int(index[0]) + 1 - window - self.first, 0)
-        y = self._v[oldest : int(index[-1]) + 1 - self.first, : self.p]
+        stop = index + 1 - self.first
+        start = np.maximum(stop - window, 0)
+        edges = np.union1d(start, stop)
+        y = self._v[edges[0] : edges[-1], : self.p]
         y = y - y[0]  # sums of squares keep their digits where a displacement stands far from zero
-        sums = np.concatenate([np.zeros((1, 2 * self.p)), np.cumsum(np.hstack([y, y * y]), axis=0)])
-        stop = index + 1 - self.first - oldest
-        mean, square = np.split((sums[stop] - sums[np.maximum(stop - window, 0)]) / window, 2, axis=1)
+        pieces = [np.add.reduceat(part, edges[:-1] - edges[0], axis=0) for part in (y, y * y)]
+        sums = np.concatenate([np.zeros((1, 2 * self.p)), np.cumsum(np.hstack(pieces), axis=0)])
+        whole = sums[np.searchsorted(edges, stop)] - sums[np.searchsorted(edges, start)]
+        mean, square = np.split(whole / window, 2, axis=1)
         return np.asarray(np.sqrt(np.maximum(square - mean**2, 0.0)))
 
     def loses(self, start: int, stop: int) -> bool:
@@ -103,7 +112,9 @@ class Record:
 
     def restore(self, sample: int, taps: Sequence[tuple[int, int, float]], channel: int, change: float) -> None:
         """Take a reading for read: `change` more than it was filled with, wherever it enters."""
-        self._lost[sample - self.first, channel] = False
+        at = sample - self.first
+        self._lost[at, channel] = False
+        self._holed[at] = self._lost[at].any()
         for offset, column, weight in taps:
             if column < self._v.shape[1] and self.first <= sample + offset < self.stop:
                 self._v[sample + offset - self.first, column] += weight * change
@@ -151,5 +162,14 @@ class Record:
         spare = len(self._v) - keep
         if spare > keep + SPARE:
             self._v, self._lost = self._v[spare:].copy(), self._lost[spare:].copy()
+            self._holed, self._changed = self._holed[spare:].copy(), self._changed[spare:].copy()
             self.first += spare
             self.doubts.trim(self.first)
+
+
+def _any(marks: BoolArray) -> BoolArray:
+    """Return which rows (N,) of marks (N, k) hold one; a reduction over rows so short costs ten times as much."""
+    out = np.zeros(len(marks), dtype=bool)
+    for column in marks.T:
+        out |= column
+    return out

@@ -2,9 +2,13 @@
 
 from dataclasses import dataclass
 
-EAGER = 32
-"""Windows learnt from one after another before learning becomes seldom."""
-SELDOM = 32
+EAGER = (6, 32)
+"""Windows, at least and at the most, learnt from one after another before learning becomes seldom."""
+EAGER_SAMPLES = 64_000
+"""Samples in them otherwise: long windows say more each."""
+GROWTH = 1.5
+"""Ratio of the stretches between windows learnt from afterwards: half of the time that has passed."""
+SELDOM = 256
 """Windows between two that are learnt from, at the most."""
 TRIES = 8
 """Tries a window length to solve windows that are broken."""
@@ -26,8 +30,8 @@ class Schedule:
     def done(self, index: int) -> None:
         """Note that the window ending at sample `index` was learnt from."""
         self.learnt, self.tried = self.learnt + 1, index
-        doublings = max(0, self.learnt - EAGER) // 8
-        self.due = index + self.window * min(2**doublings, SELDOM)
+        stretch = min(GROWTH ** max(0, self.learnt - self._eager), SELDOM)
+        self.due = index + self.window * int(stretch)
 
     def later(self, index: int) -> None:
         """Try again a quarter of a window on."""
@@ -36,8 +40,13 @@ class Schedule:
 
     def follow(self, index: int) -> None:
         """Learn soon: something changed."""
-        self.learnt = min(self.learnt, EAGER)
+        self.learnt = min(self.learnt, self._eager)
         self.due = index + self.window
+
+    @property
+    def _eager(self) -> int:
+        least, most = EAGER
+        return min(max(EAGER_SAMPLES // self.window, least), most)
 
 
 @dataclass(slots=True)

@@ -274,24 +274,40 @@ class SlidingEstimator:
 
         ended (N,) is filled with the sample at which the last stretch of broken rows before each of them ended.
         """
-        for i in which:
-            index = int(rows.index[i])
-            if broken[i]:
-                self.explainer.disturbance.at(index)
-                if index in self.explainer.lines:
-                    rows.write(i, self.explainer.lines.pop(index), self.settings.enough_sd)
-                    ended[i] = self.explainer.disturbance.ended
-                    continue
-                lasting = index - (self.explainer.disturbance.onset or 0) > self.settings.plan.window
-                reason = self.explainer.faults.reason or (Reason.MISMATCH if lasting else Reason.CHANGING)
-                rows.invalidate(i, Reason.GAP if hollow[i] else reason)
-            else:
-                self.explainer.disturbance.over(index)
-                if not still[i] and not self.explainer.faults.is_frozen(record, index):
-                    self.explainer.faults.over(index)
-                if self.explainer.posterior is not None and self.explainer.posterior.rubs:
-                    rows.invalidate(i, Reason.DRY_FRICTION)
-            ended[i] = self.explainer.disturbance.ended
+        i = which.start
+        while i < which.stop:
+            sound = slice(i, i + _leading(~broken[i : which.stop]))
+            if sound.stop > i:
+                self._hold(record, rows, sound, still)
+                ended[sound] = self.explainer.disturbance.ended
+            i = sound.stop
+            if i < which.stop:
+                self._break(rows, i, bool(hollow[i]))
+                ended[i] = self.explainer.disturbance.ended
+            i += 1
+
+    def _break(self, rows: Outcome, i: int, hollow: bool) -> None:
+        """Note a broken row and write why it is, or what its window says if its parameters run on."""
+        index, window = int(rows.index[i]), self.settings.plan.window
+        self.explainer.disturbance.at(index)
+        if index in self.explainer.lines:
+            rows.write(i, self.explainer.lines.pop(index), self.settings.enough_sd)
+            return
+        lasting = index - (self.explainer.disturbance.onset or 0) > window
+        reason = self.explainer.faults.reason or (Reason.MISMATCH if lasting else Reason.CHANGING)
+        rows.invalidate(i, Reason.GAP if hollow else reason)
+
+    def _hold(self, record: Record, rows: Outcome, which: slice, still: BoolArray) -> None:
+        """Note rows that hold, one after another."""
+        faults, index = self.explainer.faults, rows.index[which]
+        self.explainer.disturbance.over(int(index[0]))
+        moving = index[~still[which]].tolist()
+        if faults.standing is not None:
+            moving = [one for one in moving if not faults.is_frozen(record, one)]
+        if moving:
+            faults.over(moving[0])
+        if self.explainer.posterior is not None and self.explainer.posterior.rubs:
+            rows.invalidate(which, Reason.DRY_FRICTION)
 
     def _act(self, record: Record, reading: Reading, i: int, broken: BoolArray) -> bool:
         """Learn from a row's window, or solve it; return whether the bank moved."""
@@ -311,3 +327,8 @@ def _lost(missing: BoolArray | None, suspect: BoolArray | None, width: int) -> B
         return None
     lost = np.logical_or.reduce(marks)
     return np.asarray(np.pad(lost, ((0, 0), (0, width - lost.shape[1]))))
+
+
+def _leading(marks: BoolArray) -> int:
+    """Return how many of the first marks are set."""
+    return len(marks) if marks.all() else int(np.argmin(marks))

@@ -133,13 +133,14 @@ class Constants:
         apart = self.mean[kept] - mean
         return mean, np.einsum("h,hij->ij", weight, self.covariance[kept]) + (weight[:, None] * apart).T @ apart
 
-    def predicted(self) -> "Constants":
-        """Return what is known one window later: constants walk, hypotheses switch."""
+    def predicted(self, windows: float = 1.0) -> "Constants":
+        """Return what is known so many windows later: constants walk, hypotheses switch."""
         prior = np.array([h.prior for h in self.hypotheses])
         prior /= prior.sum()
         walk = np.array([h.walk for h in self.hypotheses])
-        weight = (1 - tuning.SWITCH) * self.weight + tuning.SWITCH * prior
-        return Constants(self.hypotheses, weight, self.mean, self.covariance + walk)
+        stays = (1 - tuning.SWITCH) ** windows
+        weight = stays * self.weight + (1 - stays) * prior
+        return Constants(self.hypotheses, weight, self.mean, self.covariance + windows * walk)
 
     def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
         """Return what is known after a window with information S (c, c) and score g (c,) about η = at (c,)."""
@@ -154,6 +155,11 @@ class Constants:
         log = np.log(np.maximum(self.weight, 1e-300)) + evidence
         weight = np.exp(log - log.max())
         return Constants(self.hypotheses, weight / weight.sum(), self.mean + moved, covariance)
+
+    @property
+    def drifting(self) -> float:
+        """Probability that some constant changes from window to window."""
+        return float(sum(w for w, h in zip(self.weight, self.hypotheses, strict=True) if h.drifts))
 
     def probability(self, name: str) -> float:
         """Return the probability that what is called `name` is off or drifts."""

@@ -55,6 +55,8 @@ OFF_DELAY = 1.0
 """Prior sd of a delay that is "off", samples. Needed by: held but hold = "first" (half a sample)."""
 DRIFT_WALK = 0.005
 """Random walk a window of a gain that "drifts". Needed by: sensor y1 drifting 5 %."""
+DRIFT_FOLLOWED = 0.2
+"""Probability that some constant drifts from which every window is learnt from. Needed by: sensor y1 drifting 5 %."""
 QUIET_WALK = 1e-4
 """Random walk a window of constants that do not drift, in data-sheet sds: keeps covariances from closing."""
 SWITCH = 1e-3
@@ -77,7 +79,7 @@ HIGH_GROUPS = 16
 """Groups of bins above the cut: noise is taken as flat within each (a twelfth of a decade)."""
 ALL_BINS = 24
 """Windows with fewer bins than this keep them all."""
-ROTATION = 3
+ROTATION = 40
 """Intensities scanned in a window besides the active ones. Cost only: every one has its turn."""
 ACTIVE_NODES = 5.0
 """An intensity beyond this many first nodes is scanned in every window."""

@@ -5,7 +5,7 @@
 | ROWS | 16 | rows | products of this many rows or multiples of it give each row the same bits in OpenBLAS |
 | CELL_TARGET | 25 | samples | a lifted cell; 10, 12, 17, 25 measured: 154, 151, 147, 124 ns a sample |
 | CHUNK | 4096 | samples | columns at hand at once; 800, 1600, 4000 measured: 184, 146, 124 ns a sample |
-| BATCH | 640 | hops | summarised at once; 160, 320, 640, 1280 measured: 383, 290, 235, 241 ns a sample |
+| BATCH | 1280 | hops | summarised at once; 320, 640, 1280, 2560 measured: 266, 214, 197, 183 ns a sample |
 | GROUP | 8 | hops | groups of the sliding windows and of the filters' course; a power of two |
 | SPARE | 4096 | samples | that may wait beyond the longest window before the oldest are let go |
 | RENEWED | 2 | windows | of the longest length after which a mean that does not decay starts anew; costs × 1.5 |
@@ -22,7 +22,7 @@
 ROWS = 16
 CELL_TARGET = 25
 CHUNK = 4096
-BATCH = 640
+BATCH = 1280
 GROUP = 8
 SPARE = 4096
 RENEWED = 2

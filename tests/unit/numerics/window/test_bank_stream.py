@@ -94,13 +94,13 @@ def test_a_restart_gives_the_rows_of_a_stream_that_always_had_these_operators() 
 
 
 def test_a_restart_before_the_oldest_kept_sample_is_refused() -> None:
-    y, u = record(40 * 400)
+    y, u = record(40 * 1600)
     stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
     stream.append(0, y, u)
     stream.rows()
     with pytest.raises(ValueError, match="the oldest that operators can start at is"):
         stream.restart(RIG.model, RIG.push, NOISE, 0)
-    assert 0 < stream.oldest <= 40 * 400 - 153
+    assert 0 < stream.oldest <= 40 * 1600 - 153
 
 
 def test_a_new_segment_begins_windows_afresh_at_the_hop_grid() -> None:

@@ -190,7 +190,7 @@ class Regressor:
         gamma: ComplexArray = np.asarray(response.gamma * self.output_gain[:, None], dtype=complex)
         residual = fy[: bins.kept] - self._outputs(X, low)
         x0 = self._best_start(weigh, gamma, residual)
-        sums = np.zeros((len(edges), at.n))
+        periodic, sums = x0, np.zeros((len(edges), at.n))
         if response.is_free:
             x0, sums = self._placed(x0, u, fy[0].real, fu[0].real, edges)
         elif driven is not None:
@@ -205,7 +205,7 @@ class Regressor:
         parts.append(self._constants(window, modelled, u, low))
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
-        high = self._high(fy, fu, x0, forced[-1])
+        high = self._high(fy, fu, x0 if response.is_free else periodic, forced[-1])
         return Regression(np.concatenate(parts, axis=2), high, X, self.layout(window, len(cuts)))
 
     def _outputs(self, X: ComplexArray, U: ComplexArray) -> ComplexArray:

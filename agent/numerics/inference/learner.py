@@ -91,7 +91,7 @@ class Learner:
         ratio = self._ratio(settled)
         _, _, alone, V, _ = eliminated(settled)
         unit = settled.unit
-        scatter = known.scatter.after(ratio, settled.theta + unit * alone, unit**2 * np.diag(V))
+        scatter = known.scatter.after(ratio, settled.theta + unit * alone, np.outer(unit, unit) * V)
         learnt = replace(predicted, theta=self.lineariser.nearer(settled, known.theta), noise=noise, scatter=scatter)
         posterior = replace(
             self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
@@ -123,6 +123,7 @@ class Learner:
         spread = self.lineariser.wide() if anew else known.constants.total
         centre = -known.eta if anew else known.constants.expected - known.eta
         wide = self.lineariser.ridge(at.regression.layout, window, spread, centre)
+        wide = wide if anew else _steady(at, wide, known.scatter)
         least = self._least(known.noise)
         noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
         noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
@@ -197,7 +198,7 @@ class Learner:
     def _constants_after(self, at: Linearised, known: Knowledge) -> Constants:
         S, g, *_ = eliminated(at)
         temper = max(1.0, float(np.mean(known.scatter.factor)))
-        return known.constants.updated(S / temper, g / temper, known.eta)
+        return known.constants.updated(S / temper, g / temper, known.eta, known.noise.windows + 1)
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
         """Marginal posterior of the parameters over the hypotheses on the constants."""
@@ -298,6 +299,28 @@ class Learner:
         low = float(at.cells.gram(at.Si, at.regression.X)[-1, -1])
         blocks = block_grams(whitened, self.window, max(0.0, float(at.G[-1, -1]) - low))
         return block_ratio(blocks, at.ridge.R, at.ridge.b, layout.psi)
+
+
+def _steady(at: Linearised, wide: Ridge, scatter: Scatter) -> Ridge:
+    """Return a ridge with what the windows before say of the parameters, where this one agrees with them.
+
+    Forces and colours show where the parameters do: by the bins of one window alone, all but those that tell of the
+    parameters, most of their noise could be anything. The parameters are known at η = 0, whose share dθ/dη comes in.
+    """
+    _, _, alone, V, Z = eliminated(at)
+    unit = at.unit
+    before = scatter.steady(at.theta + unit * alone, np.outer(unit, unit) * V)
+    if before is None:
+        return wide
+    mean, covariance = before
+    layout = at.regression.layout
+    part = slice(layout.psi.start, layout.base)
+    J = np.hstack([np.eye(layout.q), Z])
+    pull = J.T @ inverse(covariance / np.outer(unit, unit))
+    R, b = wide.R.copy(), wide.b.copy()
+    R[part, part] += pull @ J
+    b[part] += pull @ ((mean - at.theta) / unit)
+    return Ridge(R, b)
 
 
 def _moved(theta: FloatArray, shift: FloatArray) -> FloatArray:

@@ -33,7 +33,7 @@ class Scatter:
         within: (q,) c, pooled ratio of the jackknife's variance to the model's; dof: behind it.
         between: (q,) c_b, the same for differences between windows.
         compared: how many differences between windows there were.
-        last: the estimates (q,) and variances (q,) of the two newest disjoint windows.
+        last: the estimates (q,) and covariances (q, q) of the two newest disjoint windows.
     """
 
     within: FloatArray
@@ -54,20 +54,32 @@ class Scatter:
         fresh = tuning.JACKKNIFE_BLOCKS - 1
         return np.asarray((self.dof * self.within + fresh * np.minimum(finite, most)) / (self.dof + fresh))
 
-    def after(self, ratio: FloatArray, theta: FloatArray, variance: FloatArray) -> "Scatter":
-        """Return the belief after one more disjoint window with estimate and variance (q,)."""
+    def after(self, ratio: FloatArray, theta: FloatArray, covariance: FloatArray) -> "Scatter":
+        """Return the belief after one more disjoint window with estimate (q,) and covariance (q, q)."""
         within = self.pooled(ratio)
         dof = min(self.dof + tuning.JACKKNIFE_BLOCKS - 1, tuning.SCATTER_MOST_DOF)
-        between = self._between(theta, variance * np.maximum(within, 1.0))
+        between = self._between(theta, np.diag(covariance) * np.maximum(within, 1.0))
         compared = self.compared + (len(self.last) == 2)
-        return Scatter(within, between, dof, compared, (*self.last, (theta, variance))[-2:])
+        return Scatter(within, between, dof, compared, (*self.last, (theta, covariance))[-2:])
+
+    def steady(self, theta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return what the newest windows say of the parameters now: mean (q,) and covariance (q, q).
+
+        None where there is no such window, or another one with estimate theta (q,) and covariance (q, q) differs.
+        """
+        if not self.last:
+            return None
+        mean = np.mean([one for one, _ in self.last], axis=0)
+        spread = sum(V for _, V in self.last) / len(self.last) ** 2 + tuning.STEADY_WALK * covariance
+        far = np.abs(theta - mean) > tuning.AGREE_SD * np.sqrt(np.diag(spread + covariance))
+        return None if far.any() else (mean, np.asarray(spread))
 
     def _between(self, theta: FloatArray, variance: FloatArray) -> FloatArray:
         """Second differences of disjoint windows against their variances, each counted as 9 times usual at most."""
         if len(self.last) < 2:
             return self.between
         (first, v1), (second, v2) = self.last
-        z2 = (theta - 2 * second + first) ** 2 / (v1 + 4 * v2 + variance)
+        z2 = (theta - 2 * second + first) ** 2 / (np.diag(v1) + 4 * np.diag(v2) + variance)
         usual = np.maximum(self.between, 1.0)
         memory = min(self.compared + tuning.SCATTER_PRIOR_DOF, tuning.BETWEEN_DOF)
         return np.asarray(self.between + (np.minimum(z2, 9 * usual) - self.between) / memory)

@@ -16,6 +16,8 @@ SIGMA_WALK_DOF = 4.0
 """Windows that this prior counts for; what windows then show comes down to 0.03 on a steady rig. Needed by: jitter."""
 LEVEL_DOF = 30.0
 """Prior degrees of freedom of each frequency bin's own noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
+LINE_POWER = 16.0
+"""Power of a bin, in that of the bins about it, from which it is a line: chance e^-16. Needed by: 50 Hz hum."""
 FORGET = 0.97
 """What is left, one window later, of the log-weights of force and colour intensities. Needed by: forces that begin."""
 SHAKEN = 0.1
@@ -61,6 +63,8 @@ QUIET_WALK = 1e-4
 """Random walk a window of constants that do not drift, in data-sheet sds: keeps covariances from closing."""
 SWITCH = 1e-3
 """Chance a window that another hypothesis on the constants becomes the true one."""
+EVIDENCE_DOF = 2.0
+"""Degrees of freedom a window behind the noise that evidence on the constants rests on. Needed by: AR(0.99) forces."""
 PRIOR_HEALTHY = 0.7
 """Prior probability that every constant is within its data sheet."""
 
@@ -108,6 +112,8 @@ PRIOR_ABSENT = 0.5
 """Prior probability that a source of noise is absent. Needed by: right models near the bound."""
 AGREE_SD = 3.0
 """Sds within which a window's estimate and the point of linearisation agree."""
+STEADY_WALK = 0.1
+"""Variance by which parameters may differ from those of the windows before, in that of a window's estimate."""
 POINT_SD = 1.5
 """Prior sd of the next point about the last, shares of the parameter. Needed by: standstills in normal operation."""
 POINT_SHARE = 0.25

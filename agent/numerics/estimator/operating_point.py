@@ -212,9 +212,8 @@ def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int) -> No
     A slow force that may as well be absent is taken for a white one that shows as much.
     """
     noise = known.noise
-    levels = noise.levels
-    is_line = levels > max(LINE_LEVEL, float(np.sort(levels.max(axis=1))[-MOST_LINES - 1]))
-    usual = np.where(is_line, 1.0, levels)[: max(known.kept, 1)].mean(axis=0)
+    # a line's leakage is no noise where the line is followed
+    usual = np.median(noise.levels[: max(known.kept, 1)], axis=0)
     sigma = np.exp(noise.log_sigma) * np.sqrt(usual)
     forces = max((s.number for s in sources if s.kind == "force"), default=-1) + 1
     nodes = noise.nodes[:, 0] if noise.is_started else np.full(len(sources), np.inf)
@@ -230,5 +229,19 @@ def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int) -> No
             white[source.number] = np.hypot(white[source.number], shown * first_white[source.number])
         else:
             coloured.append(Coloured(source.kind, source.number, source.pole, float(noise.intensity[a])))
-    lines = [Line(int(c), 2 * np.pi * int(k) / window) for k, c in np.argwhere(is_line) if 0 < k < window / 2]
-    return NoiseModel(sigma, white, tuple(coloured), tuple(lines))
+    return NoiseModel(sigma, white, tuple(coloured), _lines(noise.levels, window))
+
+
+def _lines(levels: FloatArray, window: int) -> tuple[Line, ...]:
+    """The strongest lines in bins' levels (K, p): each between its bin and the stronger one beside it."""
+    inner, below, above = levels[1:-1], levels[:-2], levels[2:]
+    peaks = np.argwhere((inner > LINE_LEVEL) & (inner >= below) & (inner > above))
+    strongest = sorted(peaks.tolist(), key=lambda place: -inner[place[0], place[1]])[:MOST_LINES]
+    found = []
+    for k, c in strongest:
+        # amplitudes that a sinusoid between two bins has in them
+        here, left, right = np.sqrt([inner[k, c], below[k, c], above[k, c]])
+        shift = right / (here + right) if right > left else -left / (here + left)
+        off = shift if max(left, right) ** 2 > LINE_LEVEL else 0.0
+        found.append(Line(c, 2 * np.pi * (k + 1 + off) / window))
+    return tuple(found)

@@ -124,12 +124,14 @@ class Regression:
         X: (kept, p, base + jumps + 1) columns; the last is the residual.
         high: (h, p) residual on the high bins.
         states: (kept, n) the trajectory.
+        driven: (kept + h, p) power of the modelled readings.
         layout: where the columns stand.
     """
 
     X: ComplexArray
     high: ComplexArray
     states: ComplexArray
+    driven: FloatArray
     layout: Layout
 
     @property
@@ -205,8 +207,10 @@ class Regressor:
         parts.append(self._constants(window, modelled, u, low))
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
-        high = self._high(fy, fu, x0 if response.is_free else periodic, forced[-1])
-        return Regression(np.concatenate(parts, axis=2), high, X, self.layout(window, len(cuts)))
+        above = self._high(fu, x0 if response.is_free else periodic, forced[-1])
+        driven = np.abs(np.vstack([modelled, above])) ** 2
+        X_all, high = np.concatenate(parts, axis=2), fy[bins.high] - above
+        return Regression(X_all, high, X, driven, self.layout(window, len(cuts)))
 
     def _outputs(self, X: ComplexArray, U: ComplexArray) -> ComplexArray:
         at = self.response.at
@@ -312,14 +316,14 @@ class Regressor:
             out.append(response.columns(X, U)[..., : self.rig.q] * self.output_gain[:, None])
         return out
 
-    def _high(self, fy: ComplexArray, fu: ComplexArray, x0: FloatArray, end: FloatArray) -> ComplexArray:
-        """Residual (h, p) on the high bins at the same trajectory."""
+    def _high(self, fu: ComplexArray, x0: FloatArray, end: FloatArray) -> ComplexArray:
+        """The readings (h, p) modelled on the high bins at the same trajectory."""
         bins = self.response.bins
         if not bins.groups:
             return np.zeros((0, len(self.output_gain)), dtype=complex)
         HU, zCR, closing = self.response.high
         modelled = np.einsum("kpm,km->kp", HU, fu[bins.high]) + zCR @ (closing @ x0 - end)
-        return np.asarray(fy[bins.high] - modelled * self.output_gain)
+        return np.asarray(modelled * self.output_gain)
 
 
 def _edge_states(A: FloatArray, w: FloatArray, edges: IntArray) -> FloatArray:

@@ -15,10 +15,11 @@ from agent.numerics.inference.columns import Regressor, Window
 from agent.numerics.inference.constants import Constants, hypotheses_of
 from agent.numerics.inference.friction import column, friction
 from agent.numerics.inference.linearise import Linearised, Lineariser, eliminated
+from agent.numerics.inference.lines import with_lines
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, learn, louder
 from agent.numerics.inference.posterior import Knowledge, Line, Posterior
-from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio
+from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio
 from agent.numerics.inference.sources import sources_of
 from agent.numerics.model.uncertain import Rig
 
@@ -89,9 +90,7 @@ class Learner:
             predicted = replace(predicted, eta=constants.expected, theta=at.theta)
             at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
         ratio = self._ratio(settled)
-        _, _, alone, V, _ = eliminated(settled)
-        unit = settled.unit
-        scatter = known.scatter.after(ratio, settled.theta + unit * alone, np.outer(unit, unit) * V)
+        scatter = known.scatter.after(ratio, _estimate(settled, predicted.eta))
         learnt = replace(predicted, theta=self.lineariser.nearer(settled, known.theta), noise=noise, scatter=scatter)
         posterior = replace(
             self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
@@ -123,9 +122,10 @@ class Learner:
         spread = self.lineariser.wide() if anew else known.constants.total
         centre = -known.eta if anew else known.constants.expected - known.eta
         wide = self.lineariser.ridge(at.regression.layout, window, spread, centre)
-        wide = wide if anew else _steady(at, wide, known.scatter)
+        wide = wide if anew else _steady(at, wide, known)
         least = self._least(known.noise)
-        noise, fit = learn(known.noise, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
+        lined = with_lines(known.noise, at.cells, at.regression)
+        noise, fit = learn(lined, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
         noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
         return noise, self.lineariser.without_jumps(at, fit)
 
@@ -301,21 +301,27 @@ class Learner:
         return block_ratio(blocks, at.ridge.R, at.ridge.b, layout.psi)
 
 
-def _steady(at: Linearised, wide: Ridge, scatter: Scatter) -> Ridge:
+def _estimate(at: Linearised, eta: FloatArray) -> Estimate:
+    """Return what a window says with the constants eta (c,) at which it is linearised."""
+    _, _, alone, V, Z = eliminated(at)
+    unit = at.unit
+    return Estimate(at.theta + unit * alone, np.outer(unit, unit) * V, -unit[:, None] * Z, eta)
+
+
+def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:
     """Return a ridge with what the windows before say of the parameters, where this one agrees with them.
 
     Forces and colours show where the parameters do: by the bins of one window alone, all but those that tell of the
-    parameters, most of their noise could be anything. The parameters are known at η = 0, whose share dθ/dη comes in.
+    parameters, most of their noise could be anything. What is known is θ at η as linearised, which θ and η share.
     """
-    _, _, alone, V, Z = eliminated(at)
-    unit = at.unit
-    before = scatter.steady(at.theta + unit * alone, np.outer(unit, unit) * V)
+    found = _estimate(at, known.eta)
+    before = known.scatter.steady(found)
     if before is None:
         return wide
     mean, covariance = before
-    layout = at.regression.layout
+    layout, unit = at.regression.layout, at.unit
     part = slice(layout.psi.start, layout.base)
-    J = np.hstack([np.eye(layout.q), Z])
+    J = np.hstack([np.eye(layout.q), -found.sensitivity / unit[:, None]])
     pull = J.T @ inverse(covariance / np.outer(unit, unit))
     R, b = wide.R.copy(), wide.b.copy()
     R[part, part] += pull @ J

@@ -5,7 +5,6 @@ eliminated, so forces never explain what a mass can (Harville, J. Am. Stat. Ass.
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -458,7 +457,6 @@ def learn(  # noqa: PLR0913, PLR0917
     )
     if anew:
         start = replace(start, log_weight=tuning.SHAKEN * start.log_weight)
-    start = _with_lines(start, cells, regression)
     fit = NoiseFit(start, cells, regression, sources, wide)
     walk = start.walk * (start.windows > 0) + 0.3**2 * shaken
     mean, var = start.log_sigma, start.log_sigma_var + walk
@@ -475,26 +473,6 @@ def learn(  # noqa: PLR0913, PLR0917
         last = i == sweeps - 1
         scan = fit.scan(order, carried, start.nodes, every, pred if last else None)
     return _after(start, fit, scan), fit
-
-
-def _with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
-    """Return what was known with the levels of lines where they are now.
-
-    A bin above the kept ones that stands out from those about it is a line: what is known of the level of other bins
-    says nothing of it, and were it learnt as slowly as theirs, noise of some colour would have to explain it.
-    """
-    bins = cells.response.bins
-    if not bins.groups:
-        return noise
-    known = noise.levels[bins.high]
-    power = np.abs(regression.high) ** 2 / (np.exp(2 * noise.log_sigma) * known)
-    edges = [*bins.starts.tolist(), len(power)]
-    usual = np.array([np.median(power[a:b], axis=0) for a, b in pairwise(edges)]) / np.log(2)
-    above = power / np.maximum(usual, 1.0)[bins.group_of]
-    level = np.where(above > tuning.LINE_POWER, known * above, known)
-    raised = noise.power.copy()
-    raised[bins.high] = noise.dof[bins.high] * level
-    return replace(noise, power=raised)
 
 
 def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> NoiseFit:

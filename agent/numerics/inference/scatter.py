@@ -26,6 +26,25 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True)
+class Estimate:
+    """What one window says of the parameters with the constants given.
+
+    Attributes:
+        theta, covariance: (q,), (q, q) at constants eta (c,).
+        sensitivity: (q, c) dθ/dη.
+    """
+
+    theta: FloatArray
+    covariance: FloatArray
+    sensitivity: FloatArray
+    eta: FloatArray
+
+    def given(self, eta: FloatArray) -> FloatArray:
+        """Return the estimate (q,) with other constants (c,)."""
+        return np.asarray(self.theta + self.sensitivity @ (eta - self.eta))
+
+
+@dataclass(frozen=True, slots=True)
 class Scatter:
     """Carried belief about the scatter, in units of the model's variance.
 
@@ -33,14 +52,14 @@ class Scatter:
         within: (q,) c, pooled ratio of the jackknife's variance to the model's; dof: behind it.
         between: (q,) c_b, the same for differences between windows.
         compared: how many differences between windows there were.
-        last: the estimates (q,) and covariances (q, q) of the two newest disjoint windows.
+        last: the two newest disjoint windows.
     """
 
     within: FloatArray
     between: FloatArray
     dof: float = tuning.SCATTER_PRIOR_DOF
     compared: int = 0
-    last: tuple[tuple[FloatArray, FloatArray], ...] = ()
+    last: tuple[Estimate, ...] = ()
 
     @classmethod
     def prior(cls, q: int) -> "Scatter":
@@ -54,35 +73,37 @@ class Scatter:
         fresh = tuning.JACKKNIFE_BLOCKS - 1
         return np.asarray((self.dof * self.within + fresh * np.minimum(finite, most)) / (self.dof + fresh))
 
-    def after(self, ratio: FloatArray, theta: FloatArray, covariance: FloatArray) -> "Scatter":
-        """Return the belief after one more disjoint window with estimate (q,) and covariance (q, q)."""
+    def after(self, ratio: FloatArray, found: Estimate) -> "Scatter":
+        """Return the belief after one more disjoint window."""
         within = self.pooled(ratio)
         dof = min(self.dof + tuning.JACKKNIFE_BLOCKS - 1, tuning.SCATTER_MOST_DOF)
-        between = self._between(theta, np.diag(covariance) * np.maximum(within, 1.0))
+        between = self._between(found, np.maximum(within, 1.0))
         compared = self.compared + (len(self.last) == 2)
-        return Scatter(within, between, dof, compared, (*self.last, (theta, covariance))[-2:])
+        return Scatter(within, between, dof, compared, (*self.last, found)[-2:])
 
-    def steady(self, theta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Return what the newest windows say of the parameters now: mean (q,) and covariance (q, q).
+    def steady(self, found: Estimate) -> tuple[FloatArray, FloatArray] | None:
+        """Return what the newest windows say of the parameters now, mean (q,) and covariance (q, q), at found.eta.
 
-        None where there is no such window, or another one with estimate theta (q,) and covariance (q, q) differs.
+        None where there is no such window, or `found` differs.
         """
         if not self.last:
             return None
-        mean = np.mean([one for one, _ in self.last], axis=0)
-        spread = sum(V for _, V in self.last) / len(self.last) ** 2 + tuning.STEADY_WALK * covariance
-        far = np.abs(theta - mean) > tuning.AGREE_SD * np.sqrt(np.diag(spread + covariance))
-        return None if far.any() else (mean, np.asarray(spread))
+        mean = np.mean([one.given(found.eta) for one in self.last], axis=0)
+        spread = np.sum([one.covariance for one in self.last], axis=0) / len(self.last) ** 2
+        spread = spread + tuning.STEADY_WALK * found.covariance
+        far = np.abs(found.theta - mean) > tuning.AGREE_SD * np.sqrt(np.diag(spread + found.covariance))
+        return None if far.any() else (mean, spread)
 
-    def _between(self, theta: FloatArray, variance: FloatArray) -> FloatArray:
+    def _between(self, found: Estimate, within: FloatArray) -> FloatArray:
         """Second differences of disjoint windows against their variances, each counted as 9 times usual at most."""
         if len(self.last) < 2:
             return self.between
-        (first, v1), (second, v2) = self.last
-        z2 = (theta - 2 * second + first) ** 2 / (np.diag(v1) + 4 * np.diag(v2) + variance)
+        first, second = self.last
+        difference = found.theta - 2 * second.given(found.eta) + first.given(found.eta)
+        variance = np.diag(first.covariance + 4 * second.covariance) + np.diag(found.covariance) * within
         usual = np.maximum(self.between, 1.0)
         memory = min(self.compared + tuning.SCATTER_PRIOR_DOF, tuning.BETWEEN_DOF)
-        return np.asarray(self.between + (np.minimum(z2, 9 * usual) - self.between) / memory)
+        return np.asarray(self.between + (np.minimum(difference**2 / variance, 9 * usual) - self.between) / memory)
 
     @property
     def factor(self) -> FloatArray:

@@ -18,6 +18,10 @@ LEVEL_DOF = 30.0
 """Prior degrees of freedom of each frequency bin's own noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
 LINE_POWER = 16.0
 """Power of a bin, in that of the bins about it, from which it is a line: chance e^-16. Needed by: 50 Hz hum."""
+LINE_NEIGHBOURS = 25
+"""Bins on either side of a line that it is held against."""
+LINE_CYCLES = 8
+"""Cycles a window that a line has at least: what is slower is the work of forces."""
 FORGET = 0.97
 """What is left, one window later, of the log-weights of force and colour intensities. Needed by: forces that begin."""
 SHAKEN = 0.1

@@ -59,6 +59,36 @@ def test_constants_switch_and_walk_from_window_to_window() -> None:
     assert grown == pytest.approx(tuning.DRIFT_WALK**2, rel=1e-3)
 
 
+def test_constants_some_windows_later_are_what_as_many_steps_make_them() -> None:
+    known = Constants.prior(hypotheses_of(CONSTANTS))
+    known = Constants(known.hypotheses, np.eye(len(known.weight))[0], known.mean, known.covariance)
+    stepped = known
+    for _ in range(7):
+        stepped = stepped.predicted()
+    at_once = known.predicted(7)
+    assert at_once.weight == pytest.approx(stepped.weight, abs=1e-12)
+    assert at_once.covariance == pytest.approx(stepped.covariance, rel=1e-12)
+    assert known.drifting == 0
+    drifts = np.array([h.drifts for h in stepped.hypotheses])
+    assert 0 < stepped.drifting == pytest.approx(stepped.weight[drifts].sum())
+
+
+def test_constants_evidence_on_noise_of_few_windows_is_students() -> None:
+    X, y, sd = problem()
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    S, g, at = X.T @ X / sd**2, X.T @ y / sd**2, np.zeros(3)
+    sure, after = prior.updated(S, g, at), {n: prior.updated(S, g, at, n) for n in (1, 10, 1_000_000)}
+    behind = np.log(sure.weight / prior.weight)
+    behind = behind.max() - behind
+    for windows, one in after.items():
+        half = 0.5 * tuning.EVIDENCE_DOF * windows
+        wanted = prior.weight * (1 + behind / half) ** -half
+        assert one.weight == pytest.approx(wanted / wanted.sum(), abs=1e-9)
+        assert one.mean == pytest.approx(sure.mean)
+    assert after[1].probability("m1") < after[10].probability("m1") < sure.probability("m1")
+    assert after[1_000_000].weight == pytest.approx(sure.weight, rel=1e-3)
+
+
 def test_constants_that_are_exact_have_no_hypothesis() -> None:
     exact = (Constant("m1", "mass", 0, 0.0), *CONSTANTS[1:])
     assert "m1" not in {h.name for h in hypotheses_of(exact)}

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import gammaln
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.scatter import Scatter, block_grams, block_ratio, expected
+from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio, expected
 
 FREE = np.zeros((3, 3))
 
@@ -61,14 +61,19 @@ def test_scatter_blocks_sum_to_the_gram_of_the_bins() -> None:
     assert grams[0] == pytest.approx(flat[:40].T @ flat[:40])
 
 
+def estimate(theta: float, eta: float = 0.0, sd: float = 1.0) -> Estimate:
+    """One parameter that grows by 2 with each unit of one constant."""
+    return Estimate(np.array([theta + 2 * eta]), np.array([[sd**2]]), np.array([[2.0]]), np.array([eta]))
+
+
 def test_scatter_between_windows_ignores_drift_and_sees_jumps() -> None:
     rng = np.random.default_rng(7)
     drifting = wild = Scatter.prior(1)
     one = np.ones(1)
     for w in range(200):
-        noise = rng.standard_normal(1)
-        drifting = drifting.after(one, noise + 3.0 * w, one)
-        wild = wild.after(one, 3.0 * noise, one)
+        noise = float(rng.standard_normal())
+        drifting = drifting.after(one, estimate(noise + 3.0 * w))
+        wild = wild.after(one, estimate(3.0 * noise))
     assert drifting.between[0] == pytest.approx(1.0, abs=0.5)
     assert wild.between[0] > 5.0
 
@@ -76,7 +81,7 @@ def test_scatter_between_windows_ignores_drift_and_sees_jumps() -> None:
 def test_scatter_never_makes_intervals_smaller_than_the_model() -> None:
     calm = Scatter.prior(2)
     for _ in range(30):
-        calm = calm.after(np.full(2, 0.2), np.zeros(2), np.ones(2))
+        calm = calm.after(np.full(2, 0.2), Estimate(np.zeros(2), np.eye(2), np.zeros((2, 1)), np.zeros(1)))
     assert np.all(calm.factor == 1.0)
     assert calm.dof <= tuning.SCATTER_MOST_DOF
 
@@ -101,3 +106,23 @@ def test_scatter_expected_is_that_of_a_mixture_of_both_explanations() -> None:
     slab = np.trapezoid(density * t ** (0.5 * n) * np.exp(-0.5 * power * t), t)
     odds = slab / np.exp(-0.5 * power)
     assert expected(np.array([pooled]), seen)[0] == pytest.approx(1 + odds / (1 + odds) * (pooled - 1), rel=1e-6)
+
+
+def test_scatter_compares_windows_at_the_same_constants(rng: np.random.Generator) -> None:
+    one, still = np.ones(1), Scatter.prior(1)
+    for eta in rng.uniform(-5.0, 5.0, 100).tolist():
+        still = still.after(one, estimate(float(rng.standard_normal()), eta))
+    assert still.between[0] == pytest.approx(1.0, abs=0.5)
+
+
+def test_scatter_says_what_the_windows_before_said_until_one_differs() -> None:
+    one, none = np.ones(1), Scatter.prior(1)
+    assert none.steady(estimate(1.0)) is None
+    known = none.after(one, estimate(1.0)).after(one, estimate(2.0))
+    said = known.steady(estimate(1.6, eta=3.0))
+    assert said is not None
+    mean, covariance = said
+    assert mean[0] == pytest.approx(1.5 + 2 * 3.0)
+    assert covariance[0, 0] == pytest.approx(0.5 + tuning.STEADY_WALK)
+    assert known.steady(estimate(9.0)) is None
+    assert known.interrupted().steady(estimate(1.6)) is None

@@ -1,8 +1,11 @@
 """The frequency-domain window against dense generalised least squares in the time domain, written here by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from agent.numerics.inference.algebra import inverse
 from agent.numerics.inference.columns import Window, window_of
@@ -115,6 +118,50 @@ def test_inference_restricted_log_likelihood_differs_from_dense_by_a_constant() 
         wanted.append(dense.restricted_log_likelihood(precision(learner.lineariser.wide()), np.zeros(len(known.eta))))
     assert np.diff(found) == pytest.approx(np.diff(wanted), rel=1e-5)
     assert np.abs(np.diff(wanted)).min() > 1.0
+
+
+@pytest.mark.parametrize("kept", [40, 80])
+def test_inference_likelihood_of_forces_is_that_of_all_bins_where_few_are_kept(kept: int) -> None:
+    rig, samples, rng = ChainRig(), 400, np.random.default_rng(8)
+    learner = learner_of(rig, samples)
+    pole = next(s.pole for s in learner.sources if s.is_slow_force and s.number == 1)
+    unknown = lfilter([np.sqrt(1 - pole**2)], [1, -pole], 2.0 * rng.standard_normal(samples + 1))[:, None]
+    force = 2.0 * rng.standard_normal((samples + 1, 1))
+    pushed = force + unknown
+    y = rig.readings(rig.theta, np.zeros(6), np.zeros(4), pushed[1:], np.diff(pushed, axis=0)).real
+    window = window_of(y + SIGMA * rng.standard_normal(y.shape), force[1:], force[0])
+    gains = []
+    for bins in (kept, samples // 2 + 1):
+        found = []
+        for noise in (
+            DenseNoise(SIGMA, np.zeros(2), ((1, pole, 2.0),)), DenseNoise(SIGMA, np.array([0.0, 0.5])),
+            DenseNoise(SIGMA, np.array([0.0, 2.0])),
+        ):  # fmt: skip
+            known = replace(knowledge(learner, noise), kept=bins)
+            at = linearised(learner, known, window)
+            wide = learner.lineariser.ridge(at.regression.layout, window, 1e-12 * np.eye(6), np.zeros(6))
+            fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, wide)
+            found.append(fit.restricted_log_likelihood())
+        gains.append(np.diff(found))
+    # the state that those forces drove once stood in the residual of the bins above: then they differ by tens
+    assert gains[0] == pytest.approx(gains[1], abs=1.5)
+    assert np.abs(gains[1]).max() > 5.0
+
+
+def test_inference_line_above_the_kept_bins_is_no_coloured_noise() -> None:
+    rig, samples = ChainRig(), 1000
+    learner = learner_of(rig, samples)
+    quiet = DenseNoise(SIGMA, np.zeros(2))
+    sds = []
+    for hum in (0.0, 4 * SIGMA[0]):
+        known = learner.prior(SIGMA, np.full(2, 0.3))
+        for w in range(4):
+            window = record(rig, np.random.default_rng(w), quiet, samples, off=1.0)[0]
+            line = hum * np.sin(0.1873 * 2 * np.pi * (np.arange(samples) + w * samples))
+            said, known = learner.learn(replace(window, y=window.y + line[:, None]), known)
+        sds.append(said.sd_repeat)
+        assert np.exp(known.noise.log_sigma) == pytest.approx(SIGMA, rel=0.15)
+    assert sds[1] == pytest.approx(sds[0], rel=0.2)
 
 
 def test_inference_columns_are_derivatives_of_the_simulated_window() -> None:

@@ -1,0 +1,64 @@
+"""Lines: bins that stand out from those about them, such as mains hum and its leakage.
+
+What is known of the levels of other bins says nothing of a line. Were its level learnt as slowly as theirs, noise of
+some colour would have to explain it, and that reaches the bins that tell of the parameters.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.columns import Regression
+from agent.numerics.inference.covariance import Cells
+from agent.numerics.inference.noise import Noise
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+SKIRTS = 4
+"""Times that lines are looked for: beside a strong one weaker bins of its leakage stand out next."""
+MEDIAN = float(np.log(2))
+"""Median of a bin's power whose mean is 1."""
+
+
+def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
+    """Return what was known with the levels of lines raised to what they are in a window."""
+    bins = cells.response.bins
+    bin_of = np.concatenate([np.arange(bins.kept), bins.high])
+    cell_of = np.concatenate([np.arange(bins.kept), bins.kept + bins.group_of]).astype(np.int64)
+    residual = np.vstack([np.abs(regression.X[..., -1]) ** 2, np.abs(regression.high) ** 2])
+    power = residual / np.exp(2 * noise.log_sigma)
+    level = noise.levels[bin_of]
+    for channel in range(power.shape[1]):
+        shapes = np.column_stack([regression.driven[:, channel], np.abs(cells.D[cell_of, channel]) ** 2])
+        shapes = shapes[:, (shapes > 0).all(axis=0)]
+        for _ in range(SKIRTS):
+            found = _standing_out(power[:, channel] / level[:, channel], bin_of, power[:, channel], shapes)
+            if not len(found[0]):
+                break
+            level[found[0], channel] *= found[1]
+    raised = noise.power.copy()
+    raised[bin_of] = noise.dof[bin_of] * level
+    return replace(noise, power=raised)
+
+
+def _standing_out(
+    above: FloatArray, bin_of: IntArray, power: FloatArray, shapes: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return places of lines, and their power in that of the bins about them.
+
+    above (b,): power in units of what is known. A peak that the response to some force has too, or that the measured
+    motion has, is none: shapes (b, s).
+    """
+    places: list[int] = []
+    sizes: list[float] = []
+    relative = power[:, None] / shapes
+    for k in np.flatnonzero((above > tuning.LINE_POWER) & (bin_of >= tuning.LINE_CYCLES)).tolist():
+        about = slice(max(0, k - tuning.LINE_NEIGHBOURS), k + tuning.LINE_NEIGHBOURS + 1)
+        usual = max(float(np.median(above[about])) / MEDIAN, 1.0)
+        peaks = relative[k] > tuning.LINE_POWER * np.median(relative[about], axis=0) / MEDIAN
+        if above[k] > tuning.LINE_POWER * usual and peaks.all():
+            places.append(k)
+            sizes.append(above[k] / usual)
+    return np.array(places, dtype=np.int64), np.array(sizes)

@@ -1,0 +1,38 @@
+"""When windows are learnt from."""
+
+import numpy as np
+import pytest
+
+from agent.numerics.estimator.schedule import EAGER, EAGER_SAMPLES, SELDOM, Schedule
+
+
+def learnt(window: int, windows: int) -> list[int]:
+    """Windows that are learnt from among so many, each as it falls due."""
+    schedule, out = Schedule(window), []
+    for number in range(windows):
+        if number * window >= schedule.due:
+            schedule.done(number * window)
+            out.append(number)
+    return out
+
+
+@pytest.mark.parametrize("window", [50, 1000, 4000, 60_000])
+def test_schedule_learns_from_the_first_windows_and_then_ever_more_seldom(window: int) -> None:
+    found = learnt(window, 20_000)
+    eager = int(np.clip(EAGER_SAMPLES // window, *EAGER))
+    assert found[:eager] == list(range(eager))
+    stretches = np.diff(found)
+    assert np.all(np.diff(stretches) >= 0)
+    assert stretches[-1] == SELDOM
+    tens = [sum(n < 10**k * eager for n in found) for k in (1, 2)]
+    assert tens[0] < eager + 16  # a few windows more for ten times as long
+    assert tens[1] < tens[0] + 20
+
+
+def test_schedule_that_follows_learns_from_every_window_again() -> None:
+    schedule = Schedule(1000)
+    for _ in range(60):
+        schedule.done(schedule.due)
+    assert schedule.due - schedule.tried == SELDOM * 1000
+    schedule.follow(schedule.tried)
+    assert schedule.due - schedule.tried == 1000

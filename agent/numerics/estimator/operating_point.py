@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.inference.lines import between
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.sources import Source
@@ -241,7 +242,6 @@ def _lines(levels: FloatArray, window: int) -> tuple[Line, ...]:
     for k, c in strongest:
         # amplitudes that a sinusoid between two bins has in them
         here, left, right = np.sqrt([inner[k, c], below[k, c], above[k, c]])
-        shift = right / (here + right) if right > left else -left / (here + left)
-        off = shift if max(left, right) ** 2 > LINE_LEVEL else 0.0
+        off = between(here, left, right) if max(left, right) ** 2 > LINE_LEVEL else 0.0
         found.append(Line(c, 2 * np.pi * (k + 1 + off) / window))
     return tuple(found)

@@ -208,9 +208,9 @@ class Regressor:
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
         above = self._high(fu, x0 if response.is_free else periodic, forced[-1])
-        driven = np.abs(np.vstack([modelled, above])) ** 2
+        power = np.abs(np.vstack([modelled, above])) ** 2
         X_all, high = np.concatenate(parts, axis=2), fy[bins.high] - above
-        return Regression(X_all, high, X, driven, self.layout(window, len(cuts)))
+        return Regression(X_all, high, X, power, self.layout(window, len(cuts)))
 
     def _outputs(self, X: ComplexArray, U: ComplexArray) -> ComplexArray:
         at = self.response.at

@@ -38,6 +38,7 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
             if not len(found[0]):
                 break
             level[found[0], channel] *= found[1]
+        level[:, channel] = np.maximum(level[:, channel], _leakage(level[:, channel], power[:, channel], bin_of))
     raised = noise.power.copy()
     raised[bin_of] = noise.dof[bin_of] * level
     return replace(noise, power=raised)
@@ -62,3 +63,23 @@ def _standing_out(
             places.append(k)
             sizes.append(above[k] / usual)
     return np.array(places, dtype=np.int64), np.array(sizes)
+
+
+def between(here: float, left: float, right: float) -> float:
+    """Return where a line stands between its bin and the stronger one beside it, from their amplitudes (-½ .. ½)."""
+    return right / (here + right) if right > left else -left / (here + left)
+
+
+def _leakage(level: FloatArray, power: FloatArray, bin_of: IntArray) -> FloatArray:
+    """Return what lines leave in the bins about them (b,), in units of σ²: A² sin²(π δ) / (π (k − f))², 0 elsewhere."""
+    out = np.zeros(len(level))
+    inner = level[1:-1]
+    for k in 1 + np.flatnonzero((inner > tuning.LINE_POWER) & (inner >= level[:-2]) & (inner > level[2:])):
+        if bin_of[k + 1] - bin_of[k - 1] > 2:
+            continue  # only an even spread of the high bins is at hand there
+        here, left, right = np.sqrt([power[k], power[k - 1], power[k + 1]])
+        off = between(here, left, right)
+        apart = np.where(np.abs(bin_of - bin_of[k]) > 1, bin_of - bin_of[k] - off, np.inf)
+        share = np.sin(np.pi * off) / max(abs(np.sinc(off)), 1e-6)
+        out = np.maximum(out, 1 + power[k] * (share / (np.pi * apart)) ** 2)
+    return np.where(out > 1.2, out, 0.0)

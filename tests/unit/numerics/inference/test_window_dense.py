@@ -120,8 +120,7 @@ def test_inference_restricted_log_likelihood_differs_from_dense_by_a_constant() 
     assert np.abs(np.diff(wanted)).min() > 1.0
 
 
-@pytest.mark.parametrize("kept", [40, 80])
-def test_inference_likelihood_of_forces_is_that_of_all_bins_where_few_are_kept(kept: int) -> None:
+def test_inference_likelihood_of_forces_is_that_of_all_bins_where_few_are_kept() -> None:
     rig, samples, rng = ChainRig(), 400, np.random.default_rng(8)
     learner = learner_of(rig, samples)
     pole = next(s.pole for s in learner.sources if s.is_slow_force and s.number == 1)
@@ -131,37 +130,35 @@ def test_inference_likelihood_of_forces_is_that_of_all_bins_where_few_are_kept(k
     y = rig.readings(rig.theta, np.zeros(6), np.zeros(4), pushed[1:], np.diff(pushed, axis=0)).real
     window = window_of(y + SIGMA * rng.standard_normal(y.shape), force[1:], force[0])
     gains = []
-    for bins in (kept, samples // 2 + 1):
+    for bins in (80, samples // 2 + 1):
         found = []
-        for noise in (
-            DenseNoise(SIGMA, np.zeros(2), ((1, pole, 2.0),)), DenseNoise(SIGMA, np.array([0.0, 0.5])),
-            DenseNoise(SIGMA, np.array([0.0, 2.0])),
-        ):  # fmt: skip
+        for slow, white in ((2.0, 0.0), (0.0, 4.0), (0.0, 8.0), (0.0, 12.0)):
+            noise = DenseNoise(SIGMA, np.array([0.0, white]), ((1, pole, slow),) if slow else ())
             known = replace(knowledge(learner, noise), kept=bins)
             at = linearised(learner, known, window)
             wide = learner.lineariser.ridge(at.regression.layout, window, 1e-12 * np.eye(6), np.zeros(6))
             fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, wide)
             found.append(fit.restricted_log_likelihood())
         gains.append(np.diff(found))
-    # the state that those forces drove once stood in the residual of the bins above: then they differ by tens
+    # the state that such forces drive once stood in the residual of the bins above: these differed by 5 to 40
     assert gains[0] == pytest.approx(gains[1], abs=1.5)
-    assert np.abs(gains[1]).max() > 5.0
+    assert np.abs(gains[1]).min() > 50.0
 
 
-def test_inference_line_above_the_kept_bins_is_no_coloured_noise() -> None:
-    rig, samples = ChainRig(), 1000
-    learner = learner_of(rig, samples)
-    quiet = DenseNoise(SIGMA, np.zeros(2))
-    sds = []
-    for hum in (0.0, 4 * SIGMA[0]):
+@pytest.mark.parametrize("cycles", [0.05, 0.0873, 0.12])
+def test_inference_hum_costs_the_bins_it_is_in_and_no_others(cycles: float) -> None:
+    rig, samples = ChainRig(), 400
+    learner, quiet, sds = learner_of(rig, samples), DenseNoise(SIGMA, np.zeros(2)), []
+    for size in (0.0, 4.0):
         known = learner.prior(SIGMA, np.full(2, 0.3))
         for w in range(4):
             window = record(rig, np.random.default_rng(w), quiet, samples, off=1.0)[0]
-            line = hum * np.sin(0.1873 * 2 * np.pi * (np.arange(samples) + w * samples))
-            said, known = learner.learn(replace(window, y=window.y + line[:, None]), known)
+            hum = np.sin(2 * np.pi * cycles * (np.arange(samples) + w * samples))[:, None]
+            said, known = learner.learn(replace(window, y=window.y + size * SIGMA * hum), known)
         sds.append(said.sd_repeat)
         assert np.exp(known.noise.log_sigma) == pytest.approx(SIGMA, rel=0.15)
-    assert sds[1] == pytest.approx(sds[0], rel=0.2)
+    # taken for coloured noise it made intervals 1.15, 6 and 16 times as wide
+    assert np.all(sds[1] < (1.5 if cycles < 0.08 else 1.15) * sds[0])  # the lowest stands in informative bins
 
 
 def test_inference_columns_are_derivatives_of_the_simulated_window() -> None:

@@ -11,7 +11,7 @@ QUICK = {
     "white": 80,
     "white, to be learnt": 30,
     "AR(1) 0.9": 10,
-    "force on m1": 8,
+    "force on m1": 24,
     "16 bits": 30,
     "16 bits, recorded": 30,
     "200 us of jitter": 20,

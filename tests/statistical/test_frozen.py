@@ -108,7 +108,7 @@ def test_force_that_rests_where_it_used_to_is_not_blamed_for_a_load_nobody_measu
     found = records(pipeline(), v)
     assert not [r for r in found if isinstance(r, AlarmTransition)]
     last = [r for r in found if isinstance(r, EstimateBatch)][-1]
-    # a force that nobody measures: what little the rig shows under it is true
-    holds = (last.lower[-1] <= NOMINAL) & (last.upper[-1] >= NOMINAL)
+    # a force that nobody measures: what little the rig shows under it is true, within 3 sd in this one row
+    holds = np.abs(last.value[-1] - NOMINAL) < 3 * last.sd[-1]
     assert (np.isin(last.status[-1], (Status.INVALID, Status.UNEXCITED)) | holds).all()
     assert (last.status[-1] == Status.UNEXCITED).any()

@@ -132,7 +132,7 @@ class Explainer:
         self.faults.learnt(window)
         kinds = tuple(c.kind for c in self.settings.rig.constants)
         if kinds:
-            self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
+            self._beliefs.append((newest, beliefs(learnt.constants, kinds, learnt.noise.windows)))
 
     def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sensor sds (p,) to begin with, and the spread of their logarithms."""
@@ -188,7 +188,7 @@ class Explainer:
         self._believe(newest, window, learnt)
         self.posterior = posterior
         self.schedule.done(newest)
-        drifts = learnt.constants.drifting > tuning.DRIFT_FOLLOWED
+        drifts = learnt.constants.drift_probability > tuning.DRIFT_FOLLOWED
         if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise) or drifts:
             self.schedule.follow(newest)
         if not self._is_elsewhere(reading, i, posterior):

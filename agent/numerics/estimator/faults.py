@@ -135,7 +135,7 @@ class Faults:
         else.
         """
         length, nominal = self.learner.window, np.abs(self.learner.rig.nominal)
-        forces = self._unknown_forces(window, said)
+        forces = self.learner.unknown_forces(window, said.noise)
         odd = self.standing is not None or self._is_many_times(found.theta) or forces >= tuning.AS_LARGE
         if self._standing_inputs(record, newest, length) or not odd:
             return False
@@ -148,13 +148,6 @@ class Faults:
         if said_of_channels.fault is not None:
             self._name(newest, said_of_channels.fault)
         return said_of_channels.fault is not None
-
-    def _unknown_forces(self, window: Window, said: Knowledge) -> float:
-        """The largest unknown force in a window, in units of the largest that is measured; 0 where none is."""
-        rig = self.learner.rig
-        measured = window.u[:, : len(rig.measured)][:, rig.driven].std(axis=0).max(initial=0.0)
-        forces = [v for v, s in zip(said.noise.intensity, self.learner.sources, strict=True) if s.kind == "force"]
-        return float(max(forces, default=0.0) / measured) if measured > 0 else 0.0
 
     def _is_many_times(self, theta: FloatArray) -> bool:
         """Whether a parameter (q,) is many times its nominal, or many times less."""

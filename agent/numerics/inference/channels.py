@@ -144,6 +144,8 @@ class ChannelTest:
         for theta in (solved, known.theta):
             there = replace(known, theta=theta)
             noisier = replace(there, noise=self._learner.other_noise(window, there))
+            if self._learner.unknown_forces(window, noisier.noise) > tuning.MANY_TIMES:
+                continue  # such forces would explain whatever a channel reads
             at = self._learner.at_point(window, noisier)
             free = self._under_prior(at, known, np.full(self._rig.q, FLAT), self._rig.q)
             options.append(replace(free, evidence=free.evidence - tuning.NOISE_PRICE))

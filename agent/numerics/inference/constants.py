@@ -142,12 +142,8 @@ class Constants:
         weight = stays * self.weight + (1 - stays) * prior
         return Constants(self.hypotheses, weight, self.mean, self.covariance + windows * walk)
 
-    def updated(self, S: FloatArray, g: FloatArray, at: FloatArray, windows: float = np.inf) -> "Constants":
-        """Return what is known after a window with information S (c, c) and score g (c,) about η = at (c,).
-
-        windows: that the noise is known from. It is known no better than they tell, and evidence that rests on it is
-        Student's: what little noise makes sure, a little more may explain (Gelman et al., Bayesian Data Analysis, 3.2).
-        """
+    def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
+        """Return what is known after a window with information S (c, c) and score g (c,) about η = at (c,)."""
         deviation = self.mean - at
         score = g - deviation @ S
         # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16 times larger
@@ -156,16 +152,12 @@ class Constants:
         covariance = F @ inverse(M) @ F.swapaxes(1, 2)
         moved = np.einsum("hij,hj->hi", covariance, score)
         evidence = 0.5 * ((score * moved).sum(axis=1) - log_determinant(M)) + ((g + score) * deviation).sum(axis=1) / 2
-        behind = evidence.max() - evidence
-        if np.isfinite(windows):
-            half = 0.5 * tuning.EVIDENCE_DOF * windows
-            behind = half * np.log1p(behind / half)
-        log = np.log(np.maximum(self.weight, 1e-300)) - behind
+        log = np.log(np.maximum(self.weight, 1e-300)) + evidence
         weight = np.exp(log - log.max())
         return Constants(self.hypotheses, weight / weight.sum(), self.mean + moved, covariance)
 
     @property
-    def drifting(self) -> float:
+    def drift_probability(self) -> float:
         """Probability that some constant changes from window to window."""
         return float(sum(w for w, h in zip(self.weight, self.hypotheses, strict=True) if h.drifts))
 

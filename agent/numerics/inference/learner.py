@@ -17,7 +17,7 @@ from agent.numerics.inference.friction import column, friction
 from agent.numerics.inference.linearise import Linearised, Lineariser, eliminated
 from agent.numerics.inference.lines import with_lines
 from agent.numerics.inference.mixture import NORMAL_975, interval95
-from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, learn, louder
+from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, first_nodes, learn, louder
 from agent.numerics.inference.posterior import Knowledge, Line, Posterior
 from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio
 from agent.numerics.inference.sources import sources_of
@@ -64,6 +64,17 @@ class Learner:
             if source.kind == "sensor":
                 variance[source.number] += intensity**2
         return np.asarray(np.sqrt(variance))
+
+    def unknown_forces(self, window: Window, noise: Noise) -> float:
+        """Return the largest unknown force, as a white one that shows as much, in units of the largest measured one.
+
+        0 where none is measured.
+        """
+        measured = window.u[:, : len(self.rig.measured)][:, self.rig.driven].std(axis=0).max(initial=0.0)
+        sources = [(a, s) for a, s in enumerate(self.sources) if s.kind == "force"]
+        white = {s.number: noise.nodes[a, 0] for a, s in sources if s.pole == 0}
+        forces = [noise.intensity[a] / noise.nodes[a, 0] * white[s.number] for a, s in sources]
+        return float(max(forces, default=0.0) / measured) if measured > 0 else 0.0
 
     # ------------------------------------------------------------------ the way through one window
     def learn(
@@ -184,7 +195,9 @@ class Learner:
         noise = known.noise
         firm = replace(noise, power=FIRM * noise.power, dof=FIRM * noise.dof)
         _, fit = self._open_minded(at, replace(known, noise=firm), ridge)
-        return replace(noise, log_sigma=np.maximum(fit.log_sigma, self._floor(window)), intensity=fit.intensity)
+        nodes = noise.nodes if noise.is_started else first_nodes(at.cells, self._least(noise))
+        log_sigma = np.maximum(fit.log_sigma, self._floor(window))
+        return replace(noise, log_sigma=log_sigma, intensity=fit.intensity, nodes=nodes)
 
     def _open_minded(self, at: Linearised, known: Knowledge, ridge: Ridge) -> tuple[float, NoiseFit]:
         """Restricted log likelihood of a window under the noise known, and the fit of whatever noise explains it."""
@@ -198,7 +211,7 @@ class Learner:
     def _constants_after(self, at: Linearised, known: Knowledge) -> Constants:
         S, g, *_ = eliminated(at)
         temper = max(1.0, float(np.mean(known.scatter.factor)))
-        return known.constants.updated(S / temper, g / temper, known.eta, known.noise.windows + 1)
+        return known.constants.updated(S / temper, g / temper, known.eta)
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
         """Marginal posterior of the parameters over the hypotheses on the constants."""

@@ -16,7 +16,7 @@ from agent.numerics.inference.noise import Noise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-SKIRTS = 4
+LEAKAGE_ROUNDS = 4
 """Times that lines are looked for: beside a strong one weaker bins of its leakage stand out next."""
 MEDIAN = float(np.log(2))
 """Median of a bin's power whose mean is 1."""
@@ -31,9 +31,12 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
     power = residual / np.exp(2 * noise.log_sigma)
     level = noise.levels[bin_of]
     for channel in range(power.shape[1]):
-        shapes = np.column_stack([regression.driven[:, channel], np.abs(cells.D[cell_of, channel]) ** 2])
+        shapes = np.column_stack([
+            regression.driven[:, channel], np.abs(cells.D[cell_of, channel]) ** 2,
+            np.abs(regression.X[np.minimum(cell_of, bins.kept - 1), channel, regression.layout.psi]) ** 2,
+        ])  # fmt: skip
         shapes = shapes[:, (shapes > 0).all(axis=0)]
-        for _ in range(SKIRTS):
+        for _ in range(LEAKAGE_ROUNDS):
             found = _standing_out(power[:, channel] / level[:, channel], bin_of, power[:, channel], shapes)
             if not len(found[0]):
                 break
@@ -49,8 +52,8 @@ def _standing_out(
 ) -> tuple[IntArray, FloatArray]:
     """Return places of lines, and their power in that of the bins about them.
 
-    above (b,): power in units of what is known. A peak that the response to some force has too, or that the measured
-    motion has, is none: shapes (b, s).
+    above (b,): power in units of what is known. A peak that the response to some force has too, the measured motion, or
+    what a parameter that is off would leave, is none: shapes (b, s).
     """
     places: list[int] = []
     sizes: list[float] = []

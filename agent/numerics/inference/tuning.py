@@ -68,7 +68,7 @@ QUIET_WALK = 1e-4
 SWITCH = 1e-3
 """Chance a window that another hypothesis on the constants becomes the true one."""
 EVIDENCE_DOF = 2.0
-"""Degrees of freedom a window behind the noise that evidence on the constants rests on. Needed by: AR(0.99) forces."""
+"""Degrees of freedom a window behind the noise that verdicts on the constants rest on. Needed by: AR(0.99) forces."""
 PRIOR_HEALTHY = 0.7
 """Prior probability that every constant is within its data sheet."""
 
@@ -147,7 +147,8 @@ STOOD_SHARES = (1.0, 0.3, 0.1)
 NOISE_PRICE = 7.6
 """Log evidence that a change of noise costs: two numbers of a window of 2000 readings. Needed by: forces that begin."""
 MANY_TIMES = 4.0
-"""Factor from its nominal at which a parameter competes with a channel that is wrong from the start."""
+"""Factor from its nominal at which a parameter competes with a channel that is wrong from the start, and from the
+measured forces beyond which unknown ones explain nothing. Needed by: millimetres against metres."""
 AS_LARGE = 0.3
 """Share of the measured inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
 LARGER = 0.9

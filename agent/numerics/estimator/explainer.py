@@ -132,7 +132,7 @@ class Explainer:
         self.faults.learnt(window)
         kinds = tuple(c.kind for c in self.settings.rig.constants)
         if kinds:
-            self._beliefs.append((newest, beliefs(learnt.constants, kinds, learnt.noise.windows)))
+            self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
 
     def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sensor sds (p,) to begin with, and the spread of their logarithms."""

@@ -67,8 +67,6 @@ QUIET_WALK = 1e-4
 """Random walk a window of constants that do not drift, in data-sheet sds: keeps covariances from closing."""
 SWITCH = 1e-3
 """Chance a window that another hypothesis on the constants becomes the true one."""
-EVIDENCE_DOF = 2.0
-"""Degrees of freedom a window behind the noise that verdicts on the constants rest on. Needed by: AR(0.99) forces."""
 PRIOR_HEALTHY = 0.7
 """Prior probability that every constant is within its data sheet."""
 

@@ -19,25 +19,14 @@ def known(log_odds: float) -> Constants:
     return Constants(prior.hypotheses, weight / weight.sum(), prior.mean, prior.covariance)
 
 
-def said(log_odds: float, windows: int) -> float:
-    return next(b.probability for b in beliefs(known(log_odds), KINDS, windows) if b.name == "m1")
-
-
-def test_verdict_after_many_windows_is_the_posterior() -> None:
-    assert said(7.0, 1_000_000) == pytest.approx(known(7.0).probability("m1"), abs=1e-4)
-
-
-def test_verdict_of_a_first_window_needs_more_evidence_than_one_of_many() -> None:
-    assert known(7.0).probability("m1") > 0.9
-    assert said(7.0, 1) < 0.5 < said(7.0, 20)
-    assert said(300.0, 1) > 0.75
-    assert said(300.0, 3) > 0.99
-    rising = [said(10.0, windows) for windows in (1, 2, 5, 10, 100)]
-    assert np.all(np.diff(rising) > 0)
+def test_verdict_names_what_is_off_and_how_surely() -> None:
+    found = {b.label: b.probability for b in beliefs(known(7.0), KINDS)}
+    assert found["m1"] == pytest.approx(known(7.0).probability("m1"))
+    assert max(found, key=lambda label: found[label]) == "m1"
 
 
 def test_verdict_names_size_and_kind() -> None:
-    found = {b.label: b for b in beliefs(known(0.0), KINDS, 10)}
+    found = {b.label: b for b in beliefs(known(0.0), KINDS)}
     assert found["x1 drifts"].drifts
     assert found["m1"].kind == "mass"
     assert found["m1"].size == pytest.approx(0.0)

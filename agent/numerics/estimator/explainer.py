@@ -295,6 +295,7 @@ class Explainer:
         self._moves = line.holds
         if line.holds:
             self.lines[newest] = line.end
+            self.schedule.skip(newest)
             self.known = replace(self.known, theta=line.middle)
             self.budget.give_back()
         return line.holds

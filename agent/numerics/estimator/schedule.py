@@ -38,6 +38,11 @@ class Schedule:
         self.tried = index
         self.due = index + max(1, self.window // 4)
 
+    def skip(self, index: int) -> None:
+        """Learn from no window that reaches back to sample `index`: parameters moved there."""
+        self.tried = index
+        self.due = max(self.due, index + self.window)
+
     def follow(self, index: int) -> None:
         """Learn soon: something changed."""
         self.learnt = min(self.learnt, self._eager)

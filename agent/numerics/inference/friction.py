@@ -17,6 +17,8 @@ from agent.numerics.model.uncertain import Rubbing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+UNSEEN = 1e-9
+"""Share of a column that must be left beside the model's own for it to have digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +51,10 @@ def friction(gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: fl
     V = inverse(gram[:nb, :nb] + R)
     along = V @ gram[:nb, nb]
     J = gram[nb, nb] - gram[:nb, nb] @ along
+    if J <= UNSEEN * gram[nb, nb]:  # the columns of the model say all that this one does
+        return Friction(-np.inf, 0.0, np.zeros_like(along[psi]))
     g = gram[nb, -1] - along @ (gram[:nb, -1] + b)
-    size = g / max(J, 1e-300)
+    size = g / J
     evidence = 0.5 * g * size / misfit - 0.5 * np.log(dof)
     # friction that drives is none
     return Friction(float(evidence if size > 0 else -np.inf), float(size), np.asarray(-along[psi] * size))

@@ -50,11 +50,11 @@ def friction(gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: fl
     nb = len(R)
     V = inverse(gram[:nb, :nb] + R)
     along = V @ gram[:nb, nb]
-    J = gram[nb, nb] - gram[:nb, nb] @ along
-    if J <= UNSEEN * gram[nb, nb]:  # the columns of the model say all that this one does
+    left = gram[nb, nb] - gram[:nb, nb] @ along
+    if left <= UNSEEN * gram[nb, nb]:  # the columns of the model say all that this one does
         return Friction(-np.inf, 0.0, np.zeros_like(along[psi]))
     g = gram[nb, -1] - along @ (gram[:nb, -1] + b)
-    size = g / J
+    size = g / left
     evidence = 0.5 * g * size / misfit - 0.5 * np.log(dof)
     # friction that drives is none
     return Friction(float(evidence if size > 0 else -np.inf), float(size), np.asarray(-along[psi] * size))

@@ -70,7 +70,9 @@ def _standing_out(
 
 def between(here: float, left: float, right: float) -> float:
     """Return where a line stands between its bin and the stronger one beside it, from their amplitudes (-½ .. ½)."""
-    return right / (here + right) if right > left else -left / (here + left)
+    beside = max(left, right)
+    off = beside / max(here + beside, 1e-300)  # a window may show nothing where there was a line
+    return off if right > left else -off
 
 
 def _leakage(level: FloatArray, power: FloatArray, bin_of: IntArray) -> FloatArray:

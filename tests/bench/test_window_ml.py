@@ -119,7 +119,7 @@ def filterpys_own() -> Timed:
     return timed(run, EKF_SAMPLES)
 
 
-def test_window_ml_costs_a_sixtieth_of_a_joint_ekf(samples: Record) -> None:
+def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
     cost = fastest({"window-ml": window_ml(samples, 1.0), "ekf": joint_ekf(samples), "filterpy": filterpys_own()})
     overhead, ratio = cost["ekf"] / cost["filterpy"], cost["ekf"] / cost["window-ml"]
     print(f"\nwindow-ml {cost['window-ml']:.0f} ns a sample after a start of {start_of(samples, 1.0):.2f} s")
@@ -127,27 +127,28 @@ def test_window_ml_costs_a_sixtieth_of_a_joint_ekf(samples: Record) -> None:
         f"joint EKF {cost['ekf'] / 1e3:.1f} µs, {overhead:.2f} x filterpy's own predict + update: {ratio:.0f} x dearer"
     )
     assert overhead <= 1.5
-    assert ratio >= 60
+    assert ratio >= 120
 
 
 def test_bank_costs_a_small_share_of_a_joint_ekf(samples: Record) -> None:
     ekf = fastest({"ekf": joint_ekf(samples)})["ekf"]
-    rng = np.random.default_rng(0)
-    for constants, least in ((0, 120), (3, 75), (7, 55)):
+    rng, ratios = np.random.default_rng(0), {}
+    for constants in (0, 3, 7):
         rig = bench_bank.rig_with(constants)
         v = rng.standard_normal((bench_bank.SAMPLES, 2 + rig.model.m))
         cost = bench_bank.cost(rig, 1e-3 * v[:, :2], v[:, 2:], 1000)
-        print(
-            f"\nbank with {constants} columns of constants: {cost:.0f} ns a sample, joint EKF {ekf / cost:.0f} x dearer"
-        )
-        assert ekf / cost >= least
+        ratios[constants] = ekf / cost
+        print(f"\nbank with {constants} columns of constants: {cost:.0f} ns a sample, joint EKF {ekf / cost:.0f} x dearer")
+    assert ratios[0] >= 200
+    assert ratios[3] >= 120
+    assert ratios[7] >= 70
 
 
 def test_window_ml_cost_does_not_grow_with_the_window(samples: Record) -> None:
     cost = fastest({f"{s:g} s": window_ml(samples, s) for s in (0.25, 1.0, 4.0, 10.0, 60.0)})
     spread = max(cost.values()) / min(cost.values())
     print("\n" + ", ".join(f"{name} {ns:.0f} ns" for name, ns in cost.items()) + f": within {spread:.2f} x")
-    assert spread <= 2.0
+    assert spread <= 1.5
 
 
 def test_stream_that_loses_one_sample_in_a_hundred_costs_a_small_share_of_real_time(samples: Record) -> None:

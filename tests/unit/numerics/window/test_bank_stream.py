@@ -100,7 +100,7 @@ def test_a_restart_before_the_oldest_kept_sample_is_refused() -> None:
     stream.rows()
     with pytest.raises(ValueError, match="the oldest that operators can start at is"):
         stream.restart(RIG.model, RIG.push, NOISE, 0)
-    assert 0 < stream.oldest <= 40 * 1600 - 140
+    assert 0 < stream.oldest <= 40 * 1600 - 140  # where the window of the next row begins
 
 
 def test_a_new_segment_begins_windows_afresh_at_the_hop_grid() -> None:

@@ -13,7 +13,7 @@ from agent.numerics.window.rows import BankRows
 from agent.numerics.window.stream import Stream
 
 UNITS_LEAST = 32
-UNITS_MOST = 1280
+UNITS_MOST = 2560
 """Hops that the bank is given at once: few after the operating point moved, which throws the rest of them away."""
 DULLED = 1.05
 """Growth of the sharpest sd seen each time that the operating point moves: it follows what the machine does."""
@@ -93,9 +93,8 @@ class Bank:
             stop = min(record.stop, self._fed + self._units * plan.hop + plan.window)
             if stop <= self._fed:
                 return None
-            u = record.inputs_with_slopes if self.point.slopes else record.inputs
-            lost = self._lost_until(record, stop)
-            stream.append(self._fed, record.outputs(self._fed, stop), u(self._fed, stop), lost)
+            samples = record.samples_with_slopes if self.point.slopes else record.samples
+            stream.extend(self._fed, samples(self._fed, stop), self._lost_until(record, stop))
             self._fed = stop
             batch = stream.rows()
         self._units = min(2 * self._units, UNITS_MOST)

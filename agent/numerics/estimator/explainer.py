@@ -32,8 +32,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
-MOVED_SD = 0.2
-"""Difference between learner and bank, in sds, from which on the bank takes the learner's point."""
+MOVED_SD = 0.3
+"""Difference between learner and bank, in sds, from which on the bank moves: twice what the bins left out may make."""
 MOVED_LOG_SD = 0.1
 """The same for the logarithm of a sd."""
 

@@ -101,8 +101,8 @@ class Faults:
 
     def rested(self, record: Record, index: IntArray) -> None:
         """Note the values at which inputs rest in windows, ending at samples `index`, that hold."""
-        resting = record.resting_in(index, self.learner.window // RESTS)
-        for row, number in np.argwhere(resting & self.learner.rig.driven).tolist():
+        resting = record.resting_in(index, self.learner.window // RESTS, self.learner.rig.driven)
+        for row, number in np.argwhere(resting).tolist():
             if len(self._rests) < MOST_RESTS:
                 self._rests.add((number, record.newest_input(int(index[row]), number)))
 
@@ -158,7 +158,7 @@ class Faults:
 
     def _standing_inputs(self, record: Record, newest: int, span: int) -> list[Fault]:
         """Inputs that read one value other than 0 in the last `span` samples: a force at rest reads 0."""
-        resting = record.resting_in(np.array([newest]), span)[0] & self.learner.rig.driven
+        resting = record.resting_in(np.array([newest]), span, self.learner.rig.driven)[0]
         values = [(j, record.newest_input(newest, j)) for j in np.flatnonzero(resting).tolist()]
         return [Fault(self.learner.p + j, "stood", value, 0.0) for j, value in values if value != 0.0]
 
@@ -180,10 +180,11 @@ class Faults:
 
         self._lasts = self.is_frozen(record, newest)
         found = self._channel_test.contest(window, known, sd, solved, late, everything=first)
-        for number in np.flatnonzero(self.learner.rig.driven).tolist():
+        span = int(WHOLE * self.learner.window)
+        stands = record.resting_in(np.array([newest]), span, self.learner.rig.driven)[0]
+        for number in np.flatnonzero(stands).tolist():
             value = record.newest_input(newest, number)
-            stands = record.resting_in(np.array([newest]), int(WHOLE * self.learner.window))[0, number]
-            if stands and (number, value) not in self._rests and len(self._usual):
+            if (number, value) not in self._rests and len(self._usual):
                 found = found.with_stood(
                     self._channel_test.unbelieved(window, known, sd, number, value, self._usual[number])
                 )

@@ -16,8 +16,8 @@ from agent.numerics.window.rows import Windowed
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-FAR_SD = 3.0
-"""Sds from the point that chance alone does not reach in a window."""
+FAR_SD = 3.5
+"""Sds from the point that chance alone does not reach in some hundred windows."""
 FAR_CURVATURE = 0.1
 """Share of the sd that the neglected second-order term of a row may be."""
 FAR_SHARPEST = 0.25

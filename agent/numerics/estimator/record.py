@@ -16,6 +16,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 SPARE = 8192
 """Samples beyond those kept that may wait before the oldest are let go."""
+PROBES = 8
+"""Samples of a window that are looked at before all of them are."""
 
 
 class Record:
@@ -35,12 +37,17 @@ class Record:
 
     def append(self, y: FloatArray, u: FloatArray, lost: BoolArray | None) -> None:
         """Take samples that follow at once; lost (N, p+m)."""
-        v = np.hstack([y, u])
-        lost = np.zeros(v.shape, dtype=bool) if lost is None else lost
-        before = self._v[-1:, : self.p] if len(self._v) else y[:1]
-        self._changed = np.concatenate([self._changed, _any(np.diff(y, axis=0, prepend=before) != 0)])
+        had = len(self._v)
+        v = np.empty((had + len(y), self._v.shape[1]))
+        v[:had], v[had:, : self.p], v[had:, self.p :] = self._v, y, u
+        before = max(had - 1, 0)
+        self._changed = np.concatenate(
+            [self._changed, _any(np.diff(y, axis=0, prepend=v[before : before + 1, : self.p]) != 0)]
+        )
+        self._v = v
+        lost = np.zeros((len(y), v.shape[1]), dtype=bool) if lost is None else lost
         self._holed = np.concatenate([self._holed, _any(lost)])
-        self._v, self._lost = np.concatenate([self._v, v]), np.concatenate([self._lost, lost])
+        self._lost = np.concatenate([self._lost, lost])
 
     def outputs(self, start: int, stop: int) -> FloatArray:
         """Return y of samples [start, stop)."""
@@ -50,11 +57,15 @@ class Record:
         """Return u of samples [start, stop)."""
         return self._v[start - self.first : stop - self.first, self.p :]
 
-    def inputs_with_slopes(self, start: int, stop: int) -> FloatArray:
-        """Return u and its change since the sample before, side by side; 0 for the stretch's first sample."""
+    def samples(self, start: int, stop: int) -> FloatArray:
+        """Return y and u of samples [start, stop), side by side."""
+        return self._v[start - self.first : stop - self.first]
+
+    def samples_with_slopes(self, start: int, stop: int) -> FloatArray:
+        """Return y, u and the change of u since the sample before, side by side; 0 for the stretch's first sample."""
         u = self.inputs(start, stop)
         before = self.inputs(start - 1, start) if start > self.first else u[:1]
-        return np.hstack([u, np.diff(u, axis=0, prepend=before)])
+        return np.hstack([self.samples(start, stop), np.diff(u, axis=0, prepend=before)])
 
     def lost_in(self, index: IntArray, window: int) -> IntArray:
         """Return how many samples (N,) with lost readings the windows that end at samples `index` hold."""
@@ -67,6 +78,8 @@ class Record:
     def _count(self, marks: BoolArray, index: IntArray, samples: int) -> IntArray:
         """(N,) marks among so many samples that end at samples `index`."""
         oldest = max(int(index[0]) + 1 - samples - self.first, 0) if len(index) else 0
+        if not marks[oldest:].any():
+            return np.zeros(len(index), dtype=np.int64)
         total = np.concatenate([[0], np.cumsum(marks[oldest:])])
         stop = index + 1 - self.first - oldest
         return np.asarray(total[stop] - total[np.maximum(stop - samples, 0)])
@@ -83,6 +96,19 @@ class Record:
         whole = sums[np.searchsorted(edges, stop)] - sums[np.searchsorted(edges, start)]
         mean, square = np.split(whole / window, 2, axis=1)
         return np.asarray(np.sqrt(np.maximum(square - mean**2, 0.0)))
+
+    def quiet_in(self, index: IntArray, window: int, least: FloatArray) -> BoolArray:
+        """(N,) windows that end at samples `index` and in which every output spreads by less than `least` (p,).
+
+        Two of a window's W samples that differ by d make its standard deviation d/√(2W) or more: most windows show so.
+        """
+        newest = index - self.first
+        places = np.maximum(newest - np.arange(PROBES)[:, None] * (window // PROBES), 0)
+        apart = np.ptp(self._v[places, : self.p], axis=0)
+        quiet = np.asarray((apart < np.sqrt(2 * window) * least).all(axis=1))
+        if quiet.any():
+            quiet[quiet] = (self.spread_in(index[quiet], window) < least).all(axis=1)
+        return quiet
 
     def loses(self, start: int, stop: int) -> bool:
         """Whether any reading of samples [start, stop) is lost."""
@@ -119,13 +145,20 @@ class Record:
             if column < self._v.shape[1] and self.first <= sample + offset < self.stop:
                 self._v[sample + offset - self.first, column] += weight * change
 
-    def resting_in(self, index: IntArray, span: int) -> BoolArray:
-        """Return which inputs (N, m) read one value in the last `span` samples before and at samples `index`."""
-        u = self._v[:, self.p :]
-        moved = np.concatenate([np.zeros((1, u.shape[1]), dtype=int), np.cumsum(u[1:] != u[:-1], axis=0)])
-        stop = index - self.first
-        known = (stop - span + 1 >= 0)[:, None]
-        return np.asarray(known & (moved[stop] == moved[np.maximum(stop - span + 1, 0)]))
+    def resting_in(self, index: IntArray, span: int, driven: BoolArray) -> BoolArray:
+        """Return which of the driven inputs (N, m) read one value in the last `span` samples up to samples `index`."""
+        newest, inputs = index - self.first, np.flatnonzero(driven)
+        oldest = np.maximum(newest - span + 1, 0)
+        u = self._v[:, self.p + inputs]
+        same = (newest >= span - 1)[:, None] & (u[newest] == u[oldest])
+        if same.any():
+            part = slice(int(oldest.min()), int(newest.max()) + 1)
+            moves = np.cumsum(u[part][1:] != u[part][:-1], axis=0)
+            moves = np.concatenate([np.zeros((1, len(inputs)), dtype=int), moves])
+            same &= moves[newest - part.start] == moves[oldest - part.start]
+        rests = np.zeros((len(index), len(driven)), dtype=bool)
+        rests[:, inputs] = same
+        return rests
 
     def newest_input(self, index: int, number: int) -> float:
         """Return what an input read at a sample."""

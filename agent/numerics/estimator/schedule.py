@@ -6,10 +6,10 @@ EAGER = (6, 32)
 """Windows, at least and at the most, learnt from one after another before learning becomes seldom."""
 EAGER_SAMPLES = 64_000
 """Samples in them otherwise: long windows say more each."""
-GROWTH = 1.5
-"""Ratio of the stretches between windows learnt from afterwards: half of the time that has passed."""
-SELDOM = 256
-"""Windows between two that are learnt from, at the most."""
+GROWTH = 2.0
+"""Ratio of the stretches between windows learnt from afterwards."""
+SELDOM, SELDOM_SAMPLES = 256, 256_000
+"""Windows between two that are learnt from, at the most, or so many samples where windows are short."""
 TRIES = 8
 """Tries a window length to solve windows that are broken."""
 AGAIN = 3
@@ -30,7 +30,8 @@ class Schedule:
     def done(self, index: int) -> None:
         """Note that the window ending at sample `index` was learnt from."""
         self.learnt, self.tried = self.learnt + 1, index
-        stretch = min(GROWTH ** max(0, self.learnt - self._eager), SELDOM)
+        most = max(SELDOM, SELDOM_SAMPLES // self.window)
+        stretch = min(GROWTH ** max(0, self.learnt - self._eager), most)
         self.due = index + self.window * int(stretch)
 
     def later(self, index: int) -> None:

@@ -186,8 +186,7 @@ class SlidingEstimator:
         if known is None or not known.noise.is_started or not len(index):
             return rests
         chance = 1 + tuning.STANDSTILL_SD * np.sqrt(0.5 / window)  # of a standard deviation from so many samples
-        quiet = record.spread_in(index, window) < chance * self.explainer.learner.spread(known.noise)
-        return np.asarray(rests | quiet.all(axis=1))
+        return rests | record.quiet_in(index, window, chance * self.explainer.learner.spread(known.noise))
 
     def _hollow(self, record: Record, index: IntArray) -> BoolArray:
         """(N,) windows that end at samples `index` and lost too many readings to say anything."""

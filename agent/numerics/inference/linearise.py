@@ -64,7 +64,7 @@ class Lineariser:
         far = np.abs(mean - known.eta) > self.eta_tolerance()
         eta = np.where(far.any(), mean, known.eta)
         known = replace(known, eta=eta)
-        due = known.noise.windows in (0, 1, 4, 13, 40)
+        due = known.noise.windows in (0, 1, 3, 9, 27)
         return replace(known, kept=self._kept(window, known)) if due or not known.kept else known
 
     def eta_tolerance(self) -> FloatArray:

@@ -112,19 +112,28 @@ class Cell:
 
     def forced(self, v: FloatArray) -> FloatArray:
         """Return the states (N, nz) that inputs v (N, L, p+m) leave when started from zero."""
-        count = len(v)
-        u = v[:, :, self.size.p :].reshape(count, -1)
-        predictor = row_products(v.reshape(count, -1), self.into_predictor)
-        return np.hstack([predictor, row_products(u, self.into_mean)])
+        a, count = self.size.a, len(v)
+        out = np.empty((count, self.size.z))
+        out[:, :a] = row_products(v.reshape(count, -1), self.into_predictor)
+        out[:, a:] = row_products(v[:, :, self.size.p :].reshape(count, -1), self.into_mean)
+        return out
 
     def write(self, v: FloatArray, z: FloatArray, out: FloatArray) -> None:
         """Write e, ψ of N cells with inputs v (N, L, p+m) from states z (N, nz) into out (N, 1+c, L p)."""
         count, a, n = len(v), self.size.a, self.size.n
-        out[:, 0] = row_products(np.hstack([v.reshape(count, -1), z[:, :a]]), self.innovation)
-        u = v[:, :, self.size.p :].reshape(count, -1)
-        driven = row_products(np.hstack([u, z[:, a : a + n]]), self.mean)
+        out[:, 0] = row_products(_beside(v, z[:, :a]), self.innovation)
+        driven = row_products(_beside(v[:, :, self.size.p :], z[:, a : a + n]), self.mean)
         free = row_products(z[:, a + n :].reshape(count, -1, a), self.tangent)
         np.add(driven.reshape(free.shape), free, out=out[:, 1:])
+
+
+def _beside(v: FloatArray, z: FloatArray) -> FloatArray:
+    """Return the inputs of cells v (N, L, w) and states z (N, k) in rows (N, L w + k)."""
+    count, length, width = v.shape
+    rows = np.empty((count, length * width + z.shape[1]))
+    rows[:, : length * width].reshape(v.shape)[:] = v
+    rows[:, length * width :] = z
+    return rows
 
 
 class Filters:

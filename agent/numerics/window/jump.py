@@ -65,12 +65,14 @@ def boundaries(fulls: int) -> tuple[int, ...]:
     return tuple(sorted(rights, reverse=True))
 
 
-def scanned_rows(hops: int) -> int:
-    """Return of how many rows one is scanned: the most, up to a group of hops, that move a window by at most a tenth.
+def scanned_rows(fulls: int) -> int:
+    """Return of how many rows one is scanned, at most a group of hops: they move a window by a fifth at the most.
 
     Boundaries are a quarter of a window apart, so that wherever it is a jump passes near one of them several times.
+    Where each of the whole hops begins with one, two of its places are enough.
     """
-    return max(every for every in (1, 2, 4, GROUP) if every == 1 or SCANS * every <= hops)
+    times = 0.5 * SCANS if len(boundaries(fulls)) == fulls else SCANS
+    return max(every for every in (1, 2, 4, GROUP) if every == 1 or times * every <= fulls + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,15 +123,19 @@ class JumpScan:
         moved = row_products(solved.normal.x0 - starts.mean, self._drift).reshape(count, q, -1)
         j = moved - row_products(at.tangents[:, :q], self._gamma)  # (N, q, r)
         alone = right.moment[:, 1 : 1 + q]
-        half = 0.5 * row_products(j, self.square)
-        seen = alone + 2 * half  # U'J
-        outside = row_products(solved.moved, self._moved)
-        cross = right.moment @ j.transpose(0, 2, 1) + outside @ seen.transpose(0, 2, 1)
+        seen = alone + row_products(j, self.square)  # U'J
         along = row_products(seen, self._along)  # (N, q, k)
-        left = np.concatenate([j, -0.5 * along], axis=2)
-        own = left @ np.concatenate([alone + half, along], axis=2).transpose(0, 2, 1)
-        gram = right.gram[:, :, 1 : 1 + q]
-        cross, own = gram + cross, gram[:, 1 : 1 + q] + own + own.transpose(0, 2, 1)
+        # X'J = X'ψ + [U'X; (1 − projection) of what was added]'[j; U'J],
+        # J'J = ψ'ψ + half + half', half = ½ (U'ψ)'j + ½ j'U'J − ½ along'along: all in one product
+        width, r = right.moment.shape[1:]
+        left = np.zeros((count, width + q, 2 * r + along.shape[2]))
+        left[:, :width, :r] = right.moment
+        left[:, :width, r : 2 * r] = row_products(solved.moved, self._moved)
+        left[:, width:, :r], left[:, width:, r : 2 * r] = 0.5 * alone, 0.5 * j
+        left[:, width:, 2 * r :] = -0.5 * along
+        both = left @ np.concatenate([j, seen, along], axis=2).transpose(0, 2, 1)
+        gram, half = right.gram[:, :, 1 : 1 + q], both[:, width:]
+        cross, own = gram + both[:, :width], gram[:, 1 : 1 + q] + half + half.transpose(0, 2, 1)
         if lost is None:
             return cross, own
         shown = lost.psi[:, :q] + lost.U @ j[0].T - lost.components @ along[0].T  # (l, q) h'J, Γ projected out

@@ -52,7 +52,7 @@ class Operators:
         self.scans = tuple(
             JumpScan(self.basis, self.solvers[0], model, plan.fulls, right, interest) for right in self.rights
         )
-        self.every = scanned_rows(plan.fulls + 1)
+        self.every = scanned_rows(plan.fulls)
         self.decays = spectral_radius(model.A) < 1 - STABLE
 
     def summarise(

@@ -69,12 +69,16 @@ class Stream:
         Raises:
             ValueError: they do not follow at once on the samples before.
         """
+        self.extend(index, np.hstack([y, u]), lost)
+
+    def extend(self, index: int, v: FloatArray, lost: Lost | None = None) -> None:
+        """Take outputs and inputs side by side, v (N, p+m), as in `append`."""
         end = self._samples.stop
         begins = end == self._samples.first
         skipped = max(0, end - index) if begins else 0
         if index + skipped != end:
             raise ValueError(f"sample {index} does not follow on {end - 1}: start a segment there")
-        self._samples.append(np.hstack([y, u])[skipped:])
+        self._samples.append(v[skipped:])
         if lost is not None and len(lost):
             self._losses.append(lost)
 

@@ -52,10 +52,10 @@ def both(
     taps = taps_of(learner.rig, len(rig.seen), point.slopes)
     stream = Stream(point.model, point.push, point.noise, plan, (), learner.rig.q, taps)
     stream.start_segment(0)
-    inputs = samples.inputs_with_slopes if point.slopes else samples.inputs
+    taken = samples.samples_with_slopes if point.slopes else samples.samples
     pieces = [samples.lost_between(start, start + HOP, WINDOW) for start in range(0, SAMPLES, HOP)]
     given = reduce(Lost.followed, pieces)
-    stream.append(0, samples.outputs(0, SAMPLES), inputs(0, SAMPLES), given)
+    stream.extend(0, taken(0, SAMPLES), given)
     windowed = stream.rows().windows[0]
     assert windowed is not None
     rows = read(windowed, point, WINDOW)

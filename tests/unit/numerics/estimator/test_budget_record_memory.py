@@ -45,7 +45,27 @@ def test_record_keeps_what_is_asked_for_and_counts_what_was_lost() -> None:
     window = kept.window(25_500, 1000)
     assert window.lost.tolist() == [[25_007 - 24_501, 1]]
     assert window.slope[0] == pytest.approx(v[24_494, 2:] - v[24_493, 2:])
-    assert kept.inputs_with_slopes(29_000, 29_002)[:, 1] == pytest.approx(np.diff(v[28_992:28_995, 2]))
+    beside = kept.samples_with_slopes(29_000, 29_002)
+    assert beside[:, :3] == pytest.approx(v[28_993:28_995])
+    assert beside[:, 3] == pytest.approx(np.diff(v[28_992:28_995, 2]))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_record_finds_windows_that_are_quiet_and_inputs_that_rest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    window, span, count = int(rng.integers(20, 200)), int(rng.integers(2, 50)), 2000
+    y = rng.standard_normal((count, 2)) * np.repeat(10.0 ** rng.uniform(-3, 0, count // 100), 100)[:, None]
+    u = np.column_stack([np.repeat(rng.standard_normal(count // 40), 40), np.ones(count)])
+    kept = Record(5, 2, 2)
+    kept.append(y, u, None)
+    index = np.arange(5 + window - 1, 5 + count, 7)
+    least = 10.0 ** rng.uniform(-3, 0.3, 2)
+    spread = np.array([y[i - 5 - window + 1 : i - 5 + 1].std(axis=0) for i in index])
+    assert kept.quiet_in(index, window, least).tolist() == (spread < least).all(axis=1).tolist()
+    one_value = [i - 5 >= span - 1 and np.ptp(u[i - 5 - span + 1 : i - 5 + 1, 0]) == 0 for i in index]
+    rests = kept.resting_in(index, span, np.array([True, False]))
+    assert rests[:, 0].tolist() == one_value
+    assert not rests[:, 1].any()  # no channel reads the constant input
 
 
 def test_memory_round_trip_gives_the_same_answers() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.numerics.estimator.schedule import EAGER, EAGER_SAMPLES, SELDOM, Schedule
+from agent.numerics.estimator.schedule import EAGER, EAGER_SAMPLES, SELDOM, SELDOM_SAMPLES, Schedule
 
 
 def learnt(window: int, windows: int) -> list[int]:
@@ -23,7 +23,7 @@ def test_schedule_learns_from_the_first_windows_and_then_ever_more_seldom(window
     assert found[:eager] == list(range(eager))
     stretches = np.diff(found)
     assert np.all(np.diff(stretches) >= 0)
-    assert stretches[-1] == SELDOM
+    assert stretches[-1] == max(SELDOM, SELDOM_SAMPLES // window)
     tens = [sum(n < 10**k * eager for n in found) for k in (1, 2)]
     assert tens[0] < eager + 16  # a few windows more for ten times as long
     assert tens[1] < tens[0] + 20

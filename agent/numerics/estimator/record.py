@@ -9,6 +9,7 @@ from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.inference.columns import Window, window_of
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
+from agent.numerics.preprocessing.rows import any_of
 from agent.numerics.window.lost import Lost
 
 FloatArray = NDArray[np.float64]
@@ -42,11 +43,11 @@ class Record:
         v[:had], v[had:, : self.p], v[had:, self.p :] = self._v, y, u
         before = max(had - 1, 0)
         self._changed = np.concatenate(
-            [self._changed, _any(np.diff(y, axis=0, prepend=v[before : before + 1, : self.p]) != 0)]
+            [self._changed, any_of(np.diff(y, axis=0, prepend=v[before : before + 1, : self.p]) != 0)]
         )
         self._v = v
         lost = np.zeros((len(y), v.shape[1]), dtype=bool) if lost is None else lost
-        self._holed = np.concatenate([self._holed, _any(lost)])
+        self._holed = np.concatenate([self._holed, any_of(lost)])
         self._lost = np.concatenate([self._lost, lost])
 
     def outputs(self, start: int, stop: int) -> FloatArray:
@@ -198,11 +199,3 @@ class Record:
             self._holed, self._changed = self._holed[spare:].copy(), self._changed[spare:].copy()
             self.first += spare
             self.doubts.trim(self.first)
-
-
-def _any(marks: BoolArray) -> BoolArray:
-    """Return which rows (N,) of marks (N, k) hold one; a reduction over rows so short costs ten times as much."""
-    out = np.zeros(len(marks), dtype=bool)
-    for column in marks.T:
-        out |= column
-    return out

@@ -10,6 +10,8 @@ GROWTH = 2.0
 """Ratio of the stretches between windows learnt from afterwards."""
 SELDOM, SELDOM_SAMPLES = 256, 256_000
 """Windows between two that are learnt from, at the most, or so many samples where windows are short."""
+FOLLOWED = 8
+"""Windows learnt from one after another where the noise changed: of slow forces each says but little."""
 TRIES = 8
 """Tries a window length to solve windows that are broken."""
 AGAIN = 3
@@ -46,7 +48,7 @@ class Schedule:
 
     def follow(self, index: int) -> None:
         """Learn soon: something changed."""
-        self.learnt = min(self.learnt, self._eager)
+        self.learnt = min(self.learnt, max(self._eager - FOLLOWED, 0))
         self.due = index + self.window
 
     @property

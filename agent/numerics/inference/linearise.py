@@ -64,8 +64,9 @@ class Lineariser:
         far = np.abs(mean - known.eta) > self.eta_tolerance()
         eta = np.where(far.any(), mean, known.eta)
         known = replace(known, eta=eta)
-        due = known.noise.windows in (0, 1, 3, 9, 27)
-        return replace(known, kept=self._kept(window, known)) if due or not known.kept else known
+        before = known.kept_for
+        due = known.noise.windows in (0, 1, 3, 9, 27) or before is None or known.noise.is_other_than(before)
+        return replace(known, kept=self._kept(window, known), kept_for=known.noise) if due else known
 
     def eta_tolerance(self) -> FloatArray:
         """Return by how much constants (c,) may be off where the model is linearised."""

@@ -94,6 +94,10 @@ class Noise:
         there = np.maximum(2 * before.intensity, tuning.ACTIVE_NODES * self.nodes[:, 0])
         return bool((self.intensity > there).any() or (self.log_sigma > before.log_sigma + 0.1).any())
 
+    def is_other_than(self, before: "Noise") -> bool:
+        """Whether there is more or less noise than before, as in `exceeds`."""
+        return not before.is_started or self.exceeds(before) or before.exceeds(self)
+
     @property
     def is_started(self) -> bool:
         """Whether the grids of intensities stand."""

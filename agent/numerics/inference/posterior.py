@@ -20,7 +20,7 @@ class Knowledge:
     Attributes:
         theta: (q,) where the model is linearised;  eta: (c,) likewise for the constants.
         noise, constants, scatter: what has been learnt.
-        kept: bins kept with all columns; 0 until a window has shown how many are needed.
+        kept: bins kept with all columns; 0 until a window has shown how many are needed;  kept_for: the noise then.
         unexplained: the newest window was not explained by the noise known before.
     """
 
@@ -30,6 +30,7 @@ class Knowledge:
     constants: Constants
     scatter: Scatter
     kept: int = 0
+    kept_for: Noise | None = None
     unexplained: bool = False
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.bridge import filled, lagrange, runs
+from agent.numerics.preprocessing.rows import any_of, columns_with, largest_in
 from agent.types import BoolArray, FloatArray
 
 LONGEST = 3
@@ -151,7 +152,7 @@ class Cleaner:
         if len(x) > first:
             size = np.abs(x[first:] - 2 * x[first - 1 : -1] + x[first - 2 : -2])
             doubtful = ~(size <= self._limits[first:])
-            for place in (np.flatnonzero(doubtful.any(axis=1)) + first).tolist():
+            for place in (np.flatnonzero(any_of(doubtful)) + first).tolist():
                 if place + LOOK_AHEAD >= len(x) and not end:
                     self._decided = place
                     return
@@ -206,19 +207,18 @@ class Cleaner:
         """Give away what is settled: decided, and with two readings after each that is missing."""
         stop = self._decided if end else self._settled()
         clean = self._raw.copy()
-        for channel in np.flatnonzero(self._marked[:stop].any(axis=0)).tolist():
+        for channel in columns_with(self._marked[:stop]):
             known = self._decided if not end else len(clean)
             clean[:known, channel] = filled(clean[:known, channel], self._marked[:known, channel])
         out = slice(self._context, stop)
-        readings = np.where(self._marked[out], 0.0, np.abs(self._raw[out]))
-        self._most = np.maximum(self._most, readings.max(axis=0, initial=0.0))
+        self._most = np.maximum(self._most, largest_in(np.where(self._marked[out], 0.0, np.abs(self._raw[out]))))
         released = Clean(clean[out], self._marked[out], self._spike[out], self._suspect[out])
         self._forget(max(0, stop - CONTEXT), stop)
         return released
 
     def _settled(self) -> int:
         stop = self._decided
-        for channel in np.flatnonzero(self._marked[self._context : stop].any(axis=0)).tolist():
+        for channel in columns_with(self._marked[self._context : stop]):
             for start, after in runs(self._marked[: self._decided, channel]):
                 good = int((~self._marked[after : self._decided, channel]).sum())
                 if after > self._context and good < 2:

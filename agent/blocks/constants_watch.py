@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from agent.numerics.inference.verdicts import Belief
 from agent.text import number
-from agent.types import HealthEvent, Reason, SensorEvent, SensorFault, Verdict
+from agent.types import HealthEvent, Output, Reason, SensorEvent, SensorFault, Verdict
 
 SOURCE = "model"
 SURE = 0.95
@@ -43,7 +43,7 @@ class ConstantsWatch:
 
     def step(
         self, learnt: Sequence[tuple[int, tuple[Belief, ...]]], times: Mapping[int, int]
-    ) -> tuple[list[Verdict], list[HealthEvent], list[SensorEvent]]:
+    ) -> Output[Verdict | HealthEvent, SensorEvent]:
         """Take (sample, beliefs) of windows learnt from, and the samples' times; return what follows from them."""
         verdicts: list[Verdict] = []
         events: list[HealthEvent] = []
@@ -54,7 +54,7 @@ class ConstantsWatch:
             events += [event for belief in beliefs if (event := self._said_now(belief, t_ns)) is not None]
             events += self._ties(beliefs, t_ns)
             alarms += self._alarms(beliefs, sample, t_ns)
-        return verdicts, events, alarms
+        return Output([*verdicts, *events], alarms)
 
     def _is_news(self, belief: Belief) -> bool:
         before = self._stored.get(belief.label, 0.0)

@@ -1,6 +1,7 @@
 """Readings gathered for commissioning, from a recording or from the sources themselves, and what each channel shows."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
 from typing import Any
@@ -85,7 +86,7 @@ class Gathering:
             return
         for column, channel in enumerate(self._maps[source]):
             self._missing[channel] += int((~np.isfinite(block.values[:, column])).sum())
-        self._aligned += _paired(self.acquisition.step(source, block, modulus))
+        self._aligned += _paired(self.acquisition.step(source, block, modulus).values)
         if block.wall_offset_ns is not None:
             self._received(self.acquisition.sources[source], block.arrival_ns)
 
@@ -97,7 +98,7 @@ class Gathering:
 
     def finish(self) -> None:
         """Take what waits for samples that will not come."""
-        self._aligned += _paired(self.acquisition.finish())
+        self._aligned += _paired(self.acquisition.finish().values)
 
     def recorded(self, name: str) -> Recorded | None:
         """Return what came, in SI units; None where no sample has every channel."""
@@ -169,7 +170,7 @@ class Gathering:
         }  # fmt: skip
 
 
-def _paired(pieces: list[Aligned]) -> list[Aligned]:
+def _paired(pieces: Sequence[Aligned]) -> list[Aligned]:
     """Leave out what may not go together, after a device of several began to count anew."""
     return [piece for piece in pieces if not piece.realigning]
 

@@ -39,7 +39,7 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
     )  # fmt: skip
     make = partial(_estimator, config, rig, resolution)
     estimator = ContainedEstimator(make, Budget(plan.window), plan, len(rig.parameters))
-    return Estimation(estimator, labels, estimator.take_failures)
+    return Estimation(estimator, labels)
 
 
 def _require_readings(config: RigConfig, rig: RigModel, window: int) -> None:

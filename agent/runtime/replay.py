@@ -16,7 +16,8 @@ from agent.clock import SampleLabels, boot_id, wall_ns
 from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
-from agent.runtime.pipeline import Conservation, Pipeline, resolutions
+from agent.runtime.ledger import Conservation
+from agent.runtime.pipeline import Pipeline, resolutions
 from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
 from agent.runtime.usability import Evidence, assess
@@ -234,7 +235,7 @@ def _ledger(pipeline: Pipeline, tracks: Sequence[Track]) -> list[Record]:
         counts[source].dropped.update(driver.counts.dropped)
         counts[source].faults.update(driver.counts.faults)
     conservation = {source: Conservation(total, Counter()) for source, total in counts.items()}
-    return list(pipeline.health(conservation, pipeline.newest_ns, None))
+    return list(pipeline.ledger.health(conservation, pipeline.newest_ns, None))
 
 
 def _played(tracks: Sequence[Track]) -> Iterator[tuple[Track, SampleBlock]]:

@@ -20,8 +20,9 @@ from agent.recording.setup import event_writer, recorder
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.databases import RunKind, path_of, writers_of
 from agent.runtime.lateness import COMPUTING, Lateness
+from agent.runtime.ledger import Conservation
 from agent.runtime.pending import Waiting
-from agent.runtime.pipeline import Conservation
+from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
@@ -53,7 +54,8 @@ class RigRuntime:
         self._episodes = SourceEvents()
         self.summary = RunSummary(config)
         maps = {source.name: source.map for source in config.source}
-        self.pipeline = IsolatedPipeline(config, wire_steps(config), maps)
+        self.pipeline = Pipeline(config, wire_steps(config), maps)
+        self.isolated = IsolatedPipeline(self.pipeline)
         self._labels = SampleLabels(config.rig.sample_rate_hz)
         self._steady = SampleLabels(config.rig.sample_rate_hz)
         self._sampled_ns = 0
@@ -74,7 +76,7 @@ class RigRuntime:
             [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
         )
         lost = [row.parameter for row in standing if row.kind == "source" and row.cleared_ns is None]
-        self.pipeline.restore_failure(lost)
+        self.isolated.restore_failure(lost)
         self._lost |= dict.fromkeys(lost, True)
         self._lateness.standing = COMPUTING in lost
 
@@ -109,7 +111,7 @@ class RigRuntime:
         offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
         label = partial(self._label, arrival_ns=block.arrival_ns, offset_ns=offset)
         remembered = label if self.events is None else self.events.labelled(label)
-        self.pipeline.take(use.source, block, arrival.modulus, remembered)
+        self.isolated.take(use.source, block, arrival.modulus, remembered)
         if self.events is not None:
             self.events.take(use.source, block, arrival.modulus)
         self._taken.append((use.source, arrival))
@@ -124,13 +126,13 @@ class RigRuntime:
         taken, self._taken = self._taken, []
         if taken:
             self._note_steps()
-            self._emit(self.pipeline.compute())
+            self._emit(self.isolated.compute())
             for source, arrival in taken:
                 self._assess(source, arrival, arrival.block.arrival_ns)
 
     def finish(self) -> None:
         """Publish what the last samples lead to."""
-        self._emit(self.pipeline.finish())
+        self._emit(self.isolated.finish())
         for source, (cause, count) in self._episodes.finish().items():
             self._report(source, cause, count)
         if self.events is not None:
@@ -145,7 +147,7 @@ class RigRuntime:
         """Tell what was counted about a source, once an episode."""
         state = self.pipeline.acquisition.sources[source]
         restarts = state.indexer.restarts
-        lost = self.pipeline.rejected(source, arrival.counts) + arrival.counts.dropped
+        lost = self.pipeline.ledger.rejected(source, arrival.counts) + arrival.counts.dropped
         if len(self.config.source) > 1:
             del lost["spike"]  # of a channel, which may be another source's
         faults = Counter(arrival.counts.faults)
@@ -216,7 +218,7 @@ class RigRuntime:
         lag = (monotonic_ns() - self._sampled_ns) / 1e9 if newest else None
         if not newest and not self._begun_ns:
             self._begun_ns = self._wall()
-        self._emit(self.pipeline.health(conservation, newest or self._begun_ns, lag))
+        self._emit(self.pipeline.ledger.health(conservation, newest or self._begun_ns, lag))
 
     def _emit(self, records: Sequence[Record]) -> None:
         if records:

@@ -156,7 +156,7 @@ def product_run(sigma: float, window_s: str) -> Run:
         for start in range(0, len(record.y), BLOCK):
             index = np.arange(start, min(start + BLOCK, len(record.y)), dtype=np.int64)
             samples = Samples(index, index * 1_000_000, record.u[index], record.y[index], segment=0)
-            batches.append(block.step(samples))
+            batches.append(block.step(samples).batch)
             marks.append(time.process_time())
         first = len(batches) // 5
         per_sample = 1e6 * np.diff(marks)[first:].sum() / (len(record.y) - first * BLOCK)

@@ -156,7 +156,7 @@ def _estimated(name: str, case: Case, read: Readings) -> list[EstimateBatch]:
     block = fresh(name, partial(_estimation, case))
     index = np.arange(len(read.force), dtype=np.int64)
     parts = np.split(index, range(10_000, len(index), 10_000))
-    found = [block.step(Samples(i, i * 1_000_000, read.force[i, None], read.y[i], 0)) for i in parts]
+    found = [block.step(Samples(i, i * 1_000_000, read.force[i, None], read.y[i], 0)).batch for i in parts]
     return [batch for batch in found if batch is not None]
 
 

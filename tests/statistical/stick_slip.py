@@ -141,7 +141,7 @@ def run(case: Case, seed: int) -> tuple[FloatArray, FloatArray, float]:
     batches = []
     for index in np.split(np.arange(samples, dtype=np.int64), range(WINDOW, samples, WINDOW)):
         taken = Samples(index, index * 1_000_000, force[index, None], y[index, None], 0)
-        batches.append(estimation.step(replace(taken, u=friction.step(taken))))
+        batches.append(estimation.step(replace(taken, u=friction.step(taken))).batch)
     rows, value, upper, status = (
         np.concatenate([getattr(batch, part) for batch in batches if batch is not None])
         for part in ("index", "value", "upper", "status")

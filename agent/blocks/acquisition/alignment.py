@@ -16,7 +16,16 @@ import numpy as np
 
 from agent.blocks.acquisition.clock_map import SETTLE_S, ClockMap
 from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
-from agent.blocks.acquisition.interface import Acquisition, Ends, Label, SourceEvent, SourcePlan, SourceState, Through
+from agent.blocks.acquisition.interface import (
+    Acquired,
+    Acquisition,
+    Ends,
+    Label,
+    SourceEvent,
+    SourcePlan,
+    SourceState,
+    Through,
+)
 from agent.blocks.acquisition.single_source import intake, uninterrupted
 from agent.blocks.acquisition.skew_watch import SkewWatch
 from agent.blocks.acquisition.tally import Tally
@@ -179,12 +188,12 @@ class Alignment(Acquisition):
     def sources(self) -> dict[str, SourceState]:
         return {name: stream.state for name, stream in self.streams.items()}
 
-    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> list[Aligned]:
+    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> Acquired:
         stream = self.streams[source]
         stream.take(block, modulus, label if stream is self.reference else None)
         if stream.began_anew():
             self._begin_span(stream)
-        return self._advance()
+        return self._acquired(self._advance())
 
     @property
     def watch(self) -> SkewWatch | None:
@@ -217,14 +226,13 @@ class Alignment(Acquisition):
         watch = self._usual if known else every
         return None if watch is None else watch.anew(since, needed=True)
 
-    def finish(self) -> list[Aligned]:
+    def finish(self) -> Acquired:
         for span in self._spans:
-            if span.watch is not None:
-                span.watch.let_go()
+            self._events += [] if span.watch is None else span.watch.let_go()
         pieces = self._advance(end=True)
         for stream in self.streams.values():
             stream.give_up(stream.newest)
-        return pieces
+        return self._acquired(pieces)
 
     def hurry(self) -> None:
         for span in list(self._spans):
@@ -244,21 +252,19 @@ class Alignment(Acquisition):
             for piece in samples:
                 stream.tally.arrive(piece)
 
-    def take_events(self) -> list[SourceEvent]:
-        for span in self._spans:
-            self._events += [] if span.watch is None else span.watch.take_events()
-        events, self._events = self._events, []
-        return events
-
     def skews(self) -> dict[str, tuple[float | None, float | None]]:
         return {} if self.watch is None else self.watch.known()
+
+    def _acquired(self, pieces: Sequence[Aligned]) -> Acquired:
+        """Return rows, and what was found of the sources while they were made."""
+        events, self._events = self._events, []
+        return Acquired(pieces, events)
 
     def _advance(self, *, end: bool = False) -> list[Aligned]:
         """Make the rows that every source is ready for, or has let wait too long, span by span."""
         pieces: list[Aligned] = []
         while len(self._spans) > 1 and self._finished(self._spans[1].since - 1, pieces, end=end):
-            span = self._spans.pop(0)
-            self._events += [] if span.watch is None else span.watch.take_events()
+            self._spans.pop(0)
         if len(self._spans) == 1 and not self._held(self._spans[0]):
             self._make(self._last_due(end=end), pieces)
         self._clear()
@@ -292,10 +298,11 @@ class Alignment(Acquisition):
         if watch is None or not all(len(stream.index) for stream in self.streams.values()):
             return False
         ready = self._ready(watch.margin)
-        watch.look(self._first_common(), ready, self.reference.newest, self._read)
+        found = watch.look(self._first_common(), ready, self.reference.newest, self._read)
         if watch.needed and not span.announced and self.reference.newest > span.since + TOGETHER_S * self.plan.rate_hz:
             span.announced = True
             self._announce(watch.against)
+        self._events += found
         return watch.holding
 
     def _announce(self, against: str) -> None:

@@ -123,11 +123,6 @@ class SkewWatch:
         """Return the skew of each channel (c,), s."""
         return self._spread(self.skew_s)
 
-    def take_events(self) -> list[SourceEvent]:
-        """Return what was found since the last call."""
-        events, self._events = self._events, []
-        return events
-
     def known(self) -> dict[str, tuple[float | None, float | None]]:
         """Return the skew measured of each source and its sd, s; None while it is not known."""
         found: dict[str, tuple[float | None, float | None]] = {}
@@ -135,8 +130,8 @@ class SkewWatch:
             found[group.source] = (skew, sd) if np.isfinite(sd) else (None, None)
         return found
 
-    def look(self, first: int, ready: int, newest: int, read: Reader) -> None:
-        """Measure the stretches that are complete.
+    def look(self, first: int, ready: int, newest: int, read: Reader) -> list[SourceEvent]:
+        """Measure the stretches that are complete; return what was found.
 
         Args:
             first: the first row of which every source has a reading at hand.
@@ -155,13 +150,22 @@ class SkewWatch:
             self._measure(rows, read)
             self._decide()
         if self.holding and newest > self._first + self._patience_s * self.rate_hz:
-            self.let_go()
+            self._let_go()
+        return self._news()
 
-    def let_go(self) -> None:
-        """Hold rows no longer, whatever is known."""
+    def let_go(self) -> list[SourceEvent]:
+        """Hold rows no longer, whatever is known; return what is."""
+        self._let_go()
+        return self._news()
+
+    def _let_go(self) -> None:
         if self.holding:
             self.holding = False
             self._adopt()
+
+    def _news(self) -> list[SourceEvent]:
+        events, self._events = self._events, []
+        return events
 
     def end(self) -> None:
         """Measure no more: what is not known of these rows will not be."""
@@ -213,7 +217,7 @@ class SkewWatch:
         if not self.holding:
             self._adopt()
         elif not self.unknown:
-            self.let_go()
+            self._let_go()
         if self._tried % LONGER_AFTER == 0:
             self.stretch = min(2 * self.stretch, self.longest)
 

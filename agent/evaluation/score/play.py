@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from agent.config import RigConfig, driver_class, load
 from agent.config.tables import Source
 from agent.errors import Fault, UsageError
-from agent.runtime.pipeline import Conservation
+from agent.runtime.ledger import Conservation
 from agent.runtime.service import RigRuntime
 from agent.runtime.sources import Arrival, Use
 from agent.types import Health, Record, Samples
@@ -151,7 +151,7 @@ def play(bench: Bench, progress: Progress) -> Outcome:
         reader.close()
     rig.finish()
     ledger = {r.source.name: Conservation(r.driver.counts, Counter()) for r in readers}
-    outcome.health = rig.pipeline.health(ledger, 0, None)
+    outcome.health = rig.pipeline.ledger.health(ledger, 0, None)
     outcome.truth = bench.finish()
     return outcome
 

@@ -14,9 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.inference.verdicts import Belief
 from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
 from agent.numerics.paper.seed import (
@@ -224,14 +222,6 @@ class SeedWindow:
 
     def hurry(self) -> None:
         """Go on as ever: rows are all that this method makes."""
-
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
-        """Return nothing: this method believes its constants."""
-        return []
-
-    def take_findings(self) -> list[Finding]:
-        """Return nothing: this method believes its channels."""
-        return []
 
     def start_segment(self) -> None:
         """Forget the samples before a gap."""

@@ -127,7 +127,8 @@ class Estimation:
 
     def __post_init__(self) -> None:
         q = len(self.labels.parameters)
-        self._held, self._held_ns = np.full(q, np.nan), np.zeros(q, dtype=np.int64)
+        self._held = np.full(q, np.nan)
+        self._held_ns = np.zeros(q, dtype=np.int64)
 
     def step(self, samples: Samples) -> Estimated:
         """Take samples of one segment; return the estimates that they end, and what was found meanwhile."""
@@ -178,7 +179,8 @@ class Estimation:
         return Estimated(batch, int(batch.t_ns[-1]))
 
     def _batch(self, rows: Outcome, samples: Samples) -> EstimateBatch:
-        labels, t_ns = self.labels, self._recent.stamps(rows.index)
+        labels = self.labels
+        t_ns = self._recent.stamps(rows.index)
         full = rows.window.max(axis=1) > 0
         window = np.where(full, rows.window.max(axis=1), labels.window)
         lost = self._lost.count(rows.index, window)

@@ -114,17 +114,13 @@ class Quality:
     def _stretches(self, v: FloatArray) -> Iterator[tuple[slice, bool]]:
         """Cut where a channel falls silent for longer than is bridged, and where all speak again."""
         missing = np.isnan(v)
-        start = 0
-        if not self._open:
-            complete = ~missing.any(axis=1)
-            start = int(np.argmax(complete)) if complete.any() else len(v)
-            if start:
-                yield slice(0, start), False
+        start = 0 if self._open else _first_complete(missing, 0)
+        if start:
+            yield slice(0, start), False
         while (row := self._falls_silent(missing, start)) < len(v):
             if row > start:
                 yield slice(start, row), True
-            complete = ~missing[row:].any(axis=1)
-            start = row + int(np.argmax(complete)) if complete.any() else len(v)
+            start = _first_complete(missing, row)
             yield slice(row, start), False
         if start < len(v):
             yield slice(start, len(v)), True
@@ -184,3 +180,9 @@ class Quality:
             if not samples.usable and samples.fault is not None:
                 self.rejected[samples.fault.reason.name.lower()] += int(samples.complete.sum())
         return labelled
+
+
+def _first_complete(missing: NDArray[np.bool_], start: int) -> int:
+    """Return the first row from `start` on that lacks no reading; as many as rows if none."""
+    complete = ~missing[start:].any(axis=1)
+    return start + int(np.argmax(complete)) if complete.any() else len(missing)

@@ -28,7 +28,9 @@ class SensorLabels:
     """Labels one rig's samples; inputs is the number of leading channels that are inputs, window the estimator's."""
 
     def __init__(self, channels: Sequence[str], inputs: int, window: int) -> None:
-        self._channels, self._inputs, self._window = tuple(channels), inputs, window
+        self._channels = tuple(channels)
+        self._inputs = inputs
+        self._window = window
         self._segment = 1
         self._faults: dict[str, SensorFault] = {}
         self._standing: dict[str, SensorFault] = {}  # said and not taken back yet
@@ -51,7 +53,8 @@ class SensorLabels:
         return Labelled(samples, events)
 
     def _cut(self, piece: Piece, findings: Sequence[Finding], done: int) -> Iterator[Samples]:
-        start, count = 0, len(piece.index)
+        start = 0
+        count = len(piece.index)
         self._speaks_again(piece)
         for finding in findings:
             stop = min(max(finding.stop - done, start), count)
@@ -77,7 +80,8 @@ class SensorLabels:
 
     def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
         """Label samples v (N, c) of sources of which it is not known how they go together: no channel is at fault."""
-        m, fault = self._inputs, SensorFault("", Reason.REALIGNING)
+        m = self._inputs
+        fault = SensorFault("", Reason.REALIGNING)
         return Labelled([Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)])
 
     def _speaks_again(self, piece: Piece) -> None:

@@ -45,7 +45,8 @@ def _still(config: RigConfig, v: FloatArray) -> Iterator[dict[str, Any]]:
 
 def _same(config: RigConfig, v: FloatArray) -> Iterator[dict[str, Any]]:
     """Yield pairs that read the same to the last digit; two inputs may well be commanded alike."""
-    inputs, channels = len(config.inputs), channels_of(config)
+    inputs = len(config.inputs)
+    channels = channels_of(config)
     for first, second in combinations(range(len(channels)), 2):
         if second >= inputs and np.array_equal(v[:, first], v[:, second]) and len(np.unique(v[:, first])) >= LEVELS:
             names = [channels[first].name, channels[second].name]

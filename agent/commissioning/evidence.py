@@ -53,7 +53,8 @@ class Evidence:
 
     def _probed(self, config: RigConfig) -> Gathered:
         gathering = listen(config, self.progress)
-        recorded, sources = gathering.recorded("the probe"), gathering.sources()
+        recorded = gathering.recorded("the probe")
+        sources = gathering.sources()
         warned = list(_sources(config, sources))
         if recorded is None:
             came = any(source["received"] for source in sources)
@@ -74,7 +75,9 @@ def _sources(config: RigConfig, sources: Sequence[dict[str, Any]]) -> Iterator[F
     """Warn of sources that are silent, faster or slower than configured, or whose clock drifts."""
     places = {source.name: number for number, source in enumerate(config.source)}
     for source in sources:
-        place, rate, nominal = f"source[{places[source['name']]}]", source["rate_hz"], source["nominal_hz"]
+        place = f"source[{places[source['name']]}]"
+        rate = source["rate_hz"]
+        nominal = source["nominal_hz"]
         if rate is None and source["rejected"]:
             yield _refused(place, source)
         elif rate is None:

@@ -60,7 +60,8 @@ def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
     before, found = asked.find(v)
     if not found:
         return []
-    first, channels = found[0], channels_of(config)
+    first = found[0]
+    channels = channels_of(config)
     said = "; or ".join(_asked_words(one, channels[one.channel], one.channel < examiner.inputs) for one in found)
     factor = first.size if first.kind == "scale" else None
     row = suspicion(first.kind, [channels[first.channel].name], said, factor)
@@ -90,7 +91,8 @@ def _asked_words(asked: Asked, channel: Channel, drives: bool) -> str:
 
 
 def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examiner:
-    rig, resolution = rig_model(config), np.zeros(len(config.outputs))
+    rig = rig_model(config)
+    resolution = np.zeros(len(config.outputs))
     nominal = rig.model.nominal
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
     return Examiner(
@@ -105,7 +107,8 @@ def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examin
 
 def _liveliest(config: RigConfig, v: FloatArray, pieces: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Return the stretches in which the outputs move most, at most two."""
-    length, inputs = stretch_samples(config)[1], len(config.inputs)
+    length = stretch_samples(config)[1]
+    inputs = len(config.inputs)
     size = np.maximum(v[:, inputs:].std(axis=0), 1e-300)
     found = [(a, a + length) for first, end in pieces for a in range(first, end - length + 1, length)]
     if not found:

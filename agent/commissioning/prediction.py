@@ -203,7 +203,8 @@ def _noise(
 ) -> tuple[FloatArray, str]:
     """Return sigma (p,) and how it was come by, the same words for all outputs that share a way."""
     stated, floor = output_noise(config, resolution)
-    sigma, ways = stated.copy(), {}
+    sigma = stated.copy()
+    ways = {}
     for r in np.flatnonzero(~np.isfinite(stated)):
         seen = recorded.noise[r] if recorded is not None else 0.0
         sigma[r], ways[config.outputs[r].name] = _guess(float(seen), float(floor[r]), float(excitation.rms[r]))

@@ -44,7 +44,8 @@ def _listen(
     gathering: Gathering, connections: Sequence[Connection], wake: threading.Event, progress: Progress, listen_s: float
 ) -> None:
     """Hand on what arrives until every source has been heard for listen_s, or one stays away."""
-    started, received = monotonic_ns(), set[str]()
+    started = monotonic_ns()
+    received = set[str]()
     until = started + round((PATIENCE_S + listen_s) * 1e9)
     complete = False
     while (now := monotonic_ns()) < until:
@@ -53,7 +54,8 @@ def _listen(
         wake.clear()
         _turn(gathering, connections, received)
         if not complete and len(received) == len(gathering.counts):
-            complete, until = True, monotonic_ns() + round(listen_s * 1e9)
+            complete = True
+            until = monotonic_ns() + round(listen_s * 1e9)
 
 
 def _turn(gathering: Gathering, connections: Sequence[Connection], received: set[str]) -> None:

@@ -57,7 +57,8 @@ def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray, budget:
         return SlidingEstimator(estimator_settings(config, resolution), budget)
     from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
 
-    period_s, hold = 1.0 / config.rig.sample_rate_hz, config.estimator.hold
+    period_s = 1.0 / config.rig.sample_rate_hz
+    hold = config.estimator.hold
     sampled = discretise(rig.model.continuous(rig.model.nominal), period_s, hold)
     noise = known_noise(config, resolution)
     sigma = np.where(np.isfinite(noise), noise, 1.0)

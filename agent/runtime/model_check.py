@@ -51,7 +51,8 @@ def _hidden_fault(hidden: list[str], rig: RigModel) -> Fault:
 
 
 def _parameter_faults(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
-    measured, scale = signals(config), _scale(rig)
+    measured = signals(config)
+    scale = _scale(rig)
     found = identifiability(rig.model, measured, scale)
     for number in found.silent:
         name = rig.parameters[number].name

@@ -137,7 +137,8 @@ class Pipeline:
 
     def _estimated(self, labelled: Labelled) -> list[Record]:
         """Return the estimates of samples, and the alarms that they and their channels raise."""
-        stages, records = self.stages, list[Record]()
+        stages = self.stages
+        records = list[Record]()
         self.acquisition.arrived(labelled.values)
         for samples in labelled.values:
             complete = replace(samples, u=stages.friction.step(samples)) if samples.usable else samples

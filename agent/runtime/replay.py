@@ -153,7 +153,8 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     if len(sources) != 1:
         advice = 'describe the frames by one [[source]] with driver = "can"'
         raise RecordingError.at(str(path), "a CAN log needs the CAN source it was heard on", advice)
-    source, recording = sources[0], driver_class("can-log")
+    source = sources[0]
+    recording = driver_class("can-log")
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     missing = [name for name in channels if name not in source.map]
     if missing:
@@ -188,7 +189,8 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
 
 def _whole_counts(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> tuple[Counts, Counter[str]]:
     """Return what all drivers counted and what acquisition refused; the drivers' remarks go to the evidence."""
-    total, refused = Counts(), Counter[str]()
+    total = Counts()
+    refused = Counter[str]()
     for _, driver in tracks:
         total.received += driver.counts.received
         total.rejected.update(driver.counts.rejected)

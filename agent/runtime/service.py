@@ -184,7 +184,9 @@ class RigRuntime:
 
     def link(self, source: str, event: LinkEvent) -> None:
         """Raise or clear a source's alarm and note the event."""
-        t_ns, lost, back = self._wall(), event.away, event.cause == "recovered"
+        t_ns = self._wall()
+        lost = event.away
+        back = event.cause == "recovered"
         if back and not self._lost.get(source, False):
             return  # its samples have told already
         self._episodes.reported(source, round(event.at_s * 1e9), away=lost)
@@ -259,7 +261,8 @@ class Service:
         found = []
         for config in configs:
             if config.store.events.max_count:
-                path, rig = path_of(config, db), self.rigs[config.rig.name]
+                path = path_of(config, db)
+                rig = self.rigs[config.rig.name]
                 publish = self.writers[path].publish
                 found.append(event_writer(config, path, publish))
                 rig.events = EventKeeper(config, found[-1], publish)

@@ -96,10 +96,13 @@ class Connection:
     def take(self) -> tuple[list[Arrival], list[LinkEvent]]:
         """Return what waits, oldest first, and what happened to the link."""
         with self._lock:
-            arrivals, events = list(self._waiting), self._events
+            arrivals = list(self._waiting)
+            events = self._events
             self._waiting.clear()
-            self._events, self._samples = [], 0
-            self.dropped, self.counts = self._overflowed.copy(), self._counted
+            self._events = []
+            self._samples = 0
+            self.dropped = self._overflowed.copy()
+            self.counts = self._counted
         return arrivals, events
 
     def _work(self) -> None:

@@ -42,8 +42,10 @@ def make_stages(config: RigConfig, steps: FloatArray) -> Stages:
     Raises ModelError.
     """
     rate_hz, rig = config.rig.sample_rate_hz, config.rig.name
-    inputs, channels = len(config.inputs), [*config.inputs, *config.outputs]
-    longest, window = longest_bridge(rig_model(config).model, rate_hz), hop_plan(config).window
+    inputs = len(config.inputs)
+    channels = [*config.inputs, *config.outputs]
+    longest = longest_bridge(rig_model(config).model, rate_hz)
+    window = hop_plan(config).window
     estimation = make_estimation(config, steps[inputs:])
     settings = QualitySettings(
         channels=tuple(c.name for c in channels), inputs=inputs, step=steps, window=window, bridge=longest,

@@ -111,13 +111,20 @@ def assess(config: RigConfig, name: str, evidence: Evidence, counts: Counts, ref
     counts: of its drivers. refused: samples that acquisition refused, by reason.
     """
     rejected = counts.rejected + refused
-    faults = evidence.faults(name, counts.received, rejected) if config.rig.clock != "uniform" else []
+    faults = [] if config.rig.clock == "uniform" else evidence.faults(name, counts.received, rejected)
     if not counts.received:
-        raise RecordingError(evidence.unusable() or [Fault(name, "holds no sample", "see what it holds")])
-    left = counts.received - rejected.total()
-    if left <= LITTLE * counts.received or (faults and not evidence.estimates):
-        raise RecordingError(faults or [Fault(name, _counted(counts.received, rejected), "see what it holds")])
+        raise RecordingError(_why_empty(name, evidence))
+    is_almost_all_refused = counts.received - rejected.total() <= LITTLE * counts.received
+    if is_almost_all_refused and not faults:
+        faults = [Fault(name, _counted(counts.received, rejected), "see what it holds")]
+    is_of_no_use = is_almost_all_refused or not evidence.estimates
+    if faults and is_of_no_use:
+        raise RecordingError(faults)
     return faults + evidence.unusable()
+
+
+def _why_empty(name: str, evidence: Evidence) -> list[Fault]:
+    return evidence.unusable() or [Fault(name, "holds no sample", "see what it holds")]
 
 
 def _counted(received: int, rejected: Counter[str]) -> str:

@@ -115,7 +115,9 @@ class ModbusDriver(Driver):
     def _make_line(self) -> ModbusLine:
         settings = self._settings
         if settings.transport == "tcp":
-            host, port, timeout_s = settings.host, int(settings.port), settings.timeout_s
+            host = settings.host
+            port = int(settings.port)
+            timeout_s = settings.timeout_s
             return ModbusLine(lambda: tcp_pipe(host, port, timeout_s), TcpFrames(), None)
         keys = SerialKeys(
             port=str(settings.port), baudrate=settings.baudrate, parity=settings.parity, stopbits=settings.stopbits

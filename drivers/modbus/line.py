@@ -177,7 +177,8 @@ class ModbusLine:
         if self._pause_s is None:
             return
         clock.sleep(max(0.0, self._received_at + self._pause_s - clock.monotonic()))
-        stray, sender = pipe.drain(0.0), self._newest
+        stray = pipe.drain(0.0)
+        sender = self._newest
         if stray:
             (faults if sender is None else sender.faults)["stray bytes"] += stray
             if sender is not None and sender.unit.unanswered:

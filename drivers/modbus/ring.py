@@ -152,7 +152,8 @@ class RingReader(Reader):
     @contextmanager
     def _timed(self, part: _Part) -> Iterator[None]:
         """Add to a part's good seconds, whether or not a request fails."""
-        begun, lost_before = clock.monotonic(), self.lost_s
+        begun = clock.monotonic()
+        lost_before = self.lost_s
         try:
             yield
         finally:

@@ -111,7 +111,8 @@ class Unit:
         self._placed = False
 
     def _rest_s(self) -> float:
-        cost, grown = self.cost_s, _GROWTH ** min(self.unanswered - PATIENCE + 1, PATIENCE + 1)
+        cost = self.cost_s
+        grown = _GROWTH ** min(self.unanswered - PATIENCE + 1, PATIENCE + 1)
         return min(grown * cost, _RAREST * cost, max(_FOUND_S - cost, _LEAST * cost))
 
     def start(self, now: float, others: Sequence["Unit"]) -> float:

@@ -155,9 +155,12 @@ def _text_numbers(settings: SerialSettings, source: Source) -> list[WireNumber]:
 
 def make_stream(bench: Bench, number: int) -> Stream:
     """Return what a serial source sends."""
-    settings, source, faults = bench.settings(SerialSettings, number), bench.source(number), bench.faults(number)
+    settings = bench.settings(SerialSettings, number)
+    source = bench.source(number)
+    faults = bench.faults(number)
     if settings.format == "text":
-        numbers, pack = _text_numbers(settings, source), text_packer(settings)
+        numbers = _text_numbers(settings, source)
+        pack = text_packer(settings)
     else:
         numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
         pack = binary_packer(settings)

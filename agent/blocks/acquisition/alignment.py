@@ -202,7 +202,8 @@ class Alignment(Acquisition):
 
     def _begin_span(self, stream: Stream) -> None:
         """Part the rows to come from those before: their numbers count from elsewhere."""
-        since, own = max(stream.state.indexer.began, self._made + 1, self._spans[-1].since), stream.plan.own_clock
+        since = max(stream.state.indexer.began, self._made + 1, self._spans[-1].since)
+        own = stream.plan.own_clock
         if len(self.streams) > 1:
             span = Span(self._in_rows(stream, since), self._watch_anew(since, needed=not own and self._parted()))
             self._spans.append(span)
@@ -221,10 +222,16 @@ class Alignment(Acquisition):
         if not needed:
             self._usual = None if self._usual is None else self._usual.anew(since, needed=False)
             return self._usual
-        every = self._remeasure() if self._remeasure is not None else None
-        known = self._usual is not None and (every is None or self._usual.groups == every.groups)
-        watch = self._usual if known else every
+        watch = self._watch_of_all()
         return None if watch is None else watch.anew(since, needed=True)
+
+    def _watch_of_all(self) -> SkewWatch | None:
+        """Return what measures the skews of all sources: the usual watch where it does, else a new one."""
+        usual = self._usual
+        if self._remeasure is None:
+            return usual
+        every = self._remeasure()
+        return usual if usual is not None and usual.groups == every.groups else every
 
     def finish(self) -> Acquired:
         for span in self._spans:
@@ -344,7 +351,9 @@ class Alignment(Acquisition):
         return max(self._first_of(stream) for stream in self.streams.values())
 
     def _first_of(self, stream: Stream) -> int:
-        here, there, first = self.reference.clock, stream.clock, int(stream.index[0])
+        here = self.reference.clock
+        there = stream.clock
+        first = int(stream.index[0])
         if not self._apart(stream):
             return first
         if here is None or there is None or not (here.settled and there.settled):

@@ -88,9 +88,11 @@ class SkewWatch:
     _events: list[SourceEvent] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.skew_s, self.sd_s = np.zeros(len(self.groups)), np.full(len(self.groups), np.inf)
+        self.skew_s = np.zeros(len(self.groups))
+        self.sd_s = np.full(len(self.groups), np.inf)
         self.budget = self.budget or Budget(EVALUATIONS * (EVALUATION + self.stretch), RATE)
-        self._theta, self._measured = self.meter.model.nominal, np.zeros(len(self.groups))
+        self._theta = self.meter.model.nominal
+        self._measured = np.zeros(len(self.groups))
 
     @property
     def margin(self) -> int:
@@ -141,7 +143,8 @@ class SkewWatch:
         """
         first = max(first, self.since)
         if self._first is None:
-            self._first, self._next = first, first + self.margin
+            self._first = first
+            self._next = first + self.margin
         self._next = max(self._next, first + self.margin)
         while ready >= self._next + self.stretch:
             rows = np.arange(self._next, self._next + self.stretch, dtype=np.int64)

@@ -125,7 +125,8 @@ class ConstantsAsked:
             self.model, (group,), self.inputs, self.period_s, self.hold, self.push, self._noise(y), self.scale,
             self.scale_column, self.lower,
         )  # fmt: skip
-        spline, at = CubicSpline(np.arange(len(v)), v[:, channel]), np.arange(MARGIN, len(v) - MARGIN)
+        spline = CubicSpline(np.arange(len(v)), v[:, channel])
+        at = np.arange(MARGIN, len(v) - MARGIN)
 
         def resampled(delays: FloatArray) -> FloatArray:
             moved = v[MARGIN:-MARGIN].copy()

@@ -55,7 +55,8 @@ def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> 
     sensors = [_sensor(rig, at, constant, states, u) for constant in rig.constants[rig.masses :]]
     whole = np.concatenate([columns, np.array(sensors).reshape(-1, *columns.shape[1:])])
     information = _information(whole, _free(at.A, at.C, len(u)), sigma)
-    q, sheet = rig.q, np.array([max(constant.sheet, 1e-9) for constant in rig.constants])
+    q = rig.q
+    sheet = np.array([max(constant.sheet, 1e-9) for constant in rig.constants])
     repeat = bound_sd(information[:q, :q])
     return PredictedSd(at.unit * np.hypot(repeat, _spread(information, q, sheet)), at.unit * repeat)
 
@@ -88,7 +89,8 @@ def bound_sd(information: FloatArray) -> FloatArray:
 
 def _run(A: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:
     """Return states (r, W, n) of r runs x(k+1) = A x(k) + pushed(k), pushed (r, W, n), from start (r, n)."""
-    states, x = np.empty_like(pushed), start
+    states = np.empty_like(pushed)
+    x = start
     for k in range(pushed.shape[1]):
         states[:, k] = x
         x = x @ A.T + pushed[:, k]

@@ -15,7 +15,8 @@ def factor_of_output(sampled: Discrete, y: FloatArray, u: FloatArray, output: in
 
     The initial state and 1 / factor are fitted by linear least squares, the parameters as they are.
     """
-    target, column = y - _forced(sampled, u), np.zeros_like(y)
+    target = y - _forced(sampled, u)
+    column = np.zeros_like(y)
     target[:, output], column[:, output] = -(y - target)[:, output], -y[:, output]
     return _factor(sampled, y, target, column)
 
@@ -41,7 +42,8 @@ def _forced(sampled: Discrete, u: FloatArray) -> FloatArray:
 
 def _free(sampled: Discrete, count: int) -> FloatArray:
     """Return how outputs (N, p) follow from each of the initial states, (N, p, n)."""
-    free, row = np.empty((count, sampled.model.p, sampled.model.n)), sampled.model.C
+    free = np.empty((count, sampled.model.p, sampled.model.n))
+    row = sampled.model.C
     for k in range(count):
         free[k], row = row, row @ sampled.model.A
     return free

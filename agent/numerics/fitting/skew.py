@@ -74,17 +74,21 @@ class DelayedModel:
 
 
 def _widened(s: StateSpace, groups: Sequence[Group], delays: FloatArray, rates: int) -> StateSpace:
-    m, q = s.m, s.q + len(groups)
+    m = s.m
+    q = s.q + len(groups)
     B, D = np.zeros((s.n, m + rates)), np.zeros((s.p, m + rates))
     dA, dC = np.zeros((q, s.n, s.n)), np.zeros((q, s.p, s.n))
     dB, dD = np.zeros((q, s.n, m + rates)), np.zeros((q, s.p, m + rates))
-    C, B[:, :m], D[:, :m] = s.C.copy(), s.B, s.D
+    C = s.C.copy()
+    B[:, :m] = s.B
+    D[:, :m] = s.D
     dA[: s.q], dC[: s.q], dB[: s.q, :, :m], dD[: s.q, :, :m] = s.dA, s.dC, s.dB, s.dD
     # y' = CA x + CB u + D u', and its derivatives by the model's own parameters
     CA, CB = s.C @ s.A, s.C @ s.B
     dCA, dCB = s.dC @ s.A + s.C @ s.dA, s.dC @ s.B + s.C @ s.dB
     for number, (group, delay) in enumerate(zip(groups, delays.tolist(), strict=True)):
-        row, out = s.q + number, list(group.outputs)
+        row = s.q + number
+        out = list(group.outputs)
         C[out] -= delay * CA[out]
         D[out, :m] -= delay * CB[out]
         D[out, m:] -= delay * s.D[out, :rates]

@@ -7,6 +7,7 @@ healthy rig leaves noise, and nothing leaves much less; a wrong channel leaves m
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from math import log
 from typing import NamedTuple
 
@@ -185,9 +186,8 @@ class Examiner:
         count = v.shape[1]
         if count < 2:
             return  # a single channel has nothing to contradict it
-        for first in range(count):
-            for second in range(first + 1, count):
-                yield Hypothesis("swap", (first, second))
+        for pair in combinations(range(count), 2):
+            yield Hypothesis("swap", pair)
         for channel in range(count):
             yield Hypothesis("sign", (channel,))
             asked = self._asked(v, channel)
@@ -208,7 +208,9 @@ class Examiner:
     def _try(self, hypothesis: Hypothesis, stretches: Sequence[FloatArray]) -> Trial:
         """Fit the model to mended stretches."""
         outputs = stretches[0].shape[1] - self.inputs
-        squares, signal, theta = np.zeros(outputs), np.zeros(outputs), self.model.nominal
+        squares = np.zeros(outputs)
+        signal = np.zeros(outputs)
+        theta = self.model.nominal
         for v in stretches:
             left, power, theta = self._left(hypothesis.mended(v))
             squares, signal = squares + left, signal + power

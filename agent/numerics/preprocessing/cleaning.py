@@ -147,7 +147,8 @@ class Cleaner:
 
     def _decide(self, *, end: bool) -> None:
         """Mark spikes among the samples that are not decided, as far as what comes after them is there."""
-        x, first = self._raw, max(self._decided, 2)
+        x = self._raw
+        first = max(self._decided, 2)
         if len(x) > first:
             size = np.abs(x[first:] - 2 * x[first - 1 : -1] + x[first - 2 : -2])
             doubtful = ~(size <= self._limits[first:])

@@ -136,7 +136,9 @@ def _record(page: bytes, place: int) -> list[object] | None:
     if size > PAGE_SIZE - 35 or place + size > PAGE_SIZE:
         return None
     head, at = _varint(page, place)
-    kinds, end, body = [], place + head, place + head
+    kinds = []
+    end = place + head
+    body = place + head
     while at < end:
         kind, at = _varint(page, at)
         kinds.append(kind)

@@ -10,6 +10,7 @@ from agent.blocks.acquisition.alignment import Alignment, AlignmentPlan, StreamP
 from agent.blocks.acquisition.interface import Acquisition, ChannelScale, SourcePlan
 from agent.blocks.acquisition.single_source import SingleSource, source_plan
 from agent.blocks.acquisition.skew_watch import SkewGroup, SkewWatch
+from agent.blocks.acquisition.tuning import LONGEST_STRETCH_S, MOST_STRETCH_SAMPLES, SHORTEST_STRETCH_S
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import hop_plan, known_noise, rig_model, scale_columns
 from agent.config import RigConfig
@@ -19,8 +20,6 @@ from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.types import FloatArray
 
-SHORTEST_S, LONGEST_S = 0.5, 4.0
-MOST_SAMPLES = 4000
 Maps = Mapping[str, Mapping[str, str]]
 
 
@@ -147,5 +146,5 @@ def stretch_samples(config: RigConfig) -> tuple[int, int]:
     slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))
     unknowns = len(model.state_names) + len(model.parameters) + 1
     least = max(hop_plan(config).window, 20 * unknowns // max(len(config.outputs), 1))
-    longest = round(float(np.clip(pi / max(slowest, 1e-9), SHORTEST_S, LONGEST_S)) * rate)
-    return min(least, MOST_SAMPLES), max(min(longest, MOST_SAMPLES), min(least, MOST_SAMPLES))
+    longest = round(float(np.clip(pi / max(slowest, 1e-9), SHORTEST_STRETCH_S, LONGEST_STRETCH_S)) * rate)
+    return min(least, MOST_STRETCH_SAMPLES), max(min(longest, MOST_STRETCH_SAMPLES), min(least, MOST_STRETCH_SAMPLES))

@@ -12,12 +12,10 @@ from typing import TypeGuard, TypeVar
 
 from agent.blocks.acquisition.interface import Label
 from agent.blocks.estimation import ESTIMATION, FAILURE
+from agent.runtime.limits import PAUSE_NS
 from agent.runtime.pipeline import Pipeline
 from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Reason, Record, Status
 from drivers.port import SampleBlock
-
-PAUSE_NS = 1_000_000_000, 60_000_000_000
-"""Shortest and longest pause after a fault."""
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)

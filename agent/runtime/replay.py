@@ -17,6 +17,7 @@ from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.ledger import Conservation
+from agent.runtime.limits import HEALTH_PERIOD_NS
 from agent.runtime.pipeline import Pipeline, resolutions
 from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
@@ -30,8 +31,6 @@ SOURCE = "recording"
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)
-
-HEALTH_PERIOD_NS = 10_000_000_000
 
 
 class Track(NamedTuple):

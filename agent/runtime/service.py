@@ -21,6 +21,7 @@ from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.databases import RunKind, path_of, writers_of
 from agent.runtime.lateness import COMPUTING, Lateness
 from agent.runtime.ledger import Conservation
+from agent.runtime.limits import CLOSE_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
 from agent.runtime.pending import Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
@@ -30,15 +31,6 @@ from agent.storage.tables.alarms import AlarmRow
 from agent.types import AlarmTransition, ClockRecord, HealthEvent, IntArray, Learnt, Record
 from drivers.port import DriverConfigError
 from drivers.reconnect import LinkEvent
-
-HEALTH_PERIOD_NS = 10_000_000_000
-IDLE_S = 0.5
-ROUND_S = 0.05, 0.25
-"""From one round of computing to the next, at least and, where more wait than that takes, at most."""
-FINISH_S = 2.0
-"""How long an agent that ends goes on with what waits; samples left then are dropped and counted."""
-HURRY_S, CLOSE_S = 1.0, 1.0
-"""After being asked to end it begins no fit nor search any more; and how long it waits for readers to end."""
 
 log = logging.getLogger(__name__)
 

@@ -13,12 +13,9 @@ from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
 from agent.recording.recorder import Recorder
+from agent.runtime.limits import QUEUE_SAMPLES, READ_S
 from drivers.port import Capture, Counts, Driver, DriverConfigError, SampleBlock, SourceRequest
 from drivers.reconnect import LinkEvent, ReconnectingDriver
-
-QUEUE_SAMPLES = 120_000
-"""Samples that wait for the processing thread at most, a connection: two minutes at 1 kHz."""
-READ_S = 0.2
 
 log = logging.getLogger(__name__)
 

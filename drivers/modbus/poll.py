@@ -8,12 +8,11 @@ import numpy as np
 from drivers import clock
 from drivers.fields import ByteArray, Layout
 from drivers.modbus.frames import ADDRESS, MAX_REGISTERS, VALUE, Request
+from drivers.modbus.limits import GATHER_S
 from drivers.modbus.mode import Ask, Reader, RefusedError
 from drivers.modbus.settings import ModbusField, ModbusSettings
 from drivers.modbus.units import LaterError
 from drivers.port import Counts, DriverIOError, SampleBlock, SourceRequest
-
-_GATHER_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class PollReader(Reader):
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
-        rows = list(self._rows(ask, min(deadline, max(clock.monotonic(), self.due) + _GATHER_S)))
+        rows = list(self._rows(ask, min(deadline, max(clock.monotonic(), self.due) + GATHER_S)))
         if not rows:
             return self.empty()
         slots = np.stack([sample for sample, _ in rows])

@@ -10,7 +10,7 @@ import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
-from agent.runtime.containment import PAUSE_NS
+from agent.runtime.limits import PAUSE_NS
 from agent.runtime.service import RigRuntime, Service
 from agent.types import (
     AlarmTransition,

@@ -9,8 +9,9 @@ import pytest
 
 from agent.config import load
 from agent.runtime.containment import IsolatedPipeline
-from agent.runtime.pending import PART, STOPPED
-from agent.runtime.service import FINISH_S, RigRuntime, Service
+from agent.runtime.limits import FINISH_S, PART
+from agent.runtime.pending import STOPPED
+from agent.runtime.service import RigRuntime, Service
 from agent.runtime.sources import Connection
 from agent.types import Health, Record
 from drivers.port import SampleBlock

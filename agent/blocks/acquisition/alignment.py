@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.blocks.acquisition.clock_map import SETTLE_S, ClockMap
+from agent.blocks.acquisition.clock_map import ClockMap
 from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
 from agent.blocks.acquisition.interface import (
     Acquired,
@@ -29,16 +29,10 @@ from agent.blocks.acquisition.interface import (
 from agent.blocks.acquisition.single_source import intake, uninterrupted
 from agent.blocks.acquisition.skew_watch import SkewWatch
 from agent.blocks.acquisition.tally import Tally
+from agent.blocks.acquisition.tuning import NEIGHBOURS, PARTNER_S, SETTLE_S, TOGETHER_S
 from agent.numerics.preprocessing.resample import AFTER, interpolated, split
 from agent.types import Aligned, BoolArray, FloatArray, IntArray, Samples
 from drivers.port import SampleBlock
-
-PATIENCE_S = 1.0
-"""How long a sample of one source waits for the same instant of another."""
-TOGETHER_S = 0.5
-"""Devices that began to count anew together have all been read again after this."""
-NEIGHBOURS = 2
-"""Samples within which a source must have one for a row to be made at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +170,7 @@ class Alignment(Acquisition):
         self._events: list[SourceEvent] = []
         self.streams = {p.source.name: self._stream(p, origin) for p in plan.streams}
         self.reference = list(self.streams.values())[plan.reference]
-        self._patience = round((PATIENCE_S + (2 * SETTLE_S if plan.clocks else 0.0)) * plan.rate_hz)
+        self._patience = round((PARTNER_S + (2 * SETTLE_S if plan.clocks else 0.0)) * plan.rate_hz)
         self._made, self._last, self._segment = -1, -2, 0
 
     def _stream(self, plan: StreamPlan, origin: Origin) -> Stream:

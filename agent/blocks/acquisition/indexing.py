@@ -8,24 +8,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from agent.blocks.acquisition.arrival_count import ArrivalCount
+from agent.blocks.acquisition.tuning import JOIN_S, LEAK, PUNCTUAL_S, RESTART_AFTER_S, WIDEST
 from agent.types import BoolArray, IntArray
 from drivers.port import SampleBlock
 
 Clock = Literal["counter", "device", "uniform", "arrival"]
-WIDEST = 1 << 62
-"""A counter of more values does not wrap in any lifetime, and one of 64 bits wraps with the numbers themselves."""
-RESTART_AFTER_S = 0.1
-"""A device that keeps counting from behind for this long has restarted; a single late frame has not."""
-
-
-PUNCTUAL_S = 0.1
-"""Samples that are late by less may only have been read late: a clock that says so tells of no silence."""
-
-
-JOIN_S = 0.1
-"""Counts that agree with the clock to this began anew together."""
-LEAK = 2e-3
-"""A device may be slower than its nominal rate by this share before its samples are taken for late ones."""
 
 
 class Anew(NamedTuple):

@@ -7,32 +7,27 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.blocks.acquisition.interface import SourceEvent
+from agent.blocks.acquisition.tuning import (
+    ENOUGH,
+    EVALUATIONS,
+    FLOOR,
+    LONGER_AFTER,
+    MOST_S,
+    PRECISE,
+    RATE,
+    REMEMBERED,
+    SKEW_EVERY_S,
+    SKEW_PATIENCE_ANEW_S,
+    SKEW_PATIENCE_S,
+    SMALL,
+    STARTS_S,
+)
 from agent.numerics.fitting.skew import Delays, Skew, SkewMeter, combined
 from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.types import FloatArray, IntArray
 
 Reader = Callable[[IntArray, FloatArray], FloatArray]
 """Rows (n,) and a delay of each channel (c,) -> readings (n, c), inputs first; NaN where one is missing."""
-MOST_S = 0.12
-"""Greatest skew that is looked for."""
-STARTS_S = (0.04, 0.08, -0.03, -0.06)
-"""Where else than at nothing a skew is looked for, until one is found."""
-ENOUGH = 3
-"""Stretches that must agree before rows are let go."""
-PRECISE = 0.1
-"""Of a sample: rows are let go when the skew is known to this."""
-LONGER_AFTER = 4
-"""After so many stretches that did not tell enough the next ones are twice as long."""
-PATIENCE_S, PATIENCE_ANEW_S = 30.0, 5.0
-"""Rows wait no longer than this for the skew, at a start and after a device began to count anew."""
-EVALUATIONS, RATE = 2000, 1.0
-"""Evaluations of a first stretch that may be spent at once, and what each sample adds (in samples of work)."""
-EVERY_S = 10.0
-REMEMBERED = 6
-FLOOR = 0.01
-"""Of a sample: what interpolation leaves, and what no measurement is better than."""
-SMALL = 0.02
-"""Of a sample: changes below are left alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +73,7 @@ class SkewWatch:
     needed: bool = False
     unknown: bool = True
     budget: Budget | None = None
-    _patience_s: float = PATIENCE_S
+    _patience_s: float = SKEW_PATIENCE_S
     _found: deque[Delays] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     _theta: FloatArray = field(init=False)
     _measured: FloatArray = field(init=False)
@@ -114,7 +109,7 @@ class SkewWatch:
         watch = SkewWatch(
             self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest, self.rate_hz,
             self.complete, since=since, needed=needed, budget=self.budget,
-            _patience_s=PATIENCE_ANEW_S,
+            _patience_s=SKEW_PATIENCE_ANEW_S,
         )  # fmt: skip
         watch.skew_s, watch._theta = self.skew_s, self._theta
         if not needed:
@@ -149,7 +144,7 @@ class SkewWatch:
         while ready >= self._next + self.stretch:
             rows = np.arange(self._next, self._next + self.stretch, dtype=np.int64)
             wanting = self.holding or self.realigning
-            self._next += self.stretch if wanting else round(EVERY_S * self.rate_hz)
+            self._next += self.stretch if wanting else round(SKEW_EVERY_S * self.rate_hz)
             self._measure(rows, read)
             self._decide()
         if self.holding and newest > self._first + self._patience_s * self.rate_hz:

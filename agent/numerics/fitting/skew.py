@@ -27,7 +27,7 @@ IntArray = NDArray[np.int64]
 MOST_FITS = 8
 """Fits at most; a delay of a third of the fastest period needs five."""
 DELAY_SCALE_S = 0.01
-EXPLAINED = 30.0
+MOTION_SEEN = 30.0
 """Times what chance alone explains by the unknowns: a stretch of which the model explains no more tells no delay."""
 CLOSE = 0.05
 """Of its sd: a delay that moved by less is found."""
@@ -191,7 +191,7 @@ class SkewMeter:
         told = np.diag(fit.covariance)[-g:] * variance
         sd = np.sqrt(np.where(told > 0, told, np.inf))
         motion = float(np.sum(((columns[:, :p] - columns[:, :p].mean(axis=0)) / problem.sigma) ** 2)) - fit.cost
-        moves = motion > EXPLAINED * unknowns * variance
+        moves = motion > MOTION_SEEN * unknowns * variance
         return _Turn(fit.theta[-g:], sd, fit.theta[:-g], fit.converged and moves, float(np.sqrt(variance)))
 
     def _noise(self, y: FloatArray) -> FloatArray:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from agent.numerics.preprocessing.bridge import filled, lagrange, runs
 from agent.types import BoolArray, FloatArray
 
-LONGEST = 3
+LONGEST_SPIKE = 3
 """Readings of the longest spike."""
-LOOK_AHEAD = LONGEST + 2
+LOOK_AHEAD = LONGEST_SPIKE + 2
 NEAR = 8
 """Readings before the doubtful one that it is held against."""
 BLOCK = 128
@@ -193,7 +193,7 @@ class Cleaner:
         near = slice(start, place + LOOK_AHEAD + 1)
         free = np.flatnonzero(~(self._marked[near, channel] | self._suspect[near, channel])) + start
         before, behind = free[free < place][-2:], free[free >= place]
-        for length in range(1, LONGEST + 1):
+        for length in range(1, LONGEST_SPIKE + 1):
             after = behind[length : length + 2]
             # the spike's own readings must be there, and two on either side
             if len(before) < 2 or len(after) < 2 or behind[length - 1] != place + length - 1:

@@ -9,7 +9,7 @@ import numpy as np
 from agent.config import RigConfig
 from agent.numerics.fitting.constants_asked import STILL
 from agent.numerics.preprocessing.noise import ROUND_OFF, sensor_noise
-from agent.runtime.acquisition_plan import channels_of
+from agent.runtime.assembly.acquisition_plan import channels_of
 from agent.text import number
 from agent.types import FloatArray
 

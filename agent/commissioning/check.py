@@ -19,8 +19,8 @@ from agent.numerics.model.margins import condition_3, condition_8, worst_perturb
 from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import Discrete, discretise
-from agent.runtime.model_check import hidden_states, model_faults
-from agent.runtime.number_checks import attempted
+from agent.runtime.assembly.model_check import hidden_states, model_faults
+from agent.runtime.assembly.number_checks import attempted
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import wire_steps
 from agent.storage.write.retention import Retention, bytes_per_rig_year

@@ -14,7 +14,7 @@ from agent.errors import Fault
 from agent.numerics.fitting.constants_asked import Asked, ConstantsAsked
 from agent.numerics.fitting.wiring import Examiner, Finding, Hypothesis
 from agent.numerics.model.holds import straight
-from agent.runtime.acquisition_plan import channels_of, complete_inputs, stretch_samples
+from agent.runtime.assembly.acquisition_plan import channels_of, complete_inputs, stretch_samples
 from agent.text import number
 from agent.types import FloatArray
 

@@ -14,7 +14,7 @@ from agent.blocks.friction import dry_friction
 from agent.config import RigConfig
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, simulate
-from agent.runtime.acquisition_plan import Maps, channels_of, make_acquisition
+from agent.runtime.assembly.acquisition_plan import Maps, channels_of, make_acquisition
 from agent.types import Aligned, FloatArray
 from drivers.port import Counts, SampleBlock
 

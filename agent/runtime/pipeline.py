@@ -19,9 +19,9 @@ from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.sensor_labels import Labelled
 from agent.config import RigConfig, learnt_key
-from agent.runtime.acquisition_plan import make_acquisition
+from agent.runtime.assembly.acquisition_plan import make_acquisition
+from agent.runtime.assembly.stages import make_stages
 from agent.runtime.ledger import Ledger
-from agent.runtime.stages import make_stages
 from agent.types import Aligned, FloatArray, HealthEvent, IntArray, Learnt, LearntRecord, Record, Samples
 from drivers.port import SampleBlock
 

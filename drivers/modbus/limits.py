@@ -13,7 +13,7 @@ FASTEST_PACED = 22000
 (Modbus over serial line 1.02, section 2.5.1.1)."""
 LONGEST_NOISE = 2048
 """Bytes looked through for a reply; noise before them is forgotten."""
-DEAF = 3
+UNANSWERED = 3
 """Requests in a row without an answer, whatever their units, after which the connection is made anew."""
 REMEMBERED_S = 5.0
 REMEMBERED_EACH_S = 0.7

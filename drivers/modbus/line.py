@@ -18,7 +18,6 @@ from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus.frames import ADDRESS, FIFO, MAX_REGISTERS, REMEMBERED, VALUE, Frames, ReplyError, Request
 from drivers.modbus.limits import (
-    DEAF,
     FADE,
     LONGEST_NOISE,
     POLITE_S,
@@ -26,6 +25,7 @@ from drivers.modbus.limits import (
     REMEMBERED_S,
     ROUNDING_S,
     SHORTEST_S,
+    UNANSWERED,
     USUAL,
 )
 from drivers.modbus.line_lock import LineLock
@@ -248,7 +248,7 @@ class ModbusLine:
             unit.lost[request.count] = now
             unit.late_until = now + min(timeout_s, max(SHORTEST_S, USUAL * unit.slowest_s))
         self._unanswered += 1
-        if self._unanswered >= DEAF:
+        if self._unanswered >= UNANSWERED:
             self._drop()
             self._unanswered = 0
 

@@ -20,7 +20,7 @@ from agent.numerics.model.observer import poles_gain
 from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
 from agent.numerics.window.hops import HopPlan
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import Samples, Status
 from tests.bench import rivals
 from tests.bench.scene import HOP, NOMINAL, PERIOD, WINDOW, Record, rig

@@ -11,7 +11,8 @@ import pytest
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
 from agent.runtime.limits import PAUSE_NS
-from agent.runtime.service import RigRuntime, Service
+from agent.runtime.rig_runtime import RigRuntime
+from agent.runtime.service import Service
 from agent.types import (
     AlarmTransition,
     EstimateBatch,

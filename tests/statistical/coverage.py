@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import butter, lfilter
 
 from agent.blocks.estimation import Estimation
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.runtime.replay import SOURCE, Track, make_pipeline, opened
 from agent.types import EstimateBatch, FloatArray, Samples, Status
 from tests.statistical.machine import NAMES, SECOND, Machine, configuration, each, fresh, on_second

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from agent.blocks.friction import dry_friction
 from agent.config import load
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import FloatArray, Samples, Status
 
 MASS, SPRING, DAMPER = 5.0, 200.0, 10.0

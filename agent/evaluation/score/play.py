@@ -17,7 +17,7 @@ from agent.config import RigConfig, driver_class, load
 from agent.config.tables import Source
 from agent.errors import Fault, UsageError
 from agent.runtime.ledger import Conservation
-from agent.runtime.service import RigRuntime
+from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, Use
 from agent.types import Health, Record, Samples
 from drivers.port import Driver, SourceRequest

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.config import load
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import EstimateBatch, Reason, Samples, Status
 from tests.bench.scene import NOMINAL, Record, play
 

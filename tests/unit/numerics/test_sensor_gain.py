@@ -7,8 +7,8 @@ import pytest
 
 from agent.blocks.rig_model import rig_model
 from agent.config import RigConfig, load
-from agent.runtime.methods import make_estimation
-from agent.runtime.model_check import model_faults
+from agent.runtime.assembly.methods import make_estimation
+from agent.runtime.assembly.model_check import model_faults
 from agent.types import Samples, Status
 from tests.bench.scene import NOMINAL, play
 

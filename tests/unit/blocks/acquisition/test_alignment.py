@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.blocks.acquisition.alignment import Alignment, AlignmentPlan, StreamPlan
+from agent.blocks.acquisition.alignment import Alignment
 from agent.blocks.acquisition.interface import ChannelScale
 from agent.blocks.acquisition.single_source import SingleSource, source_plan
+from agent.blocks.acquisition.stream import AlignmentPlan, StreamPlan
 from agent.config import load
-from agent.runtime.acquisition_plan import make_acquisition
+from agent.runtime.assembly.acquisition_plan import make_acquisition
 from agent.types import Aligned
 from drivers.port import FloatArray, IntArray, SampleBlock
 from tests.scenario.live import example

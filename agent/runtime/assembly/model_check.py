@@ -15,7 +15,7 @@ from agent.numerics.model.mechanics import MassSpringDamper, Output
 from agent.numerics.model.observer import unobservable_states
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import Model
-from agent.runtime.number_checks import number_faults, observer_faults
+from agent.runtime.assembly.number_checks import number_faults, observer_faults
 from agent.types import FloatArray
 
 ESTIMATE = "estimator.estimate"

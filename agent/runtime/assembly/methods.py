@@ -15,7 +15,7 @@ from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
-from agent.runtime.model_check import require_observable
+from agent.runtime.assembly.model_check import require_observable
 from agent.types import FloatArray
 
 

@@ -14,7 +14,7 @@ from agent.blocks.friction import DryFriction, dry_friction
 from agent.blocks.quality import Quality, QualitySettings
 from agent.blocks.rig_model import hop_plan, longest_bridge, rig_model
 from agent.config import RigConfig
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import FloatArray
 
 

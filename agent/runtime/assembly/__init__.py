@@ -1,0 +1,1 @@
+"""From a configuration to the stages that it needs, and what its model cannot do; nothing here runs."""

@@ -125,9 +125,9 @@ class Connection:
             log.warning("%s: %s", self._driver.request.name, error)
 
     def _turn(self) -> None:
-        block = self._link.read(READ_S)
+        block, events = self._link.read(READ_S)
         self.progress += 1
-        for event in self._link.take_events():
+        for event in events:
             self._say(event)
         for note in self._driver.take_notes():
             log.info("%s: %s", self._driver.request.name, note)

@@ -83,13 +83,13 @@ class _Reader:
         """Read and process until the source's time has come."""
         with self._bench.at(self.source.name):
             while self._bench.now_s(self.source.name) < then_s:
-                block = self._link.read(READ_S)
+                block, events = self._link.read(READ_S)
                 if len(block):
                     outcome.arrivals.append((self.source.name, self._bench.now_s(self.source.name), len(block)))
                     whole = replace(block, wall_offset_ns=0)
                     rig.take(self._use, Arrival(whole, self.driver.counts.copy(), self.driver.counter_modulus))
                     rig.compute()
-                for event in self._link.take_events():
+                for event in events:
                     rig.link(self.source.name, event)
 
     def close(self) -> None:

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.blocks.estimation import BoolArray, Method
+from agent.blocks.estimation import Method
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.window.hops import HopPlan
-from agent.types import FloatArray, Reason, Status
+from agent.types import BoolArray, FloatArray, Reason, Status
 
 NUMERICAL = (ArithmeticError, ValueError)
 """What linear algebra and arithmetic raise; numpy's LinAlgError is a ValueError."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.blocks.recent import Recent
 from agent.numerics.estimator.faults import Finding
@@ -13,9 +12,8 @@ from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
 from agent.numerics.preprocessing.marks import Marks
 from agent.numerics.window.hops import HopPlan
-from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+from agent.types import BoolArray, CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
-BoolArray = NDArray[np.bool_]
 ESTIMATION, FAILURE = "estimation", "failure"
 """What a failure of the numerics is called in events, and the reason of samples that it loses."""
 MOST_STUCK = 0.05

@@ -6,21 +6,13 @@ from math import inf, isfinite, pi
 import numpy as np
 
 from agent.blocks.rig_model import RigModel
+from agent.commissioning.limits import FEW_A_PERIOD, FEWER_A_PERIOD, LIVELY, MARGINAL
 from agent.commissioning.prediction import Prediction, sampled, windows
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.config.units import near_miss
 from agent.errors import Fault
 from agent.runtime.sources import source_hints, unordered_sources
-
-MARGINAL = 1e-9
-"""A pole this near the unit circle neither decays nor grows."""
-FEW_A_PERIOD = 20
-"""Samples a period below which a straight line between samples is not what a force did."""
-FEWER_A_PERIOD = 8
-"""Samples a period below which a cubic is not either."""
-LIVELY = 1e-3
-"""Damping ratio above which a mode that oscillates counts as one with a period worth a window."""
 
 
 def warnings(

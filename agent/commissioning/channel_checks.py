@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from agent.commissioning.limits import LEVELS
 from agent.config import RigConfig
 from agent.numerics.fitting.constants_asked import STILL
 from agent.numerics.preprocessing.noise import ROUND_OFF, sensor_noise
 from agent.runtime.assembly.acquisition_plan import channels_of
 from agent.text import number
 from agent.types import FloatArray
-
-LEVELS = 10
-"""Different readings that two channels must show: coarse ones may well agree on fewer."""
 
 
 def plain_findings(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:

@@ -5,17 +5,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from agent.commissioning.limits import DRIFTS_PPM, LISTEN_S, OFF_RATE
 from agent.commissioning.misassignment import findings, warnings_of
-from agent.commissioning.probe import LISTEN_S, listen
+from agent.commissioning.probe import listen
 from agent.commissioning.progress import Progress, silent
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import read_recording
 from agent.config import RigConfig
 from agent.errors import Fault
-
-OFF_RATE = 0.02
-"""Share by which samples may come faster or slower than configured."""
-DRIFTS_PPM = 200.0
 
 
 @dataclass(frozen=True, slots=True)

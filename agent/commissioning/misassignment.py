@@ -8,6 +8,7 @@ import numpy as np
 from agent.blocks.rig_model import known_noise, rig_model, scale_columns
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.channel_checks import plain_findings, suspicion
+from agent.commissioning.limits import PLAINER, STRETCHES
 from agent.config import RigConfig
 from agent.config.tables import Channel
 from agent.errors import Fault
@@ -18,9 +19,6 @@ from agent.runtime.assembly.acquisition_plan import channels_of, complete_inputs
 from agent.text import number
 from agent.types import FloatArray
 
-STRETCHES = 2
-PLAINER = 2.0
-"""A zero, a scale or a delay must leave less than this part of what mended wires or signs leave."""
 ELASTIC = ("spring", "damper", "friction", "linear")
 Progress = Callable[[str], None]
 

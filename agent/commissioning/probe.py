@@ -4,17 +4,13 @@ import threading
 from collections.abc import Sequence
 
 from agent.clock import monotonic_ns
+from agent.commissioning.limits import LISTEN_S, PATIENCE_S, TURN_S
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Gathering
 from agent.config import RigConfig
 from agent.errors import BusError, Fault, UsageError
 from agent.runtime.sources import Connection, connect, part
 
-LISTEN_S = 5.0
-"""How long is listened, counted from when every source has been heard."""
-PATIENCE_S = 5.0
-"""How long a source may take until its first sample."""
-TURN_S = 0.1
 OPEN_ADVICE = "see that it is connected, powered and up, and that no other program holds it"
 
 

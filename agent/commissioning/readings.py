@@ -11,21 +11,13 @@ import numpy as np
 from agent.blocks.acquisition.interface import SourceState
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.friction import dry_friction
+from agent.commissioning.limits import AHEAD, CALM, LEAST_ROWS, MOST_ROWS, ORDER, REACH
 from agent.config import RigConfig
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, simulate
 from agent.runtime.assembly.acquisition_plan import Maps, channels_of, make_acquisition
 from agent.types import Aligned, FloatArray
 from drivers.port import Counts, SampleBlock
-
-ORDER = 6
-"""Of the difference that takes out the motion and leaves the noise."""
-REACH, AHEAD = 24, 2
-"""Readings of a force that may show in one of an output, and how many of them come after it."""
-LEAST_ROWS, MOST_ROWS = 10, 50_000
-"""Rows for each number that is fitted, and of all that is gone by."""
-CALM = 0.2
-"""Of an input's rms: what differences leave beyond is no noise but the force itself."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,8 @@ from agent.numerics.inference.covariance import Cells, inverse_of
 from agent.numerics.inference.response import Response
 from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.model.uncertain import Rig, sampled
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 ComplexArray = NDArray[np.complex128]
 GREATEST = 1e60
 """What a motion may grow to within a window."""

@@ -8,13 +8,12 @@ van Trees (Detection, Estimation and Modulation Theory I, 1968, section 2.4.3).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.algebra import scales
 from agent.numerics.model.statespace import Discrete
 from agent.numerics.model.uncertain import Constant, Rig, Sampled, sampled
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 SINGULAR = 1e-14
 """Smallest eigenvalue of an information matrix of unit diagonal that still says something, of its largest."""
 

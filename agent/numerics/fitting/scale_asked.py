@@ -1,11 +1,10 @@
 """How many times too large a channel reads if the nominal model is right, roughly: a first guess for a search."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import Discrete, simulate
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 LEAST, MOST = 1e-9, 1e9
 """Factors beyond these are no channel's scale."""
 

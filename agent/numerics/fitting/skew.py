@@ -15,15 +15,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.fitting.fit import Problem, fit_window, sized
 from agent.numerics.inference.columns import window_of
 from agent.numerics.model.statespace import Hold, Model, StateSpace
 from agent.numerics.preprocessing.noise import sensor_noise
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 MOST_FITS = 8
 """Fits at most; a delay of a third of the fastest period needs five."""
 DELAY_SCALE_S = 0.01

@@ -20,9 +20,8 @@ from agent.numerics.fitting.scale_asked import factor_of_input, factor_of_output
 from agent.numerics.inference.columns import window_of
 from agent.numerics.model.statespace import Hold, Model, discretise
 from agent.numerics.preprocessing.noise import sensor_noise
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 FACTORS = (2.0, 10.0, 100.0, 1000.0, 1e6, 25.4, 39.3700787, 9.80665, 4.4482216)
 """How many times too large a reading may be, or too small: twice, prefixes, inches, kilograms and pounds of force."""
 BETTER = 2.0

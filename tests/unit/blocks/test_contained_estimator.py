@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
-from agent.blocks.estimation import BoolArray
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.window.hops import HopPlan
-from agent.types import FloatArray, Reason, Status
+from agent.types import BoolArray, FloatArray, Reason, Status
 
 PLAN = HopPlan(window=20, hop=10)
 

@@ -50,6 +50,7 @@ lint: $(VENV)/.develop
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports --no-logo
+	$(VENV)/bin/python -m tests.lint.density
 
 # Writes anew what tests/golden holds the product to; the diff shows what changed. ARGS: names of some.
 golden: $(VENV)/.develop

@@ -77,7 +77,9 @@ class SampleLabels:
         return labels
 
     def _begin(self, index: IntArray, wall: int, offset_ns: int) -> None:
-        self._anchor_ns, self._base, self._offset_ns = wall, int(index[-1]), offset_ns
+        self._anchor_ns = wall
+        self._base = int(index[-1])
+        self._offset_ns = offset_ns
         self._stretch, self._watched_from, self._least_lag = 0.0, wall, None
         self.anchors.append(Anchor(int(index[0]), int(self._at(index)[0]), offset_ns))
 

@@ -4,10 +4,10 @@ Times are integer nanoseconds since the epoch (or since a recording's own start)
 `sd`, `lower`, `upper`, `held` means "none" and never goes with status VALID.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,27 @@ CodeArray = NDArray[np.uint8]
 
 STEP_NS = 1_000_000_000
 """Settings of the wall clock that are nearer to one another are one, ns."""
+
+_Value = TypeVar("_Value")
+_Event = TypeVar("_Event")
+
+
+@dataclass(frozen=True)  # no slots: a generic class notes its parameters on what it makes
+class Output(Generic[_Value, _Event]):
+    """Result of one step of a stage: what goes on to the next stage, and what was found meanwhile, in order of time."""
+
+    values: Sequence[_Value] = ()
+    events: Sequence[_Event] = ()
+
+    @classmethod
+    def joined(cls, parts: "Iterable[Output[_Value, _Event]]") -> "Output[_Value, _Event]":
+        """Return results one after the other."""
+        values: list[_Value] = []
+        events: list[_Event] = []
+        for part in parts:
+            values += part.values
+            events += part.events
+        return cls(values, events)
 
 
 class Status(IntEnum):

@@ -6,9 +6,10 @@ It never sleeps by itself beyond the time-out of `read`, and then on an event th
 import random
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,13 @@ class LinkEvent:
     def away(self) -> bool:
         """Whether the source delivers nothing from here on."""
         return self.cause in AWAY
+
+
+class Delivery(NamedTuple):
+    """What a read brought: samples, and what happened to the source meanwhile, in order of time."""
+
+    block: SampleBlock
+    events: Sequence[LinkEvent]
 
 
 class Backoff:
@@ -107,13 +115,13 @@ class ReconnectingDriver:
         """Return the seconds until the next try to open; 0 when open or due."""
         return 0.0 if self.is_open else max(0.0, self._retry_at - self._clock())
 
-    def take_events(self) -> list[LinkEvent]:
-        """Return what happened since the last call and forget it."""
+    def read(self, timeout_s: float) -> Delivery:
+        """Return what has arrived and happened, opening the source first when that is due."""
+        block = self._read_or_lose(timeout_s)
         events, self._events = self._events, []
-        return events
+        return Delivery(block, events)
 
-    def read(self, timeout_s: float) -> SampleBlock:
-        """Return what has arrived, opening the source first when that is due; an empty block while it is lost."""
+    def _read_or_lose(self, timeout_s: float) -> SampleBlock:
         pause_s = self.retry_in_s()
         if pause_s > 0:
             clock.wait(self._stop, min(pause_s, timeout_s))

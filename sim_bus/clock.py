@@ -71,7 +71,8 @@ class PlayClock:
     def _begin(self) -> None:
         with self._lock:
             if not self.started.is_set():
-                self.start_ns, self.start_wall_ns = self.now_ns(), time.time_ns()
+                self.start_ns = self.now_ns()
+                self.start_wall_ns = time.time_ns()
                 self.started.set()
 
     def head(self) -> int:

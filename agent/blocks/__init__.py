@@ -1,1 +1,4 @@
-"""The spine: one file a processing block (ISO 13374), each with step / reset / snapshot / restore."""
+"""The stages of the pipeline (ISO 13374), one file a stage: a step takes what the stage before returned.
+
+They meet in values only. Imported by recording, runtime, commissioning and evaluation.
+"""

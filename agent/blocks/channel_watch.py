@@ -7,7 +7,7 @@ from agent.blocks.constants_watch import SOURCE
 from agent.numerics.estimator.faults import Finding
 from agent.numerics.inference.channels import Fault
 from agent.text import number
-from agent.types import HealthEvent, Reason, SensorEvent, SensorFault
+from agent.types import HealthEvent, Output, Reason, SensorEvent, SensorFault
 
 UNITS = {"force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}
 
@@ -24,18 +24,17 @@ class ChannelWatch:
     rig: str
     channels: tuple[tuple[str, str], ...]
 
-    def step(
-        self, findings: Sequence[Finding], times: Mapping[int, int]
-    ) -> tuple[list[HealthEvent], list[SensorEvent]]:
+    def step(self, findings: Sequence[Finding], times: Mapping[int, int]) -> Output[HealthEvent, SensorEvent]:
         """Take what was found, and the samples' times; return what follows from it."""
-        events, alarms = [], []
+        records: list[HealthEvent] = []
+        alarms: list[SensorEvent] = []
         for found in findings:
             name, t_ns = self.channels[found.fault.channel][0], times[found.sample]
             reason = Reason.STUCK if found.fault.kind == "stood" else Reason.SENSOR
             alarms.append(SensorEvent(SensorFault(name, reason), found.standing, found.sample, t_ns))
             if found.standing:
-                events.append(HealthEvent(self.rig, SOURCE, t_ns, found.fault.kind, self.words(found.fault)))
-        return events, alarms
+                records.append(HealthEvent(self.rig, SOURCE, t_ns, found.fault.kind, self.words(found.fault)))
+        return Output(records, alarms)
 
     def words(self, fault: Fault) -> str:
         """Return a fault as a sentence for people."""

@@ -1,11 +1,12 @@
 """Health assessment of a rig's constants: verdicts, events when one is sure, alarms when a sensor stays off."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from agent.numerics.inference.verdicts import Belief
 from agent.text import number
-from agent.types import HealthEvent, Reason, SensorEvent, SensorFault, Verdict
+from agent.types import HealthEvent, Output, Reason, SensorEvent, SensorFault, Verdict
 
 SOURCE = "model"
 SURE = 0.95
@@ -43,7 +44,7 @@ class ConstantsWatch:
 
     def step(
         self, learnt: Sequence[tuple[int, tuple[Belief, ...]]], times: Mapping[int, int]
-    ) -> tuple[list[Verdict], list[HealthEvent], list[SensorEvent]]:
+    ) -> Output[Verdict | HealthEvent, SensorEvent]:
         """Take (sample, beliefs) of windows learnt from, and the samples' times; return what follows from them."""
         verdicts: list[Verdict] = []
         events: list[HealthEvent] = []
@@ -54,7 +55,7 @@ class ConstantsWatch:
             events += [event for belief in beliefs if (event := self._said_now(belief, t_ns)) is not None]
             events += self._ties(beliefs, t_ns)
             alarms += self._alarms(beliefs, sample, t_ns)
-        return verdicts, events, alarms
+        return Output([*verdicts, *events], alarms)
 
     def _is_news(self, belief: Belief) -> bool:
         before = self._stored.get(belief.label, 0.0)
@@ -96,21 +97,28 @@ class ConstantsWatch:
 
     def _alarms(self, beliefs: Sequence[Belief], sample: int, t_ns: int) -> list[SensorEvent]:
         """A sensor whose gain stays off raises an alarm; it clears when that is no longer believed."""
-        off: dict[str, float] = {}
+        off: dict[str, float] = defaultdict(float)
         for belief in beliefs:
             if belief.name in self.channels:
-                off[belief.name] = off.get(belief.name, 0.0) + belief.probability
-        events = []
-        for channel, probability in off.items():
-            self._lasting[channel] = self._lasting.get(channel, 0) + 1 if probability >= ALARM else 0
-            raised = channel in self._alarmed
-            if not raised and self._lasting[channel] >= ALARM_WINDOWS:
-                self._alarmed.add(channel)
-                events.append(SensorEvent(SensorFault(channel, Reason.SENSOR), True, sample, t_ns))
-            elif raised and probability < DROPPED:
-                self._alarmed.discard(channel)
-                events.append(SensorEvent(SensorFault(channel, Reason.SENSOR), False, sample, t_ns))
-        return events
+                off[belief.name] += belief.probability
+        changes = {channel: self._change(channel, probability) for channel, probability in off.items()}
+        return [
+            SensorEvent(SensorFault(channel, Reason.SENSOR), standing, sample, t_ns)
+            for channel, standing in changes.items()
+            if standing is not None
+        ]
+
+    def _change(self, channel: str, probability: float) -> bool | None:
+        """Return whether a channel's alarm begins to stand or ends with a window; None where it stays as it is."""
+        self._lasting[channel] = self._lasting.get(channel, 0) + 1 if probability >= ALARM else 0
+        raised = channel in self._alarmed
+        if not raised and self._lasting[channel] >= ALARM_WINDOWS:
+            self._alarmed.add(channel)
+            return True
+        if raised and probability < DROPPED:
+            self._alarmed.discard(channel)
+            return False
+        return None
 
 
 def _cause(belief: Belief) -> str:
@@ -121,19 +129,34 @@ def _cause(belief: Belief) -> str:
 
 def words(belief: Belief, period_s: float, advice: bool = True) -> str:
     """Return a belief as a sentence for people."""
-    sure = f" (probability {belief.probability:.2f})"
-    if belief.kind == "delay":
-        late_ms, sd_ms = 1e3 * period_s * belief.size, 1e3 * period_s * belief.sd
-        text = f"the inputs act {number(late_ms, 3)} ± {number(sd_ms, 2)} ms late"
-        hint = '; state delay_s, or hold = "zero" where the command is held' if advice else ""
-        return text + sure + hint
-    larger = "larger" if belief.size > 0 else "smaller"
-    amount = f"{number(abs(100 * belief.size), 3)} ± {number(100 * belief.sd, 2)} % {larger}"
-    if belief.kind == "mass":
-        verb = "are" if belief.name.startswith("all") else "is"
-        hint = "; correct model.mass" if advice else ""
-        return f"{belief.name} {verb} {amount} than configured{sure}{hint}"
+    kind = belief.kind if belief.kind in _HINTS else "gain"
+    says = {"delay": _delay_words, "mass": _mass_words, "gain": _gain_words}[kind]
+    hint = f"; {_HINTS[kind]}" if advice else ""
+    return f"{says(belief, period_s)} (probability {belief.probability:.2f}){hint}"
+
+
+_HINTS = {
+    "delay": 'state delay_s, or hold = "zero" where the command is held',
+    "mass": "correct model.mass",
+    "gain": "calibrate the channel, or correct its scale",
+}
+
+
+def _delay_words(belief: Belief, period_s: float) -> str:
+    late_ms, sd_ms = 1e3 * period_s * belief.size, 1e3 * period_s * belief.sd
+    return f"the inputs act {number(late_ms, 3)} ± {number(sd_ms, 2)} ms late"
+
+
+def _mass_words(belief: Belief, _: float) -> str:
+    verb = "are" if belief.name.startswith("all") else "is"
+    return f"{belief.name} {verb} {_amount(belief)} than configured"
+
+
+def _gain_words(belief: Belief, _: float) -> str:
     verb = "read" if belief.name.startswith("all") else "reads"
-    moves = " and drifts" if belief.drifts else ""
-    hint = "; calibrate the channel, or correct its scale" if advice else ""
-    return f"{belief.name} {verb} {amount} than it should{moves}{sure}{hint}"
+    return f"{belief.name} {verb} {_amount(belief)} than it should{' and drifts' if belief.drifts else ''}"
+
+
+def _amount(belief: Belief) -> str:
+    larger = "larger" if belief.size > 0 else "smaller"
+    return f"{number(abs(100 * belief.size), 3)} ± {number(100 * belief.sd, 2)} % {larger}"

@@ -7,17 +7,15 @@ numbers is a fault of the program and passes on.
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.blocks.estimation import BoolArray, Method
+from agent.blocks.estimation import Method
 from agent.numerics.estimator.budget import Budget
-from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.inference.verdicts import Belief
 from agent.numerics.window.hops import HopPlan
-from agent.types import FloatArray, Reason, Status
+from agent.types import BoolArray, FloatArray, Reason, Status
 
 NUMERICAL = (ArithmeticError, ValueError)
 """What linear algebra and arithmetic raise; numpy's LinAlgError is a ValueError."""
@@ -39,7 +37,6 @@ class ContainedEstimator:
     estimator: Method = field(init=False)
     _known: str | None = None
     _spikes: int = 0
-    _failures: list[tuple[int, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.estimator = self.make(self.budget)
@@ -66,19 +63,6 @@ class ContainedEstimator:
         """Return what was learnt; None while that is nothing to rely on."""
         return self.estimator.knowledge()
 
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
-        """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
-        return self.estimator.take_beliefs()
-
-    def take_findings(self) -> list[Finding]:
-        """Return which faults of channels began or ended since the last call."""
-        return self.estimator.take_findings()
-
-    def take_failures(self) -> list[tuple[int, str]]:
-        """Return (last sample, what was raised first) of each call that failed since the last one."""
-        failures, self._failures = self._failures, []
-        return failures
-
     def step(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
         suspect: BoolArray | None = None,
@@ -88,14 +72,14 @@ class ContainedEstimator:
         try:
             return self._stepped(index, y, u, missing, suspect)
         except NUMERICAL as error:
-            self._failures.append((index + len(y) - 1, f"{type(error).__name__}: {error}"))
+            failure = (index + len(y) - 1, f"{type(error).__name__}: {error}")
             self._renew(index, before, error)
         pieces = []
         for start in range(0, len(y), self.plan.window):
             piece = slice(start, start + self.plan.window)
             doubts = (None if missing is None else missing[piece], None if suspect is None else suspect[piece])
             pieces.append(self._piece(index + start, y[piece], u[piece], *doubts))
-        return Outcome.joined(pieces, self.q)
+        return replace(Outcome.joined(pieces, self.q), failures=(failure,))
 
     def _stepped(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None, suspect: BoolArray | None

@@ -1,11 +1,10 @@
 """State detection: samples in, estimates with status, interval and held values out."""
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.blocks.recent import Recent
 from agent.numerics.estimator.faults import Finding
@@ -13,9 +12,8 @@ from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
 from agent.numerics.preprocessing.marks import Marks
 from agent.numerics.window.hops import HopPlan
-from agent.types import CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+from agent.types import BoolArray, CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
-BoolArray = NDArray[np.bool_]
 ESTIMATION, FAILURE = "estimation", "failure"
 """What a failure of the numerics is called in events, and the reason of samples that it loses."""
 MOST_STUCK = 0.05
@@ -39,14 +37,6 @@ class Method(Protocol):
 
     def hurry(self) -> None:
         """Do nothing but rows from now on: no fit, no search."""
-        ...
-
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
-        """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
-        ...
-
-    def take_findings(self) -> list[Finding]:
-        """Return which faults of channels began or ended since the last call."""
         ...
 
     def step(
@@ -91,17 +81,39 @@ class Labels:
     least: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """Result of a step of the estimation: rows, and what the method found beside them.
+
+    Attributes:
+        batch: the rows; None where no hop ended.
+        newest_ns: time of the newest row, or of the newest sample where no hop ended.
+        beliefs, findings, failures: as `Outcome` has them.
+    """
+
+    batch: EstimateBatch | None
+    newest_ns: int
+    beliefs: tuple[tuple[int, tuple[Belief, ...]], ...] = ()
+    findings: tuple[Finding, ...] = ()
+    failures: tuple[tuple[int, str], ...] = ()
+
+    def times(self, samples: Iterable[int]) -> dict[int, int]:
+        """Return when samples were taken, ns, where they end a row; the newest time of the others."""
+        known: dict[int, int] = {}
+        if self.batch is not None:
+            known = dict(zip(self.batch.index.tolist(), self.batch.t_ns.tolist(), strict=True))
+        return {sample: known.get(sample, self.newest_ns) for sample in samples}
+
+
 @dataclass(slots=True)
 class Estimation:
     """Runs a method over a rig's samples and says what each of its rows is worth.
 
-    used counts the samples that entered the method whole; failures gives (sample, what was raised) of each numerical
-    failure of the method since its last call.
+    used counts the samples that entered the method whole.
     """
 
     estimator: Method
     labels: Labels
-    failures: Callable[[], list[tuple[int, str]]] = list
     used: int = 0
     _segment: int | None = None
     _held: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -113,18 +125,22 @@ class Estimation:
 
     def __post_init__(self) -> None:
         q = len(self.labels.parameters)
-        self._held, self._held_ns = np.full(q, np.nan), np.zeros(q, dtype=np.int64)
+        self._held = np.full(q, np.nan)
+        self._held_ns = np.zeros(q, dtype=np.int64)
 
-    def step(self, samples: Samples) -> EstimateBatch | None:
-        """Take samples of one segment; return the estimates that they end, None when there are none."""
+    def step(self, samples: Samples) -> Estimated:
+        """Take samples of one segment; return the estimates that they end, and what was found meanwhile."""
         self._recent.append(samples)
         if not samples.usable:
             return self._unusable(samples)
         self._enter(samples)
         first = int(samples.index[0])
         rows = self.estimator.step(first, samples.y, samples.u, samples.missing, samples.suspect)
-        if not len(rows.index):
-            return None
+        batch = self._rows(rows, samples) if len(rows.index) else None
+        newest = samples.t_ns if batch is None else batch.t_ns
+        return Estimated(batch, int(newest[-1]), rows.beliefs, rows.findings, rows.failures)
+
+    def _rows(self, rows: Outcome, samples: Samples) -> EstimateBatch:
         batch = self._batch(rows, samples)
         oldest = int(rows.index[-1]) - self.labels.longest
         self._lost.trim(oldest)
@@ -149,16 +165,20 @@ class Estimation:
             share = np.abs(samples.u[:, -self.labels.frictions :])
             self._sticking.append(first, np.asarray((share < 1.0).any(axis=1)))
 
-    def _unusable(self, samples: Samples) -> EstimateBatch | None:
+    def _unusable(self, samples: Samples) -> Estimated:
         """Return rows without estimates for samples that nothing can be made of."""
         plan = HopPlan(self.labels.window, self.labels.hop)
         first = int(samples.index[0])
         due = plan.rows_between(first, first + len(samples.index))
         rows = Outcome.warming(due, len(self.labels.parameters))
-        return self._batch(rows, samples) if len(rows.index) else None
+        if not len(rows.index):
+            return Estimated(None, int(samples.t_ns[-1]))
+        batch = self._batch(rows, samples)
+        return Estimated(batch, int(batch.t_ns[-1]))
 
     def _batch(self, rows: Outcome, samples: Samples) -> EstimateBatch:
-        labels, t_ns = self.labels, self._recent.stamps(rows.index)
+        labels = self.labels
+        t_ns = self._recent.stamps(rows.index)
         full = rows.window.max(axis=1) > 0
         window = np.where(full, rows.window.max(axis=1), labels.window)
         lost = self._lost.count(rows.index, window)

@@ -194,7 +194,8 @@ class LevelAlarms:
 
     def _changes(self, i: int, due_on: BoolArray, due_off: BoolArray) -> Iterator[int]:
         """Yield the rows at which rule i is raised and cleared by turns."""
-        row, stands = 0, self._states[i] in _CLEARED
+        row = 0
+        stands = self._states[i] in _CLEARED
         while row < len(due_on):
             due = (due_off if stands else due_on)[row:, i]
             ahead = int(due.argmax())

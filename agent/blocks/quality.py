@@ -13,10 +13,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.blocks.sensor_labels import Piece, SensorLabels
+from agent.blocks.sensor_labels import Labelled, Piece, SensorLabels
 from agent.numerics.preprocessing.cleaning import Clean, Cleaner
 from agent.numerics.preprocessing.sensor_watch import SensorWatch
-from agent.types import FloatArray, IntArray, Samples, SensorEvent
+from agent.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,23 +64,26 @@ class Quality:
         self._t_ns: IntArray = np.zeros(0, dtype=np.int64)
         self._watched = 0
 
-    def step(self, index: IntArray, t_ns: IntArray, v: FloatArray, *, anew: bool = False) -> list[Samples]:
+    def step(self, index: IntArray, t_ns: IntArray, v: FloatArray, *, anew: bool = False) -> Labelled:
         """Take samples v (N, c), NaN where a reading is missing, with increasing numbers; return what is settled.
 
         anew: they follow on nothing that came before, however short the gap.
         """
-        pieces: list[Samples] = self._end() if anew else []
+        return Labelled.joined(self._parts(index, t_ns, v, anew=anew))
+
+    def _parts(self, index: IntArray, t_ns: IntArray, v: FloatArray, *, anew: bool) -> Iterator[Labelled]:
+        if anew:
+            yield self._end()
         edges = [0, *(np.flatnonzero(np.diff(index) > 1) + 1).tolist(), len(index)]
         for start, stop in pairwise(edges):
             if stop > start:
-                pieces += self._follow(index[start:stop], t_ns[start:stop], v[start:stop])
-        return pieces
+                yield from self._follow(index[start:stop], t_ns[start:stop], v[start:stop])
 
-    def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+    def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
         """Take samples v (N, c) of several sources that may not go together; return them, good for nothing."""
-        return [*self._end(), self._labels.unpaired(index, t_ns, v)]
+        return Labelled.joined([self._end(), self._labels.unpaired(index, t_ns, v)])
 
-    def finish(self) -> list[Samples]:
+    def finish(self) -> Labelled:
         """Return what waits for samples that will not come."""
         return self._end()
 
@@ -89,16 +92,11 @@ class Quality:
         """How many complete samples wait for what comes after them."""
         return self._cleaner.waiting()
 
-    def take_events(self) -> list[SensorEvent]:
-        """Return what was found of the channels since the last call."""
-        return self._labels.take_events()
-
-    def _follow(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+    def _follow(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Iterator[Labelled]:
         """Take consecutive samples: after a short gap with the gap filled, after a longer one as a new stretch."""
         gap = int(index[0]) - self._newest - 1
-        pieces: list[Samples] = []
         if self._open and gap > self.settings.bridge:
-            pieces = self._end()
+            yield self._end()
         elif self._open and gap > 0:
             lost = np.arange(1, gap + 1, dtype=np.int64)
             times = self._newest_ns + (int(t_ns[0]) - self._newest_ns) * lost // (gap + 1)
@@ -108,26 +106,21 @@ class Quality:
         for part, speaking in self._stretches(v):
             if speaking:
                 self._open = True
-                pieces += self._clean(index[part], t_ns[part], v[part])
+                yield self._clean(index[part], t_ns[part], v[part])
             else:
-                pieces += self._end()
-                pieces += self._labels.silence(index[part], t_ns[part], v[part])
-        return pieces
+                yield self._end()
+                yield self._labels.silence(index[part], t_ns[part], v[part])
 
     def _stretches(self, v: FloatArray) -> Iterator[tuple[slice, bool]]:
         """Cut where a channel falls silent for longer than is bridged, and where all speak again."""
         missing = np.isnan(v)
-        start = 0
-        if not self._open:
-            complete = ~missing.any(axis=1)
-            start = int(np.argmax(complete)) if complete.any() else len(v)
-            if start:
-                yield slice(0, start), False
+        start = 0 if self._open else _first_complete(missing, 0)
+        if start:
+            yield slice(0, start), False
         while (row := self._falls_silent(missing, start)) < len(v):
             if row > start:
                 yield slice(start, row), True
-            complete = ~missing[row:].any(axis=1)
-            start = row + int(np.argmax(complete)) if complete.any() else len(v)
+            start = _first_complete(missing, row)
             yield slice(row, start), False
         if start < len(v):
             yield slice(start, len(v)), True
@@ -146,16 +139,16 @@ class Quality:
         self._silent = np.zeros_like(self._silent) if late.any() else silent[-1]
         return start + row
 
-    def _clean(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+    def _clean(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
         self._index, self._t_ns = np.concatenate([self._index, index]), np.concatenate([self._t_ns, t_ns])
         clean = self._cleaner.take(v)
         self._count_spikes(clean)
         return self._label(clean)
 
-    def _end(self) -> list[Samples]:
+    def _end(self) -> Labelled:
         """End the stretch; incomplete samples at its end are left out."""
         if not self._open:
-            return []
+            return Labelled()
         self._open = False
         clean = self._cleaner.take(np.zeros((0, len(self.settings.channels))), end=True)
         complete = np.flatnonzero(~clean.missing.any(axis=1))
@@ -175,15 +168,21 @@ class Quality:
         if spikes:
             self.rejected["spike"] += spikes
 
-    def _label(self, clean: Clean) -> list[Samples]:
+    def _label(self, clean: Clean) -> Labelled:
         """Hand on clean samples with what is known of their channels."""
         count = len(clean)
         piece = Piece(self._index[:count], self._t_ns[:count], clean)
         self._index, self._t_ns = self._index[count:], self._t_ns[count:]
         findings = self._watch.take(clean.v)
-        labelled = list(self._labels.labelled(piece, findings, self._watched))
+        labelled = self._labels.labelled(piece, findings, self._watched)
         self._watched += count
-        for samples in labelled:
+        for samples in labelled.values:
             if not samples.usable and samples.fault is not None:
                 self.rejected[samples.fault.reason.name.lower()] += int(samples.complete.sum())
         return labelled
+
+
+def _first_complete(missing: NDArray[np.bool_], start: int) -> int:
+    """Return the first row from `start` on that lacks no reading; as many as rows if none."""
+    complete = ~missing[start:].any(axis=1)
+    return start + int(np.argmax(complete)) if complete.any() else len(missing)

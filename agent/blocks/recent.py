@@ -21,7 +21,8 @@ class Recent:
 
     def append(self, samples: Samples) -> None:
         """Take the current samples."""
-        count, fault = len(samples.index), samples.fault
+        count = len(samples.index)
+        fault = samples.fault
         reason = 0 if fault is None else int(fault.reason)
         self._index = np.concatenate([self._index[-KEPT:], samples.index])
         self._t_ns = np.concatenate([self._t_ns[-KEPT:], samples.t_ns])

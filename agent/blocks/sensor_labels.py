@@ -7,7 +7,10 @@ import numpy as np
 
 from agent.numerics.preprocessing.cleaning import Clean
 from agent.numerics.preprocessing.sensor_watch import Finding
-from agent.types import FloatArray, IntArray, Reason, Samples, SensorEvent, SensorFault
+from agent.types import FloatArray, IntArray, Output, Reason, Samples, SensorEvent, SensorFault
+
+Labelled = Output[Samples, SensorEvent]
+"""Samples with what is known of their channels, and what began or ended meanwhile."""
 
 REASONS = {"stuck": Reason.STUCK, "saturated": Reason.SATURATED}
 
@@ -25,7 +28,9 @@ class SensorLabels:
     """Labels one rig's samples; inputs is the number of leading channels that are inputs, window the estimator's."""
 
     def __init__(self, channels: Sequence[str], inputs: int, window: int) -> None:
-        self._channels, self._inputs, self._window = tuple(channels), inputs, window
+        self._channels = tuple(channels)
+        self._inputs = inputs
+        self._window = window
         self._segment = 1
         self._faults: dict[str, SensorFault] = {}
         self._standing: dict[str, SensorFault] = {}  # said and not taken back yet
@@ -35,18 +40,21 @@ class SensorLabels:
         self._silence: SensorFault | None = None
         self._events: list[SensorEvent] = []
 
-    def take_events(self) -> list[SensorEvent]:
-        """Return what began or ended since the last call."""
-        events, self._events = self._events, []
-        return events
-
     def new_segment(self) -> None:
         """What follows does not follow directly on what was before."""
         self._segment += 1
 
-    def labelled(self, piece: Piece, findings: Sequence[Finding], done: int) -> Iterator[Samples]:
+    def labelled(self, piece: Piece, findings: Sequence[Finding], done: int) -> Labelled:
         """Cut a piece, the first of whose samples is number `done` of its stretch, where what is known changes."""
-        start, count = 0, len(piece.index)
+        return self._with_events(list(self._cut(piece, findings, done)))
+
+    def _with_events(self, samples: Sequence[Samples]) -> Labelled:
+        events, self._events = self._events, []
+        return Labelled(samples, events)
+
+    def _cut(self, piece: Piece, findings: Sequence[Finding], done: int) -> Iterator[Samples]:
+        start = 0
+        count = len(piece.index)
         self._speaks_again(piece)
         for finding in findings:
             stop = min(max(finding.stop - done, start), count)
@@ -55,10 +63,10 @@ class SensorLabels:
             start = stop
         yield from self._even(piece, start, count)
 
-    def silence(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> list[Samples]:
+    def silence(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
         """Label samples v (N, c) while some channel does not speak; say so when that lasts as long as a window."""
         if not len(index):
-            return []
+            return Labelled()
         if not self._silent:
             self._silence = SensorFault(self._channels[int(np.argmax(np.isnan(v[0])))], Reason.NO_DATA)
         fault = self._silence
@@ -67,12 +75,14 @@ class SensorLabels:
             self._say(fault, int(index[due]), int(t_ns[due]))
         self._silent += len(index)
         m = self._inputs
-        return [Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)]
+        silent = Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)
+        return self._with_events([silent])
 
-    def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Samples:
+    def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
         """Label samples v (N, c) of sources of which it is not known how they go together: no channel is at fault."""
-        m, fault = self._inputs, SensorFault("", Reason.REALIGNING)
-        return Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)
+        m = self._inputs
+        fault = SensorFault("", Reason.REALIGNING)
+        return Labelled([Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)])
 
     def _speaks_again(self, piece: Piece) -> None:
         if self._silent and len(piece.index):

@@ -89,7 +89,9 @@ class SourceEvents:
     def _follow(self, episode: _Episode, fresh: list[Counter[str]], now_ns: int) -> None:
         over = episode.said and not episode.away and now_ns - episode.newest_ns > QUIET_NS
         if over:
-            episode.begun_ns, episode.said, episode.fresh = None, False, []
+            episode.begun_ns = None
+            episode.said = False
+            episode.fresh = []
         if not any(fresh):
             return
         episode.newest_ns = now_ns

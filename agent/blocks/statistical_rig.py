@@ -68,7 +68,8 @@ def statistical_rig(config: RigConfig) -> Rig:
     built = rig_model(config)
     q, measured = len(built.parameters), len(config.inputs)
     pushed = _pushed(config, built.model)
-    model, m = pushed.model, measured + pushed.forces
+    model = pushed.model
+    m = measured + pushed.forces
     total = _inputs(model)
     others = np.arange(m, total)
     columns = np.concatenate([np.arange(measured), others]).astype(np.int64)
@@ -92,27 +93,30 @@ def _inputs(model: Model) -> int:
 
 def _pushed(config: RigConfig, model: Model) -> _Pushed:
     """Put unknown forces beside the measured inputs, and masses that are constants behind the parameters."""
-    sensed = model if isinstance(model, SensedModel) else None
-    inner = sensed.model if sensed is not None else model
-    if isinstance(inner, MassSpringDamper):
-        nodes = inner.structure.masses
-        forced = tuple(m.name for m in nodes if m.value > 0) or tuple(m.name for m in nodes)
-        masses = _uncertain_masses(config, inner)
-        forced = () if _is_white(config) else forced
-        whole: Model = replace(inner, parameters=(*inner.parameters, *masses), forces=(*inner.forces, *forced))
-        count, weighing = len(forced), tuple(m.name for m in nodes if m.value > 0 and m.name in forced)
-    elif isinstance(inner, AffineModel):
-        whole, count, masses = _with_state_forces(inner), len(inner.state_names), ()
-        weighing = ()
-    else:
-        raise TypeError(f"no statistical model of a {type(inner).__name__}")
-    if sensed is None:
-        return _Pushed(whole, count, masses, weighing)
-    physical, constants = len(inner.parameters), len(sensed.nuisances)
-    order = np.concatenate(
-        [np.arange(physical), physical + len(masses) + np.arange(constants), physical + np.arange(len(masses))]
-    )
-    return _Pushed(Reordered(SensedModel(whole, sensed.nuisances), order.astype(np.int64)), count, masses, weighing)
+    if not isinstance(model, SensedModel):
+        return _pushed_alone(config, model)
+    inner = model.model
+    pushed = _pushed_alone(config, inner)
+    physical, constants, masses = len(inner.parameters), len(model.nuisances), len(pushed.masses)
+    first = np.arange(physical)
+    order = np.concatenate([first, physical + masses + np.arange(constants), physical + np.arange(masses)])
+    sensed = SensedModel(pushed.model, model.nuisances)
+    return replace(pushed, model=Reordered(sensed, order.astype(np.int64)))
+
+
+def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
+    """Put unknown forces and masses into a model without constants of sensors."""
+    if isinstance(model, AffineModel):
+        return _Pushed(_with_state_forces(model), len(model.state_names), (), ())
+    if not isinstance(model, MassSpringDamper):
+        raise TypeError(f"no statistical model of a {type(model).__name__}")
+    weighing = tuple(m.name for m in model.structure.masses if m.value > 0)
+    forced = weighing or tuple(m.name for m in model.structure.masses)
+    if _is_white(config):
+        forced, weighing = (), ()
+    masses = _uncertain_masses(config, model)
+    whole = replace(model, parameters=(*model.parameters, *masses), forces=(*model.forces, *forced))
+    return _Pushed(whole, len(forced), masses, weighing)
 
 
 def _uncertain_masses(config: RigConfig, model: MassSpringDamper) -> tuple[str, ...]:
@@ -125,7 +129,8 @@ def _uncertain_masses(config: RigConfig, model: MassSpringDamper) -> tuple[str, 
 
 def _with_state_forces(model: AffineModel) -> AffineModel:
     """Let anything act on each state."""
-    at, n = model.at_nominal, len(model.state_names)
+    at = model.at_nominal
+    n = len(model.state_names)
     no_slope, no_reading = np.zeros((at.q, n, n)), np.zeros((at.q, at.p, n))
     pushed = replace(
         at, B=np.hstack([at.B, np.eye(n)]), D=np.hstack([at.D, np.zeros((at.p, n))]),

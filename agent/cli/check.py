@@ -1,5 +1,6 @@
 """What `deltak check` says to people, from its document."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,19 +14,20 @@ Document = Mapping[str, Any]
 
 def print_check(document: Document) -> None:
     """Print observability, poles, conditions, the sd to expect, warnings; what the document lacks is left out."""
-    if document.get("ok"):
+    given = defaultdict(list[Any], {key: value for key, value in document.items() if value is not None})
+    if given["ok"]:
         show("the configuration is usable")
-    for warning in document.get("warnings") or []:
+    for warning in given["warnings"]:
         show(f"warning: {warning if isinstance(warning, str) else _fault(warning)}")
-    if document.get("observable") is not None:
-        show(f"states are {'' if document['observable'] else 'not '}observable from the channels")
-    _print_poles(document.get("poles") or [])
+    if "observable" in given:
+        show(f"states are {'' if given['observable'] else 'not '}observable from the channels")
+    _print_poles(given["poles"])
     _print_conditions(document)
     _print_box(document.get("box_margin"))
     _print_recording(document.get("recording"), "the recording")
     _print_recording(document.get("probe"), "the probe")
-    _print_predicted(document.get("predicted_sd") or [])
-    if document.get("bytes_per_rig_year"):
+    _print_predicted(given["predicted_sd"])
+    if given["bytes_per_rig_year"]:
         show(f"the database grows by about {document['bytes_per_rig_year'] / 1e6:.0f} MB a year")
 
 

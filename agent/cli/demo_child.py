@@ -9,7 +9,7 @@ import signal
 import sys
 from typing import NoReturn
 
-from agent.__main__ import main
+from agent.cli.entry import main
 
 _PR_SET_PDEATHSIG = 1
 

@@ -94,10 +94,12 @@ def _sources(plugin: EntryPoint) -> Iterator[Path]:
         spec = find_spec(top)
     except (ImportError, ValueError):
         return
-    for folder in (spec.submodule_search_locations if spec else None) or []:
+    if spec is None:
+        return
+    for folder in spec.submodule_search_locations or []:
         yield Path(folder, *rest).with_suffix(".py") if rest else Path(folder, "__init__.py")
         yield Path(folder, *rest, "__init__.py")
-    if spec is not None and spec.origin is not None and not rest:
+    if spec.origin is not None and not rest:
         yield Path(spec.origin)
 
 

@@ -39,7 +39,8 @@ class OncePerPeriod(logging.Filter):
             self._shown.clear()
         self._shown[key] = (now, 0)
         if held:
-            record.msg, record.args = f"{record.getMessage()} ({held} more since the last line)", None
+            record.msg = f"{record.getMessage()} ({held} more since the last line)"
+            record.args = None
         return True
 
 

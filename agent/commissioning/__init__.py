@@ -1,1 +1,4 @@
-"""Commissioning: what a configuration can and cannot do, and what its channels show. Nothing is stored."""
+"""Commissioning: what a configuration can and cannot do, and what its channels show; nothing is stored.
+
+Imported by the command line.
+"""

@@ -6,21 +6,13 @@ from math import inf, isfinite, pi
 import numpy as np
 
 from agent.blocks.rig_model import RigModel
+from agent.commissioning.limits import FEW_A_PERIOD, FEWER_A_PERIOD, LIVELY, MARGINAL
 from agent.commissioning.prediction import Prediction, sampled, windows
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.config.units import near_miss
 from agent.errors import Fault
 from agent.runtime.sources import source_hints, unordered_sources
-
-MARGINAL = 1e-9
-"""A pole this near the unit circle neither decays nor grows."""
-FEW_A_PERIOD = 20
-"""Samples a period below which a straight line between samples is not what a force did."""
-FEWER_A_PERIOD = 8
-"""Samples a period below which a cubic is not either."""
-LIVELY = 1e-3
-"""Damping ratio above which a mode that oscillates counts as one with a period worth a window."""
 
 
 def warnings(
@@ -59,7 +51,9 @@ def _modes(rig: RigModel) -> list[complex]:
 def _windows(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     rate = config.rig.sample_rate_hz
     frequencies = [pole.imag / (2 * pi) for pole in _modes(rig)]
-    shortest, slowest, fastest = windows(config)[0] / rate, min(frequencies, default=inf), max(frequencies, default=0.0)
+    shortest = windows(config)[0] / rate
+    slowest = min(frequencies, default=inf)
+    fastest = max(frequencies, default=0.0)
     if shortest * slowest < 1:
         what = f"{shortest:g} s is shorter than a period of the slowest mode, {1 / slowest:.3g} s"
         yield Fault("estimator.window_s", what, "a longer window tells far more of the parameters behind that mode")
@@ -109,7 +103,8 @@ def _delays(config: RigConfig) -> Iterator[Fault]:
 
 
 def _observer(config: RigConfig) -> Iterator[Fault]:
-    gain, denies_forces = config.estimator.observer.gain, config.estimator.observer.process_sd == 0
+    gain = config.estimator.observer.gain
+    denies_forces = config.estimator.observer.process_sd == 0
     if config.estimator.method == "window-ml" and gain != "auto" and not denies_forces:
         what = f'gain = "{gain}" changes nothing: with method = "window-ml" the estimates are the same under every gain'
         yield Fault("estimator.observer", what, 'remove it, or take method = "seed", which is made of it')

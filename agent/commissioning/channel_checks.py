@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from agent.commissioning.limits import LEVELS
 from agent.config import RigConfig
 from agent.numerics.fitting.constants_asked import STILL
 from agent.numerics.preprocessing.noise import ROUND_OFF, sensor_noise
-from agent.runtime.acquisition_plan import channels_of
+from agent.runtime.assembly.acquisition_plan import channels_of
 from agent.text import number
 from agent.types import FloatArray
-
-LEVELS = 10
-"""Different readings that two channels must show: coarse ones may well agree on fewer."""
 
 
 def plain_findings(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
@@ -45,7 +43,8 @@ def _still(config: RigConfig, v: FloatArray) -> Iterator[dict[str, Any]]:
 
 def _same(config: RigConfig, v: FloatArray) -> Iterator[dict[str, Any]]:
     """Yield pairs that read the same to the last digit; two inputs may well be commanded alike."""
-    inputs, channels = len(config.inputs), channels_of(config)
+    inputs = len(config.inputs)
+    channels = channels_of(config)
     for first, second in combinations(range(len(channels)), 2):
         if second >= inputs and np.array_equal(v[:, first], v[:, second]) and len(np.unique(v[:, first])) >= LEVELS:
             names = [channels[first].name, channels[second].name]

@@ -19,8 +19,8 @@ from agent.numerics.model.margins import condition_3, condition_8, worst_perturb
 from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import Discrete, discretise
-from agent.runtime.model_check import hidden_states, model_faults
-from agent.runtime.number_checks import attempted
+from agent.runtime.assembly.model_check import hidden_states, model_faults
+from agent.runtime.assembly.number_checks import attempted
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import wire_steps
 from agent.storage.write.retention import Retention, bytes_per_rig_year
@@ -112,10 +112,12 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
     """What only a model without faults has: observer, conditions, the sd to expect, warnings."""
     discrete = sampled(config, rig)
     stated = known_noise(config, resolution)
-    sigma, gains = np.where(np.isfinite(stated), stated, 1.0), observer_gains(config, rig, hop_plan(config).window)
+    sigma = np.where(np.isfinite(stated), stated, 1.0)
+    gains = observer_gains(config, rig, hop_plan(config).window)
     noise = Noise(sigma, np.zeros(rig.disturbance.shape[1]))
     gain, start = gains.settled(discrete, noise).L, gains.start(discrete, noise).L
-    recorded, failed = gathered.recorded, list[Fault]()
+    recorded = gathered.recorded
+    failed = list[Fault]()
 
     def tried(what: str, work: Callable[[], T]) -> T | None:
         return attempted(work, what, "model", failed)
@@ -146,7 +148,8 @@ def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: Flo
     """Evaluate (8) for parameters anywhere within their alarm limits; None where these are too many."""
     if np.count_nonzero(rig.limits) > MOST_PARAMETERS:
         return None
-    period_s, hold = 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold)
+    period_s = 1.0 / config.rig.sample_rate_hz
+    hold = straight(config.estimator.hold)
     continuous = [rig.model.continuous(corner) for corner in vertices(rig.model, rig.limits)]
     corners = [discretise(corner, period_s, hold).model for corner in continuous]
     size = worst_perturbation_norm(discrete.model, corners, gain)

@@ -5,17 +5,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from agent.commissioning.limits import DRIFTS_PPM, LISTEN_S, OFF_RATE
 from agent.commissioning.misassignment import findings, warnings_of
-from agent.commissioning.probe import LISTEN_S, listen
+from agent.commissioning.probe import listen
 from agent.commissioning.progress import Progress, silent
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import read_recording
 from agent.config import RigConfig
 from agent.errors import Fault
-
-OFF_RATE = 0.02
-"""Share by which samples may come faster or slower than configured."""
-DRIFTS_PPM = 200.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +50,8 @@ class Evidence:
 
     def _probed(self, config: RigConfig) -> Gathered:
         gathering = listen(config, self.progress)
-        recorded, sources = gathering.recorded("the probe"), gathering.sources()
+        recorded = gathering.recorded("the probe")
+        sources = gathering.sources()
         warned = list(_sources(config, sources))
         if recorded is None:
             came = any(source["received"] for source in sources)
@@ -74,7 +72,9 @@ def _sources(config: RigConfig, sources: Sequence[dict[str, Any]]) -> Iterator[F
     """Warn of sources that are silent, faster or slower than configured, or whose clock drifts."""
     places = {source.name: number for number, source in enumerate(config.source)}
     for source in sources:
-        place, rate, nominal = f"source[{places[source['name']]}]", source["rate_hz"], source["nominal_hz"]
+        place = f"source[{places[source['name']]}]"
+        rate = source["rate_hz"]
+        nominal = source["nominal_hz"]
         if rate is None and source["rejected"]:
             yield _refused(place, source)
         elif rate is None:

@@ -8,19 +8,17 @@ import numpy as np
 from agent.blocks.rig_model import known_noise, rig_model, scale_columns
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.channel_checks import plain_findings, suspicion
+from agent.commissioning.limits import PLAINER, STRETCHES
 from agent.config import RigConfig
 from agent.config.tables import Channel
 from agent.errors import Fault
 from agent.numerics.fitting.constants_asked import Asked, ConstantsAsked
 from agent.numerics.fitting.wiring import Examiner, Finding, Hypothesis
 from agent.numerics.model.holds import straight
-from agent.runtime.acquisition_plan import channels_of, complete_inputs, stretch_samples
+from agent.runtime.assembly.acquisition_plan import channels_of, complete_inputs, stretch_samples
 from agent.text import number
 from agent.types import FloatArray
 
-STRETCHES = 2
-PLAINER = 2.0
-"""A zero, a scale or a delay must leave less than this part of what mended wires or signs leave."""
 ELASTIC = ("spring", "damper", "friction", "linear")
 Progress = Callable[[str], None]
 
@@ -60,7 +58,8 @@ def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
     before, found = asked.find(v)
     if not found:
         return []
-    first, channels = found[0], channels_of(config)
+    first = found[0]
+    channels = channels_of(config)
     said = "; or ".join(_asked_words(one, channels[one.channel], one.channel < examiner.inputs) for one in found)
     factor = first.size if first.kind == "scale" else None
     row = suspicion(first.kind, [channels[first.channel].name], said, factor)
@@ -90,7 +89,8 @@ def _asked_words(asked: Asked, channel: Channel, drives: bool) -> str:
 
 
 def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examiner:
-    rig, resolution = rig_model(config), np.zeros(len(config.outputs))
+    rig = rig_model(config)
+    resolution = np.zeros(len(config.outputs))
     nominal = rig.model.nominal
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
     return Examiner(
@@ -105,7 +105,8 @@ def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examin
 
 def _liveliest(config: RigConfig, v: FloatArray, pieces: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Return the stretches in which the outputs move most, at most two."""
-    length, inputs = stretch_samples(config)[1], len(config.inputs)
+    length = stretch_samples(config)[1]
+    inputs = len(config.inputs)
     size = np.maximum(v[:, inputs:].std(axis=0), 1e-300)
     found = [(a, a + length) for first, end in pieces for a in range(first, end - length + 1, length)]
     if not found:

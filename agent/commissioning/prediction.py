@@ -9,6 +9,7 @@ import numpy as np
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, output_noise
 from agent.blocks.statistical_rig import statistical_rig
+from agent.commissioning.limits import DECAY_FROM, FORCE_RMS, GUESSED_NOISE, MOST_GROWN, SETTLE_MOST, SPAN_MOST
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.numerics.fitting.fit import GREATEST
@@ -18,17 +19,6 @@ from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, discretise, simulate
 from agent.numerics.model.uncertain import Rig
 from agent.types import FloatArray
-
-FORCE_RMS = 1.0
-"""N (or the input's own unit): what is assumed where no recording says how the rig is excited."""
-MOST_GROWN = 1e12
-"""A model whose motion grows so many times within a window is no prediction's business."""
-DECAY_FROM = 0.01
-"""m (or the state's own unit): where a rig without a measured force is let go."""
-GUESSED_NOISE = 1e-3
-"""Of an output's rms, where nothing is known of its noise."""
-SETTLE_MOST = 50_000
-SPAN_MOST = 40_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +193,8 @@ def _noise(
 ) -> tuple[FloatArray, str]:
     """Return sigma (p,) and how it was come by, the same words for all outputs that share a way."""
     stated, floor = output_noise(config, resolution)
-    sigma, ways = stated.copy(), {}
+    sigma = stated.copy()
+    ways = {}
     for r in np.flatnonzero(~np.isfinite(stated)):
         seen = recorded.noise[r] if recorded is not None else 0.0
         sigma[r], ways[config.outputs[r].name] = _guess(float(seen), float(floor[r]), float(excitation.rms[r]))

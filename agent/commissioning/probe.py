@@ -4,17 +4,13 @@ import threading
 from collections.abc import Sequence
 
 from agent.clock import monotonic_ns
+from agent.commissioning.limits import LISTEN_S, PATIENCE_S, TURN_S
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Gathering
 from agent.config import RigConfig
 from agent.errors import BusError, Fault, UsageError
 from agent.runtime.sources import Connection, connect, part
 
-LISTEN_S = 5.0
-"""How long is listened, counted from when every source has been heard."""
-PATIENCE_S = 5.0
-"""How long a source may take until its first sample."""
-TURN_S = 0.1
 OPEN_ADVICE = "see that it is connected, powered and up, and that no other program holds it"
 
 
@@ -44,7 +40,8 @@ def _listen(
     gathering: Gathering, connections: Sequence[Connection], wake: threading.Event, progress: Progress, listen_s: float
 ) -> None:
     """Hand on what arrives until every source has been heard for listen_s, or one stays away."""
-    started, received = monotonic_ns(), set[str]()
+    started = monotonic_ns()
+    received = set[str]()
     until = started + round((PATIENCE_S + listen_s) * 1e9)
     complete = False
     while (now := monotonic_ns()) < until:
@@ -53,7 +50,8 @@ def _listen(
         wake.clear()
         _turn(gathering, connections, received)
         if not complete and len(received) == len(gathering.counts):
-            complete, until = True, monotonic_ns() + round(listen_s * 1e9)
+            complete = True
+            until = monotonic_ns() + round(listen_s * 1e9)
 
 
 def _turn(gathering: Gathering, connections: Sequence[Connection], received: set[str]) -> None:

@@ -1,6 +1,7 @@
 """Readings gathered for commissioning, from a recording or from the sources themselves, and what each channel shows."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
 from typing import Any
@@ -10,21 +11,13 @@ import numpy as np
 from agent.blocks.acquisition.interface import SourceState
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.friction import dry_friction
+from agent.commissioning.limits import AHEAD, CALM, LEAST_ROWS, MOST_ROWS, ORDER, REACH
 from agent.config import RigConfig
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, simulate
-from agent.runtime.acquisition_plan import Maps, channels_of, make_acquisition
+from agent.runtime.assembly.acquisition_plan import Maps, channels_of, make_acquisition
 from agent.types import Aligned, FloatArray
 from drivers.port import Counts, SampleBlock
-
-ORDER = 6
-"""Of the difference that takes out the motion and leaves the noise."""
-REACH, AHEAD = 24, 2
-"""Readings of a force that may show in one of an output, and how many of them come after it."""
-LEAST_ROWS, MOST_ROWS = 10, 50_000
-"""Rows for each number that is fitted, and of all that is gone by."""
-CALM = 0.2
-"""Of an input's rms: what differences leave beyond is no noise but the force itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +78,7 @@ class Gathering:
             return
         for column, channel in enumerate(self._maps[source]):
             self._missing[channel] += int((~np.isfinite(block.values[:, column])).sum())
-        self._aligned += _paired(self.acquisition.step(source, block, modulus))
+        self._aligned += _paired(self.acquisition.step(source, block, modulus).values)
         if block.wall_offset_ns is not None:
             self._received(self.acquisition.sources[source], block.arrival_ns)
 
@@ -97,7 +90,7 @@ class Gathering:
 
     def finish(self) -> None:
         """Take what waits for samples that will not come."""
-        self._aligned += _paired(self.acquisition.finish())
+        self._aligned += _paired(self.acquisition.finish().values)
 
     def recorded(self, name: str) -> Recorded | None:
         """Return what came, in SI units; None where no sample has every channel."""
@@ -169,7 +162,7 @@ class Gathering:
         }  # fmt: skip
 
 
-def _paired(pieces: list[Aligned]) -> list[Aligned]:
+def _paired(pieces: Sequence[Aligned]) -> list[Aligned]:
     """Leave out what may not go together, after a device of several began to count anew."""
     return [piece for piece in pieces if not piece.realigning]
 

@@ -17,13 +17,15 @@ def read_recording(config: RigConfig, path: Path) -> Recorded:
     """Read a recording as `replay` would. Raises RecordingError where nothing in it can be used."""
     driver = opened(config, path)
     names = {channel.name: channel.name for channel in (*config.inputs, *config.outputs)}
-    gathering, evidence = Gathering(config, {SOURCE: names}), Evidence(config.rig.sample_rate_hz)
+    gathering = Gathering(config, {SOURCE: names})
+    evidence = Evidence(config.rig.sample_rate_hz)
     try:
         _read_all(gathering, driver, evidence)
     finally:
         driver.close()
     recorded = gathering.recorded(path.name)
-    evidence.notes, evidence.estimates = driver.take_notes(), recorded is not None
+    evidence.notes = driver.take_notes()
+    evidence.estimates = recorded is not None
     for fault in assess(config, str(path), evidence, driver.counts, gathering.acquisition.sources[SOURCE].refusals()):
         log.warning("%s", fault)
     if recorded is None:

@@ -5,7 +5,6 @@
     toml_file -> parse (tables.py, fields.py, units.py) -> rules_* (what must hold between values) -> RigConfig
 """
 
-from agent.config.learnt_key import learnt_key
 from agent.config.load import load, load_many, parse
 from agent.config.plugins import driver_class, driver_entries
 from agent.config.tables import (
@@ -24,6 +23,7 @@ from agent.config.tables import (
     RigConfig,
     Source,
     Store,
+    learnt_key,
 )
 
 __all__ = [

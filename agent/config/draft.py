@@ -82,8 +82,9 @@ class Draft:
     @property
     def states(self) -> int | None:
         """How many states the model has, where that can be told."""
+        count = 0
         if isinstance(self.model, LinearModel):
-            return len(self.model.A or ()) or None
-        if not isinstance(self.model, MechanicsModel) or not readable(*(mass.value for mass in self.model.mass)):
-            return None
-        return sum(2 if mass.value > 0 else 1 for mass in self.model.mass) or None
+            count = len(self.model.A or ())
+        elif isinstance(self.model, MechanicsModel) and readable(*(mass.value for mass in self.model.mass)):
+            count = sum(2 if mass.value > 0 else 1 for mass in self.model.mass)
+        return count or None

@@ -27,13 +27,19 @@ def shown(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        text = value.encode("unicode_escape").decode("ascii") if not value.isprintable() else value
-        return f'"{text[:40]}..."' if len(text) > 43 else f'"{text}"'
-    if isinstance(value, (dict, list)):
-        return "a table" if isinstance(value, dict) else "a list"
+        return _quoted(value)
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list):
+        return "a list"
     if isinstance(value, int) and value.bit_length() > 64:
         return "a number of more than 64 bits"
     return str(value)
+
+
+def _quoted(value: str) -> str:
+    text = value if value.isprintable() else value.encode("unicode_escape").decode("ascii")
+    return f'"{text[:40]}..."' if len(text) > 43 else f'"{text}"'
 
 
 def _is_number(value: object) -> bool:
@@ -81,9 +87,11 @@ def _skew(value: object) -> float | Literal["auto"]:
 def _intensities(value: object) -> float | tuple[float, ...]:
     wanted = "a number or a list with one number a mass"
     if not isinstance(value, list):
-        return 0.0 if _is_number(value) and value == 0 else _positive(value, wanted)
+        is_zero = _is_number(value) and value == 0
+        return 0.0 if is_zero else _positive(value, wanted)
     numbers = tuple(_as_float(item) if _is_number(item) else math.nan for item in value)
-    if not numbers or not all(math.isfinite(number) and number >= 0 for number in numbers):
+    are_good = all(0 <= number < math.inf for number in numbers)
+    if not numbers or not are_good:
         raise ValueError(f"must be {wanted}, none negative")
     return tuple(within_reach(number) for number in numbers)
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 from agent.config.draft import Draft
 from agent.config.fields import shown
 from agent.config.messages import join, listing, nearest
-from agent.config.parse import read_list, read_table
+from agent.config.parse import Faults, read_list, read_table
 from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator
@@ -108,20 +108,12 @@ def _conflicts(configs: list[RigConfig]) -> list[Fault]:
 
 def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     faults = draft.faults
-    for key in raw:
-        if key in RESERVED:
-            faults.add(key, "is not in this version", "remove the table")
-        elif key not in TABLES:
-            faults.add(
-                join("", key),
-                "unknown table",
-                f'the nearest known one is "{nearest(key, TABLES)}" of {listing(TABLES)}',
-            )
+    _check_names(raw, faults)
     check_no_plain_secrets(raw, "", faults)
     raw = _without_later(raw, draft)
-    for key in ("rig", "model", "channel"):
+    for key, table in (("rig", "[rig]"), ("model", "[model]"), ("channel", "[[channel]]")):
         if key not in raw:
-            faults.add(key, "is missing", f"add [[{key}]]" if key == "channel" else f"add [{key}]")
+            faults.add(key, "is missing", f"add {table}")
     if "rig" in raw:
         draft.rig = read_table(Rig, raw["rig"], "rig", faults)
     if "model" in raw:
@@ -132,6 +124,16 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.sources = read_sources(raw.get("source", []), faults)
     draft.store = read_table(Store, raw.get("store", {}), "store", faults)
     _read_columns(raw.get("columns", {}), draft)
+
+
+def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
+    """Note the tables that do not exist, or not in this version."""
+    for key in raw:
+        if key in RESERVED:
+            faults.add(key, "is not in this version", "remove the table")
+        elif key not in TABLES:
+            known = f'the nearest known one is "{nearest(key, TABLES)}" of {listing(TABLES)}'
+            faults.add(join("", key), "unknown table", known)
 
 
 def _without_later(raw: Mapping[str, Any], draft: Draft) -> dict[str, Any]:
@@ -154,11 +156,16 @@ def _cleared(row: Any, key: str, values: tuple[str, ...], path: str, draft: Draf
 
 
 def _read_model(raw: object, draft: Draft) -> None:
-    kind = raw.get("kind", "mass-spring-damper") if isinstance(raw, dict) else "mass-spring-damper"
-    if not (isinstance(kind, str) and kind in _KINDS):
+    mechanical = "mass-spring-damper"
+    if not isinstance(raw, dict):
+        draft.model = read_table(_KINDS[mechanical], raw, "model", draft.faults)
+        return
+    kind = raw.get("kind", mechanical)
+    is_known = isinstance(kind, str) and kind in _KINDS
+    if not is_known:
         draft.faults.add("model.kind", f"{shown(kind)} is none of {listing(map(shown, _KINDS))}", "choose one")
-        kind = "linear" if isinstance(raw, dict) and "A" in raw else "mass-spring-damper"
-        raw = {**raw, "kind": kind} if isinstance(raw, dict) else raw
+        kind = "linear" if "A" in raw else mechanical
+        raw = {**raw, "kind": kind}
     draft.model = read_table(_KINDS[kind], raw, "model", draft.faults)
 
 

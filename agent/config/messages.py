@@ -98,19 +98,28 @@ def _within(raw: object, detail: ErrorDetails) -> list[str | int]:
     """Keep of pydantic's location what exists in the file; it also names validators and branches of choices."""
     kept: list[str | int] = []
     for part in detail["loc"]:
-        if isinstance(raw, dict) and part in raw:
+        is_key = isinstance(raw, dict) and part in raw
+        is_place = isinstance(raw, (list, tuple)) and isinstance(part, int)
+        if is_key or is_place:
             kept.append(part)
-            raw = raw[part]
-        elif isinstance(raw, (list, tuple)) and isinstance(part, int):
-            kept.append(part)
-            raw = raw[part] if part < len(raw) else None
+            raw = _item(raw, part)
     if detail["type"] == "missing" and kept != list(detail["loc"]):
         kept.append(detail["loc"][-1])
     return kept
 
 
+def _item(raw: Any, part: str | int) -> object:
+    """Return what stands at a key or a place; None behind the end of a list."""
+    try:
+        found: object = raw[part]
+    except IndexError:
+        return None
+    return found
+
+
 def _fault(where: str, detail: ErrorDetails, known: Sequence[str]) -> Fault:
-    kind, context = detail["type"], dict(detail.get("ctx", {}))
+    kind = detail["type"]
+    context = dict(detail.get("ctx", {}))
     if kind == "extra_forbidden":
         path, _, key = where.rpartition(".")
         return unknown_key(path, key or where, known)

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from agent.config.draft import Draft
 from agent.config.fields import shown
@@ -47,22 +47,31 @@ def _check_names(draft: Draft) -> None:
 
 def _check_seed(draft: Draft) -> None:
     """Note what the paper's method cannot do: it needs a fast observer, one window, and exact sensors."""
-    estimator, faults, other = draft.estimator, draft.faults, 'method = "window-ml" does it'
+    estimator, faults = draft.estimator, draft.faults
     if readable(estimator.observer, estimator.observer.gain) and estimator.observer.gain != "poles":
         what = f'method = "seed" needs an observer given by its poles, not gain = {shown(estimator.observer.gain)}'
         count = f"{draft.states} poles" if draft.states else "one pole a state"
         advice = f"give {count} two to six times as fast as the rig's own"
         faults.add("estimator.observer", what, f'{advice}: {{ gain = "poles", poles = [...] }}')
     if readable(estimator.window_s) and not isinstance(estimator.window_s, float):
-        faults.add("estimator.window_s", 'method = "seed" has one window', f"give one number; {other}")
-    for path, channel in draft.channels:
-        for key in ("bias", "gain"):
-            if getattr(channel, key):
-                faults.add(f"{path}.{key}", f'method = "seed" estimates no {key} of a sensor', f"remove it; {other}")
-    for i, name in enumerate(estimator.estimate or ()):
-        if name in draft.parameters and draft.parameters[name].kind in ("bias", "gain"):
+        faults.add("estimator.window_s", 'method = "seed" has one window', f"give one number; {_OTHER_METHOD}")
+    _check_exact_sensors(draft)
+
+
+_OTHER_METHOD = 'method = "window-ml" does it'
+
+
+def _check_exact_sensors(draft: Draft) -> None:
+    """Note constants of sensors that the paper's method is asked for."""
+    advice = f"remove it; {_OTHER_METHOD}"
+    asked = ((path, key) for path, channel in draft.channels for key in ("bias", "gain") if getattr(channel, key))
+    for path, key in asked:
+        draft.faults.add(f"{path}.{key}", f'method = "seed" estimates no {key} of a sensor', advice)
+    for i, name in enumerate(draft.estimator.estimate or ()):
+        parameter = draft.parameters.get(name)
+        if parameter is not None and parameter.kind in ("bias", "gain"):
             what = f'method = "seed" estimates no constant of a sensor such as {shown(name)}'
-            faults.add(f"estimator.estimate[{i}]", what, f"remove it; {other}")
+            draft.faults.add(f"estimator.estimate[{i}]", what, advice)
 
 
 def _check_drift(draft: Draft) -> None:
@@ -85,21 +94,26 @@ def _check_observer(draft: Draft) -> None:
         return
     _check_belongs(path, "poles", "poles", observer, faults)
     _check_belongs(path, "process_sd", "kalman", observer, faults)
-    for i, pole in enumerate(observer.poles or ()):
-        if pole >= 0:
-            faults.add(
-                f"{path}.poles[{i}]", f"must be negative, not {shown(pole)}", "poles are in 1/s, stable ones below 0"
-            )
-    if observer.poles and draft.states and len(observer.poles) != draft.states:
-        what = f"has {len(observer.poles)} poles for {draft.states} states"
-        faults.add(f"{path}.poles", what, "give one pole a state")
-    pole, times = max(Counter(observer.poles or ()).items(), key=lambda found: found[1], default=(0.0, 0))
-    if draft.outputs and times > (most := len(draft.outputs)):
-        what = f"{pole:g} stands there {times} times; a pole can be placed once an output, {most} times here"
-        faults.add(f"{path}.poles", what, "move the rest apart")
+    _check_poles(f"{path}.poles", observer.poles or (), draft)
     masses = _pushed(draft.model) if isinstance(draft.model, MechanicsModel) else draft.states
-    if isinstance(observer.process_sd, tuple) and masses and len(observer.process_sd) != masses:
-        faults.add(f"{path}.process_sd", f"has {len(observer.process_sd)} numbers for {masses}", "give one a mass")
+    given = len(observer.process_sd) if isinstance(observer.process_sd, tuple) else masses
+    if masses and given != masses:
+        faults.add(f"{path}.process_sd", f"has {given} numbers for {masses}", "give one a mass")
+
+
+def _check_poles(path: str, poles: Sequence[float], draft: Draft) -> None:
+    for i, pole in enumerate(poles):
+        if pole >= 0:
+            what = f"must be negative, not {shown(pole)}"
+            draft.faults.add(f"{path}[{i}]", what, "poles are in 1/s, stable ones below 0")
+    states = draft.states or len(poles)
+    if poles and len(poles) != states:
+        draft.faults.add(path, f"has {len(poles)} poles for {states} states", "give one pole a state")
+    pole, times = max(Counter(poles).items(), key=lambda found: found[1], default=(0.0, 0))
+    most = len(draft.outputs)
+    if most and times > most:
+        what = f"{pole:g} stands there {times} times; a pole can be placed once an output, {most} times here"
+        draft.faults.add(path, what, "move the rest apart")
 
 
 def _pushed(model: MechanicsModel) -> int:
@@ -196,9 +210,14 @@ def _check_limit(path: str, alarm: Alarm, draft: Draft) -> None:
         draft.faults.add(path, what, "give exactly one of limit and limit_percent")
         return
     parameter = draft.parameters.get(alarm.parameter)
-    if alarm.limit_percent is not None and parameter and parameter.nominal == 0:
+    nominal_is_zero = parameter is not None and parameter.nominal == 0
+    if alarm.limit_percent is not None and nominal_is_zero:
         what = f"a share of the nominal of {shown(alarm.parameter)}, which is 0"
         draft.faults.add(f"{path}.limit_percent", what, "give limit in the parameter's unit")
+    _check_deadband(f"{path}.deadband", alarm, draft)
+
+
+def _check_deadband(path: str, alarm: Alarm, draft: Draft) -> None:
     if alarm.limit is not None and alarm.deadband is not None and alarm.deadband >= alarm.limit:
         what = f"{alarm.deadband:g} leaves nothing of the limit {alarm.limit:g}: the alarm would never clear"
-        draft.faults.add(f"{path}.deadband", what, "give less than the limit")
+        draft.faults.add(path, what, "give less than the limit")

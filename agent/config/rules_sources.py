@@ -97,7 +97,8 @@ def _named(sources: list[Entry[Source]], faults: Faults) -> Iterator[Entry[Sourc
 
 
 def _free_name(driver: str | None, taken: list[str]) -> str:
-    stem, number = driver or "source", 1
+    stem = driver or "source"
+    number = 1
     while (name := stem if number == 1 else f"{stem}-{number}") in taken:
         number += 1
     return name

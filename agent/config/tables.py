@@ -3,6 +3,7 @@
 These check each value by itself. What must hold between values stands in the `rules_*` modules.
 """
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -307,3 +308,20 @@ def _units(channels: tuple[Channel, ...]) -> dict[str, str]:
     first = {channel.quantity: channel.si_unit for channel in reversed(channels)}
     length = base_length(first.get("displacement"), first.get("velocity"), first.get("acceleration"))
     return element_units(first.get("force", "N"), length)
+
+
+def learnt_key(config: RigConfig) -> str:
+    """Return the SHA-256, in hexadecimal, of the model, the channels, the rate, window, hop, hold and estimate.
+
+    An edit of alarms, store or sources leaves it as it is, so does a default that is written out; a key that a later
+    version brings changes it only where it is used.
+    """
+    estimator = config.estimator
+    parts = [
+        config.rig.sample_rate_hz,
+        config.model.model_dump(mode="json", exclude_defaults=True),
+        [channel.model_dump(mode="json", exclude_defaults=True) for channel in config.channel],
+        [estimator.windows_s or "auto", estimator.hop_s, estimator.hold, estimator.estimate],
+    ]
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

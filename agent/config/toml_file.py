@@ -53,9 +53,10 @@ def parse_toml(data: bytes, file: Path) -> dict[str, Any]:
 
 def _not_toml(words: str, text: str, file: Path) -> ConfigError:
     place = _PLACE.match(words)
-    line = (place and place["line"]) or str(text.rstrip().count("\n") + 1)
-    what = place["what"] if place else words
-    column = f", column {place['column']}" if place and place["column"] else ""
+    found: dict[str, str | None] = place.groupdict() if place else {}
+    line = found.get("line") or str(text.rstrip().count("\n") + 1)
+    what = found.get("what", words) or ""
+    column = f", column {found['column']}" if found.get("column") else ""
     return ConfigError.at(f"{file}:{line}", f"is not TOML{column}: {_printable(what)}", "mend the line")
 
 

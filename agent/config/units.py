@@ -87,7 +87,8 @@ def near_miss(quantity: Quantity, unit: str) -> str:
 
     Such text is kept as a unit of its own, so that every parameter comes out in it.
     """
-    known, text = _KNOWN.get(quantity, {}), normal(unit)
+    known = _KNOWN.get(quantity, {})
+    text = normal(unit)
     if not known or text in known:
         return ""
     alike = [name for name in known if name.casefold() == text.casefold()]

@@ -1,1 +1,1 @@
-"""Evaluation: the agent against known truth: demo, scored scenarios, the paper."""
+"""Evaluation: the agent against known truth: demo, scored scenarios, the paper. Imported by the command line."""

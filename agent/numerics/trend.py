@@ -63,7 +63,8 @@ def disjoint(t_ns: IntArray, span_s: FloatArray) -> NDArray[np.intp]:
     if len(t_ns) < 2 or bool((t_ns[:-1] <= starts[1:]).all()):
         return np.arange(len(t_ns))
     before = (np.searchsorted(t_ns, starts, side="right") - 1).tolist()
-    chain, row = [], len(t_ns) - 1
+    chain = []
+    row = len(t_ns) - 1
     while row >= 0:
         chain.append(row)
         row = min(before[row], row - 1)  # a row without a span still precedes itself

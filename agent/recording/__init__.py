@@ -1,1 +1,4 @@
-"""Raw recordings: what sources delivered, kept as it came, and what of it is kept around alarms."""
+"""Raw recordings: what sources delivered, kept as it came, and what of it is kept around alarms.
+
+Imported by runtime.
+"""

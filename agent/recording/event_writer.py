@@ -121,7 +121,8 @@ class EventWriter:
         while not over:
             with self._condition:
                 self._condition.wait_for(lambda: self._jobs or self._stopping, 60.0)
-                jobs, over = list(self._jobs), self._stopping
+                jobs = list(self._jobs)
+                over = self._stopping
                 self._jobs.clear()
             self.progress += 1
             for job in jobs:

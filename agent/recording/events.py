@@ -114,7 +114,8 @@ class EventKeeper:
         self._config, self._writer, self._publish, self._clock = config, writer, publish, clock
         limits = config.store.events
         rate = config.rig.sample_rate_hz
-        self._after, self._after_s = round(limits.after_s * rate), limits.after_s
+        self._after = round(limits.after_s * rate)
+        self._after_s = limits.after_s
         self._before = round(limits.before_s * rate)
         self._memory = Memory(self._before + round(config.estimator.hop_s * rate))
         origin = Origin()
@@ -175,7 +176,8 @@ class EventKeeper:
             self._end("cut", "the agent was stopped before all of it had come")
 
     def _raised(self, alarm: AlarmTransition) -> None:
-        now, at = self._clock(), self._memory.number_at(alarm.t_ns, self._moment)
+        now = self._clock()
+        at = self._memory.number_at(alarm.t_ns, self._moment)
         if self._open is not None and at > self._open.until:
             self._end("complete", "")
         event = self._open

@@ -107,7 +107,8 @@ class Recorder:
             with self._condition:
                 # one write and sync a period: a flash wears by the number of them
                 self._condition.wait_for(lambda: self._stopping or len(self._queue) >= self._most // 2, PERIOD_S)
-                waiting, over = list(self._queue), self._stopping
+                waiting = list(self._queue)
+                over = self._stopping
                 self._queue.clear()
             self.progress += 1
             self._write(waiting)
@@ -170,7 +171,8 @@ class Recorder:
         if self._segment is None:
             path = self._shelf.next(self._suffix or blocks.SUFFIX)
             make = blocks.BlockSegment if self._suffix is None else capture.CaptureSegment
-            self._segment, self._begun_s = make(path, self._header), time.monotonic()
+            self._segment = make(path, self._header)
+            self._begun_s = time.monotonic()
             sync_folder(path.parent)
         return self._segment
 

@@ -1,1 +1,4 @@
-"""What runs: clock, registry, pipeline, recorder, service, command line."""
+"""What runs: the pipeline and its ledger, one rig, the service with its readers, replay, containment of failures.
+
+Imported by commissioning, evaluation and the command line.
+"""

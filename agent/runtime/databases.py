@@ -29,7 +29,8 @@ def writers_of(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> 
 
 
 def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
-    now, boot = wall_ns(), boot_id()
+    now = wall_ns()
+    boot = boot_id()
     offset = now - monotonic_ns()
     runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset) for c in members]
     keep = _retention(members)

@@ -1,11 +1,10 @@
 """Whether a rig's computing keeps up with its samples, said once when it does not and once when it does again."""
 
+from agent.runtime.limits import CLEAR_NS, RAISE_NS
 from agent.types import AlarmTransition, HealthEvent, Record
 
 COMPUTING, BEHIND = "computing", "behind"
 """What the alarm and the event are called."""
-RAISE_NS, CLEAR_NS = 2_000_000_000, 500_000_000
-"""Computing is behind when the oldest sample has waited for longer, and no more when it has waited for less."""
 
 
 class Lateness:

@@ -3,12 +3,11 @@
 from collections import Counter, deque
 from collections.abc import Iterator
 
+from agent.runtime.limits import PART
 from agent.runtime.sources import Arrival, Connection, Use
 from drivers.port import Counts
 from drivers.reconnect import LinkEvent
 
-PART = 2_000
-"""Samples of one rig that are computed in its turn; where more wait, the other rigs come first."""
 STOPPED = "stopped"
 """Reason of samples that were received and not computed any more when the agent ended."""
 

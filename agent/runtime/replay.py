@@ -16,7 +16,9 @@ from agent.clock import SampleLabels, boot_id, wall_ns
 from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
-from agent.runtime.pipeline import Conservation, Pipeline, resolutions
+from agent.runtime.ledger import Conservation
+from agent.runtime.limits import HEALTH_PERIOD_NS
+from agent.runtime.pipeline import Pipeline, resolutions
 from agent.runtime.results import RunSummary
 from agent.runtime.source_faults import source_error
 from agent.runtime.usability import Evidence, assess
@@ -29,8 +31,6 @@ SOURCE = "recording"
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)
-
-HEALTH_PERIOD_NS = 10_000_000_000
 
 
 class Track(NamedTuple):
@@ -152,7 +152,8 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     if len(sources) != 1:
         advice = 'describe the frames by one [[source]] with driver = "can"'
         raise RecordingError.at(str(path), "a CAN log needs the CAN source it was heard on", advice)
-    source, recording = sources[0], driver_class("can-log")
+    source = sources[0]
+    recording = driver_class("can-log")
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     missing = [name for name in channels if name not in source.map]
     if missing:
@@ -187,7 +188,8 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
 
 def _whole_counts(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> tuple[Counts, Counter[str]]:
     """Return what all drivers counted and what acquisition refused; the drivers' remarks go to the evidence."""
-    total, refused = Counts(), Counter[str]()
+    total = Counts()
+    refused = Counter[str]()
     for _, driver in tracks:
         total.received += driver.counts.received
         total.rejected.update(driver.counts.rejected)
@@ -234,7 +236,7 @@ def _ledger(pipeline: Pipeline, tracks: Sequence[Track]) -> list[Record]:
         counts[source].dropped.update(driver.counts.dropped)
         counts[source].faults.update(driver.counts.faults)
     conservation = {source: Conservation(total, Counter()) for source, total in counts.items()}
-    return list(pipeline.health(conservation, pipeline.newest_ns, None))
+    return list(pipeline.ledger.health(conservation, pipeline.newest_ns, None))
 
 
 def _played(tracks: Sequence[Track]) -> Iterator[tuple[Track, SampleBlock]]:

@@ -9,12 +9,11 @@ import numpy as np
 
 from agent.blocks.constants_watch import SOURCE
 from agent.config import RigConfig
+from agent.runtime.limits import MOST_REPORTED
 from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, Health, HealthEvent, Reason, Record, Status
 
 _COLUMNS = ("value", "sd", "lower", "upper")
-MOST_REPORTED = 10_000
-"""Activations of alarms, and words of advice, that the document of a run tells, the newest; the database has all."""
 
 
 @dataclass(slots=True)

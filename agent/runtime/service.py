@@ -3,227 +3,26 @@
 import logging
 import signal
 import threading
-from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from agent.blocks.source_events import Signs, SourceEvents
-from agent.clock import SampleLabels, monotonic_ns, wall_ns
+from agent.clock import monotonic_ns
 from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
-from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.databases import RunKind, path_of, writers_of
-from agent.runtime.lateness import COMPUTING, Lateness
-from agent.runtime.pending import Waiting
-from agent.runtime.pipeline import Conservation
-from agent.runtime.results import RunSummary
+from agent.runtime.limits import CLOSE_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
+from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.source_faults import source_error
-from agent.runtime.sources import Arrival, Connection, Use, connect, part, wire_steps
-from agent.storage.tables.alarms import AlarmRow
-from agent.types import AlarmTransition, ClockRecord, HealthEvent, IntArray, Learnt, Record
+from agent.runtime.sources import connect
 from drivers.port import DriverConfigError
-from drivers.reconnect import LinkEvent
-
-HEALTH_PERIOD_NS = 10_000_000_000
-IDLE_S = 0.5
-ROUND_S = 0.05, 0.25
-"""From one round of computing to the next, at least and, where more wait than that takes, at most."""
-FINISH_S = 2.0
-"""How long an agent that ends goes on with what waits; samples left then are dropped and counted."""
-HURRY_S, CLOSE_S = 1.0, 1.0
-"""After being asked to end it begins no fit nor search any more; and how long it waits for readers to end."""
 
 log = logging.getLogger(__name__)
-
-
-class RigRuntime:
-    """One rig while it runs: its pipeline, labels, summary and the alarms of its sources."""
-
-    def __init__(
-        self, config: RigConfig, publish: Callable[[Sequence[Record]], None], wall: Callable[[], int] = wall_ns
-    ) -> None:
-        self.config = config
-        self._wall = wall
-        self._episodes = SourceEvents()
-        self.summary = RunSummary(config)
-        maps = {source.name: source.map for source in config.source}
-        self.pipeline = IsolatedPipeline(config, wire_steps(config), maps)
-        self._labels = SampleLabels(config.rig.sample_rate_hz)
-        self._steady = SampleLabels(config.rig.sample_rate_hz)
-        self._sampled_ns = 0
-        self._publish = publish
-        self.events: EventKeeper | None = None
-        self._lost: dict[str, bool] = {}
-        self._begun_ns = 0
-        self._taken: list[tuple[str, Arrival]] = []
-        self.waiting = Waiting()
-        self._lateness = Lateness(config.rig.name)
-
-    def restore(self, standing: Sequence[AlarmRow], learnt: Learnt | None = None) -> None:
-        """Go on with the alarms that the run before left standing, and with what it knew of the rig."""
-        self.pipeline.adopt(learnt)
-        levels = {row.parameter: {"state": row.state} for row in standing if row.kind == "level"}
-        self.pipeline.alarms.restore({"alarms": levels})
-        self.pipeline.sensor_alarms.restore(
-            [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
-        )
-        lost = [row.parameter for row in standing if row.kind == "source" and row.cleared_ns is None]
-        self.pipeline.restore_failure(lost)
-        self._lost |= dict.fromkeys(lost, True)
-        self._lateness.standing = COMPUTING in lost
-
-    def hurry(self) -> None:
-        """Do nothing but what every row takes from now on; from any thread."""
-        self.pipeline.hurry()
-
-    def work(self) -> None:
-        """Compute a part of what waits."""
-        oldest = self.waiting.oldest_ns
-        if oldest is not None:
-            self._note_lateness(monotonic_ns() - oldest)
-        for use, what in self.waiting.part():
-            if isinstance(what, LinkEvent):
-                self.compute()
-                self.link(use.source, what)
-            else:
-                self.take(use, what)
-        self.compute()
-
-    def give_up(self) -> None:
-        """Drop the samples that wait, and tell the events."""
-        for use, event in self.waiting.drop():
-            self.link(use.source, event)
-
-    def take(self, use: Use, arrival: Arrival) -> None:
-        """Take one block of one of the rig's sources; `compute` makes estimates of it."""
-        seen_s = arrival.block.arrival_ns / 1e9
-        if self._lost.get(use.source):
-            self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
-        block = part(arrival.block, use.columns)
-        offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
-        label = partial(self._label, arrival_ns=block.arrival_ns, offset_ns=offset)
-        remembered = label if self.events is None else self.events.labelled(label)
-        self.pipeline.take(use.source, block, arrival.modulus, remembered)
-        if self.events is not None:
-            self.events.take(use.source, block, arrival.modulus)
-        self._taken.append((use.source, arrival))
-
-    def _label(self, index: IntArray, arrival_ns: int, offset_ns: int) -> IntArray:
-        """Return time stamps (n,) of samples, and note when the newest was taken by the monotonic clock."""
-        self._sampled_ns = int(self._steady.label(index[-1:], arrival_ns, 0)[-1])
-        return self._labels.label(index, arrival_ns, offset_ns)
-
-    def compute(self) -> None:
-        """Publish what the blocks taken since the last call lead to."""
-        taken, self._taken = self._taken, []
-        if taken:
-            self._note_steps()
-            self._emit(self.pipeline.compute())
-            for source, arrival in taken:
-                self._assess(source, arrival, arrival.block.arrival_ns)
-
-    def finish(self) -> None:
-        """Publish what the last samples lead to."""
-        self._emit(self.pipeline.finish())
-        for source, (cause, count) in self._episodes.finish().items():
-            self._report(source, cause, count)
-        if self.events is not None:
-            self.events.finish()
-
-    def poll(self) -> None:
-        """End the event record whose time has come, even where no samples come."""
-        if self.events is not None:
-            self.events.poll()
-
-    def _assess(self, source: str, arrival: Arrival, now_ns: int) -> None:
-        """Tell what was counted about a source, once an episode."""
-        state = self.pipeline.acquisition.sources[source]
-        restarts = state.indexer.restarts
-        lost = self.pipeline.rejected(source, arrival.counts) + arrival.counts.dropped
-        if len(self.config.source) > 1:
-            del lost["spike"]  # of a channel, which may be another source's
-        faults = Counter(arrival.counts.faults)
-        restarts += faults.pop("restart", 0)
-        due = self._episodes.step(source, Signs(restarts, lost, faults, state.gaps), now_ns)
-        if due is not None:
-            self._report(source, *due)
-
-    def _report(self, source: str, cause: str, count: int) -> None:
-        words = f"{source}: {cause}, counted {count} times" if count > 1 else f"{source}: {cause}"
-        log.warning("%s: %s", source, words)
-        self._emit([HealthEvent(self.config.rig.name, source, self._wall(), cause, words)])
-
-    def _note_lateness(self, waited_ns: int) -> None:
-        reported = self._lateness.step(waited_ns, self._wall())
-        for record in reported:
-            if isinstance(record, HealthEvent):
-                log.warning("%s", record.message)
-        self._emit(reported)
-
-    def _note_steps(self) -> None:
-        """Publish what time stamps mean from now on, before the rows that carry them, and each step of the clock."""
-        rig = self.config.rig.name
-        found: list[Record] = [ClockRecord(rig, a.label_ns, a.first, a.offset_ns) for a in self._labels.anchors]
-        for label, step in self._labels.steps:
-            words = f"the wall clock was stepped by {step / 1e9:+.3f} s; time stamps start a new anchor"
-            log.warning("%s", f"{words}; rows from before are kept as long as if it had not been")
-            found.append(HealthEvent(rig, "clock", label, "clock step", words))
-        if found:  # event records have nothing to see in them, and would forget what the rows to come refer to
-            self._publish(found)
-        self._labels.steps.clear()
-        self._labels.anchors.clear()
-        self._steady.anchors.clear()
-
-    def link(self, source: str, event: LinkEvent) -> None:
-        """Raise or clear a source's alarm and note the event."""
-        t_ns, lost, back = self._wall(), event.away, event.cause == "recovered"
-        if back and not self._lost.get(source, False):
-            return  # its samples have told already
-        self._episodes.reported(source, round(event.at_s * 1e9), away=lost)
-        log.warning("%s: %s", source, event.message)
-        cause = event.kind or event.cause
-        records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, cause, event.message)]
-        if (lost or back) and lost != self._lost.get(source, False):
-            self._lost[source] = lost
-            records.append(self._source_alarm(source, event, t_ns, lost=lost))
-        self._emit(records)
-
-    def _source_alarm(self, source: str, event: LinkEvent, t_ns: int, *, lost: bool) -> AlarmTransition:
-        return AlarmTransition(
-            rig=self.config.rig.name, kind="source", parameter=source, priority="high", t_ns=t_ns,
-            from_state="NORM" if lost else "UNACK", to_state="UNACK" if lost else "RTNUN",
-            cause="raise" if lost else "clear", message=event.message,
-        )  # fmt: skip
-
-    def ledger(self, connections: Sequence[Connection]) -> None:
-        """Publish the conservation ledger of every source, as of the newest sample.
-
-        Before there is one its instant is that of the first ledger, so standstill is one row however long it lasts.
-        """
-        conservation = {
-            use.source: Conservation(*self.waiting.counts(use.source, connection))
-            for connection in connections
-            for use in connection.uses
-            if use.rig == self.config.rig.name
-        }
-        newest = self.pipeline.newest_ns
-        lag = (monotonic_ns() - self._sampled_ns) / 1e9 if newest else None
-        if not newest and not self._begun_ns:
-            self._begun_ns = self._wall()
-        self._emit(self.pipeline.health(conservation, newest or self._begun_ns, lag))
-
-    def _emit(self, records: Sequence[Record]) -> None:
-        if records:
-            self.summary.take(records)
-            self._publish(records)
-        if self.events is not None:
-            self.events.see(records)
 
 
 class Service:
@@ -257,7 +56,8 @@ class Service:
         found = []
         for config in configs:
             if config.store.events.max_count:
-                path, rig = path_of(config, db), self.rigs[config.rig.name]
+                path = path_of(config, db)
+                rig = self.rigs[config.rig.name]
                 publish = self.writers[path].publish
                 found.append(event_writer(config, path, publish))
                 rig.events = EventKeeper(config, found[-1], publish)

@@ -13,12 +13,9 @@ from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
 from agent.recording.recorder import Recorder
+from agent.runtime.limits import QUEUE_SAMPLES, READ_S
 from drivers.port import Capture, Counts, Driver, DriverConfigError, SampleBlock, SourceRequest
 from drivers.reconnect import LinkEvent, ReconnectingDriver
-
-QUEUE_SAMPLES = 120_000
-"""Samples that wait for the processing thread at most, a connection: two minutes at 1 kHz."""
-READ_S = 0.2
 
 log = logging.getLogger(__name__)
 
@@ -96,10 +93,13 @@ class Connection:
     def take(self) -> tuple[list[Arrival], list[LinkEvent]]:
         """Return what waits, oldest first, and what happened to the link."""
         with self._lock:
-            arrivals, events = list(self._waiting), self._events
+            arrivals = list(self._waiting)
+            events = self._events
             self._waiting.clear()
-            self._events, self._samples = [], 0
-            self.dropped, self.counts = self._overflowed.copy(), self._counted
+            self._events = []
+            self._samples = 0
+            self.dropped = self._overflowed.copy()
+            self.counts = self._counted
         return arrivals, events
 
     def _work(self) -> None:
@@ -125,9 +125,9 @@ class Connection:
             log.warning("%s: %s", self._driver.request.name, error)
 
     def _turn(self) -> None:
-        block = self._link.read(READ_S)
+        block, events = self._link.read(READ_S)
         self.progress += 1
-        for event in self._link.take_events():
+        for event in events:
             self._say(event)
         for note in self._driver.take_notes():
             log.info("%s: %s", self._driver.request.name, note)

@@ -8,17 +8,10 @@ import numpy as np
 
 from agent.config import RigConfig
 from agent.errors import Fault, RecordingError
+from agent.runtime.limits import LITTLE, MOST_REFUSED, NEAR, WATCHED
 from agent.types import EstimateBatch, IntArray, Record, Status
 from drivers.port import Counts, SampleBlock
 
-WATCHED = 20_000
-"""Rows whose time stamps are looked at."""
-MOST = 0.5
-"""Share of a recording's rows that must be refused for one reason to be worth words."""
-LITTLE = 0.01
-"""A recording of which less is used is of no use."""
-NEAR = 1.25
-"""Two rates within this factor are the same, as far as words are concerned."""
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LATEST_S = 9.2e9
 """Seconds that nanoseconds in 64 bits can count."""
@@ -57,9 +50,9 @@ class Evidence:
 
     def faults(self, name: str, received: int, rejected: Counter[str]) -> list[Fault]:
         """Return what is wrong with a recording as a whole, of whose rows some were refused, by reason."""
-        unread = rejected["time"] + rejected["missing value"] > MOST * received
+        unread = rejected["time"] + rejected["missing value"] > MOST_REFUSED * received
         found = list(_texts(self.notes)) if unread else []
-        if rejected["backwards"] > MOST * received:
+        if rejected["backwards"] > MOST_REFUSED * received:
             found.append(("its times run backwards from row to row", "sort the rows by time, the oldest first"))
         elif not unread:
             found += self._pace()
@@ -111,13 +104,20 @@ def assess(config: RigConfig, name: str, evidence: Evidence, counts: Counts, ref
     counts: of its drivers. refused: samples that acquisition refused, by reason.
     """
     rejected = counts.rejected + refused
-    faults = evidence.faults(name, counts.received, rejected) if config.rig.clock != "uniform" else []
+    faults = [] if config.rig.clock == "uniform" else evidence.faults(name, counts.received, rejected)
     if not counts.received:
-        raise RecordingError(evidence.unusable() or [Fault(name, "holds no sample", "see what it holds")])
-    left = counts.received - rejected.total()
-    if left <= LITTLE * counts.received or (faults and not evidence.estimates):
-        raise RecordingError(faults or [Fault(name, _counted(counts.received, rejected), "see what it holds")])
+        raise RecordingError(_why_empty(name, evidence))
+    is_almost_all_refused = counts.received - rejected.total() <= LITTLE * counts.received
+    if is_almost_all_refused and not faults:
+        faults = [Fault(name, _counted(counts.received, rejected), "see what it holds")]
+    is_of_no_use = is_almost_all_refused or not evidence.estimates
+    if faults and is_of_no_use:
+        raise RecordingError(faults)
     return faults + evidence.unusable()
+
+
+def _why_empty(name: str, evidence: Evidence) -> list[Fault]:
+    return evidence.unusable() or [Fault(name, "holds no sample", "see what it holds")]
 
 
 def _counted(received: int, rejected: Counter[str]) -> str:

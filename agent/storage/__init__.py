@@ -1,1 +1,4 @@
-"""SQLite: schema, the single writer, read-only queries, retention."""
+"""SQLite: the file, records as rows, the single writer, read-only queries, recovery, maintenance.
+
+Imported by recording, runtime, commissioning, evaluation and the command line.
+"""

@@ -63,7 +63,8 @@ class RecordingDriver(Driver):
             fault=self._fault,
         )
         self._file = NpzFile(wanted) if wanted.path.suffix.lower() == ".npz" else CsvFile(wanted)
-        self._rows, self._ahead = self._file.rows(), None
+        self._rows = self._file.rows()
+        self._ahead = None
 
     def read(self, timeout_s: float) -> SampleBlock:
         if self._file is None:

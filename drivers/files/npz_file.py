@@ -22,7 +22,7 @@ _DAMAGE = (ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, s
 
 _LARGE, _PACKED_WELL = 1 << 28, 100
 """Bytes unpacked, and times that they may be more than packed: numbers with noise pack to half or a tenth."""
-_LONGEST_HEADER = 1 << 16
+_LONGEST_ARRAY_HEADER = 1 << 16
 """Bytes that describe an array of numbers take a hundred."""
 
 
@@ -30,7 +30,7 @@ def _check_header(stream: IO[bytes], version: tuple[int, int]) -> None:
     """Raise ValueError for a description that is too long to be one, before it is read."""
     if version != (1, 0):
         length = int.from_bytes(stream.read(4), "little")
-        if length > _LONGEST_HEADER:
+        if length > _LONGEST_ARRAY_HEADER:
             raise ValueError(f"its array is described in {length} bytes")
         stream.seek(-4, 1)
 

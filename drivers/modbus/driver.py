@@ -7,19 +7,18 @@ from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus.fifo import FifoReader
 from drivers.modbus.frames import BUSY, REFUSED, ReplyError, Request, RtuFrames, TcpFrames
+from drivers.modbus.limits import BUSY_FIRST_S, BUSY_MOST_S, FASTEST_PACED, PATIENCE, ROUNDING_S
 from drivers.modbus.line import ModbusLine, let_go, shared_line
 from drivers.modbus.mode import Reader, RefusedError
 from drivers.modbus.poll import PollReader
 from drivers.modbus.ring import RingReader
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.units import PATIENCE, ROUNDING_S, LaterError
+from drivers.modbus.units import LaterError
 from drivers.pipe import serial_pipe, tcp_pipe
 from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
 from drivers.serial_port import SerialKeys, port_hint
 
 READERS: Mapping[str, type[Reader]] = {"ring": RingReader, "poll": PollReader, "fifo": FifoReader}
-_BUSY_FIRST_S, _BUSY_MOST_S = 0.05, 1.0
-_FASTEST_PACED = 22000
 _REQUEST_BYTES, _ANSWER_BYTES, _BITS_A_BYTE = 8, 5, 11
 
 
@@ -47,7 +46,7 @@ class ModbusDriver(Driver):
         self._opened = False
         self._unanswered = 0
         self._not_before = 0.0
-        self._busy_s = _BUSY_FIRST_S
+        self._busy_s = BUSY_FIRST_S
 
     def open(self) -> None:
         self.close()
@@ -115,13 +114,15 @@ class ModbusDriver(Driver):
     def _make_line(self) -> ModbusLine:
         settings = self._settings
         if settings.transport == "tcp":
-            host, port, timeout_s = settings.host, int(settings.port), settings.timeout_s
+            host = settings.host
+            port = int(settings.port)
+            timeout_s = settings.timeout_s
             return ModbusLine(lambda: tcp_pipe(host, port, timeout_s), TcpFrames(), None)
         keys = SerialKeys(
             port=str(settings.port), baudrate=settings.baudrate, parity=settings.parity, stopbits=settings.stopbits
         )
         # the standard: silence of 3.5 characters between frames, and 1.75 ms where that would be shorter
-        pause_s = 3.5 * _BITS_A_BYTE / min(settings.baudrate, _FASTEST_PACED)
+        pause_s = 3.5 * _BITS_A_BYTE / min(settings.baudrate, FASTEST_PACED)
         return ModbusLine(lambda: serial_pipe(keys, self._device()), RtuFrames(), pause_s)
 
     def _ask(self, request: Request) -> ByteArray:
@@ -140,7 +141,7 @@ class ModbusDriver(Driver):
                 self.counts.faults[error.kind] += 1
                 self._after_failure(error)
             else:
-                self._unanswered, self._busy_s = 0, _BUSY_FIRST_S
+                self._unanswered, self._busy_s = 0, BUSY_FIRST_S
                 return answer
 
     def _answer(self, line: ModbusLine, request: Request) -> ByteArray:
@@ -151,7 +152,7 @@ class ModbusDriver(Driver):
         """Return where the request is to be repeated at once; else raise what the failure comes to."""
         words = f"{self._address()}: {error}"
         if error.code in BUSY:
-            until, self._busy_s = clock.monotonic() + self._busy_s, min(2 * self._busy_s, _BUSY_MOST_S)
+            until, self._busy_s = clock.monotonic() + self._busy_s, min(2 * self._busy_s, BUSY_MOST_S)
             raise LaterError(until, asked=True)
         if error.code in REFUSED:
             raise _of_kind(RefusedError(words, error.code), error)

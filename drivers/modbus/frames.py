@@ -248,14 +248,21 @@ class RtuFrames(Frames):
         for start in _starts(data, request):
             piece = data[start : start + _rtu_size(data[start:])]
             used, _, _, pdu = self._framer.decode(piece)
-            if used == len(piece) and pdu and piece != self._sent:
-                try:
-                    return check_reply(pdu, request)
-                except ReplyError as error:
-                    if error.code:
-                        raise
-                    self.late += (0,)
+            is_whole = used == len(piece) and piece != self._sent
+            found = self._checked(pdu, request) if is_whole and pdu else None
+            if found is not None:
+                return found
         return None
+
+    def _checked(self, pdu: bytes, request: Request) -> ByteArray | None:
+        """Return a sound reply's register bytes; None, noted as late, where it answers a request that was given up."""
+        try:
+            return check_reply(pdu, request)
+        except ReplyError as error:
+            if error.code:
+                raise
+            self.late += (0,)
+            return None
 
 
 def _starts(data: bytes, request: Request) -> list[int]:

@@ -17,17 +17,21 @@ from weakref import WeakValueDictionary
 from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus.frames import ADDRESS, FIFO, MAX_REGISTERS, REMEMBERED, VALUE, Frames, ReplyError, Request
+from drivers.modbus.limits import (
+    FADE,
+    LONGEST_NOISE,
+    POLITE_S,
+    REMEMBERED_EACH_S,
+    REMEMBERED_S,
+    ROUNDING_S,
+    SHORTEST_S,
+    UNANSWERED,
+    USUAL,
+)
 from drivers.modbus.line_lock import LineLock
-from drivers.modbus.units import POLITE_S, ROUNDING_S, SHORTEST_S, USUAL, LaterError, Unit
+from drivers.modbus.units import LaterError, Unit
 from drivers.pipe import Pipe
 from drivers.port import DriverConfigError, DriverIOError
-
-_LONGEST = 2048
-"""Bytes looked through for a reply; noise before them is forgotten."""
-_DEAF = 3
-_REMEMBERED_S, _EACH_S = 5.0, 0.7
-"""How long a lost request's answer may still come: at most, and for each other length there is to ask for."""
-_FADE = 0.98
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +181,8 @@ class ModbusLine:
         if self._pause_s is None:
             return
         clock.sleep(max(0.0, self._received_at + self._pause_s - clock.monotonic()))
-        stray, sender = pipe.drain(0.0), self._newest
+        stray = pipe.drain(0.0)
+        sender = self._newest
         if stray:
             (faults if sender is None else sender.faults)["stray bytes"] += stray
             if sender is not None and sender.unit.unanswered:
@@ -196,7 +201,7 @@ class ModbusLine:
         answer = None
         try:
             while answer is None and (more := pipe.recv(deadline)):
-                data = (data + more)[-_LONGEST:]
+                data = (data + more)[-LONGEST_NOISE:]
                 answer = self.frames.reply(data, request)
         except DriverIOError as error:
             raise _EndedError(str(error), amid=self.frames.partial(data)) from error
@@ -222,7 +227,7 @@ class ModbusLine:
         seconds = clock.monotonic() - asked.at
         asked.unit.answered(seconds)
         self._unanswered = 0
-        self._usual_s = max(seconds, _FADE * self._usual_s)
+        self._usual_s = max(seconds, FADE * self._usual_s)
 
     def _failed(self, request: Request, asked: _Asked, error: ReplyError, timeout_s: float) -> None:
         """Note what a failure says of the unit and of the connection."""
@@ -243,7 +248,7 @@ class ModbusLine:
             unit.lost[request.count] = now
             unit.late_until = now + min(timeout_s, max(SHORTEST_S, USUAL * unit.slowest_s))
         self._unanswered += 1
-        if self._unanswered >= _DEAF:
+        if self._unanswered >= UNANSWERED:
             self._drop()
             self._unanswered = 0
 
@@ -256,7 +261,7 @@ def _unowed(request: Request, unit: Unit, timeout_s: float, spare: int) -> Reque
     """
     most = 0 if request.function == FIFO else min(request.count + spare, MAX_REGISTERS)
     lengths = [*range(request.count - 1, 0, -1), *range(request.count + 1, most + 1)]
-    remembered_s = max(timeout_s, min(_REMEMBERED_S, _EACH_S * len(lengths)))
+    remembered_s = max(timeout_s, min(REMEMBERED_S, REMEMBERED_EACH_S * len(lengths)))
     free_at = {count: unit.lost.get(count, -remembered_s) + remembered_s for count in lengths or [request.count]}
     count = min(free_at, key=lambda count: free_at[count])
     if free_at[count] > clock.monotonic() + ROUNDING_S:

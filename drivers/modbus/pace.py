@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from drivers import clock
 from drivers.modbus.codec import Ring
-
-SLOW_S = 60.0
-"""A link is taken for slow for so long after samples last came too late; it is told once until then."""
-HOPELESS = 2
-"""Reads in a row of which most came too late: after a mere stall the first is late, and the next one is not."""
-NEAR = 2
-"""Reading goes on this part of the ring behind the newest sample at most: the rest is for the time that it takes."""
+from drivers.modbus.limits import HOPELESS, NEAR, SLOW_S
 
 
 class Carried(NamedTuple):

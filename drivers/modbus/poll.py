@@ -8,12 +8,11 @@ import numpy as np
 from drivers import clock
 from drivers.fields import ByteArray, Layout
 from drivers.modbus.frames import ADDRESS, MAX_REGISTERS, VALUE, Request
+from drivers.modbus.limits import GATHER_S
 from drivers.modbus.mode import Ask, Reader, RefusedError
 from drivers.modbus.settings import ModbusField, ModbusSettings
 from drivers.modbus.units import LaterError
 from drivers.port import Counts, DriverIOError, SampleBlock, SourceRequest
-
-_GATHER_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -46,22 +45,26 @@ def poll_plan(fields: Sequence[ModbusField], settings: ModbusSettings, apart: fr
     """
     runs: list[_Run] = []
     places: list[int] = []
-    done = 0
+    low_byte_is_first = settings.orders[0] == "little"
     for field in fields:
-        address, end = field.address or 0, (field.address or 0) + (field.size + 1) // 2
-        run = runs[-1] if runs else None
-        if run is None or not _joins(run, address, end, 0 if address in apart else settings.gap):
-            done += run.end - run.start if run else 0
-            run = _Run(address, end)
-            runs.append(run)
-        run.gaps |= {address} if address > run.end else set()
-        run.end = max(run.end, end)
-        last = 2 * (done + end - run.start)
-        # a byte alone is the low one of its register, which comes first where bytes are swapped
-        spare = field.size % 2 if settings.orders[0] == "little" else 0
+        address = field.address or 0
+        end = address + (field.size + 1) // 2
+        _add(runs, address, end, 0 if address in apart else settings.gap)
+        last = 2 * (sum(one.end - one.start for one in runs[:-1]) + end - runs[-1].start)
+        # a byte alone is the low one of its register
+        spare = field.size % 2 if low_byte_is_first else 0
         places.extend(range(last - field.size - spare, last - spare))
     requests = (Request(settings.device_id, settings.function, run.start, run.end - run.start) for run in runs)
     return Plan(tuple(requests), tuple(run.gaps for run in runs), tuple(places))
+
+
+def _add(runs: list[_Run], address: int, end: int, gap: int) -> None:
+    """Let the last run reach to a field's end, over `gap` registers at most; else begin another."""
+    if not runs or not _joins(runs[-1], address, end, gap):
+        runs.append(_Run(address, end))
+    if address > runs[-1].end:
+        runs[-1].gaps |= {address}
+    runs[-1].end = max(runs[-1].end, end)
 
 
 def _joins(run: _Run, address: int, end: int, gap: int) -> bool:
@@ -91,7 +94,7 @@ class PollReader(Reader):
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
-        rows = list(self._rows(ask, min(deadline, max(clock.monotonic(), self.due) + _GATHER_S)))
+        rows = list(self._rows(ask, min(deadline, max(clock.monotonic(), self.due) + GATHER_S)))
         if not rows:
             return self.empty()
         slots = np.stack([sample for sample, _ in rows])

@@ -11,14 +11,12 @@ from drivers import clock
 from drivers.fields import ByteArray, FieldSpec, Layout
 from drivers.modbus.codec import Ring, slot_layout, slots_of
 from drivers.modbus.frames import Request
+from drivers.modbus.limits import FIRST_S, SHARE
 from drivers.modbus.mode import Ask, Reader
 from drivers.modbus.pace import Carried, Pace
 from drivers.modbus.settings import ModbusSettings
 from drivers.port import Counts, DriverConfigError, IntArray, SampleBlock, SourceRequest
 
-_FIRST_S = 0.02
-_SHARE = 4
-"""Asked again when this part of the ring may be new, if that is before the period is over."""
 INDEX = "index"
 
 
@@ -100,9 +98,9 @@ class RingReader(Reader):
         """Plan when to ask for the index again: after the period, or sooner where the ring fills faster than that."""
         before, self._asked = self._asked, (head, now)
         if before is None:
-            self._pause_s = min(self.settings.period_s, _FIRST_S)
+            self._pause_s = min(self.settings.period_s, FIRST_S)
         else:
-            fills_s = (now - before[1]) * self._ring.slots / _SHARE / max(head - before[0], 1)
+            fills_s = (now - before[1]) * self._ring.slots / SHARE / max(head - before[0], 1)
             self._pause_s = min(self.settings.period_s, fills_s)
         self.due = now + self._pause_s
 
@@ -152,7 +150,8 @@ class RingReader(Reader):
     @contextmanager
     def _timed(self, part: _Part) -> Iterator[None]:
         """Add to a part's good seconds, whether or not a request fails."""
-        begun, lost_before = clock.monotonic(), self.lost_s
+        begun = clock.monotonic()
+        lost_before = self.lost_s
         try:
             yield
         finally:

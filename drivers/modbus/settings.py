@@ -76,16 +76,26 @@ class ModbusSettings(DriverSettings):
         return self
 
     @model_validator(mode="after")
-    def _transport_has_its_port(self) -> Self:
-        if self.transport == "tcp" and not isinstance(self.port, int):
+    def _tcp_has_its_port(self) -> Self:
+        if self.transport != "tcp":
+            return self
+        number = self.port if isinstance(self.port, int) else None
+        if number is None:
             raise ValueError(f'transport "tcp" needs a port number, not "{self.port}"')
-        if self.transport == "tcp" and not 0 < int(self.port) < 65536:
+        if not 0 < number < 65536:
             raise ValueError(f"port {self.port} is no TCP port; 1 to 65535 are")
-        if self.transport == "rtu" and not isinstance(self.port, str):
+        return self
+
+    @model_validator(mode="after")
+    def _rtu_has_its_line(self) -> Self:
+        if self.transport != "rtu":
+            return self
+        is_path = isinstance(self.port, str)
+        if not is_path:
             raise ValueError('transport "rtu" needs the path of its serial port, e.g. port = "/dev/serial/by-id/..."')
-        if self.transport == "rtu" and self.device_id == 0:
+        if self.device_id == 0:
             raise ValueError("device_id 0 calls all units of a serial line at once, and none of them answers; 1 to 247")
-        if self.transport == "rtu" and not self.share:
+        if not self.share:
             raise ValueError("share: a serial line is one connection; false is for TCP")
         return self
 

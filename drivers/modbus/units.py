@@ -16,19 +16,20 @@ where the line is never free: 1.8 s, and what it takes to answer.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-PATIENCE = 3
-"""Requests in a row without an answer after which a unit counts as lost."""
-SHORTEST_S = 0.05
-USUAL = 4.0
-POLITE_S = 0.2
-"""For how long a request to a lost unit lets others go first."""
-ROUNDING_S = 1e-6
-"""Times this near are the same: a wait may end so much early."""
-_FOUND_S = 1.4
-_GROWTH, _RAREST, _LEAST = 4.0, 99.0, 3.0
-_FULL_FROM, _FULL_FROM_UNKNOWN = 64, 16
-_ACTIVE_S = 1.0
-_FADE = 0.98
+from drivers.modbus.limits import (
+    ACTIVE_S,
+    FADE,
+    FOUND_S,
+    FULL_FROM,
+    FULL_FROM_UNKNOWN,
+    GROWTH,
+    LEAST,
+    PATIENCE,
+    POLITE_S,
+    RAREST,
+    SHORTEST_S,
+    USUAL,
+)
 
 
 class LaterError(Exception):
@@ -76,7 +77,7 @@ class Unit:
 
     def is_active(self, now: float) -> bool:
         """Tell whether others have to mind it: it answers, and is asked again and again."""
-        return self.unanswered == 0 and now < self.next_at + _ACTIVE_S
+        return self.unanswered == 0 and now < self.next_at + ACTIVE_S
 
     def plan(self, urgent_at: float) -> None:
         """Note that the next answer but this one should be there at `urgent_at`."""
@@ -87,7 +88,7 @@ class Unit:
     def allowed_s(self, timeout_s: float, usual_s: float) -> float:
         """Return how long it is waited for: all of its time as long as it answers, then seldom."""
         usual = self.slowest_s or usual_s
-        first = _FULL_FROM if self.slowest_s else _FULL_FROM_UNKNOWN
+        first = FULL_FROM if self.slowest_s else FULL_FROM_UNKNOWN
         if not usual or self.unanswered == 0 or _is_power(self.unanswered, first):
             return timeout_s
         return min(timeout_s, max(SHORTEST_S, USUAL * usual))
@@ -96,7 +97,7 @@ class Unit:
         """Note an answer, and how long it took."""
         self.unanswered = 0
         self.lost.clear()
-        self.slowest_s = max(seconds, _FADE * self.slowest_s)
+        self.slowest_s = max(seconds, FADE * self.slowest_s)
 
     def late(self, seconds: float) -> None:
         """Note an answer that came so long after the request that it was given up."""
@@ -111,8 +112,9 @@ class Unit:
         self._placed = False
 
     def _rest_s(self) -> float:
-        cost, grown = self.cost_s, _GROWTH ** min(self.unanswered - PATIENCE + 1, PATIENCE + 1)
-        return min(grown * cost, _RAREST * cost, max(_FOUND_S - cost, _LEAST * cost))
+        cost = self.cost_s
+        grown = GROWTH ** min(self.unanswered - PATIENCE + 1, PATIENCE + 1)
+        return min(grown * cost, RAREST * cost, max(FOUND_S - cost, LEAST * cost))
 
     def start(self, now: float, others: Sequence["Unit"]) -> float:
         """Return when it can be asked without holding up the others more than must be."""

@@ -68,11 +68,13 @@ class SerialSettings(SerialKeys):
     def _binary_has_its_keys(self) -> Self:
         if self.format != "binary":
             return self
-        if (self.framing == "sync" and self.sync is None) or not self.fields:
+        has_ends = self.framing != "sync" or self.sync is not None
+        if not has_ends or not self.fields:
             raise ValueError('format "binary" needs sync and fields, or a framing "cobs" or "slip" and fields')
         if self.framing != "sync" and self.sync is not None:
             raise ValueError(f'framing "{self.framing}" has no sync: its ends divide the frames')
-        if self.columns or self.pattern or self.delimiter or self.checksum != "none" or self.counter_modulus:
+        of_text = (self.columns, self.pattern, self.delimiter, self.counter_modulus, self.checksum != "none")
+        if any(of_text):
             raise ValueError(
                 'format "binary" has no delimiter, columns, pattern, checksum or counter_modulus; its check is "crc"'
             )
@@ -129,10 +131,15 @@ class SerialDriver(Driver):
 
     def _text(self) -> TextDecoder:
         settings = self._settings
-        pattern = re.compile(settings.pattern) if settings.pattern else None
+        columns, delimiter, pattern = settings.columns, settings.delimiter, None
+        if settings.pattern:
+            pattern = re.compile(settings.pattern)
+            columns = columns or tuple(pattern.groupindex)
+        if settings.columns:
+            delimiter = delimiter or ","
         return TextDecoder(
-            settings.columns or tuple(pattern.groupindex if pattern else ()),
-            settings.delimiter or ("," if settings.columns else None),
+            columns,
+            delimiter,
             pattern,
             settings.checksum == "nmea",
             self.request.fields,

@@ -29,7 +29,8 @@ def cobs(frame: bytes) -> bytes:
 def uncobs(coded: bytes) -> bytes | None:
     """Return the frame that was coded; None where the lengths in it do not add up."""
     out = []
-    place, end = 0, len(coded)
+    place = 0
+    end = len(coded)
     while place < end:
         code = coded[place]
         after = place + code

@@ -122,7 +122,8 @@ class TextDecoder(SerialDecoder):
 
 
 def _nmea_body(line: str) -> str | None:
-    start, star = line.find("$"), line.rfind("*")
+    start = line.find("$")
+    star = line.rfind("*")
     if start < 0 or not re.fullmatch("[0-9A-Fa-f]{2}", line[star + 1 :]) or star < start:
         return None
     body = line[start + 1 : star]

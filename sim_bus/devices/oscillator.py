@@ -80,7 +80,8 @@ class OwnTrajectory(Trajectory):
 
     def _at(self, column: int, moment: FloatArray) -> FloatArray:
         """Return what an ideal sensor reads at moments, counted in the rig's samples."""
-        low, high = max(int(moment.min()) - 1, 0), int(moment.max()) + 3
+        low = max(int(moment.min()) - 1, 0)
+        high = int(moment.max()) + 3
         chunks = [self._rigs.chunk(n) for n in range(low // CHUNK, high // CHUNK + 1)]
         start = chunks[0].first
         true = np.concatenate([chunk.true[:, column] for chunk in chunks])

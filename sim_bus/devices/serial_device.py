@@ -26,7 +26,7 @@ ADDRESS = "DKSIM"
 SETTLE_S = 0.2
 """Readers throw away what has arrived when they have set up the line: nothing is sent so soon after it was opened."""
 _STOP_S = 5.0
-_LOOK_S = 0.005
+_LINE_LOOK_S = 0.005
 
 
 class PtyOutlet(Outlet):
@@ -60,7 +60,7 @@ class SerialDevice(Device):
         self._thread.start()
 
     def _run(self) -> None:
-        while not self._stop.wait(min(self._stream.wait_s(), _LOOK_S if self._outlet is None else 1.0)):
+        while not self._stop.wait(min(self._stream.wait_s(), _LINE_LOOK_S if self._outlet is None else 1.0)):
             self._watch_reader()
             self._stream.step()
 
@@ -155,9 +155,12 @@ def _text_numbers(settings: SerialSettings, source: Source) -> list[WireNumber]:
 
 def make_stream(bench: Bench, number: int) -> Stream:
     """Return what a serial source sends."""
-    settings, source, faults = bench.settings(SerialSettings, number), bench.source(number), bench.faults(number)
+    settings = bench.settings(SerialSettings, number)
+    source = bench.source(number)
+    faults = bench.faults(number)
     if settings.format == "text":
-        numbers, pack = _text_numbers(settings, source), text_packer(settings)
+        numbers = _text_numbers(settings, source)
+        pack = text_packer(settings)
     else:
         numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
         pack = binary_packer(settings)

@@ -79,7 +79,8 @@ class _Blows:
         self._strengths = np.ones(0)
 
     def __call__(self, index: IntArray) -> FloatArray:
-        force, t = self._force, index / self._rate
+        force = self._force
+        t = index / self._rate
         period = force.period_s or 1.0
         blow = np.floor(t / period + 1e-9).astype(np.int64)
         while len(self._strengths) <= int(blow.max(initial=0)):
@@ -139,9 +140,10 @@ class ForceStream:
         if force.kind == "impacts":
             return _Blows(force, self._rate, rng)
         if force.kind == "recorded":
-            column = read_column(folder / (force.file or ""), force.column or "")
+            file = folder / (force.file or "")
+            column = read_column(file, force.column or "")
             if not len(column) or not np.isfinite(column).all():
-                raise SimUsageError(f'{folder / (force.file or "")}: column "{force.column}" has no numbers, or gaps')
+                raise SimUsageError(f'{file}: column "{force.column}" has no numbers, or gaps')
             return lambda index: force.gain * column[index % len(column)]
         shape = _SHAPES[force.kind]
         return lambda index: shape(force, index / self._rate)

@@ -58,14 +58,16 @@ def _wrong(fault: FaultAt, drivers: Mapping[str, str]) -> Iterator[str]:
     if fault.name not in names():
         yield f'no fault is called "{fault.name}"; {_alike(fault.name, drivers)}'
         return
+    if driver == SENSOR:
+        if fault.source is not None:
+            yield f"{fault.name}: strikes a channel, not a source; say which by channel"
+        return
     there = ", ".join(f"{name} ({kind})" for name, kind in drivers.items())
-    if driver != SENSOR and driver not in drivers.values():
+    if driver not in drivers.values():
         yield f"{fault.name}: no source has the driver {driver}; sources are {there}"
-    elif driver != SENSOR and fault.source is not None and drivers.get(fault.source) != driver:
+    elif fault.source is not None and drivers.get(fault.source) != driver:
         yield f'{fault.name}: no {driver} source is called "{fault.source}"; sources are {there}'
-    if driver == SENSOR and fault.source is not None:
-        yield f"{fault.name}: strikes a channel, not a source; say which by channel"
-    if driver != SENSOR and fault.channel is not None:
+    if fault.channel is not None:
         yield f"{fault.name}: strikes a source, not a channel; say which by source"
 
 
@@ -180,7 +182,8 @@ class LineFaults:
         return int(self._rng.integers(len(data)))
 
     def _wrong_bit(self, data: bytes) -> bytes:
-        place, bit = self._place(data), self._wrong_bits[int(self._rng.integers(len(self._wrong_bits)))]
+        place = self._place(data)
+        bit = self._wrong_bits[int(self._rng.integers(len(self._wrong_bits)))]
         return data[:place] + bytes([data[place] ^ 1 << bit]) + data[place + 1 :]
 
     def _without_a_byte(self, data: bytes) -> bytes:
@@ -220,7 +223,10 @@ class LineFaults:
         if earlier is None and self.active("reorder", sample):
             self._swapped = (sample, data)
             return ready
-        return (ready or self._out(sample, data)) + (self._out(*earlier) if earlier else b"")
+        ready = ready or self._out(sample, data)
+        if earlier is not None:
+            ready += self._out(*earlier)
+        return ready
 
     def _shuffled(self) -> bytes:
         """Return what was held back, in any order."""

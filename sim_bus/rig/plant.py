@@ -99,7 +99,8 @@ class Motion:
 
     def output(self, quantity: str, node: str) -> tuple[FloatArray, FloatArray]:
         """Return the rows (h, j) with reading = h x + j u for displacement, velocity or acceleration of a node."""
-        number, nodes = self.graph.node(node), len(self.graph.nodes)
+        number = self.graph.node(node)
+        nodes = len(self.graph.nodes)
         if quantity == "displacement":
             return np.eye(len(self.F))[number], np.zeros(nodes)
         if quantity == "velocity":
@@ -112,7 +113,9 @@ class Motion:
 
 def equations(graph: Graph, values: Mapping[str, float]) -> Motion:
     """Return the equations of motion for the given constants (masses kg, springs N/m, dampers N s/m, by name)."""
-    nodes, heavy, light = len(graph.nodes), graph.heavy, graph.light
+    nodes = len(graph.nodes)
+    heavy = graph.heavy
+    light = graph.light
     spring, damper = graph.weighted(graph.springs, values), graph.weighted(graph.dampers, values)
     # velocities of all nodes as rows over (states, forces)
     rate = np.zeros((nodes, nodes + len(heavy) + nodes))
@@ -170,7 +173,8 @@ def step(motion: Motion, sample_s: float, hold: Hold = "first", part: float = 1.
     big[:n, :n], big[:n, n : n + m] = motion.F, motion.G
     big[n : n + m, n + m :] = np.eye(m)
     grown: FloatArray = expm(big * (sample_s * part))[:n]
-    held, ramp = grown[:, n : n + m], grown[:, n + m :] / sample_s
+    held = grown[:, n : n + m]
+    ramp = grown[:, n + m :] / sample_s
     if hold == "zero":
         return Step(grown[:, :n], held, np.zeros((n, m)))
     return Step(grown[:, :n], held - ramp, ramp)
@@ -178,7 +182,8 @@ def step(motion: Motion, sample_s: float, hold: Hold = "first", part: float = 1.
 
 def propagate(steps: Step, start: FloatArray, forces: FloatArray) -> FloatArray:
     """Return the states (k + 1, n) at the samples of `forces` (k + 1, m), the first of them `start` (n,)."""
-    n, count = len(start), len(forces) - 1
+    n = len(start)
+    count = len(forces) - 1
     states = np.empty((count + 1, n))
     states[0] = start
     pushes = forces[:-1] @ steps.B0.T + forces[1:] @ steps.B1.T

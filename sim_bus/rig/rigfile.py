@@ -144,7 +144,8 @@ class RigFile(_Part):
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
-        nodes, channels = self.model.graph.nodes, {channel.name for channel in self.channel}
+        nodes = self.model.graph.nodes
+        channels = {channel.name for channel in self.channel}
         lost = [f'{c.name}: no mass is called "{c.at}"' for c in self.channel if c.at not in nodes]
         lost += [
             f'source "{s.name or s.driver}": no channel is called "{name}"'

@@ -143,7 +143,8 @@ class Scenario(BaseModel):
 
     def _impossible(self, rig: RigFile) -> list[str]:
         """Return in words which masses are to become what no mass can be."""
-        massless, masses = rig.model.graph.massless, {mass.name for mass in rig.model.mass}
+        massless = rig.model.graph.massless
+        masses = {mass.name for mass in rig.model.mass}
         goes = [(name, value) for c in self.changes for name, value in c.targets(rig.model.nominal).items()]
         lines = [f"change: {name}: a massless node stays massless" for name, _ in goes if name in massless]
         lighter = [(name, value) for name, value in goes if name in masses - massless and value <= 0.0]

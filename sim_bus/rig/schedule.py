@@ -123,7 +123,8 @@ class Timeline:
 
     def _add(self, change: Change, nominal: Values) -> None:
         start = first_sample(change.at_s, self._rate)
-        ramp, every = round(change.ramp_s * self._rate), max(1, round(change.every_s * self._rate))
+        ramp = round(change.ramp_s * self._rate)
+        every = max(1, round(change.every_s * self._rate))
         for name, target in change.targets(nominal).items():
             self._moves[name].append(_Move(start, ramp, every, self._value(name, start), target))
 

@@ -182,7 +182,8 @@ class Rig:
             signals = self._signals(start)
             run = propagate(signals.step, self._state, forces[start - first : end - first + 1])
             self._state = run[-1]
-            states[here], parameters[here] = run[:-1], list(values.values())
+            states[here] = run[:-1]
+            parameters[here] = list(values.values())
             true[here] = signals.read(run[:-1], forces[here], forces[after], late=False)
             sensed[here] = true[here]
             if any(self._parts):

@@ -212,14 +212,11 @@ class ModbusLine(Line):
             raise DriverIOError("the device closed the connection")
         data = b""
         while self._coming and self._coming[0][0] <= self._time.now_ns:
-            if data and not self._coming[0][2]:
+            piece = self._coming[0][2]
+            if not piece and data:
                 break
-            piece = heapq.heappop(self._coming)[2]
-            if piece is None:
-                raise DriverIOError("Connection reset by peer")
-            if not piece:
-                raise DriverIOError("the device closed the connection")
-            data += piece
+            heapq.heappop(self._coming)
+            data += _sent(piece)
         return data
 
     def next_ns(self) -> int:
@@ -252,3 +249,12 @@ class PlayedSource(PlayedMachine):
 
     def serial(self, device: str) -> Pipe:
         return PlayedPipe(device, self._line, self._time)
+
+
+def _sent(piece: bytes | None) -> bytes:
+    """Return what came over a connection; raises DriverIOError where nothing will come any more."""
+    if piece is None:
+        raise DriverIOError("Connection reset by peer")
+    if not piece:
+        raise DriverIOError("the device closed the connection")
+    return piece

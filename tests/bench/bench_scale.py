@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from agent.blocks.estimation import Estimation
 from agent.config import RigConfig, load
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import Samples
 from sim_bus.rig.plant import Graph, Link, equations, propagate, step
 

@@ -20,7 +20,7 @@ from agent.numerics.model.observer import poles_gain
 from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
 from agent.numerics.window.hops import HopPlan
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import Samples, Status
 from tests.bench import rivals
 from tests.bench.scene import HOP, NOMINAL, PERIOD, WINDOW, Record, rig
@@ -156,7 +156,7 @@ def product_run(sigma: float, window_s: str) -> Run:
         for start in range(0, len(record.y), BLOCK):
             index = np.arange(start, min(start + BLOCK, len(record.y)), dtype=np.int64)
             samples = Samples(index, index * 1_000_000, record.u[index], record.y[index], segment=0)
-            batches.append(block.step(samples))
+            batches.append(block.step(samples).batch)
             marks.append(time.process_time())
         first = len(batches) // 5
         per_sample = 1e6 * np.diff(marks)[first:].sum() / (len(record.y) - first * BLOCK)

@@ -14,9 +14,9 @@ from pymodbus.exceptions import ModbusException
 from drivers.modbus.driver import ModbusDriver
 from drivers.modbus.settings import ModbusSettings
 from drivers.port import SourceRequest
-from drivers.reconnect import ReconnectingDriver
 from tests import figures
 from tests.conformance.modbus_device import Registers, TcpDevice
+from tests.links import NotedLink
 
 SLOTS, SLOT, RING = 800, 40, 16
 RATE, SECONDS, TIMEOUT_S = 500, 4.0, 0.05
@@ -83,7 +83,7 @@ def by_deltak(device: BadDevice, stop: threading.Event) -> set[int]:
         }
     )  # fmt: skip
     request = SourceRequest("bad", settings, ("f0", f"f{SLOT - 1}"))
-    link = ReconnectingDriver(ModbusDriver(request), 3600.0, stop=stop)
+    link = NotedLink(ModbusDriver(request), 3600.0, stop=stop)
     numbers: list[int] = []
     while not stop.is_set():
         block = link.read(0.05)

@@ -16,10 +16,11 @@ import pytest
 
 from drivers.conformance import Line
 from drivers.port import SampleBlock
-from drivers.reconnect import LinkEvent, ReconnectingDriver
+from drivers.reconnect import LinkEvent
 from tests import figures
 from tests.conformance.test_modbus_conformance import RingLine, RtuLine
 from tests.conformance.test_serial_conformance import BinaryLine, EndedLine
+from tests.links import NotedLink
 
 BACK_WITHIN_S = 2.0
 DEADLINE_S = 20.0
@@ -43,7 +44,7 @@ class Source:
         self.samples = 0
         self.missed = 0
         self._stop = threading.Event()
-        self._driver = ReconnectingDriver(line.driver_class(line.request()), SILENT_S, stop=self._stop)
+        self._driver = NotedLink(line.driver_class(line.request()), SILENT_S, stop=self._stop)
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 

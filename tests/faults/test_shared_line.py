@@ -17,9 +17,9 @@ from drivers import clock
 from drivers.modbus.driver import ModbusDriver
 from drivers.modbus.settings import ModbusSettings
 from drivers.port import SourceRequest
-from drivers.reconnect import ReconnectingDriver
 from tests import figures
 from tests.conformance.modbus_device import PtyDevice, Registers, crc16
+from tests.links import NotedLink
 from tests.sim.rigs import MODEL, free_port, simulator
 from tests.unit.drivers.modbus.test_line import numbers, rtu, tcp
 from tests.unit.drivers.played_line import PlayedLine
@@ -41,7 +41,7 @@ class Rig:
     def __init__(self, line: PlayedLine, **keys: object) -> None:
         self.line = line
         self.links = [
-            ReconnectingDriver(source(unit, period_s=PERIOD_S, **keys), 3600.0, rng=random.Random(unit))
+            NotedLink(source(unit, period_s=PERIOD_S, **keys), 3600.0, rng=random.Random(unit))
             for unit in UNITS
         ]
         self.samples = [0] * len(self.links)
@@ -129,7 +129,7 @@ class Poller:
     def __init__(self, driver: ModbusDriver) -> None:
         self.samples = 0
         self._stop = threading.Event()
-        self._link = ReconnectingDriver(driver, 3600.0, stop=self._stop)
+        self._link = NotedLink(driver, 3600.0, stop=self._stop)
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 

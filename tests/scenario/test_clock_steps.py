@@ -9,7 +9,7 @@ import pytest
 
 from agent.config import RigConfig, load
 from agent.runtime import service
-from agent.runtime.service import RigRuntime
+from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, Use
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store

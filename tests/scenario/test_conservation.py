@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.config import load
-from agent.runtime.pipeline import Conservation
+from agent.runtime.ledger import Conservation
 from agent.runtime.replay import make_pipeline
 from drivers.port import Counts, SampleBlock
 from tests.scenario.live import agent, example, hops, rows, wait_until
@@ -143,7 +143,7 @@ def test_ledger_adds_up_what_driver_queue_acquisition_and_estimation_counted(tmp
     values[3, 1] = np.nan
     pipeline.step("recording", SampleBlock(values, 0, None, times), None, None)
     driver = Counts(received=10, rejected=Counter({"crc": 3}), dropped=Counter({"kernel": 2}))
-    (health,) = pipeline.health({"recording": Conservation(driver, Counter({"queue full": 1}))}, 0, None)
+    (health,) = pipeline.ledger.health({"recording": Conservation(driver, Counter({"queue full": 1}))}, 0, None)
     assert (health.received, health.used) == (10 + 2, 3)
     assert health.rejected == {"crc": 3, "duplicate": 1, "backwards": 1, "missing value": 1}
     assert health.dropped == {"kernel": 2, "queue full": 1}

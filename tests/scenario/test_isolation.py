@@ -10,8 +10,9 @@ import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
-from agent.runtime.containment import PAUSE_NS
-from agent.runtime.service import RigRuntime, Service
+from agent.runtime.limits import PAUSE_NS
+from agent.runtime.rig_runtime import RigRuntime
+from agent.runtime.service import Service
 from agent.types import (
     AlarmTransition,
     EstimateBatch,
@@ -86,7 +87,7 @@ def test_fault_in_one_rig_leaves_the_other_rig_its_rows_and_starts_that_rig_anew
     pair: tuple[Service, Path], caplog: pytest.LogCaptureFixture
 ) -> None:
     service, db = pair
-    estimation = service.rigs["left"].pipeline.estimation
+    estimation = service.rigs["left"].pipeline.stages.estimation
     estimation.estimator = Broken(estimation.estimator)
     with caplog.at_level(logging.WARNING):
         play(service)
@@ -125,8 +126,8 @@ def test_fault_that_comes_back_is_tried_less_and_less_often_and_every_sample_is_
     received = 0
     for block in blocks(12):
         received += len(block)
-        rig.pipeline.take("modbus", block, 2**32, None)
-        published += rig.pipeline.compute()
+        rig.isolated.take("modbus", block, 2**32, None)
+        published += rig.isolated.compute()
     events = [record for record in published if isinstance(record, HealthEvent)]
     assert [record.cause for record in events] == ["failure"] * 4
     alarms = [record for record in published if isinstance(record, AlarmTransition)]
@@ -134,7 +135,7 @@ def test_fault_that_comes_back_is_tried_less_and_less_often_and_every_sample_is_
         ("source", "estimation", "UNACK")
     ]
     assert not any(isinstance(record, EstimateBatch | Health) for record in published)
-    used, rejected = rig.pipeline.ends("modbus")
+    used, rejected = rig.pipeline.ledger.ends("modbus")
     assert used + rejected.total() == received
 
 
@@ -151,9 +152,9 @@ def test_pause_after_a_fault_that_keeps_coming_back_grows_to_a_minute_and_stays_
     for second in range(1, 320):
         counter = np.arange(1000 * second, 1000 * second + PIECE, dtype=np.int64)
         block = SampleBlock(np.ones((PIECE, 3)), second * 1_000_000_000, counter, wall_offset_ns=0)
-        rig.pipeline.take("modbus", block, 2**32, None)
-        if any(isinstance(record, HealthEvent) for record in rig.pipeline.compute()):
-            pauses.append(rig.pipeline._pause_ns // 1_000_000_000)
+        rig.isolated.take("modbus", block, 2**32, None)
+        if any(isinstance(record, HealthEvent) for record in rig.isolated.compute()):
+            pauses.append(rig.isolated._pause_ns // 1_000_000_000)
     assert pauses == [1, 2, 4, 8, 16, 32, *[60] * 5]
 
 
@@ -164,10 +165,10 @@ def test_sensor_alarm_that_stood_before_a_fault_clears_once_estimates_are_valid_
     rig = RigRuntime(load(example("modbus", tmp_path)), published.extend)
     channel = rig.config.outputs[0].name
     rig.pipeline.sensor_alarms.step([SensorEvent(SensorFault(channel, Reason.STUCK), True, 0, 0)])
-    monkeypatch.setattr(rig.pipeline.quality, "step", lambda *_: 1 / 0)
+    monkeypatch.setattr(rig.pipeline.stages.quality, "step", lambda *_: 1 / 0)
     for block in blocks(4):
-        rig.pipeline.take("modbus", block, 2**32, None)
-        published += rig.pipeline.compute()
+        rig.isolated.take("modbus", block, 2**32, None)
+        published += rig.isolated.compute()
     steps = [(r.kind, r.parameter, r.to_state) for r in published if isinstance(r, AlarmTransition)]
     assert ("sensor", channel, "RTNUN") in steps
 
@@ -177,15 +178,15 @@ def test_numerical_failure_inside_the_method_costs_a_windows_rows_no_sample_and_
 ) -> None:
     published: list[Record] = []
     rig = RigRuntime(load(example("modbus", tmp_path)), published.extend)
-    contained = rig.pipeline.estimation.estimator
+    contained = rig.pipeline.stages.estimation.estimator
     assert isinstance(contained, ContainedEstimator)
     contained.estimator = Broken(contained.estimator)
     # the one that takes its place fails at the same samples, the next one does not
     after = iter([Broken(contained.make(contained.budget)), contained.make(contained.budget)])
     contained.make = lambda _: next(after)
     for block in blocks(3):
-        rig.pipeline.take("modbus", block, 2**32, None)
-        published += rig.pipeline.compute()
+        rig.isolated.take("modbus", block, 2**32, None)
+        published += rig.isolated.compute()
     batches = [record for record in published if isinstance(record, EstimateBatch)]
     diverged = np.concatenate([(batch.reason == Reason.DIVERGED).all(axis=1) for batch in batches])
     index = np.concatenate([batch.index for batch in batches])
@@ -195,4 +196,4 @@ def test_numerical_failure_inside_the_method_costs_a_windows_rows_no_sample_and_
     alarms = [record for record in published if isinstance(record, AlarmTransition)]
     assert [(alarm.parameter, alarm.to_state) for alarm in alarms] == [("estimation", "UNACK"), ("estimation", "RTNUN")]
     assert "LinAlgError: planted" in alarms[0].message
-    assert rig.pipeline.ends("modbus")[1].total() == 0
+    assert rig.pipeline.ledger.ends("modbus")[1].total() == 0

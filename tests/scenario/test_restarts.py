@@ -155,7 +155,7 @@ def test_restart_of_one_source_of_a_rig_at_rest_rows_say_realigning(tmp_path: Pa
     after = index >= back
     assert (status[after] == Status.INVALID).all()
     assert (reason[after] == Reason.REALIGNING).all()
-    assert pipeline.ends("modbus")[1]["realigning"] > 5000
+    assert pipeline.ledger.ends("modbus")[1]["realigning"] > 5000
     words = [record.message for record in records if isinstance(record, HealthEvent) and record.cause == "realigning"]
     assert len(words) == 1
     assert "modbus" in words[0]

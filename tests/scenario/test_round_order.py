@@ -9,8 +9,10 @@ import pytest
 
 from agent.config import load
 from agent.runtime.containment import IsolatedPipeline
-from agent.runtime.pending import PART, STOPPED
-from agent.runtime.service import FINISH_S, RigRuntime, Service
+from agent.runtime.limits import FINISH_S, PART
+from agent.runtime.pending import STOPPED
+from agent.runtime.rig_runtime import RigRuntime
+from agent.runtime.service import Service
 from agent.runtime.sources import Connection
 from agent.types import Health, Record
 from drivers.port import SampleBlock
@@ -43,6 +45,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
         return compute(pipeline)
 
     monkeypatch.setattr("agent.runtime.service.monotonic_ns", clock)
+    monkeypatch.setattr("agent.runtime.rig_runtime.monotonic_ns", clock)
     monkeypatch.setattr(IsolatedPipeline, "compute", dear)
     monkeypatch.setattr(RigRuntime, "finish", lambda _: None)
     monkeypatch.setattr(Connection, "start", lambda _: None)

@@ -67,7 +67,7 @@ def test_skew_of_a_rig_that_stands_still_is_unknown_and_said_so(tmp_path: Path) 
     rng = np.random.default_rng(0)
     values = np.column_stack([np.zeros(1500), 1e-6 * rng.standard_normal((1500, 2))])
     outcome = play(path, values)
-    assert outcome.pipeline._skew("modbus") == (None, None)
+    assert outcome.pipeline.ledger.skew("modbus") == (None, None)
     assert ["does not show" in e.message for e in outcome.events if e.cause == "skew"] == [True]
 
 

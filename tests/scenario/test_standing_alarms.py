@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from agent.config import load
-from agent.runtime.service import RigRuntime
+from agent.runtime.rig_runtime import RigRuntime
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition, Record, RunInfo

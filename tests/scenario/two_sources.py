@@ -66,7 +66,7 @@ class Outcome:
 
     def skew(self) -> tuple[float, float]:
         """Skew of the Modbus source against CAN and its sd, s."""
-        skew, sd = self.pipeline._skew("modbus")
+        skew, sd = self.pipeline.ledger.skew("modbus")
         assert skew is not None
         assert sd is not None
         return skew, sd

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import butter, lfilter
 
 from agent.blocks.estimation import Estimation
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.runtime.replay import SOURCE, Track, make_pipeline, opened
 from agent.types import EstimateBatch, FloatArray, Samples, Status
 from tests.statistical.machine import NAMES, SECOND, Machine, configuration, each, fresh, on_second
@@ -156,7 +156,7 @@ def _estimated(name: str, case: Case, read: Readings) -> list[EstimateBatch]:
     block = fresh(name, partial(_estimation, case))
     index = np.arange(len(read.force), dtype=np.int64)
     parts = np.split(index, range(10_000, len(index), 10_000))
-    found = [block.step(Samples(i, i * 1_000_000, read.force[i, None], read.y[i], 0)) for i in parts]
+    found = [block.step(Samples(i, i * 1_000_000, read.force[i, None], read.y[i], 0)).batch for i in parts]
     return [batch for batch in found if batch is not None]
 
 

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from agent.blocks.friction import dry_friction
 from agent.config import load
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import FloatArray, Samples, Status
 
 MASS, SPRING, DAMPER = 5.0, 200.0, 10.0
@@ -141,7 +141,7 @@ def run(case: Case, seed: int) -> tuple[FloatArray, FloatArray, float]:
     batches = []
     for index in np.split(np.arange(samples, dtype=np.int64), range(WINDOW, samples, WINDOW)):
         taken = Samples(index, index * 1_000_000, force[index, None], y[index, None], 0)
-        batches.append(estimation.step(replace(taken, u=friction.step(taken))))
+        batches.append(estimation.step(replace(taken, u=friction.step(taken))).batch)
     rows, value, upper, status = (
         np.concatenate([getattr(batch, part) for batch in batches if batch is not None])
         for part in ("index", "value", "upper", "status")

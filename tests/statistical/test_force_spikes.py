@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from agent.blocks.estimation import Estimation
-from agent.runtime.pipeline import Conservation, Pipeline
+from agent.runtime.ledger import Conservation
+from agent.runtime.pipeline import Pipeline
 from agent.runtime.replay import SOURCE, make_pipeline
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status
 from drivers.port import Counts, SampleBlock
@@ -66,7 +67,7 @@ def assessed(seed: int) -> tuple[int, int, float, float, int]:
     pipe, batches, alarms = run(v)
     counts = Counts()
     counts.received = len(v)
-    (ledger,) = pipe.health({SOURCE: Conservation(counts, counts.rejected.copy())}, 0, None)
+    (ledger,) = pipe.ledger.health({SOURCE: Conservation(counts, counts.rejected.copy())}, 0, None)
     assert ledger.received == ledger.used + sum(ledger.rejected.values())
     late = joined(batches, "index") >= WARM
     valid = joined(batches, "status")[late] == Status.VALID
@@ -99,7 +100,7 @@ def test_spikes_in_the_force_are_refused_and_counted_in_200_runs(request: pytest
 
 def test_blows_that_moved_the_rig_are_no_spikes() -> None:
     pipe, batches, alarms = run(struck(1))
-    block: Estimation = pipe.estimation
+    block: Estimation = pipe.stages.estimation
     assert block.estimator.spikes == 0
     late = joined(batches, "index") >= WARM
     assert (joined(batches, "status")[late] == Status.VALID).mean() >= 0.97
@@ -109,7 +110,7 @@ def test_blows_that_moved_the_rig_are_no_spikes() -> None:
 def test_spikes_in_the_force_give_the_same_rows_however_the_stream_is_cut() -> None:
     v, _ = spiked(0)
     whole, parts = run(v), run(v, sorted(np.random.default_rng(1).integers(0, SAMPLES, 40).tolist()))
-    assert whole[0].estimation.estimator.spikes == parts[0].estimation.estimator.spikes > 0
+    assert whole[0].stages.estimation.estimator.spikes == parts[0].stages.estimation.estimator.spikes > 0
     for part in ("index", "status", "reason"):
         np.testing.assert_array_equal(joined(whole[1], part), joined(parts[1], part))
     for part in ("value", "sd"):
@@ -121,7 +122,7 @@ def test_one_wild_reading_of_the_force_is_refused_as_a_spike_and_costs_no_estima
     v = healthy(np.random.default_rng([3, 77]), 4000)
     v[2500 : 2500 + length, 0] = size
     pipe, batches, alarms = run(v)
-    (ledger,) = pipe.health({SOURCE: Conservation(Counts(received=len(v)), Counter())}, 0, None)
+    (ledger,) = pipe.ledger.health({SOURCE: Conservation(Counts(received=len(v)), Counter())}, 0, None)
     assert ledger.rejected == {"spike": length}
     assert ledger.received == ledger.used + length
     late = joined(batches, "index") >= 2500

@@ -23,9 +23,9 @@ from drivers.can.bus.slcan import SlcanBus
 from drivers.can.codec.frames import FRAME, FrameTable, candump_frames
 from drivers.can.driver import CanDriver, CanSettings
 from drivers.port import Counts, SourceRequest
-from drivers.reconnect import ReconnectingDriver
 from sim_bus.devices.can.packing import FrameKind
 from sim_bus.devices.can.slcan import SlcanText
+from tests.links import NotedLink
 from tests.peers import ROOT
 from tests.vcan.adapter import DEADLINE_S, KernelAdapter, kernel_adapter
 from tests.vcan.inside import FOLDER
@@ -164,7 +164,7 @@ SAMPLE = b"t10080100000405000000\r"
 
 
 def test_states_of_the_controller_are_reported_and_bus_off_ends_with_the_next_sample(quiet: KernelAdapter) -> None:
-    reader = ReconnectingDriver(driver(quiet.name), 30.0, rng=random.Random(0))
+    reader = NotedLink(driver(quiet.name), 30.0, rng=random.Random(0))
     until(reader, lambda: reader.is_open)
     quiet.send(SAMPLE)
     until(reader, lambda: reader.driver.counts.received == 1)
@@ -188,7 +188,7 @@ def test_states_of_the_controller_are_reported_and_bus_off_ends_with_the_next_sa
     assert not counts.rejected
 
 
-def until(reader: ReconnectingDriver, condition: Callable[[], bool]) -> None:
+def until(reader: NotedLink, condition: Callable[[], bool]) -> None:
     deadline = time.monotonic() + DEADLINE_S
     while not condition():
         reader.read(0.05)

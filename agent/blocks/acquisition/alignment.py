@@ -10,131 +10,28 @@ counters where they began anew as well; where one did not, its samples are found
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from agent.blocks.acquisition.clock_map import SETTLE_S, ClockMap
-from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
-from agent.blocks.acquisition.interface import Acquisition, Ends, Label, SourceEvent, SourcePlan, SourceState, Through
-from agent.blocks.acquisition.single_source import intake, uninterrupted
+from agent.blocks.acquisition.clock_map import ClockMap
+from agent.blocks.acquisition.indexing import Indexer, Origin
+from agent.blocks.acquisition.interface import (
+    Acquired,
+    Acquisition,
+    Ends,
+    Label,
+    SourceEvent,
+    SourceState,
+    Through,
+)
+from agent.blocks.acquisition.single_source import uninterrupted
 from agent.blocks.acquisition.skew_watch import SkewWatch
-from agent.blocks.acquisition.tally import Tally
+from agent.blocks.acquisition.stream import AlignmentPlan, Stream, StreamPlan
+from agent.blocks.acquisition.tuning import NEIGHBOURS, PARTNER_S, SETTLE_S, TOGETHER_S
 from agent.numerics.preprocessing.resample import AFTER, interpolated, split
 from agent.types import Aligned, BoolArray, FloatArray, IntArray, Samples
 from drivers.port import SampleBlock
-
-PATIENCE_S = 1.0
-"""How long a sample of one source waits for the same instant of another."""
-TOGETHER_S = 0.5
-"""Devices that began to count anew together have all been read again after this."""
-NEIGHBOURS = 2
-"""Samples within which a source must have one for a row to be made at all."""
-
-
-@dataclass(frozen=True, slots=True)
-class StreamPlan:
-    """One source: its columns, the rate at which its device samples, and whether the device counts for itself."""
-
-    source: SourcePlan
-    rate_hz: float
-    own_clock: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class AlignmentPlan:
-    """How the sources of a rig become rows.
-
-    Attributes:
-        streams: the sources; `reference` is the place of the one whose samples make rows.
-        channels, inputs: number of channels, of which the first are inputs.
-        clock, rate_hz: what orders samples, and how fast rows come.
-        delay_s: (c,) how much later than the reference's first channel each is read, as far as that is configured.
-        late_s: how late that first channel is itself.
-    """
-
-    streams: tuple[StreamPlan, ...]
-    reference: int
-    channels: int
-    inputs: int
-    clock: Clock
-    rate_hz: float
-    delay_s: FloatArray
-    late_s: float = 0.0
-
-    @property
-    def clocks(self) -> bool:
-        """Whether some device counts for itself."""
-        return any(stream.own_clock for stream in self.streams)
-
-
-@dataclass(slots=True)
-class Stream:
-    """One source while it runs: what of its samples is kept, where they ended up, its clock."""
-
-    plan: StreamPlan
-    state: SourceState
-    clock: ClockMap | None
-    tally: Tally = field(default_factory=Tally)
-    index: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    values: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    stamps: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    sent: int = -1
-    _restarts: int = 0
-
-    def began_anew(self) -> bool:
-        """Tell whether the device began to count anew since the last call."""
-        before, self._restarts = self._restarts, self.state.indexer.restarts
-        return self._restarts > before
-
-    @property
-    def newest(self) -> int:
-        """Number of the newest sample; -1 before there is one."""
-        return int(self.index[-1]) if len(self.index) else -1
-
-    @property
-    def waiting(self) -> int:
-        """Complete samples that wait for their row, or for what is made of it."""
-        open_ = self.index > self.sent
-        return int(np.isfinite(self.values[open_]).all(axis=1).sum()) + self.tally.waiting if len(self.index) else 0
-
-    def take(self, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
-        """Keep a block's samples, those that lack a reading too, with the stamps of `label` or else their own."""
-        restarts = self.state.indexer.restarts
-        index, values, stamps = intake(self.state, block, modulus)
-        if self.clock is not None and self.state.indexer.restarts > restarts:
-            self.clock.restart()
-        if not len(index):
-            return
-        times = label(index) if label is not None else _by_rate(index, self.plan.rate_hz) if stamps is None else stamps
-        self.index, self.stamps = np.concatenate([self.index, index]), np.concatenate([self.stamps, times])
-        self.values = np.concatenate([self.values, values]) if self.values.size else values
-        if self.clock is not None:
-            self.clock.observe(int(index[-1]), block.arrival_ns)
-
-    def send(self, last: IntArray) -> IntArray:
-        """Return how many complete samples (n,) go with rows that take along all up to last (n,)."""
-        complete = self.index[np.isfinite(self.values).all(axis=1)] if len(self.index) else self.index
-        edges = np.searchsorted(complete, np.maximum.accumulate(np.concatenate([[self.sent], last])), side="right")
-        self.sent = max(self.sent, int(last[-1]))
-        return np.diff(edges)
-
-    def give_up(self, last: int) -> None:
-        """Refuse the samples up to one that no row takes along."""
-        if last > self.sent:
-            self.tally.refuse("unpaired", int(self.send(np.array([last])).sum()))
-
-    def forget(self, before: int) -> None:
-        """Drop the samples before one."""
-        cut = int(np.searchsorted(self.index, min(before, self.sent)))
-        self.index, self.values, self.stamps = self.index[cut:], self.values[cut:], self.stamps[cut:]
-        if self.clock is not None:
-            self.clock.forget(before)
-
-
-def _by_rate(index: IntArray, rate_hz: float) -> IntArray:
-    period = np.longdouble(1e9) / np.longdouble(rate_hz)
-    return np.asarray(np.rint(index * period).astype(np.int64))
 
 
 @dataclass(slots=True)
@@ -167,7 +64,7 @@ class Alignment(Acquisition):
         self._events: list[SourceEvent] = []
         self.streams = {p.source.name: self._stream(p, origin) for p in plan.streams}
         self.reference = list(self.streams.values())[plan.reference]
-        self._patience = round((PATIENCE_S + (2 * SETTLE_S if plan.clocks else 0.0)) * plan.rate_hz)
+        self._patience = round((PARTNER_S + (2 * SETTLE_S if plan.clocks else 0.0)) * plan.rate_hz)
         self._made, self._last, self._segment = -1, -2, 0
 
     def _stream(self, plan: StreamPlan, origin: Origin) -> Stream:
@@ -179,12 +76,12 @@ class Alignment(Acquisition):
     def sources(self) -> dict[str, SourceState]:
         return {name: stream.state for name, stream in self.streams.items()}
 
-    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> list[Aligned]:
+    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> Acquired:
         stream = self.streams[source]
         stream.take(block, modulus, label if stream is self.reference else None)
         if stream.began_anew():
             self._begin_span(stream)
-        return self._advance()
+        return self._acquired(self._advance())
 
     @property
     def watch(self) -> SkewWatch | None:
@@ -193,7 +90,8 @@ class Alignment(Acquisition):
 
     def _begin_span(self, stream: Stream) -> None:
         """Part the rows to come from those before: their numbers count from elsewhere."""
-        since, own = max(stream.state.indexer.began, self._made + 1, self._spans[-1].since), stream.plan.own_clock
+        since = max(stream.state.indexer.began, self._made + 1, self._spans[-1].since)
+        own = stream.plan.own_clock
         if len(self.streams) > 1:
             span = Span(self._in_rows(stream, since), self._watch_anew(since, needed=not own and self._parted()))
             self._spans.append(span)
@@ -212,19 +110,24 @@ class Alignment(Acquisition):
         if not needed:
             self._usual = None if self._usual is None else self._usual.anew(since, needed=False)
             return self._usual
-        every = self._remeasure() if self._remeasure is not None else None
-        known = self._usual is not None and (every is None or self._usual.groups == every.groups)
-        watch = self._usual if known else every
+        watch = self._watch_of_all()
         return None if watch is None else watch.anew(since, needed=True)
 
-    def finish(self) -> list[Aligned]:
+    def _watch_of_all(self) -> SkewWatch | None:
+        """Return what measures the skews of all sources: the usual watch where it does, else a new one."""
+        usual = self._usual
+        if self._remeasure is None:
+            return usual
+        every = self._remeasure()
+        return usual if usual is not None and usual.groups == every.groups else every
+
+    def finish(self) -> Acquired:
         for span in self._spans:
-            if span.watch is not None:
-                span.watch.let_go()
+            self._events += [] if span.watch is None else span.watch.let_go()
         pieces = self._advance(end=True)
         for stream in self.streams.values():
             stream.give_up(stream.newest)
-        return pieces
+        return self._acquired(pieces)
 
     def hurry(self) -> None:
         for span in list(self._spans):
@@ -244,21 +147,19 @@ class Alignment(Acquisition):
             for piece in samples:
                 stream.tally.arrive(piece)
 
-    def take_events(self) -> list[SourceEvent]:
-        for span in self._spans:
-            self._events += [] if span.watch is None else span.watch.take_events()
-        events, self._events = self._events, []
-        return events
-
     def skews(self) -> dict[str, tuple[float | None, float | None]]:
         return {} if self.watch is None else self.watch.known()
+
+    def _acquired(self, pieces: Sequence[Aligned]) -> Acquired:
+        """Return rows, and what was found of the sources while they were made."""
+        events, self._events = self._events, []
+        return Acquired(pieces, events)
 
     def _advance(self, *, end: bool = False) -> list[Aligned]:
         """Make the rows that every source is ready for, or has let wait too long, span by span."""
         pieces: list[Aligned] = []
         while len(self._spans) > 1 and self._finished(self._spans[1].since - 1, pieces, end=end):
-            span = self._spans.pop(0)
-            self._events += [] if span.watch is None else span.watch.take_events()
+            self._spans.pop(0)
         if len(self._spans) == 1 and not self._held(self._spans[0]):
             self._make(self._last_due(end=end), pieces)
         self._clear()
@@ -292,10 +193,11 @@ class Alignment(Acquisition):
         if watch is None or not all(len(stream.index) for stream in self.streams.values()):
             return False
         ready = self._ready(watch.margin)
-        watch.look(self._first_common(), ready, self.reference.newest, self._read)
+        found = watch.look(self._first_common(), ready, self.reference.newest, self._read)
         if watch.needed and not span.announced and self.reference.newest > span.since + TOGETHER_S * self.plan.rate_hz:
             span.announced = True
             self._announce(watch.against)
+        self._events += found
         return watch.holding
 
     def _announce(self, against: str) -> None:
@@ -337,7 +239,9 @@ class Alignment(Acquisition):
         return max(self._first_of(stream) for stream in self.streams.values())
 
     def _first_of(self, stream: Stream) -> int:
-        here, there, first = self.reference.clock, stream.clock, int(stream.index[0])
+        here = self.reference.clock
+        there = stream.clock
+        first = int(stream.index[0])
         if not self._apart(stream):
             return first
         if here is None or there is None or not (here.settled and there.settled):

@@ -12,21 +12,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from agent.blocks.acquisition.tuning import (
+    BACKLOG_S,
+    CLEAR,
+    FASTER,
+    LEAK,
+    PAUSE_READ_S,
+    STAYS_LATE_S,
+    STAYS_LATE_SAMPLES,
+    USUAL,
+)
 from agent.types import IntArray
 from drivers.port import SampleBlock
-
-USUAL = 32
-"""Newest arrivals of which the latest is usual."""
-CLEAR = 0.75
-"""An arrival later than is usual by so much of a sample tells of lost ones at once ..."""
-PATIENCE_S, LEAST = 1.0, 8
-"""... and as many as stay late for so long, by that much."""
-READ_S = 0.06
-"""Lines that flow are read less often than samples come; where one pauses, its newest sample waited as long as this."""
-LEAK = 2e-3
-"""The line follows a device that is slower than its nominal rate by up to this share."""
-AHEAD_S, AHEAD = 1.0, 0.02
-"""More samples than time allows are repeats: beyond a backlog, and a rate so much higher than nominal."""
 
 
 @dataclass(slots=True)
@@ -75,14 +72,14 @@ class ArrivalCount:
         self._line = now_ns - max(0.0, late - min(max(late, 0.0), LEAK * count)) * period
         first = self._number + skipped + 1
         elapsed = (now_ns - origin_ns) / period
-        most = int(elapsed + AHEAD_S * self.rate_hz + AHEAD * elapsed)
+        most = int(elapsed + BACKLOG_S * self.rate_hz + FASTER * elapsed)
         numbers = np.minimum(np.arange(first, first + count, dtype=np.int64), max(most, self._number))
         self._number = int(numbers[-1])
         return numbers
 
     def _skipped(self, late: float, now_ns: int, *, own: bool) -> int:
         """Return how many samples an arrival so late says were lost before it."""
-        usual = max(*self._usual, 0.0 if own else READ_S * self.rate_hz)
+        usual = max(*self._usual, 0.0 if own else PAUSE_READ_S * self.rate_hz)
         if late >= usual + CLEAR:
             self._late_since = None
             return max(1, round(late - float(np.median(self._usual))))
@@ -94,7 +91,7 @@ class ArrivalCount:
         if self._late_since is None:
             self._late_since, self._least_late, self._stayed = now_ns, np.inf, 0
         self._least_late, self._stayed = min(self._least_late, late), self._stayed + 1
-        if self._stayed < LEAST or now_ns - self._late_since < PATIENCE_S * 1e9:
+        if self._stayed < STAYS_LATE_SAMPLES or now_ns - self._late_since < STAYS_LATE_S * 1e9:
             return 0
         self._late_since = None
         return round(self._least_late - age / 2)

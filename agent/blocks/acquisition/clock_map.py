@@ -5,17 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.blocks.acquisition.tuning import LINE_EVERY_S, SETTLE_S, STEEPEST, TRUSTED_S
 from agent.numerics.preprocessing.drift import ClockFit
 from agent.types import FloatArray
-
-SETTLE_S = 2.0
-"""Arrivals that are watched before the first sample has its time."""
-EVERY_S = 10.0
-"""The line is drawn anew after twice the time again and again, and in the end this often."""
-TRUSTED_S = 7.0
-"""A slope is taken from arrivals over at least this long; before, the device is taken to keep its nominal rate."""
-STEEPEST = 2e-3
-"""Pieces run at most this much faster or slower than nominal."""
 
 
 class _Piece(NamedTuple):
@@ -49,27 +41,33 @@ class ClockMap:
 
     def restart(self) -> None:
         """Forget the line: the device began anew."""
-        self._fit, self.settled, self._due_s, self._from = None, False, SETTLE_S, self._newest + 1
+        self._fit = None
+        self.settled = False
+        self._due_s = SETTLE_S
+        self._from = self._newest + 1
 
     def observe(self, index: int, arrival_ns: int) -> None:
         """Take the newest sample of a block and when the block arrived."""
         if self._fit is None:
-            self._fit, self._begun = ClockFit(self.rate_hz), index
+            self._fit = ClockFit(self.rate_hz)
+            self._begun = index
         self._fit.observe(index, arrival_ns)
         self._newest = index
         elapsed = (index - self._begun) / self.rate_hz
         if elapsed >= self._due_s:
             self._draw(self._fit)
-            self._due_s = elapsed + min(elapsed, EVERY_S)
+            self._due_s = elapsed + min(elapsed, LINE_EVERY_S)
 
     def _draw(self, fit: ClockFit) -> None:
         """Go on from the newest sample towards the line as arrivals show it now; begin on it."""
-        line, nominal = fit.line(TRUSTED_S), 1.0 / self.rate_hz
+        line = fit.line(TRUSTED_S)
+        nominal = 1.0 / self.rate_hz
         if not self.settled:
             self._pieces.append(_Piece(self._from, fit.at_s(line, self._from), nominal * (1 + line.slope)))
             self.settled = True
             return
-        here, ahead = float(self.time_s(np.array([self._newest]))[0]), round(EVERY_S * self.rate_hz)
+        here = float(self.time_s(np.array([self._newest]))[0])
+        ahead = round(LINE_EVERY_S * self.rate_hz)
         period = (fit.at_s(line, self._newest + ahead) - here) / ahead
         period = float(np.clip(period, nominal * (1 - STEEPEST), nominal * (1 + STEEPEST)))
         self._pieces.append(_Piece(self._newest, here, period))

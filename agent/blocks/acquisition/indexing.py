@@ -8,24 +8,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from agent.blocks.acquisition.arrival_count import ArrivalCount
+from agent.blocks.acquisition.tuning import JOIN_S, LEAK, PUNCTUAL_S, RESTART_AFTER_S, WIDEST
 from agent.types import BoolArray, IntArray
 from drivers.port import SampleBlock
 
 Clock = Literal["counter", "device", "uniform", "arrival"]
-WIDEST = 1 << 62
-"""A counter of more values does not wrap in any lifetime, and one of 64 bits wraps with the numbers themselves."""
-RESTART_AFTER_S = 0.1
-"""A device that keeps counting from behind for this long has restarted; a single late frame has not."""
-
-
-PUNCTUAL_S = 0.1
-"""Samples that are late by less may only have been read late: a clock that says so tells of no silence."""
-
-
-JOIN_S = 0.1
-"""Counts that agree with the clock to this began anew together."""
-LEAK = 2e-3
-"""A device may be slower than its nominal rate by this share before its samples are taken for late ones."""
 
 
 class Anew(NamedTuple):
@@ -57,15 +44,24 @@ class Origin:
         Another source that began anew since this one did (`generation`) gives the number where both counts agree with
         the clock, `by_time`, to within `reach` samples, and wraps are too far apart for that to be chance.
         """
-        if self.anew is not None and self.generation > generation:
-            wrap = gcd(self.anew.modulus or 0, modulus or 0)
-            count = self.anew.number + raw - self.anew.raw
-            joined = count + wrap * round((by_time - count) / wrap) if wrap else count
-            if abs(joined - by_time) <= reach and (not wrap or wrap >= 4 * reach):
-                return joined, self.generation
+        other = self.anew if self.generation > generation else None
+        joined = None if other is None else _joined(other, by_time, raw, modulus, reach)
+        if joined is not None:
+            return joined, self.generation
         self.generation += 1
         self.anew = Anew(by_time, raw, modulus)
         return by_time, self.generation
+
+
+def _joined(other: Anew, by_time: int, raw: int, modulus: int | None, reach: float) -> int | None:
+    """Return the index of a sample by the count of another source that began anew; None where that may be chance."""
+    wrap = gcd(other.modulus or 0, modulus or 0)
+    count = other.number + raw - other.raw
+    if wrap:
+        count += wrap * round((by_time - count) / wrap)
+    if 0 < wrap < 4 * reach:
+        return None
+    return count if abs(count - by_time) <= reach else None
 
 
 @dataclass(slots=True)
@@ -103,35 +99,52 @@ class Indexer:
 
     def take(self, block: SampleBlock) -> tuple[IntArray, BoolArray]:
         """Return the indices of a block's samples (n,) and which of them go forward (n,); count the others."""
-        rows, arrival_ns = len(block), block.arrival_ns
-        if not rows:
+        if not len(block):
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         counted = self.clock == "counter" and block.counter is not None
         if self.clock == "arrival" and block.t_ns is None:
             return self._by_arrival(block)
-        numbered = not counted and (self.clock == "uniform" or block.t_ns is None)
+        stamped = self.clock != "uniform" and block.t_ns is not None
+        return self._by_readings(block, counted=counted, numbered=not counted and not stamped)
+
+    def _by_readings(self, block: SampleBlock, *, counted: bool, numbered: bool) -> tuple[IntArray, BoolArray]:
+        """Number samples by their counter, by their time stamps, or one after the other."""
+        arrival_ns = block.arrival_ns
         raw = self._readings(block, counted=counted, numbered=numbered)
-        if block.epoch != self._epoch and self._last is not None and not numbered:
-            if counted:
-                self._count_anew(raw, arrival_ns)
-            else:
-                # the first sample of a device that began anew comes after the time that passed
-                self._stamp_anew(int(raw[0]) - 1, arrival_ns)
+        began_anew = block.epoch != self._epoch and self._last is not None
+        if began_anew and not numbered:
+            self._begin_anew(raw, arrival_ns, counted=counted)
         self._epoch = block.epoch
-        index = raw if numbered else self._from_counter(raw, arrival_ns) if counted else self._from_time(raw)
+        index = raw if numbered else self._from_raw(raw, arrival_ns, counted=counted)
         kept = self._forward(index)
         if kept.any():
             newest = int(np.flatnonzero(kept)[-1])
             self._newest = self._last = int(index[newest])
-            self._raw, self._received_ns = int(raw[newest]), arrival_ns
+            self._raw = int(raw[newest])
+            self._received_ns = arrival_ns
             self._line_ns = self._punctual_ns(arrival_ns)
         elif self._behind > RESTART_AFTER_S * self.rate_hz:
-            if counted:
-                self._count_anew(raw[-1:], arrival_ns)
-                self._newest = max(self._newest, self._resumed)
-            else:
-                self._stamp_anew(int(raw[-1]), arrival_ns)
+            self._give_up(raw, arrival_ns, counted=counted)
         return index, kept
+
+    def _begin_anew(self, raw: IntArray, arrival_ns: int, *, counted: bool) -> None:
+        """Go on where the block says that its device began anew."""
+        if counted:
+            self._count_anew(raw, arrival_ns)
+        else:
+            # the first sample of a device that began anew comes after the time that passed
+            self._stamp_anew(int(raw[0]) - 1, arrival_ns)
+
+    def _give_up(self, raw: IntArray, arrival_ns: int, *, counted: bool) -> None:
+        """Go on with a count that has run backwards for so long that its device must have begun anew."""
+        if counted:
+            self._count_anew(raw[-1:], arrival_ns)
+            self._newest = max(self._newest, self._resumed)
+        else:
+            self._stamp_anew(int(raw[-1]), arrival_ns)
+
+    def _from_raw(self, raw: IntArray, arrival_ns: int, *, counted: bool) -> IntArray:
+        return self._from_counter(raw, arrival_ns) if counted else self._from_time(raw)
 
     def _by_arrival(self, block: SampleBlock) -> tuple[IntArray, BoolArray]:
         """Number samples that nothing but their arrival orders."""
@@ -228,7 +241,9 @@ class Indexer:
             by_time = max(self._newest + 1, round((arrival_ns - self._line_ns) * self.rate_hz / 1e9))
         known = self.origin.renumber(self.generation, by_time, int(raw[-1]), self.modulus, JOIN_S * self.rate_hz)
         self._resumed, self.generation = known
-        self._raw, self._received_ns, self._behind = int(raw[0]), arrival_ns, 0
+        self._raw = int(raw[0])
+        self._received_ns = arrival_ns
+        self._behind = 0
         self._last = self.began = self._resumed - int(self._shortest(np.diff(raw)).sum())
         self._line_ns = None
         self.restarts += 1

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from agent.blocks.acquisition.indexing import Indexer
-from agent.types import Aligned, IntArray, Samples
+from agent.types import Aligned, IntArray, Output, Samples
 from drivers.port import SampleBlock
 
 Label = Callable[[IntArray], IntArray]
@@ -62,6 +62,10 @@ class SourceEvent(NamedTuple):
     message: str
 
 
+Acquired = Output[Aligned, SourceEvent]
+"""Samples of the rig, cut at gaps, and what was found of the sources meanwhile."""
+
+
 @dataclass(frozen=True, slots=True)
 class Through:
     """Rows that were handed on: used by the estimation, waiting before it, refused on the way, by reason."""
@@ -80,8 +84,8 @@ class Acquisition(ABC):
         """What is known of each source, by its name."""
 
     @abstractmethod
-    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> list[Aligned]:
-        """Take a block of one source; return the samples that it leads to, cut at gaps.
+    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> Acquired:
+        """Take a block of one source; return the samples that it leads to, and what it shows of the sources.
 
         label gives time stamps; without it the samples' own are taken, or those of their numbers.
         """
@@ -94,16 +98,12 @@ class Acquisition(ABC):
     def lose(self, reason: str, through: Through) -> None:
         """Refuse the rows that are on their way: what comes after is made anew, with counts that begin at 0."""
 
-    def finish(self) -> list[Aligned]:
+    def finish(self) -> Acquired:
         """Return the rows that wait for samples that will not come."""
-        return []
+        return Acquired()
 
     def arrived(self, samples: Sequence[Samples]) -> None:  # noqa: B027 - of one source every row is a sample
         """Note what became of rows."""
-
-    def take_events(self) -> list[SourceEvent]:
-        """Return what was found of the sources since the last call."""
-        return []
 
     def skews(self) -> Mapping[str, tuple[float | None, float | None]]:
         """Return what is compensated of each source's skew, and its sd, s; None where it is not known."""

@@ -8,7 +8,16 @@ from itertools import pairwise
 import numpy as np
 
 from agent.blocks.acquisition.indexing import Clock, Indexer, Origin
-from agent.blocks.acquisition.interface import Acquisition, ChannelScale, Ends, Label, SourcePlan, SourceState, Through
+from agent.blocks.acquisition.interface import (
+    Acquired,
+    Acquisition,
+    ChannelScale,
+    Ends,
+    Label,
+    SourcePlan,
+    SourceState,
+    Through,
+)
 from agent.types import Aligned, BoolArray, FloatArray, IntArray
 from drivers.port import SampleBlock
 
@@ -43,14 +52,14 @@ class SingleSource(Acquisition):
         """What is known of the source, by its name."""
         return {self._state.plan.name: self._state}
 
-    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> list[Aligned]:
+    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> Acquired:
         index, values, stamps = intake(self._state, block, modulus)
         if not self._keep_incomplete:
             finite = np.isfinite(values).all(axis=1)
             index, values, stamps = index[finite], values[finite], None if stamps is None else stamps[finite]
         self._state.passed += len(index)
         pieces = [self._numbered(*piece) for piece in uninterrupted(index, values[:, self._order], stamps)]
-        return pieces if label is None else [replace(piece, stamps=label(piece.index)) for piece in pieces]
+        return Acquired(pieces if label is None else [replace(piece, stamps=label(piece.index)) for piece in pieces])
 
     def ends(self, source: str, through: Through) -> Ends:
         used, rejected = self._before

@@ -7,32 +7,27 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.blocks.acquisition.interface import SourceEvent
+from agent.blocks.acquisition.tuning import (
+    ENOUGH,
+    EVALUATIONS,
+    FLOOR,
+    LONGER_AFTER,
+    MOST_S,
+    PRECISE,
+    RATE,
+    REMEMBERED,
+    SKEW_EVERY_S,
+    SKEW_PATIENCE_ANEW_S,
+    SKEW_PATIENCE_S,
+    SMALL,
+    STARTS_S,
+)
 from agent.numerics.fitting.skew import Delays, Skew, SkewMeter, combined
 from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.types import FloatArray, IntArray
 
 Reader = Callable[[IntArray, FloatArray], FloatArray]
 """Rows (n,) and a delay of each channel (c,) -> readings (n, c), inputs first; NaN where one is missing."""
-MOST_S = 0.12
-"""Greatest skew that is looked for."""
-STARTS_S = (0.04, 0.08, -0.03, -0.06)
-"""Where else than at nothing a skew is looked for, until one is found."""
-ENOUGH = 3
-"""Stretches that must agree before rows are let go."""
-PRECISE = 0.1
-"""Of a sample: rows are let go when the skew is known to this."""
-LONGER_AFTER = 4
-"""After so many stretches that did not tell enough the next ones are twice as long."""
-PATIENCE_S, PATIENCE_ANEW_S = 30.0, 5.0
-"""Rows wait no longer than this for the skew, at a start and after a device began to count anew."""
-EVALUATIONS, RATE = 2000, 1.0
-"""Evaluations of a first stretch that may be spent at once, and what each sample adds (in samples of work)."""
-EVERY_S = 10.0
-REMEMBERED = 6
-FLOOR = 0.01
-"""Of a sample: what interpolation leaves, and what no measurement is better than."""
-SMALL = 0.02
-"""Of a sample: changes below are left alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +73,7 @@ class SkewWatch:
     needed: bool = False
     unknown: bool = True
     budget: Budget | None = None
-    _patience_s: float = PATIENCE_S
+    _patience_s: float = SKEW_PATIENCE_S
     _found: deque[Delays] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     _theta: FloatArray = field(init=False)
     _measured: FloatArray = field(init=False)
@@ -88,9 +83,11 @@ class SkewWatch:
     _events: list[SourceEvent] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.skew_s, self.sd_s = np.zeros(len(self.groups)), np.full(len(self.groups), np.inf)
+        self.skew_s = np.zeros(len(self.groups))
+        self.sd_s = np.full(len(self.groups), np.inf)
         self.budget = self.budget or Budget(EVALUATIONS * (EVALUATION + self.stretch), RATE)
-        self._theta, self._measured = self.meter.model.nominal, np.zeros(len(self.groups))
+        self._theta = self.meter.model.nominal
+        self._measured = np.zeros(len(self.groups))
 
     @property
     def margin(self) -> int:
@@ -112,7 +109,7 @@ class SkewWatch:
         watch = SkewWatch(
             self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest, self.rate_hz,
             self.complete, since=since, needed=needed, budget=self.budget,
-            _patience_s=PATIENCE_ANEW_S,
+            _patience_s=SKEW_PATIENCE_ANEW_S,
         )  # fmt: skip
         watch.skew_s, watch._theta = self.skew_s, self._theta
         if not needed:
@@ -123,11 +120,6 @@ class SkewWatch:
         """Return the skew of each channel (c,), s."""
         return self._spread(self.skew_s)
 
-    def take_events(self) -> list[SourceEvent]:
-        """Return what was found since the last call."""
-        events, self._events = self._events, []
-        return events
-
     def known(self) -> dict[str, tuple[float | None, float | None]]:
         """Return the skew measured of each source and its sd, s; None while it is not known."""
         found: dict[str, tuple[float | None, float | None]] = {}
@@ -135,8 +127,8 @@ class SkewWatch:
             found[group.source] = (skew, sd) if np.isfinite(sd) else (None, None)
         return found
 
-    def look(self, first: int, ready: int, newest: int, read: Reader) -> None:
-        """Measure the stretches that are complete.
+    def look(self, first: int, ready: int, newest: int, read: Reader) -> list[SourceEvent]:
+        """Measure the stretches that are complete; return what was found.
 
         Args:
             first: the first row of which every source has a reading at hand.
@@ -146,22 +138,32 @@ class SkewWatch:
         """
         first = max(first, self.since)
         if self._first is None:
-            self._first, self._next = first, first + self.margin
+            self._first = first
+            self._next = first + self.margin
         self._next = max(self._next, first + self.margin)
         while ready >= self._next + self.stretch:
             rows = np.arange(self._next, self._next + self.stretch, dtype=np.int64)
             wanting = self.holding or self.realigning
-            self._next += self.stretch if wanting else round(EVERY_S * self.rate_hz)
+            self._next += self.stretch if wanting else round(SKEW_EVERY_S * self.rate_hz)
             self._measure(rows, read)
             self._decide()
         if self.holding and newest > self._first + self._patience_s * self.rate_hz:
-            self.let_go()
+            self._let_go()
+        return self._news()
 
-    def let_go(self) -> None:
-        """Hold rows no longer, whatever is known."""
+    def let_go(self) -> list[SourceEvent]:
+        """Hold rows no longer, whatever is known; return what is."""
+        self._let_go()
+        return self._news()
+
+    def _let_go(self) -> None:
         if self.holding:
             self.holding = False
             self._adopt()
+
+    def _news(self) -> list[SourceEvent]:
+        events, self._events = self._events, []
+        return events
 
     def end(self) -> None:
         """Measure no more: what is not known of these rows will not be."""
@@ -213,7 +215,7 @@ class SkewWatch:
         if not self.holding:
             self._adopt()
         elif not self.unknown:
-            self.let_go()
+            self._let_go()
         if self._tried % LONGER_AFTER == 0:
             self.stretch = min(2 * self.stretch, self.longest)
 

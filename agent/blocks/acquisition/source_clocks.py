@@ -20,7 +20,8 @@ class SourceClocks:
         if state.newest is None:
             return
         if name not in self._fits or restarts != self._restarts[name]:
-            self._fits[name], self._restarts[name] = ClockFit(state.indexer.rate_hz), restarts
+            self._fits[name] = ClockFit(state.indexer.rate_hz)
+            self._restarts[name] = restarts
         self._fits[name].observe(state.newest, arrival_ns)
 
     def drift(self, source: str) -> Drift | None:

@@ -131,7 +131,8 @@ def _rows_there(db: Path, parameter: str) -> int:
 
 def _await_rows(db: Path, parameter: str, rows: int, processes: Mapping[str, subprocess.Popen[str]]) -> None:
     """Wait until the database holds that many rows of the newest run, or nothing comes any more."""
-    seen, changed = 0, time.monotonic()
+    seen = 0
+    changed = time.monotonic()
     while seen < rows and time.monotonic() - changed < STALL_S:
         for who, process in processes.items():
             if process.poll() is not None:

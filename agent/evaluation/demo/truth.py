@@ -77,7 +77,9 @@ def _indices(config: RigConfig, rows: Sequence[Row]) -> list[int]:
 
 
 def _assessed(name: str, truth: Truth, at: int, row: Row, bounds: Mapping[str, float]) -> dict[str, Any]:
-    true, value, sd = float(truth.parameters[name][at]), row.get("value"), row.get("sd")
+    true = float(truth.parameters[name][at])
+    value = row.get("value")
+    sd = row.get("sd")
     error = (value - true) / sd if value is not None and sd else None
     return {"true": true, "estimate": value, "sd": sd, "bound_sd": bounds.get(name), "error_sd": error,
             "status": row.get("status")}  # fmt: skip
@@ -85,7 +87,8 @@ def _assessed(name: str, truth: Truth, at: int, row: Row, bounds: Mapping[str, f
 
 def _bounds(config: RigConfig, truth: Truth, last: int) -> dict[str, float]:
     """The Cramer-Rao bound of the window that ends at sample `last`, for the noise and the rounding played."""
-    plan, rig = hop_plan(config), rig_model(config)
+    plan = hop_plan(config)
+    rig = rig_model(config)
     start = last + 1 - plan.window
     if start < 0:
         return {}

@@ -62,7 +62,8 @@ def free_decay(changes: tuple[FloatArray, ...], hold: Hold) -> FloatArray:
 
     hold: "euler" for the paper's first-order model (23), anything else for the exact one (the force is zero).
     """
-    model, x = rig(), START.copy()
+    model = rig()
+    x = START.copy()
     outputs = np.empty((len(changes), SEGMENT, 2))
     for change, rows in zip(changes, outputs, strict=True):
         transition = discretise(model.continuous(NOMINAL + change), PERIOD_S, hold).model.A

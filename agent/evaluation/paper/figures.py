@@ -130,7 +130,8 @@ def _tidy(axis: "Axes") -> None:
 def _seed_curve(changes: tuple[FloatArray, ...], window: int, passes: int) -> tuple[IntArray, FloatArray]:
     """Return sample numbers and changes; every pass runs the observer from the first sample on, as in the tables."""
     y = cases.free_decay(changes, "euler")
-    u, settings = np.zeros((len(y), 1)), replace(seed_settings(window, passes), stopping=PATIENCE)
+    u = np.zeros((len(y), 1))
+    settings = replace(seed_settings(window, passes), stopping=PATIENCE)
     index = np.arange(window + HOP, len(y) + 1, HOP)
     theta = [fit_passes(cases.rig(), settings, y[:stop], u[:stop]).theta for stop in index.tolist()]
     return index, np.array(theta) - cases.NOMINAL

@@ -82,7 +82,8 @@ def match(samples: Sequence[Samples], truth: Played) -> Matched:
 
 def _reading(piece: Samples) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
     """Return readings (n, m + p), inputs first, and which of them were filled in."""
-    values, inputs = np.hstack([piece.u, piece.y]), piece.u.shape[1]
+    values = np.hstack([piece.u, piece.y])
+    inputs = piece.u.shape[1]
     if piece.missing is None:
         return values, np.zeros(values.shape, dtype=np.bool_)
     return values, np.roll(piece.missing, inputs, axis=1)

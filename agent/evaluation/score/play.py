@@ -16,8 +16,8 @@ from typing import Any, Protocol
 from agent.config import RigConfig, driver_class, load
 from agent.config.tables import Source
 from agent.errors import Fault, UsageError
-from agent.runtime.pipeline import Conservation
-from agent.runtime.service import RigRuntime
+from agent.runtime.ledger import Conservation
+from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, Use
 from agent.types import Health, Record, Samples
 from drivers.port import Driver, SourceRequest
@@ -83,13 +83,13 @@ class _Reader:
         """Read and process until the source's time has come."""
         with self._bench.at(self.source.name):
             while self._bench.now_s(self.source.name) < then_s:
-                block = self._link.read(READ_S)
+                block, events = self._link.read(READ_S)
                 if len(block):
                     outcome.arrivals.append((self.source.name, self._bench.now_s(self.source.name), len(block)))
                     whole = replace(block, wall_offset_ns=0)
                     rig.take(self._use, Arrival(whole, self.driver.counts.copy(), self.driver.counter_modulus))
                     rig.compute()
-                for event in self._link.take_events():
+                for event in events:
                     rig.link(self.source.name, event)
 
     def close(self) -> None:
@@ -151,7 +151,7 @@ def play(bench: Bench, progress: Progress) -> Outcome:
         reader.close()
     rig.finish()
     ledger = {r.source.name: Conservation(r.driver.counts, Counter()) for r in readers}
-    outcome.health = rig.pipeline.health(ledger, 0, None)
+    outcome.health = rig.pipeline.ledger.health(ledger, 0, None)
     outcome.truth = bench.finish()
     return outcome
 

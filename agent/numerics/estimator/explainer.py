@@ -87,10 +87,10 @@ class Explainer:
         self.known = from_text(content, self.learner.hypotheses, fresh.noise)
         self._adopted = self.known is not None
 
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
+    def take_beliefs(self) -> tuple[tuple[int, tuple[Belief, ...]], ...]:
         """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
         beliefs, self._beliefs = self._beliefs, []
-        return beliefs
+        return tuple(beliefs)
 
     def begin(self, record: Record, newest: int) -> bool:
         """Learn from a segment's first whole window, and start the bank there; False where nothing fits it."""

@@ -79,10 +79,10 @@ class Faults:
             return Reason.INSEPARABLE if self.tied else None
         return Reason.STUCK if self.standing.kind == "stood" else Reason.SENSOR
 
-    def take(self) -> list[Finding]:
+    def take(self) -> tuple[Finding, ...]:
         """Return what began or ended since the last call."""
         found, self._findings = self._findings, []
-        return found
+        return tuple(found)
 
     def over(self, index: int) -> None:
         """Note a row that holds and agrees with what held before."""

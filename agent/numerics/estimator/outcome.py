@@ -1,17 +1,23 @@
 """Rows of estimates with status and reason, one a hop."""
 
 from dataclasses import dataclass, fields, replace
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.inference.posterior import Posterior
+from agent.numerics.inference.verdicts import Belief
 from agent.types import Reason, Status
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 CodeArray = NDArray[np.uint8]
+EVENTS = ("beliefs", "findings", "failures")
+"""Fields of `Outcome` that tell of the whole call, beside its columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +31,9 @@ class Outcome:
         window: (N, q) samples of the window that each estimate is of; 0 while warming.
         dof: (N,) degrees of freedom of the residual.
         others: what each of several windows says; empty where there is one.
+        beliefs: (sample, beliefs about the rig's constants) of the windows learnt from meanwhile.
+        findings: faults of channels that began or ended meanwhile.
+        failures: (last sample, what was raised first) of each call that failed.
     """
 
     index: IntArray
@@ -38,6 +47,9 @@ class Outcome:
     window: IntArray
     dof: FloatArray
     others: tuple["Outcome", ...] = ()
+    beliefs: tuple[tuple[int, tuple[Belief, ...]], ...] = ()
+    findings: tuple[Finding, ...] = ()
+    failures: tuple[tuple[int, str], ...] = ()
 
     @classmethod
     def warming(cls, index: IntArray, q: int) -> "Outcome":
@@ -71,8 +83,7 @@ class Outcome:
 
     def copy(self) -> "Outcome":
         """Return rows that may be changed by themselves."""
-        columns = [f.name for f in fields(self) if f.name not in ("index", "others")]
-        return replace(self, **{name: getattr(self, name).copy() for name in columns})
+        return replace(self, **{name: getattr(self, name).copy() for name in _columns() if name != "index"})
 
     def write(self, row: int, posterior: Posterior, enough_sd: FloatArray) -> None:
         """Put what a window was found to say by itself in the place of a row."""
@@ -110,17 +121,21 @@ class Outcome:
         if len(pieces) == 1:
             return pieces[0]
         pieces = pieces or [cls.warming(np.zeros(0, dtype=np.int64), q)]
-        columns = [f.name for f in fields(cls) if f.name != "others"]
-        whole = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in columns}
+        whole: dict[str, Any] = {n: np.concatenate([getattr(piece, n) for piece in pieces]) for n in _columns()}
+        whole |= {name: tuple(chain.from_iterable(getattr(piece, name) for piece in pieces)) for name in EVENTS}
         count = max(len(piece.others) for piece in pieces)
         each = [[_other(piece, k, q) for piece in pieces] for k in range(count)]
         return replace(pieces[0], others=tuple(cls.joined(one, q) for one in each), **whole)
 
     def part(self, start: int, stop: int) -> "Outcome":
         """Return rows [start, stop)."""
-        columns = [f.name for f in fields(self) if f.name != "others"]
         others = tuple(other.part(start, stop) for other in self.others)
-        return replace(self, others=others, **{name: getattr(self, name)[start:stop] for name in columns})
+        return replace(self, others=others, **{name: getattr(self, name)[start:stop] for name in _columns()})
+
+
+def _columns() -> list[str]:
+    """Return the names of the fields that have an entry a hop."""
+    return [f.name for f in fields(Outcome) if f.name not in ("others", *EVENTS)]
 
 
 def _other(piece: Outcome, number: int, q: int) -> Outcome:

@@ -8,13 +8,14 @@
 The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one likelihood.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.explainer import Explainer
-from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
 from agent.numerics.estimator.operating_point import OperatingPoint, taps_of
 from agent.numerics.estimator.outcome import Outcome
@@ -24,7 +25,6 @@ from agent.numerics.estimator.schedule import TRIES
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.windows import chosen, clean
 from agent.numerics.inference import tuning
-from agent.numerics.inference.verdicts import Belief
 from agent.numerics.window.rows import BankRows
 from agent.types import Reason
 
@@ -62,17 +62,9 @@ class SlidingEstimator:
         """Begin with what an earlier run learnt, where it is of the same rig and window."""
         self.explainer.adopt(content)
 
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
-        """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
-        return self.explainer.take_beliefs()
-
     def hurry(self) -> None:
         """Do nothing but rows from now on: no fit, no search."""
         self.explainer.budget.close()
-
-    def take_findings(self) -> list[Finding]:
-        """Return which faults of channels began or ended since the last call."""
-        return self.explainer.faults.take()
 
     def start_segment(self) -> None:
         """Forget the samples before a gap; what was learnt stays."""
@@ -91,7 +83,8 @@ class SlidingEstimator:
         """
         u = self.explainer.doubts.replaced(index, u, suspect, y.shape[1])
         ready = self._ahead.step(index, y, u, missing, suspect)
-        return self._rows(ready) if len(ready.y) else Outcome.joined([], self.settings.rig.q)
+        rows = self._rows(ready) if len(ready.y) else Outcome.joined([], self.settings.rig.q)
+        return replace(rows, beliefs=self.explainer.take_beliefs(), findings=self.explainer.faults.take())
 
     def _rows(self, ready: Ready) -> Outcome:
         """Take complete samples; return the rows they end."""

@@ -6,7 +6,6 @@ from math import log
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from agent.numerics.fitting.fit import Problem, fit_window, sized
@@ -15,9 +14,8 @@ from agent.numerics.inference.columns import window_of
 from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
 from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.preprocessing.noise import sensor_noise
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Kind = Literal["offset", "scale", "delay"]
 TINY = 1e-3
 """Of an output's rms: smaller differences are nobody's fault."""
@@ -125,7 +123,8 @@ class ConstantsAsked:
             self.model, (group,), self.inputs, self.period_s, self.hold, self.push, self._noise(y), self.scale,
             self.scale_column, self.lower,
         )  # fmt: skip
-        spline, at = CubicSpline(np.arange(len(v)), v[:, channel]), np.arange(MARGIN, len(v) - MARGIN)
+        spline = CubicSpline(np.arange(len(v)), v[:, channel])
+        at = np.arange(MARGIN, len(v) - MARGIN)
 
         def resampled(delays: FloatArray) -> FloatArray:
             moved = v[MARGIN:-MARGIN].copy()

@@ -18,9 +18,8 @@ from agent.numerics.inference.covariance import Cells, inverse_of
 from agent.numerics.inference.response import Response
 from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.model.uncertain import Rig, sampled
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 ComplexArray = NDArray[np.complex128]
 GREATEST = 1e60
 """What a motion may grow to within a window."""
@@ -56,7 +55,8 @@ class Problem:
     def rig(self) -> Rig:
         """The rig without constants to be uncertain of."""
         inputs = self.model.continuous(self.model.nominal).m
-        every, none = np.arange(inputs, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        every = np.arange(inputs, dtype=np.int64)
+        none = np.zeros(0, dtype=np.int64)
         driven = np.ones(inputs, dtype=bool)
         q = len(self.model.parameters)
         return Rig(self.model, q, every, driven, none, (), self.period_s, self.hold, self.scale, self.lower)
@@ -168,7 +168,8 @@ def _linearised(problem: Problem, window: Window, theta: FloatArray, *, pushed: 
     G = cells.gram(Si, regression.X)
     if not np.all(np.isfinite(G)) or G[-1, -1] > GREATEST**2:
         raise ValueError("the window is no number")
-    V, psi = inverse(G[:-1, :-1]), regression.layout.psi
+    V = inverse(G[:-1, :-1])
+    psi = regression.layout.psi
     left = cells.weight @ np.abs(regression.X[..., -1]) ** 2
     return _Point(theta, response.at.unit, (V @ G[:-1, -1])[psi], V[psi, psi], float(G[-1, -1]), left)
 

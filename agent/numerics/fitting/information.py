@@ -8,13 +8,12 @@ van Trees (Detection, Estimation and Modulation Theory I, 1968, section 2.4.3).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.algebra import scales
 from agent.numerics.model.statespace import Discrete
 from agent.numerics.model.uncertain import Constant, Rig, Sampled, sampled
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 SINGULAR = 1e-14
 """Smallest eigenvalue of an information matrix of unit diagonal that still says something, of its largest."""
 
@@ -55,7 +54,8 @@ def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> 
     sensors = [_sensor(rig, at, constant, states, u) for constant in rig.constants[rig.masses :]]
     whole = np.concatenate([columns, np.array(sensors).reshape(-1, *columns.shape[1:])])
     information = _information(whole, _free(at.A, at.C, len(u)), sigma)
-    q, sheet = rig.q, np.array([max(constant.sheet, 1e-9) for constant in rig.constants])
+    q = rig.q
+    sheet = np.array([max(constant.sheet, 1e-9) for constant in rig.constants])
     repeat = bound_sd(information[:q, :q])
     return PredictedSd(at.unit * np.hypot(repeat, _spread(information, q, sheet)), at.unit * repeat)
 
@@ -88,7 +88,8 @@ def bound_sd(information: FloatArray) -> FloatArray:
 
 def _run(A: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:
     """Return states (r, W, n) of r runs x(k+1) = A x(k) + pushed(k), pushed (r, W, n), from start (r, n)."""
-    states, x = np.empty_like(pushed), start
+    states = np.empty_like(pushed)
+    x = start
     for k in range(pushed.shape[1]):
         states[:, k] = x
         x = x @ A.T + pushed[:, k]

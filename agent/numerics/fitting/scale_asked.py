@@ -1,11 +1,10 @@
 """How many times too large a channel reads if the nominal model is right, roughly: a first guess for a search."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import Discrete, simulate
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 LEAST, MOST = 1e-9, 1e9
 """Factors beyond these are no channel's scale."""
 
@@ -15,7 +14,8 @@ def factor_of_output(sampled: Discrete, y: FloatArray, u: FloatArray, output: in
 
     The initial state and 1 / factor are fitted by linear least squares, the parameters as they are.
     """
-    target, column = y - _forced(sampled, u), np.zeros_like(y)
+    target = y - _forced(sampled, u)
+    column = np.zeros_like(y)
     target[:, output], column[:, output] = -(y - target)[:, output], -y[:, output]
     return _factor(sampled, y, target, column)
 
@@ -41,7 +41,8 @@ def _forced(sampled: Discrete, u: FloatArray) -> FloatArray:
 
 def _free(sampled: Discrete, count: int) -> FloatArray:
     """Return how outputs (N, p) follow from each of the initial states, (N, p, n)."""
-    free, row = np.empty((count, sampled.model.p, sampled.model.n)), sampled.model.C
+    free = np.empty((count, sampled.model.p, sampled.model.n))
+    row = sampled.model.C
     for k in range(count):
         free[k], row = row, row @ sampled.model.A
     return free

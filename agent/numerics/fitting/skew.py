@@ -15,19 +15,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.fitting.fit import Problem, fit_window, sized
 from agent.numerics.inference.columns import window_of
 from agent.numerics.model.statespace import Hold, Model, StateSpace
 from agent.numerics.preprocessing.noise import sensor_noise
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 MOST_FITS = 8
 """Fits at most; a delay of a third of the fastest period needs five."""
 DELAY_SCALE_S = 0.01
-EXPLAINED = 30.0
+MOTION_SEEN = 30.0
 """Times what chance alone explains by the unknowns: a stretch of which the model explains no more tells no delay."""
 CLOSE = 0.05
 """Of its sd: a delay that moved by less is found."""
@@ -74,17 +72,21 @@ class DelayedModel:
 
 
 def _widened(s: StateSpace, groups: Sequence[Group], delays: FloatArray, rates: int) -> StateSpace:
-    m, q = s.m, s.q + len(groups)
+    m = s.m
+    q = s.q + len(groups)
     B, D = np.zeros((s.n, m + rates)), np.zeros((s.p, m + rates))
     dA, dC = np.zeros((q, s.n, s.n)), np.zeros((q, s.p, s.n))
     dB, dD = np.zeros((q, s.n, m + rates)), np.zeros((q, s.p, m + rates))
-    C, B[:, :m], D[:, :m] = s.C.copy(), s.B, s.D
+    C = s.C.copy()
+    B[:, :m] = s.B
+    D[:, :m] = s.D
     dA[: s.q], dC[: s.q], dB[: s.q, :, :m], dD[: s.q, :, :m] = s.dA, s.dC, s.dB, s.dD
     # y' = CA x + CB u + D u', and its derivatives by the model's own parameters
     CA, CB = s.C @ s.A, s.C @ s.B
     dCA, dCB = s.dC @ s.A + s.C @ s.dA, s.dC @ s.B + s.C @ s.dB
     for number, (group, delay) in enumerate(zip(groups, delays.tolist(), strict=True)):
-        row, out = s.q + number, list(group.outputs)
+        row = s.q + number
+        out = list(group.outputs)
         C[out] -= delay * CA[out]
         D[out, :m] -= delay * CB[out]
         D[out, m:] -= delay * s.D[out, :rates]
@@ -187,7 +189,7 @@ class SkewMeter:
         told = np.diag(fit.covariance)[-g:] * variance
         sd = np.sqrt(np.where(told > 0, told, np.inf))
         motion = float(np.sum(((columns[:, :p] - columns[:, :p].mean(axis=0)) / problem.sigma) ** 2)) - fit.cost
-        moves = motion > EXPLAINED * unknowns * variance
+        moves = motion > MOTION_SEEN * unknowns * variance
         return _Turn(fit.theta[-g:], sd, fit.theta[:-g], fit.converged and moves, float(np.sqrt(variance)))
 
     def _noise(self, y: FloatArray) -> FloatArray:

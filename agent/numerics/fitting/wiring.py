@@ -7,6 +7,7 @@ healthy rig leaves noise, and nothing leaves much less; a wrong channel leaves m
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from math import log
 from typing import NamedTuple
 
@@ -19,9 +20,8 @@ from agent.numerics.fitting.scale_asked import factor_of_input, factor_of_output
 from agent.numerics.inference.columns import window_of
 from agent.numerics.model.statespace import Hold, Model, discretise
 from agent.numerics.preprocessing.noise import sensor_noise
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 FACTORS = (2.0, 10.0, 100.0, 1000.0, 1e6, 25.4, 39.3700787, 9.80665, 4.4482216)
 """How many times too large a reading may be, or too small: twice, prefixes, inches, kilograms and pounds of force."""
 BETTER = 2.0
@@ -185,9 +185,8 @@ class Examiner:
         count = v.shape[1]
         if count < 2:
             return  # a single channel has nothing to contradict it
-        for first in range(count):
-            for second in range(first + 1, count):
-                yield Hypothesis("swap", (first, second))
+        for pair in combinations(range(count), 2):
+            yield Hypothesis("swap", pair)
         for channel in range(count):
             yield Hypothesis("sign", (channel,))
             asked = self._asked(v, channel)
@@ -208,7 +207,9 @@ class Examiner:
     def _try(self, hypothesis: Hypothesis, stretches: Sequence[FloatArray]) -> Trial:
         """Fit the model to mended stretches."""
         outputs = stretches[0].shape[1] - self.inputs
-        squares, signal, theta = np.zeros(outputs), np.zeros(outputs), self.model.nominal
+        squares = np.zeros(outputs)
+        signal = np.zeros(outputs)
+        theta = self.model.nominal
         for v in stretches:
             left, power, theta = self._left(hypothesis.mended(v))
             squares, signal = squares + left, signal + power

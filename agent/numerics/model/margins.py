@@ -99,7 +99,8 @@ def _least(A: FloatArray, angles: FloatArray) -> float:
 def _crossings(A: FloatArray, delta: float) -> FloatArray:
     """Return the angles in [0, pi] of the finite eigenvalues of the symplectic pencil at a level."""
     n = len(A)
-    one, none = np.eye(n), np.zeros((n, n))
+    one = np.eye(n)
+    none = np.zeros((n, n))
     left = np.block([[A, delta * one], [none, -one]])
     right = np.block([[one, none], [-delta * one, -A.T]])
     z = eigvals(left, right)

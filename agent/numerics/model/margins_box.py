@@ -67,7 +67,9 @@ def polytopic_margin(model: Model, limits: FloatArray, accuracy: float = 1e-3) -
     limits = np.asarray(limits, dtype=float)
     base, directions = _polytope(model, limits)
     feasible = _Feasibility(base, directions)
-    low, high, P = 0.0, 1.0, feasible.solve(0.0)
+    low = 0.0
+    high = 1.0
+    P = feasible.solve(0.0)
     if P is None:
         return _margin(model, limits, 0.0, None)
     while (found := feasible.solve(high)) is not None and high < 1e6:
@@ -114,7 +116,8 @@ class _Feasibility:
         self.problem: Any = self._problem()
 
     def _problem(self) -> Any:
-        cp, n = self.cvxpy, len(self.base)
+        cp = self.cvxpy
+        n = len(self.base)
         worst = cp.Variable()
         constraints = [cp.trace(self.P) == n]
         for direction in self.directions:

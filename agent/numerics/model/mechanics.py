@@ -128,7 +128,8 @@ class MassSpringDamper:
         dA, dB, dC, dD = at.dA.copy(), at.dB.copy(), at.dC.copy(), at.dD.copy()
         names = self.state_names
         for i in np.flatnonzero(self._is_mass).tolist():
-            row, mass = names.index(f"velocity of {self.parameters[i]}"), theta[i]
+            row = names.index(f"velocity of {self.parameters[i]}")
+            mass = theta[i]
             sensed = [o for o, output in enumerate(self.outputs) if self._accelerates(output, self.parameters[i])]
             for matrix, slope, rows in ((at.A, dA, [row]), (at.B, dB, [row]), (at.C, dC, sensed), (at.D, dD, sensed)):
                 matrix[rows] *= self.nominal[i] / mass
@@ -268,7 +269,9 @@ class _Equations:
         # the derivative of -Bab v_b has two parts: with dv_b (in _rows) and with dBab times v_b (added here)
         x = np.vstack([np.hstack([-dB[np.ix_(a, a)], -dK[a]]), np.hstack([-dBb, -dKb])])
         u = np.vstack([dF[a], dFb])
-        na, Bab, dBab = len(a), self.B[np.ix_(a, b)], dB[np.ix_(a, b)]
+        na = len(a)
+        Bab = self.B[np.ix_(a, b)]
+        dBab = dB[np.ix_(a, b)]
         x[:na] -= Bab @ x[na:] + dBab @ x0[na:]
         u[:na] -= Bab @ u[na:] + dBab @ u0[na:]
         return self._first_order(x / self._inertia(), u / self._inertia(), constant=0.0)

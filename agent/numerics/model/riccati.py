@@ -108,7 +108,9 @@ def _doubled(A: FloatArray, information: FloatArray, Q: FloatArray, least: float
     """Return the covariance (n, n) that doubling ends at, and whether it has settled there."""
     unit = _units(A, information, least)
     both = np.outer(unit, unit)
-    a, G, H = (A * unit[:, None] / unit).T, information / both, Q * both
+    a = (A * unit[:, None] / unit).T
+    G = information / both
+    H = Q * both
     for _ in range(MOST_STEPS):
         joined = np.linalg.solve(np.eye(len(a)) + G @ H, np.hstack([a, G @ a.T]))
         left, right, before = joined[:, : len(a)], joined[:, len(a) :], H

@@ -89,8 +89,10 @@ class _Constants:
     """The sensor constants' values, and what they make of matrices (any leading axes)."""
 
     def __init__(self, nuisances: Sequence[Nuisance], values: FloatArray, inner: StateSpace) -> None:
-        self.input_gain, self.input_bias = np.ones(inner.m), np.zeros(inner.m)
-        self.output_gain, self.output_bias = np.ones(inner.p), np.zeros(inner.p)
+        self.input_gain = np.ones(inner.m)
+        self.input_bias = np.zeros(inner.m)
+        self.output_gain = np.ones(inner.p)
+        self.output_bias = np.zeros(inner.p)
         for nuisance, value in zip(nuisances, values, strict=True):
             getattr(self, f"{nuisance.side}_{nuisance.kind}")[nuisance.number] = value
 
@@ -120,7 +122,8 @@ class _Constants:
             dB[:, -1] = -inner.B[:, j] * self.input_gain[j]
             dD[:, -1] = -scale * inner.D[:, j] * self.input_gain[j]
         else:
-            dB[:, j], dB[:, -1] = inner.B[:, j], -inner.B[:, j] * self.input_bias[j]
+            dB[:, j] = inner.B[:, j]
+            dB[:, -1] = -inner.B[:, j] * self.input_bias[j]
             dD[:, j], dD[:, -1] = scale * inner.D[:, j], -scale * inner.D[:, j] * self.input_bias[j]
         return dB, dC, dD
 

@@ -212,12 +212,14 @@ def simulate(discrete: Discrete, x0: FloatArray, u: FloatArray) -> tuple[FloatAr
 
     Samples run in blocks from the first one on, each lifted to one product.
     """
-    model, count = discrete.model, len(u)
+    model = discrete.model
+    count = len(u)
     free, forced = _lifted(model)
     blocks = np.zeros((-(-count // BLOCK), BLOCK * model.m))
     blocks.ravel()[: u.size] = u.ravel()
     pushed = blocks @ forced.T
-    first, ends = np.empty((len(blocks), model.n)), pushed[:, -model.n :]
+    first = np.empty((len(blocks), model.n))
+    ends = pushed[:, -model.n :]
     shifted = x0 - discrete.B1 @ u[0]
     for k, end in enumerate(ends):
         first[k] = shifted
@@ -231,8 +233,10 @@ def simulate(discrete: Discrete, x0: FloatArray, u: FloatArray) -> tuple[FloatAr
 def _lifted(model: StateSpace) -> tuple[FloatArray, FloatArray]:
     """Return what makes the BLOCK states after a block's samples of its first state and of its inputs."""
     n, m = model.n, model.m
-    free, forced = np.empty((BLOCK, n, n)), np.zeros((BLOCK, n, BLOCK, m))
-    power, moved = np.eye(n), model.B
+    free = np.empty((BLOCK, n, n))
+    forced = np.zeros((BLOCK, n, BLOCK, m))
+    power = np.eye(n)
+    moved = model.B
     for lag in range(BLOCK):
         power, here = model.A @ power, np.arange(lag, BLOCK)
         free[lag], forced[here, :, here - lag] = power, moved

@@ -113,7 +113,8 @@ def _noise(Phi: FloatArray, push: FloatArray, W: FloatArray) -> FloatArray:
 
 def _drifting(continuous: StateSpace, model: MassSpringDamper) -> StateSpace:
     """Put a force that stays along each friction element behind the states, where the outputs show them all."""
-    n, r = continuous.n, len(model.structure.frictions)
+    n = continuous.n
+    r = len(model.structure.frictions)
     nominal = np.array([element.nominal or 1.0 for element in model.structure.frictions])
     m = continuous.m - r
     A = np.zeros((n + r, n + r))
@@ -156,33 +157,40 @@ class FrictionInputs:
         n, r = G.shape
         behind, now = n + r + y.shape[1], M.shape[1] - u.shape[1]
         takes, least = self.observer.takes.tolist(), (DEVIATIONS * self.observer.noise).tolist()
-        begun, z = bool(self._z.size), self._z if self._z.size else np.zeros(M.shape[1])
         found = np.zeros((len(y), r))
-        if not begun:
+        first = 0
+        if not self._z.size:
+            z = np.zeros(M.shape[1])
             z[:n] = self.observer.first @ np.concatenate([y[0], u[0]])
+            z[now:] = z[behind:now] = u[0]
+            z[n + r : behind] = y[0]
             self._calm = [0] * r
-        for k in range(len(y)):
+            self._z, first = z, 1
+        z = self._z
+        for k in range(first, len(y)):
             z[now:] = u[k]
-            if begun or k:
-                seen = np.concatenate([z[:n], z[behind:now]])
-                speeds, before = (W @ seen).tolist(), z[n : n + r].tolist()
-                z[:n] = M @ z
-                free = (W @ np.concatenate([z[:n], u[k]])).tolist()
-                for j in range(r):
-                    mean, last = acting(speeds[j], free[j], takes[j])
-                    self._calm[j] = self._calm[j] + 1 if abs(speeds[j]) < least[j] else 0
-                    if takes[j] < least[j] and self._calm[j] > self.observer.rest:
-                        mean = last = 0.0
-                    z[:n] += mean * G[:, j]
-                    z[n + j] = last
-                    # what the hold makes of the values at both ends, and what is missing to the mean
-                    made = 0.5 * (before[j] + last) if self.observer.straight else before[j]
-                    found[k, j] = last + mean - made
-                    if r > 1:
-                        free = (W @ np.concatenate([z[:n], u[k]])).tolist()
+            seen = np.concatenate([z[:n], z[behind:now]])
+            speeds, before = (W @ seen).tolist(), z[n : n + r].tolist()
+            z[:n] = M @ z
+            free = (W @ np.concatenate([z[:n], u[k]])).tolist()
+            for j in range(r):
+                mean, last = self._share(j, speeds[j], free[j], takes[j], least[j])
+                z[:n] += mean * G[:, j]
+                z[n + j] = last
+                # what the hold makes of the values at both ends, and what is missing to the mean
+                made = 0.5 * (before[j] + last) if self.observer.straight else before[j]
+                found[k, j] = last + mean - made
+                if r > 1:
+                    free = (W @ np.concatenate([z[:n], u[k]])).tolist()
             z[n + r : behind], z[behind:now] = y[k], u[k]
-        self._z = z
         return np.hstack([u, found])
+
+    def _share(self, j: int, speed: float, free: float, takes: float, least: float) -> tuple[float, float]:
+        """Return the share of friction j over a sample and at its end; none of one that is weaker than the noise."""
+        self._calm[j] = self._calm[j] + 1 if abs(speed) < least else 0
+        if takes < least and self._calm[j] > self.observer.rest:
+            return 0.0, 0.0
+        return acting(speed, free, takes)
 
 
 def acting(speed: float, free: float, takes: float) -> tuple[float, float]:
@@ -193,12 +201,11 @@ def acting(speed: float, free: float, takes: float) -> tuple[float, float]:
         free: at the end, without this friction.
         takes: what the whole of it takes in a sample.
     """
-    needed = max(-1.0, min(1.0, (free - speed) / takes)) if takes > 0 else (1.0 if free > speed else -1.0)
+    needed = max(-1.0, min(1.0, (free - speed) / takes)) if takes > 0 else _sign(free - speed)
     still = STILL * takes
-    if abs(speed) <= still:
-        mean = needed
-    else:
-        way = 1.0 if speed > 0 else -1.0
+    mean = needed
+    if abs(speed) > still:
+        way = _sign(speed)
         end = free - way * takes
         if end * way > 0:
             return way, way
@@ -206,4 +213,8 @@ def acting(speed: float, free: float, takes: float) -> tuple[float, float]:
         part = abs(speed) / (abs(speed) + abs(end))
         mean = part * way + (1.0 - part) * needed
     end = free - mean * takes
-    return mean, (1.0 if end > 0 else -1.0) if abs(end) > still else needed
+    return mean, _sign(end) if abs(end) > still else needed
+
+
+def _sign(x: float) -> float:
+    return 1.0 if x > 0 else -1.0

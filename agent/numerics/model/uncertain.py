@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.holds import sample, straight, taps
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
+from agent.types import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Kind = Literal["mass", "output", "input", "delay"]
 
 

@@ -77,6 +77,10 @@ class Stopping:
     cost: float = 0.0
     iterations: int = 20_000
 
+    def goes_on(self, size: float, value: float, iterations: int) -> bool:
+        """Tell whether descent goes on after so many steps, the last of `size`, at a cost of `value`."""
+        return size > self.step and value > self.cost and iterations < self.iterations
+
 
 @dataclass(frozen=True, slots=True)
 class Descent:
@@ -186,10 +190,11 @@ def descend(batch: Batch, solution: GeneralSolution, stopping: Stopping | None =
     Z = np.zeros_like(solution.base)
     M = solution.at(Z)
     gradient = _gradient(batch, solution, M)
-    length, iterations = _first_step(batch, solution), 0
+    length = _first_step(batch, solution)
+    iterations = 0
     size = float("inf") if length > 0 else 0.0
     value = cost(batch, M)
-    while size > rule.step and value > rule.cost and iterations < rule.iterations:
+    while rule.goes_on(size, value, iterations):
         Z = Z - length * gradient
         M = solution.at(Z)
         before, gradient = gradient, _gradient(batch, solution, M)

@@ -14,9 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.inference.verdicts import Belief
 from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
 from agent.numerics.paper.seed import (
@@ -132,8 +130,11 @@ def fit_passes(
     A pass whose estimate is not finite or has run away ends the passes with NaN.
     """
     theta = np.array(model.nominal, dtype=float)
-    window, trail, descents = settings.plan.window, [], []
-    sd, dof = np.full(len(theta), np.nan), np.nan
+    window = settings.plan.window
+    trail = []
+    descents = []
+    sd = np.full(len(theta), np.nan)
+    dof = np.nan
     for _ in range(settings.passes):
         sampled = discretise(model.continuous(theta), settings.period_s, settings.hold).model
         start = np.zeros(sampled.n) if x0 is None else x0
@@ -185,7 +186,8 @@ def innovation_step(
     """
     system = sensitivity_filter(model, settings.gain, np.eye(model.p))
     v = np.hstack([y, u])
-    z, states = np.concatenate([x0, np.zeros(len(system.F) - system.n)]), np.empty((len(v), len(system.F)))
+    z = np.concatenate([x0, np.zeros(len(system.F) - system.n)])
+    states = np.empty((len(v), len(system.F)))
     for k, push in enumerate(v @ system.N.T):
         states[k] = z
         z = system.F @ z + push
@@ -224,14 +226,6 @@ class SeedWindow:
 
     def hurry(self) -> None:
         """Go on as ever: rows are all that this method makes."""
-
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
-        """Return nothing: this method believes its constants."""
-        return []
-
-    def take_findings(self) -> list[Finding]:
-        """Return nothing: this method believes its channels."""
-        return []
 
     def start_segment(self) -> None:
         """Forget the samples before a gap."""

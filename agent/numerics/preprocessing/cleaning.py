@@ -16,9 +16,9 @@ from agent.numerics.preprocessing.bridge import filled, lagrange, runs
 from agent.numerics.preprocessing.rows import any_of, columns_with, largest_in
 from agent.types import BoolArray, FloatArray
 
-LONGEST = 3
+LONGEST_SPIKE = 3
 """Readings of the longest spike."""
-LOOK_AHEAD = LONGEST + 2
+LOOK_AHEAD = LONGEST_SPIKE + 2
 NEAR = 8
 """Readings before the doubtful one that it is held against."""
 BLOCK = 128
@@ -148,7 +148,8 @@ class Cleaner:
 
     def _decide(self, *, end: bool) -> None:
         """Mark spikes among the samples that are not decided, as far as what comes after them is there."""
-        x, first = self._raw, max(self._decided, 2)
+        x = self._raw
+        first = max(self._decided, 2)
         if len(x) > first:
             size = np.abs(x[first:] - 2 * x[first - 1 : -1] + x[first - 2 : -2])
             doubtful = ~(size <= self._limits[first:])
@@ -193,7 +194,7 @@ class Cleaner:
         near = slice(start, place + LOOK_AHEAD + 1)
         free = np.flatnonzero(~(self._marked[near, channel] | self._suspect[near, channel])) + start
         before, behind = free[free < place][-2:], free[free >= place]
-        for length in range(1, LONGEST + 1):
+        for length in range(1, LONGEST_SPIKE + 1):
             after = behind[length : length + 2]
             # the spike's own readings must be there, and two on either side
             if len(before) < 2 or len(after) < 2 or behind[length - 1] != place + length - 1:

@@ -79,24 +79,30 @@ class Rails:
         """
         found = False
         for top in tops(x, grain):
-            if self._inputs[channel] and abs(top.value) <= 0.5 * grain:
-                continue  # a force at rest
-            known = self._value[top.side, channel] == top.value
-            if not known:
-                self._value[top.side, channel], self._times[top.side, channel] = top.value, 0
-                self._there[top.side, channel] = self._since[top.side, channel] = 0
-            self._times[top.side, channel] += 1
-            again = self._times[top.side, channel] > 1
-            extreme = abs(top.value - ends[top.side]) <= 0.5 * grain and not self._inputs[channel]
-            extreme &= top.beyond > SURE * grain
-            found |= (again or extreme) and not self.rests(channel, top.value, grain)
+            is_force_at_rest = self._inputs[channel] and abs(top.value) <= 0.5 * grain
+            if not is_force_at_rest:
+                found |= self._run_into(channel, top, ends, grain)
         for side in (0, 1):
-            rail = float(self._value[side, channel])
-            # where the end is known, it need not be run into
-            if self._times[side, channel] > 1 and not self.rests(channel, rail, grain):
-                found |= any(stop - start >= PLATEAU for start, stop in runs(np.asarray(x == rail)))
+            found |= self._is_held(channel, side, x, grain)
             self._there[side, channel] += int(np.sum(x[ENTRY:] == self._value[side, channel]))
         return found
+
+    def _run_into(self, channel: int, top: Top, ends: tuple[float, float], grain: float) -> bool:
+        """Note a flat top; tell whether it is the end of the channel's range."""
+        place = top.side, channel
+        if self._value[place] != top.value:
+            self._value[place] = top.value
+            self._times[place] = self._there[place] = self._since[place] = 0
+        self._times[place] += 1
+        is_extreme = abs(top.value - ends[top.side]) <= 0.5 * grain and not self._inputs[channel]
+        is_end = self._times[place] > 1 or (is_extreme and top.beyond > SURE * grain)
+        return bool(is_end) and not self.rests(channel, top.value, grain)
+
+    def _is_held(self, channel: int, side: int, x: FloatArray, grain: float) -> bool:
+        """Tell whether readings stay at an end that is known: it need not be run into."""
+        rail = float(self._value[side, channel])
+        is_known = self._times[side, channel] > 1 and not self.rests(channel, rail, grain)
+        return bool(is_known) and any(stop - start >= PLATEAU for start, stop in runs(np.asarray(x == rail)))
 
 
 def tops(x: FloatArray, grain: float) -> list[Top]:

@@ -10,15 +10,15 @@ from agent.types import FloatArray, IntArray
 
 BEFORE, AFTER = 1, 2
 """Readings that are needed before and after the one at or before a place between samples."""
-NEAR = 1e-6
+ON_A_SAMPLE = 1e-6
 """Of a sample: a place this near to a reading is that reading."""
 
 
 def split(place: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the number of the reading at or before each place, and how far behind it the place lies, 0 .. 1."""
-    whole = np.floor(place + NEAR)
+    whole = np.floor(place + ON_A_SAMPLE)
     part = place - whole
-    return whole.astype(np.int64), np.where(part < NEAR, 0.0, part)
+    return whole.astype(np.int64), np.where(part < ON_A_SAMPLE, 0.0, part)
 
 
 def weights(part: FloatArray) -> FloatArray:

@@ -63,7 +63,8 @@ class SensorWatch:
         self._measured = np.ones(c, dtype=bool) if commanded is None else ~commanded
         self.block = int(np.clip(window // 16, 8, 64))
         self._inputs, self._window = inputs, window
-        self._stated, self._seen = step, np.full(c, np.inf)
+        self._stated = step
+        self._seen = np.full(c, np.inf)
         self._low, self._high = np.full(c, np.inf), np.full(c, -np.inf)
         self._standing = Standing(inputs, np.arange(c) if kinds is None else kinds, window, self.block)
         self._rails = Rails(inputs)
@@ -123,12 +124,14 @@ class SensorWatch:
         low, high = blocks.low[which], blocks.high[which]
         self._done += self.block * len(low)
         self._standing.skip(low, high, blocks.noise[which], blocks.step[which])
-        least, most = low.min(axis=0), high.max(axis=0)
+        least = low.min(axis=0)
+        most = high.max(axis=0)
         self._rails.pass_by(least, most, self.block * len(low))
         self._low, self._high = np.minimum(self._low, least), np.maximum(self._high, most)
 
     def _facts(self, whole: int) -> _Blocks:
-        start, c = self._context, len(self._stated)
+        start = self._context
+        c = len(self._stated)
         stop = start + whole * self.block
         # channel by channel: what is asked of blocks of few channels costs ten times as much sample by sample
         x = np.ascontiguousarray(self._pending[:stop].T)

@@ -91,11 +91,13 @@ class Standing:
         smooth = self._smooth(size, noise, step)
         known = self._usual > MOVES * step
         lively = (size > MOVES * step) & (size > LIVELY * self._usual) & known
-        run_low, run_high = np.minimum(self._low, low), np.maximum(self._high, high)
+        run_low = np.minimum(self._low, low)
+        run_high = np.maximum(self._high, high)
         still = (run_high - run_low <= 1.01 * step) & ~self._inputs
         self._begin(still & (self.still == 0), np.maximum(speed - step / 16.0, 0.0), step)
         self._follow(low, high)
-        least, enough = self._least(step, known), self._others_went(step)
+        least = self._least(step, known)
+        enough = self._others_went(step)
         ended = ~still & (self.still > 0)
         learnt = np.minimum(np.minimum(self.still, least), LONGEST * self._window)
         self._longest = np.where(ended, np.maximum(self._longest, learnt), self._longest)

@@ -88,7 +88,8 @@ _EDGE = "SELECT seq, run_id, span, t_ns FROM hops WHERE run_id = ? AND span IN (
 def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int) -> Iterator[Cells]:
     while rows := cursor.fetchmany(_AT_ONCE):
         said = list(zip(*(row[:width] for row in rows), strict=True))
-        wrong, place = set[int](), 0
+        wrong = set[int]()
+        place = 0
         for table in parts:
             columns = _INDEXED.get(table, ())
             seen = list(zip(*said[place : place + 1 + len(columns)], strict=True))
@@ -163,7 +164,8 @@ def sound_points(reader: Reader, run: int, series: Sequence[int], span: int, fir
         reader.refuse(int((~right).sum()))
         stamps, values, sds, repeats = (tuple(compress(column, right)) for column in (stamps, values, sds, repeats))
     middle = np.array(stamps, dtype=np.int64) + span * 500_000_000
-    sd, share = np.array(sds, dtype=np.float64), 1e-4 * np.array(repeats, dtype=np.float64)
+    sd = np.array(sds, dtype=np.float64)
+    share = 1e-4 * np.array(repeats, dtype=np.float64)
     return Found(middle, np.array(values, dtype=np.float64), sd, np.where(np.isnan(share), sd, sd * share))
 
 

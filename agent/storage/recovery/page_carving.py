@@ -19,7 +19,7 @@ _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health", "events",
     "event_records", "learnt", "hypotheses",
 )  # fmt: skip
-_AT_ONCE = 10_000
+_CARVED_AT_ONCE = 10_000
 _Key = tuple[int, bool]
 
 
@@ -65,7 +65,7 @@ def _scanned(pages: Iterable[bytes]) -> Iterator[tuple[str, list[Row]]]:
             if table is None:
                 continue
             waiting.setdefault(table, []).append(_typed(table, _ordered(table, cells)))
-            if len(waiting[table]) >= _AT_ONCE:
+            if len(waiting[table]) >= _CARVED_AT_ONCE:
                 yield table, _proven(table, waiting.pop(table))
     for table, rows in waiting.items():
         yield table, _proven(table, rows)
@@ -136,7 +136,9 @@ def _record(page: bytes, place: int) -> list[object] | None:
     if size > PAGE_SIZE - 35 or place + size > PAGE_SIZE:
         return None
     head, at = _varint(page, place)
-    kinds, end, body = [], place + head, place + head
+    kinds = []
+    end = place + head
+    body = place + head
     while at < end:
         kind, at = _varint(page, at)
         kinds.append(kind)

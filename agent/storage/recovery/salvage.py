@@ -155,19 +155,22 @@ def _copy_by_trees(damaged: Path, target: sqlite3.Connection) -> LossEstimate:
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         for source in _readable_source(damaged, mode):
             with closing(source):
-                failures = 0
-                for table in TABLES:
-                    tree = _Tree(source, table)
-                    for rows in tree.rows():
-                        right = good_rows(table, rows)
-                        loss.note(table, (row[0] for row, fine in zip(rows, right, strict=True) if not fine))
-                        good = [row for row, fine in zip(rows, right, strict=True) if fine]
-                        _insert(target, table, good, "INSERT OR IGNORE")
-                    failures += tree.failures
+                failures = sum(_copy_tree(source, target, table, loss) for table in TABLES)
                 _insert_consumers(source, target)
                 if mode == "mode=ro":  # what the file alone lists may have been deleted since
                     loss.settle(source, target, failures)
     return loss
+
+
+def _copy_tree(source: sqlite3.Connection, target: sqlite3.Connection, table: str, loss: LossEstimate) -> int:
+    """Copy the rows of a table that prove themselves; return how often its tree could not be followed."""
+    tree = _Tree(source, table)
+    for rows in tree.rows():
+        right = good_rows(table, rows)
+        loss.note(table, (row[0] for row, fine in zip(rows, right, strict=True) if not fine))
+        good = [row for row, fine in zip(rows, right, strict=True) if fine]
+        _insert(target, table, good, "INSERT OR IGNORE")
+    return tree.failures
 
 
 def _readable_source(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
@@ -193,8 +196,10 @@ class _Tree:
 
     def rows(self) -> Iterator[list[Row]]:
         """Yield the rows; a stretch that cannot be read is halved until what is sick is narrowed down."""
-        table, columns = self.table, ", ".join(columns_of(self.table))
-        wide, most = (1 << COLUMN_BITS if table in _LONG else 1), _MOST_FAILURES[table in _LONG]
+        table = self.table
+        columns = ", ".join(columns_of(self.table))
+        wide = 1 << COLUMN_BITS if table in _LONG else 1
+        most = _MOST_FAILURES[table in _LONG]
         todo = [(0, _newest(self.source, table))]
         query = f"SELECT {columns} FROM {table} WHERE seq BETWEEN ? AND ? ORDER BY seq"  # noqa: S608 - own names
         while todo and self.failures < most:

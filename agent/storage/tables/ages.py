@@ -66,7 +66,8 @@ class _Run:
     """The offset that lasted longest."""
 
     def __post_init__(self) -> None:
-        self.begin, self.end = min(p.begin for p in self.parts), max(p.end for p in self.parts)
+        self.begin = min(p.begin for p in self.parts)
+        self.end = max(p.end for p in self.parts)
         self.known = all(p.known for p in self.parts)
         self.length = max(0, self.end - self.begin) if self.known else 0
         self.main = max(self.parts, key=lambda p: p.last_ns - p.from_ns).offset_ns
@@ -203,7 +204,8 @@ def jump_words(connection: sqlite3.Connection, run: RunInfo, run_id: int, now: C
     if run.kind != "live" or not before:
         return None
     last = max((part for part in before if part.run == before[-1].run), key=lambda part: part.end)
-    gap_ns, step_ns = now.t_ns - last.last_ns, _step(connection, run, last, now)
+    gap_ns = now.t_ns - last.last_ns
+    step_ns = _step(connection, run, last, now)
     if abs(step_ns) > STEP_NS:
         return f"the wall clock was stepped by {step_ns / 1e9:+.3f} s since the run before; {_KEPT}"
     if gap_ns < -STEP_NS:
@@ -216,9 +218,12 @@ def jump_words(connection: sqlite3.Connection, run: RunInfo, run_id: int, now: C
 def _step(connection: sqlite3.Connection, run: RunInfo, last: Part, now: ClockRecord) -> int:
     """Return by how much the wall clock was stepped since a part of an earlier run; 0 where that is not known."""
     query = "SELECT r.boot_id, c.offset_ns FROM runs r JOIN clocks c ON c.run_id = r.seq WHERE r.seq = ?"
-    boot, offset = connection.execute(query, (last.seq,)).fetchone() or (None, None)
+    found = connection.execute(query, (last.seq,)).fetchone()
+    if found is None or None in found:
+        return 0
+    boot, offset = found
     passed = now.t_ns - now.offset_ns - last.end
-    if offset is None or boot is None or boot != run.boot_id or passed < 0:
+    if boot != run.boot_id or passed < 0:
         return 0
     step = now.offset_ns - int(offset)
     return step if abs(step) > passed * SLEW else 0

@@ -59,7 +59,8 @@ def repeat_cells(sd: FloatArray, sd_repeat: FloatArray) -> FloatArray:
 
 
 def _add_hops(plan: Plan, hops: IntArray, run_id: int, t_ns: IntArray) -> None:
-    run, span = np.full_like(hops, run_id), np.zeros_like(hops)
+    run = np.full_like(hops, run_id)
+    span = np.zeros_like(hops)
     columns = (hops, run, span, t_ns)
     plan.add("hops", *zip(*(c.tolist() for c in (*columns, numbers_crc("hops", columns))), strict=True))
 

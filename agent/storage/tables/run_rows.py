@@ -57,14 +57,17 @@ class RunRows:
         self._clocks: dict[int, ClockRows] = {}
         self._settings = settings
         self._coverage: dict[int, Coverage] = {}
-        self._records, self._learnt, self._health = EventRecordRows(), LearntRows(), HealthRows()
+        self._records = EventRecordRows()
+        self._learnt = LearntRows()
+        self._health = HealthRows()
 
     def __contains__(self, run_id: int) -> bool:
         return run_id in self._alarms
 
     def open(self, run_id: int, run: RunInfo, alarms: AlarmRows) -> None:
         """Begin the books of a run; after the file was replaced its clock is as it was."""
-        self._alarms[run_id], self._clocks[run_id] = alarms, ClockRows(run_id, self._names.rig(run.rig), run)
+        self._alarms[run_id] = alarms
+        self._clocks[run_id] = ClockRows(run_id, self._names.rig(run.rig), run)
         self._covered(run_id, run_id, run.rig)
         self._watch(run_id, run_id)
         for record in self._settings.pop(run.rig, ()):

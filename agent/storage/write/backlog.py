@@ -90,7 +90,8 @@ class Pause:
     def failed(self, cause: str) -> None:
         now = time.monotonic()
         if self.cause is None:
-            self._since, self.length_s = now, SHORTEST_S / 2
+            self._since = now
+            self.length_s = SHORTEST_S / 2
         self.cause, self._last = cause, now
         self.length_s = min(LONGEST_S, 2 * self.length_s)
 

@@ -45,7 +45,8 @@ class Thinner:
     def flush(self) -> list[Record]:
         """Return what is kept of the last, unfinished period; for the end of a run."""
         kept: list[Record] = list(self._release(last=True))
-        self._held, self._passed = None, np.zeros(0, dtype=bool)
+        self._held = None
+        self._passed = np.zeros(0, dtype=bool)
         return kept
 
     def _take_in(self, batch: EstimateBatch) -> list[EstimateBatch]:
@@ -53,7 +54,8 @@ class Thinner:
         ended: list[EstimateBatch] = []
         if self._held is not None and header_of(self._held) != header_of(batch):
             ended = self._release(last=True)
-            self._held, self._passed = None, np.zeros(0, dtype=bool)
+            self._held = None
+            self._passed = np.zeros(0, dtype=bool)
         self._held = batch if self._held is None else join([self._held, batch])
         self._passed = np.concatenate([self._passed, np.zeros(len(batch), dtype=bool)])
         return ended

@@ -251,7 +251,8 @@ class TierKeeper:
         found = self._store.connection.execute(query, parts).fetchall()
         if not found:
             return False
-        hops, taken = [seq for seq, _ in found], self._sent()
+        hops = [seq for seq, _ in found]
+        taken = self._sent()
         unsent = sum(seq > taken for seq in hops)
         with self._store.transaction() as connection:
             bounds = [(seq << COLUMN_BITS, (seq + 1 << COLUMN_BITS) - 1) for seq in hops]

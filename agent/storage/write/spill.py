@@ -62,7 +62,8 @@ def _move(source: sqlite3.Connection, target: sqlite3.Connection, table: str) ->
     if table == "meta":
         return 0
     query = f"SELECT {', '.join(columns_of(table))} FROM {table} ORDER BY seq"  # noqa: S608 - own names
-    cursor, moved = source.execute(query), 0
+    cursor = source.execute(query)
+    moved = 0
     while rows := cursor.fetchmany(_ROWS_A_COMMIT):
         sound = [row for row, right in zip(rows, good_rows(table, rows), strict=True) if right]
         target.execute("BEGIN IMMEDIATE")

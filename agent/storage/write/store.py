@@ -206,7 +206,8 @@ class Store:
             self._missing = None
         if self.recovery is None:
             return
-        reported, t_ns = str(self.recovery), run.started_ns
+        reported = str(self.recovery)
+        t_ns = run.started_ns
         raised = AlarmTransition(run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", reported)
         over = replace(raised, from_state="UNACK", to_state="RTNUN", cause="replaced")
         self.write(run_id, [HealthEvent(run.rig, "store", t_ns, "damaged", reported), raised, over])

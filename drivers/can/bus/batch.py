@@ -94,7 +94,8 @@ class BatchReceiver:
     def receive(self) -> Frames:
         """Return the frames that wait, without waiting; OSError when the socket fails."""
         self._messages["header"]["control_length"] = _CONTROL.itemsize
-        most, messages = len(self._messages), self._messages.ctypes.data
+        most = len(self._messages)
+        messages = self._messages.ctypes.data
         count = self._call(
             ctypes.c_int(self._descriptor), ctypes.c_void_p(messages), ctypes.c_uint(most),
             ctypes.c_int(socket.MSG_DONTWAIT), None,

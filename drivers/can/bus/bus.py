@@ -159,7 +159,7 @@ class PythonCanBus(CanBus):
 
 def message_row(message: "can.Message") -> bytes:
     """Return a message of python-can as a row of a frame table."""
-    number = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
-    number |= (REMOTE if message.is_remote_frame else 0) | (ERROR if message.is_error_frame else 0)
+    bits = (EXTENDED, message.is_extended_id), (REMOTE, message.is_remote_frame), (ERROR, message.is_error_frame)
+    number = message.arbitration_id | sum(bit for bit, is_set in bits if is_set)
     data = b"" if message.is_remote_frame else bytes(message.data[:64])
     return pack_frame(number & 0xFFFFFFFF, data, FD_FLAG if message.is_fd else 0, min(message.dlc, 64))

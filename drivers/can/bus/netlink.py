@@ -72,7 +72,8 @@ def read_answer(answer: bytes) -> Link | None:
 
 
 def _controller(kind: str, fd: bool, data: dict[int, bytes]) -> Link:
-    mode, state = data.get(_MODE, b""), _number(data.get(_STATE))
+    mode = data.get(_MODE, b"")
+    state = _number(data.get(_STATE))
     return Link(
         kind,
         fd,

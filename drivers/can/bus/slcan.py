@@ -19,7 +19,7 @@ BITRATES = {
     10_000: b"S0", 20_000: b"S1", 50_000: b"S2", 100_000: b"S3", 125_000: b"S4",
     250_000: b"S5", 500_000: b"S6", 800_000: b"S7", 1_000_000: b"S8",
 }  # fmt: skip
-_ANSWER_S = 0.3
+_ADAPTER_ANSWER_S = 0.3
 _ANSWER = re.compile(rb"[\r\a]")
 
 
@@ -61,7 +61,7 @@ class SlcanBus(CanBus):
     def _ask(self, command: bytes) -> bytes:
         """Return how the adapter answers a command: a carriage return, a bell, or nothing (some never answer)."""
         self._pipe.send("slcan", command + b"\r")
-        deadline = clock.monotonic() + _ANSWER_S
+        deadline = clock.monotonic() + _ADAPTER_ANSWER_S
         while data := self._pipe.recv(deadline):
             if answer := _ANSWER.search(data):
                 return answer[0]

@@ -6,6 +6,7 @@ kernel's driver understands too. A line ends with a carriage return, or with the
 
 import re
 from binascii import unhexlify
+from collections.abc import Callable
 
 import numpy as np
 
@@ -141,38 +142,40 @@ class StampClock:
 
 def _read(line: bytes) -> tuple[list[bytes], int] | None:
     """Return the rows of a line and its stamp, ms (−1: none); no rows for one without a frame, None for nonsense."""
+    for form, rows_of in _WITHOUT_STAMP:
+        match = form.fullmatch(line)
+        rows = None if match is None else rows_of(match)
+        if rows is not None:
+            return rows, -1
     match = _FRAME.fullmatch(line)
-    if match is not None:
-        return _frame(match)
-    if (match := _STATE.fullmatch(line)) is not None:
-        return [_state(match)], -1
-    if (match := _ERRORS.fullmatch(line)) is not None and len(match[2]) == int(match[1]):
-        return [_error(0x20 if letter == "a" else 0x4 if letter in "oO" else 0x8, letter in "oO")
-                for letter in match[2].decode()], -1  # fmt: skip
-    if (match := _STATUS.fullmatch(line)) is not None:
-        flags = int(match[1], 16)
-        return [_error(kind, bits) for bit, (kind, bits) in _STATUS_BITS.items() if flags & bit], -1
-    return ([], -1) if _OTHER.fullmatch(line) else None
+    return None if match is None else _frame(match)
 
 
 def _frame(match: re.Match[bytes]) -> tuple[list[bytes], int] | None:
     standard, digits, extended, long_digits, code, payload = match.groups()
     number = int(long_digits, 16) | EXTENDED if extended else int(digits, 16)
-    letter, length = extended or standard, FD_LENGTHS[int(code, 16)]
-    fd = letter in _FD_LETTERS
-    if length > 8 and not fd:
-        return None
-    size = 0 if letter in b"rR" else 2 * length
-    stamp = -1 if len(payload) == size else _stamp(payload[size:])
-    if len(payload) < size or stamp is None:
+    letter = extended or standard
+    length = FD_LENGTHS[int(code, 16)]
+    flags = FD_FLAG if letter in _FD_LETTERS else 0
+    if length > 8 and not flags:
         return None
     if letter in b"rR":
-        return [pack_frame(number | REMOTE, b"", 0, length)], stamp
-    return [pack_frame(number, unhexlify(payload[:size]), FD_FLAG if fd else 0)], stamp
+        return _stamped(pack_frame(number | REMOTE, b"", 0, length), payload)
+    size = 2 * length
+    if len(payload) < size:
+        return None
+    return _stamped(pack_frame(number, unhexlify(payload[:size]), flags), payload[size:])
+
+
+def _stamped(row: bytes, digits: bytes) -> tuple[list[bytes], int] | None:
+    stamp = _stamp(digits)
+    return None if stamp is None else ([row], stamp)
 
 
 def _stamp(digits: bytes) -> int | None:
-    """Return the milliseconds behind a frame, None where something else stands."""
+    """Return the milliseconds behind a frame, −1 where nothing stands, None where something else does."""
+    if not digits:
+        return -1
     ms = int(digits, 16) if len(digits) == 4 else WRAP_MS
     return ms if ms < WRAP_MS else None
 
@@ -186,3 +189,32 @@ def _state(match: re.Match[bytes]) -> bytes:
 
 def _error(kind: int, controller: int) -> bytes:
     return pack_frame(ERROR | kind, bytes((0, int(controller), 0, 0, 0, 0, 0, 0)))
+
+
+def _states(match: re.Match[bytes]) -> list[bytes]:
+    return [_state(match)]
+
+
+def _errors(match: re.Match[bytes]) -> list[bytes] | None:
+    """Return an error frame for each letter; None where their number is not the one that is said."""
+    letters = match[2].decode()
+    if len(letters) != int(match[1]):
+        return None
+    return [_error(*_ERROR_LETTERS.get(letter, (0x8, 0))) for letter in letters]
+
+
+def _flags(match: re.Match[bytes]) -> list[bytes]:
+    flags = int(match[1], 16)
+    return [_error(kind, bits) for bit, (kind, bits) in _STATUS_BITS.items() if flags & bit]
+
+
+def _nothing(_: re.Match[bytes]) -> list[bytes]:
+    return []
+
+
+_ERROR_LETTERS = {"a": (0x20, 0), "o": (0x4, 1), "O": (0x4, 1)}
+"""Class of an error frame and its controller byte; all other letters are of the protocol."""
+_WITHOUT_STAMP: tuple[tuple[re.Pattern[bytes], Callable[[re.Match[bytes]], list[bytes] | None]], ...] = (
+    (_STATE, _states), (_ERRORS, _errors), (_STATUS, _flags), (_OTHER, _nothing),
+)  # fmt: skip
+"""Lines that carry no frame of the bus, and what makes error frames of them."""

@@ -96,14 +96,17 @@ class Keeper:
         """Take frames, and what became of the counts since the last ones."""
         lost = {reason: n - self._dropped[reason] for reason, n in dropped.items() if n > self._dropped[reason]}
         since = {"dropped": lost, "text": text - self._text, "reopened": reopened - self._reopened}
-        self._dropped, self._text, self._reopened = Counter(dropped), text, reopened
+        self._dropped = Counter(dropped)
+        self._text = text
+        self._reopened = reopened
         self._beside |= {key: value for key, value in since.items() if value}
         self._frames = joined(self._frames, frames) if len(self._frames) else frames
 
     def take(self) -> Capture | None:
         """Return what waits and forget it; None when that is nothing."""
         frames, beside = self._frames, self._beside
-        self._frames, self._beside = no_frames(), {}
+        self._frames = no_frames()
+        self._beside = {}
         if not len(frames) and not beside:
             return None
         finer = (frames.t_ns % 1000).astype("<u2")

@@ -178,7 +178,8 @@ def _codec(message: "Message", asked: list[tuple[int, str]], counting: str | Non
     counter = _counter(message, counting, keys) if counting else None
     switches = _switches(message, samples[0])
     check = _check(message, keys)
-    pages, lengths = pages_of(samples[0]), _lengths(message.length)
+    pages = pages_of(samples[0])
+    lengths = _lengths(message.length)
     return MessageCodec(message.name, number, mask, lengths, samples, pages, counter, switches, check)
 
 

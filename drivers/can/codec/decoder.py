@@ -34,14 +34,13 @@ class FrameDecoder:
         self._messages = messages
         self._columns = columns
         self._counts = counts
-        self._errors = errors or ErrorWatch("", counts, lambda _name, _words: None)
-        moduli = {message.counter.sample_modulus for message in messages if message.counter}
-        if len(moduli) > 1:
-            raise DriverConfigError("the counters of the messages to join wrap after different numbers of samples")
-        self.modulus = moduli.pop() if moduli else None
+        self._errors = ErrorWatch("", counts, lambda _name, _words: None) if errors is None else errors
+        self.modulus = _common_modulus(messages)
         parts = sum(len(message.pages) for message in messages)
-        together = len(messages) > 1 or (parts > 1 and self.modulus is not None)
-        self._joiner = Joiner(parts, columns, self.modulus or 1, counts, note) if together else None
+        joins_pages = parts > 1 and self.modulus is not None
+        self._joiner: Joiner | None = None
+        if len(messages) > 1 or joins_pages:
+            self._joiner = Joiner(parts, columns, self.modulus or 1, counts, note)
 
     def restart(self) -> None:
         """Forget samples that are not whole: the bus was opened anew."""
@@ -134,3 +133,11 @@ def shown(frame: np.void) -> str:
 def _picked(frames: Frames, mask: NDArray[np.bool_]) -> Frames:
     """Return the frames that are picked; the usual case, all of them, costs no copy."""
     return frames if mask.all() else Frames(frames.table[mask], frames.t_ns[mask])
+
+
+def _common_modulus(messages: tuple[MessageCodec, ...]) -> int | None:
+    """Return after how many samples the messages' counters wrap; None without counters. Raises DriverConfigError."""
+    moduli = {message.counter.sample_modulus for message in messages if message.counter}
+    if len(moduli) > 1:
+        raise DriverConfigError("the counters of the messages to join wrap after different numbers of samples")
+    return moduli.pop() if moduli else None

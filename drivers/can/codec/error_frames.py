@@ -75,7 +75,8 @@ class ErrorWatch:
         """Look at the error frames of a table (n,) with their times (n,)."""
         for number in np.flatnonzero(table["id"] & np.uint32(ERROR)).tolist():
             row = table[number]
-            identifier, data = int(row["id"]), row["data"]
+            identifier = int(row["id"])
+            data = row["data"]
             for name in names_of(identifier, int(data[1])):
                 self._counts.faults[name] += 1
                 self._describe(name, _counters(identifier, data.tolist()), int(t_ns[number]))

@@ -107,14 +107,19 @@ class DaemonText:
 
     def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> bool:
         """Add a message's frame, if it is one; tell whether the message makes sense."""
-        row = _daemon_error(match[0]) if match[5] == b"error" else None
-        seconds, part = match[2] or match[7], match[3] or match[8]
-        if match[5] is None and int(seconds) <= MOST_SECONDS:
-            row = _daemon_row(match[1], match[4] or b"") if match[1] else _daemon_remote(match[6], int(match[9]))
-        if row is not None:
-            rows.append(row)
-            times.append(int(seconds) * 10**9 + int(part.ljust(9, b"0")) if seconds else 0)
-        return row is not None or match[5] is not None
+        word = match[5]
+        if word is not None:
+            if word == b"error":
+                rows.append(_daemon_error(match[0]))
+                times.append(0)
+            return True
+        seconds = int(match[2] or match[7])
+        row = _daemon_frame(match) if seconds <= MOST_SECONDS else None
+        if row is None:
+            return False
+        rows.append(row)
+        times.append(seconds * 10**9 + int((match[3] or match[8]).ljust(9, b"0")))
+        return True
 
 
 _LONGEST_MESSAGE = 400
@@ -125,6 +130,10 @@ def _daemon_error(message: bytes) -> bytes:
     """Return an error frame of the class that the daemon names; it passes on no more of it."""
     match = _ERROR_CLASS.match(message)
     return pack_frame(ERROR | (int(match[1], 16) & EXTENDED_MASK if match else 0), bytes(8))
+
+
+def _daemon_frame(match: re.Match[bytes]) -> bytes | None:
+    return _daemon_row(match[1], match[4] or b"") if match[1] else _daemon_remote(match[6], int(match[9]))
 
 
 def _daemon_remote(digits: bytes, length: int) -> bytes | None:
@@ -140,7 +149,8 @@ def _daemon_identifier(digits: bytes) -> int | None:
 
 
 def _daemon_row(digits: bytes, payload: bytes) -> bytes | None:
-    data, number = bytes.fromhex(payload.decode()), _daemon_identifier(digits)
+    data = bytes.fromhex(payload.decode())
+    number = _daemon_identifier(digits)
     if number is None:
         return None
     return pack_frame(number, data, FD_FLAG if len(data) > 8 else 0) if len(data) in FD_LENGTHS else None
@@ -158,19 +168,33 @@ def candump_row(line: str) -> tuple[int, bytes] | None:
     match = _CANDUMP.fullmatch(line.strip())
     if match is None:
         return None
-    number = int(match[4], 16)
-    if number > (STANDARD_MASK if len(match[4]) == 3 else ERROR | EXTENDED_MASK) or int(match[1]) > MOST_SECONDS:
+    row = _candump_frame(match)
+    if row is None or int(match[1]) > MOST_SECONDS:
         return None
-    number |= EXTENDED if len(match[4]) == 8 and not number & ERROR else 0
-    if match[5]:
-        row = pack_frame(number | REMOTE, b"", 0, int(match[6] or 0))
-    else:
-        data = bytes.fromhex(match[8])
-        fd = match[7] is not None
-        if len(data) not in (FD_LENGTHS if fd else FD_LENGTHS[:9]):
-            return None
-        row = pack_frame(number, data, FD_FLAG if fd else 0)
     return int(match[1]) * 10**9 + int(match[2].ljust(9, "0")), row
+
+
+def _candump_frame(match: re.Match[str]) -> bytes | None:
+    """Return the packed frame of a line; None where its identifier or its length is none."""
+    number = _candump_identifier(match[4])
+    if number is None:
+        return None
+    if match[5]:
+        return pack_frame(number | REMOTE, b"", 0, int(match[6] or 0))
+    data = bytes.fromhex(match[8])
+    is_fd = match[7] is not None
+    if len(data) not in (FD_LENGTHS if is_fd else FD_LENGTHS[:9]):
+        return None
+    return pack_frame(number, data, FD_FLAG if is_fd else 0)
+
+
+def _candump_identifier(digits: str) -> int | None:
+    """Return an identifier with its flags; None beyond its bits. Eight digits may carry the flag of an error frame."""
+    number = int(digits, 16)
+    is_long = len(digits) == 8
+    if number > (ERROR | EXTENDED_MASK if is_long else STANDARD_MASK):
+        return None
+    return number | EXTENDED if is_long and not number & ERROR else number
 
 
 def candump_frames(lines: Iterable[str]) -> tuple[Frames, list[int]]:

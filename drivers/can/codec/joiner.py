@@ -55,7 +55,9 @@ class Pending:
 
     def put(self, keys: IntArray, part: Part, which: slice) -> None:
         """Add some of a part's readings; a sample has the time of the part that came first."""
-        rows, values, t_ns = np.searchsorted(self.keys, keys), part.values[which], part.t_ns[which]
+        rows = np.searchsorted(self.keys, keys)
+        values = part.values[which]
+        t_ns = part.t_ns[which]
         cells = np.ix_(rows, part.columns)
         self.values[cells] = np.where(np.isnan(values), self.values[cells], values)
         self.t_ns[rows] = np.where(self.t_ns[rows] < 0, t_ns, self.t_ns[rows])

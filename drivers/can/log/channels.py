@@ -37,14 +37,19 @@ def channel_of(found: Iterable[str], wanted: str, interface: str, kind: str) -> 
     """
     number = _KERNEL_NAME.fullmatch(wanted)
     is_name = interface in _NAMES_OF_KERNEL or not wanted.isdigit()
-    sought = str(int(number[1]) + 1) if number and kind in _FROM_1 else wanted if is_name else None
+    sought = wanted if is_name else None
+    begins_with_0 = None
+    if number and kind in _FROM_1:
+        sought = str(int(number[1]) + 1)
+    elif number:
+        begins_with_0 = number[1]
     there: dict[str, None] = {}
     for name in found:
         if name == sought:
             return name
         there[name] = None
-    if number and kind not in _FROM_1 and "0" in there and number[1] in there:
-        return number[1]
+    if {begins_with_0, "0"} <= there.keys():
+        return begins_with_0
     if len(there) < 2:
         return None
     names = ", ".join(sorted(there, key=lambda name: (len(name), name)))

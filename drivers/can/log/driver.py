@@ -133,12 +133,12 @@ class CanLogDriver(DbcDriver):
                     yield _packed(kept)
         except DriverConfigError as error:
             raise DriverConfigError(f"{path}: {error}") from error
+        except ImportError as error:
+            words = "needs a library that is not installed: pip install 'deltak[mf4]'"
+            raise DriverConfigError(f"{path}: {words}") from error
+        except FileNotFoundError as error:
+            raise DriverConfigError(f"{path}: {error.strerror}") from error
         except Exception as error:
-            if isinstance(error, ImportError):
-                words = "needs a library that is not installed: pip install 'deltak[mf4]'"
-                raise DriverConfigError(f"{path}: {words}") from error
-            if isinstance(error, FileNotFoundError):
-                raise DriverConfigError(f"{path}: {error.strerror}") from error
             if not begun:
                 raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error
             self.counts.faults["log"] += 1
@@ -173,7 +173,8 @@ def _messages(path: Path) -> "Generator[can.Message]":
 
 def _channels(path: Path, kind: str) -> Iterator[str]:
     """Yield the channel of each frame, as far as a log can be read; what it is damaged by is said when it is read."""
-    messages, some = _messages(path), False
+    messages = _messages(path)
+    some = False
     try:
         for message in messages:
             some = True

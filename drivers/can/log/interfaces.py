@@ -17,7 +17,9 @@ def wire_of(pieces: Iterable[bytes], wanted: str) -> bytes | None:
 
     Raises DriverConfigError for a log of several interfaces, none of them the one that is wanted.
     """
-    asked, usual, found = wanted.encode(), b"", set[bytes]()
+    asked = wanted.encode()
+    usual = b""
+    found = set[bytes]()
     for text in pieces:
         usual = usual or _first(text)
         found |= _names(text, usual)

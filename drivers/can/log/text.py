@@ -24,7 +24,7 @@ from drivers.fields import ByteArray
 from drivers.port import IntArray
 
 _NEWLINE, _SPACE, _HASH, _OPEN, _CLOSE, _POINT = b"\n #()."
-_FEW = 8
+_FEW_OF_A_SHAPE = 8
 """Lines of a shape of which there are fewer are cheaper read one by one."""
 _NO_DIGIT = 99
 _DIGITS = np.full(256, _NO_DIGIT, np.uint8)
@@ -70,16 +70,10 @@ def candump_block(text: bytes, wire: bytes | None = None) -> tuple[Frames, list[
     table, t_ns, read = np.zeros(count, FRAME), np.zeros(count, np.int64), np.zeros(count, np.bool_)
     shapes = lines.shapes()
     for shape, first, many in zip(*np.unique(shapes, return_index=True, return_counts=True), strict=True):
-        if shape >= 0 and many >= _FEW:
+        if shape >= 0 and many >= _FEW_OF_A_SHAPE:
             rows = None if many == count else np.flatnonzero(shapes == shape)
             _read_shape(lines, rows, int(first), (table, t_ns, read))
-    bad = []
-    for place in np.flatnonzero(~read).tolist():
-        line = text[lines.start[place] : lines.end[place]].decode("latin-1")
-        if (item := candump_row(line)) is not None:
-            t_ns[place], table[place], read[place] = item[0], np.frombuffer(item[1], FRAME)[0], True
-        elif line.strip():
-            bad.append(place)
+    bad = _read_alone(text, lines, (table, t_ns, read))
     if wire is not None:
         read &= _named(lines, wire)
     return (Frames(table, t_ns) if read.all() else Frames(table[read], t_ns[read])), bad
@@ -87,7 +81,8 @@ def candump_block(text: bytes, wire: bytes | None = None) -> tuple[Frames, list[
 
 def _named(lines: _Lines, wire: bytes) -> NDArray[np.bool_]:
     """Tell of each line that is a frame whether it names an interface."""
-    begin, padded = lines.close + 1, np.append(lines.text, np.zeros(len(wire) + 3, np.uint8))
+    begin = lines.close + 1
+    padded = np.append(lines.text, np.zeros(len(wire) + 3, np.uint8))
     # behind the bracket tools write one space, hands may write more
     while (blank := padded[begin] == _SPACE).any():
         begin = begin + blank
@@ -95,6 +90,22 @@ def _named(lines: _Lines, wire: bytes) -> NDArray[np.bool_]:
     for place, character in enumerate(wire + b" "):
         same &= padded[begin + place] == character
     return same
+
+
+def _read_alone(text: bytes, lines: "_Lines", into: tuple[FrameTable, IntArray, NDArray[np.bool_]]) -> list[int]:
+    """Read one by one the lines whose shape is seldom; return the places of those that are no frame."""
+    table, t_ns, read = into
+    bad = []
+    for place in np.flatnonzero(~read).tolist():
+        line = text[lines.start[place] : lines.end[place]].decode("latin-1")
+        item = candump_row(line)
+        if item is not None:
+            t_ns[place] = item[0]
+            table[place] = np.frombuffer(item[1], FRAME)[0]
+            read[place] = True
+        elif line.strip():
+            bad.append(place)
+    return bad
 
 
 def _lines(text: ByteArray) -> _Lines:
@@ -167,11 +178,14 @@ def _each(right: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _shape(line: ByteArray, close: int, sign: int) -> _Shape:
     """Return the shape of a line."""
-    long = sign > close + 11 and line[sign - 9] == _SPACE
-    fd = sign + 1 < len(line) and line[sign + 1] == _HASH
-    end = len(line) - (2 if bytes(line[-2:]) in (b" R", b" T") else 0)
+    is_long = sign > close + 11 and line[sign - 9] == _SPACE
+    is_fd = bytes(line[sign + 1 : sign + 2]) == b"#"
+    has_direction = bytes(line[-2:]) in (b" R", b" T")
+    name = sign - (9 if is_long else 4)
+    data = sign + (3 if is_fd else 1)
+    end = len(line) - 2 * has_direction
     point = int(np.argmax(line[:close] == _POINT))
-    return _Shape(point, close, sign - (9 if long else 4), sign, sign + (3 if fd else 1), end, bool(fd))
+    return _Shape(point, close, name, sign, data, end, is_fd)
 
 
 def _read_shape(
@@ -186,13 +200,16 @@ def _read_shape(
     cells = lines.cells(rows, end - start)
     digits = _DIGITS[cells]
     name, pairs = digits[:, shape.name_end + 1 : shape.sign], digits[:, shape.data : shape.end]
-    identifier, extended = _value_of(name, 16), name.shape[1] == 8
+    identifier = _value_of(name, 16)
+    extended = name.shape[1] == 8
     right = shape.marked(cells) & shape.in_digits(digits)
-    seconds, parts = _value_of(digits[:, 1 : shape.point], 10), digits[:, shape.point + 1 : shape.close]
+    seconds = _value_of(digits[:, 1 : shape.point], 10)
+    parts = digits[:, shape.point + 1 : shape.close]
     right &= (identifier <= (EXTENDED_MASK if extended else STANDARD_MASK)) & (seconds <= MOST_SECONDS)
     made = table if rows is None else np.zeros(len(rows), FRAME)
     made["id"] = identifier + (EXTENDED if extended else 0)
-    made["length"], made["flags"] = shape.size, FD_FLAG if shape.fd else 0
+    made["length"] = shape.size
+    made["flags"] = FD_FLAG if shape.fd else 0
     made["data"][:, : shape.size] = (pairs[:, ::2] << 4) | (pairs[:, 1::2] & 15)
     times = seconds * 10**9 + _value_of(parts, 10) * 10 ** (9 - parts.shape[1])
     if rows is None:

@@ -60,8 +60,10 @@ class KernelDevice(Device):
 
 def make_stream(bench: Bench, number: int) -> Stream:
     """Return what a source sends on a socketcand daemon."""
-    keys, source = bench.settings(CanSettings, number), bench.source(number)
-    packing, faults = _packing(bench, number, keys), bench.faults(number, text=True)
+    keys = bench.settings(CanSettings, number)
+    source = bench.source(number)
+    packing = _packing(bench, number, keys)
+    faults = bench.faults(number, text=True)
     text = FrameText(packing.kinds, bench.clock_of(number))
     faults.strange = text.strange
     faults.refuse(ADAPTERS_REPORT, "a daemon does not pass it on; play an adapter (slcan)")
@@ -79,7 +81,9 @@ def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
 
 def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
     guard.virtual_can(keys.interface, keys.channel, f"source[{number}].channel")
-    source, packing, faults = bench.source(number), _packing(bench, number, keys), bench.faults(number)
+    source = bench.source(number)
+    packing = _packing(bench, number, keys)
+    faults = bench.faults(number)
     faults.refuse(
         ("corrupt", "truncate", "garbage", "split", "disconnect", *FRAMES),
         "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
@@ -92,7 +96,9 @@ def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
 
 def make_adapter_stream(bench: Bench, number: int) -> Stream:
     """Return what a source's adapter sends."""
-    keys, source, faults = bench.settings(CanSettings, number), bench.source(number), bench.faults(number)
+    keys = bench.settings(CanSettings, number)
+    source = bench.source(number)
+    faults = bench.faults(number)
     packing = _packing(bench, number, keys)
     text = SlcanText(packing.kinds, bench.rig.rate_hz(number))
     faults.strange = text.strange
@@ -118,7 +124,8 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
     daemons: dict[Endpoint, dict[str, Stream]] = {}
     devices: list[Device] = []
     for number in numbers:
-        keys, where = bench.settings(CanSettings, number), f"source[{number}]"
+        keys = bench.settings(CanSettings, number)
+        where = f"source[{number}]"
         if keys.interface == "slcan":
             devices.append(_adapter(bench, number, keys))
             continue

@@ -118,7 +118,8 @@ class Packing:
             self._packed(message, kind, firsts, frames)
             for message, kind in zip(self._messages, self.kinds, strict=True)
         ]
-        data, size = np.hstack(parts).tobytes(), self.size
+        data = np.hstack(parts).tobytes()
+        size = self.size
         # a frame of several samples goes out when the last one is due
         rows = [[b""] * (count - 1) + [data[start : start + size]] for start in range(0, len(data), size)]
         return [row for frame in rows for row in frame]

@@ -34,7 +34,9 @@ class Answers:
         return join(head, number, self._answer(pdu), self._framing)
 
     def _answer(self, pdu: bytes) -> bytes:
-        function, address, count = pdu[0], int.from_bytes(pdu[1:3], "big"), int.from_bytes(pdu[3:5], "big")
+        function = pdu[0]
+        address = int.from_bytes(pdu[1:3], "big")
+        count = int.from_bytes(pdu[3:5], "big")
         if function == _FIFO:
             return self._queue(address)
         if function not in _READ:

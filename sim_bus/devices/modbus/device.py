@@ -195,7 +195,8 @@ class ModbusTcpDevice(ModbusDevice):
         # its connections stay, and whoever wants a new one stands in a queue that is full
         if isinstance(server.transport, asyncio.Server):
             server.transport.close()
-        self._mute, self._hole = server, _full_queue(self._host, self._port)
+        self._mute = server
+        self._hole = _full_queue(self._host, self._port)
 
     async def _plug(self) -> ModbusBaseServer:
         await self._fill()
@@ -260,7 +261,8 @@ class ModbusRtuDevice(ModbusDevice):
         self._line.close()
 
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
-        baudrate, port = self.units[0].settings.baudrate, str(self._inner.path)
+        baudrate = self.units[0].settings.baudrate
+        port = str(self._inner.path)
         return SerialServer(self, devices, framer=FramerType.RTU, port=port, baudrate=baudrate, custom_pdu=custom)
 
     async def _unplug(self, server: ModbusBaseServer) -> None:

@@ -151,7 +151,8 @@ class RingUnit(Unit):
         self._written = 0
 
     def _advance(self, memory: list[int], start: int) -> None:
-        head, origin = self.clock.head_for(self.source, self._room), self.origin
+        head = self.clock.head_for(self.source, self._room)
+        origin = self.origin
         if head <= self._written:
             return
         first = max(self._written, head - self._ring.slots, origin)
@@ -173,8 +174,10 @@ class RingUnit(Unit):
             self._taken = oldest
         if self.active_faults() - _ANSWERED:
             return
-        offset, size = address - self._ring.address, self._ring.registers
-        first, end = -(-offset // size), (offset + count) // size
+        offset = address - self._ring.address
+        size = self._ring.registers
+        first = -(-offset // size)
+        end = (offset + count) // size
         while self._taken < self._written and first <= self._ring.slot(self._taken - origin) < end:
             self._taken += 1
         if self.clock.fast:

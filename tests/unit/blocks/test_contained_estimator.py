@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
-from agent.blocks.estimation import BoolArray
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.inference.verdicts import Belief
 from agent.numerics.window.hops import HopPlan
-from agent.types import FloatArray, Reason, Status
+from agent.types import BoolArray, FloatArray, Reason, Status
 
 PLAN = HopPlan(window=20, hop=10)
 
@@ -36,9 +34,6 @@ class Fragile:
 
     def hurry(self) -> None:
         self.budget.close()
-
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
-        return []
 
     def step(
         self, index: int, y: FloatArray, _u: FloatArray, missing: BoolArray | None = None,
@@ -67,8 +62,7 @@ def test_contained_estimator_numerical_failure_marks_its_window_and_no_other(err
     assert rows.index[diverged].tolist() == [49, 59]
     assert np.all(rows.status[diverged] == Status.INVALID)
     assert np.all(rows.status[~diverged] == Status.VALID)
-    assert estimator.take_failures() == [(99, f"{type(error).__name__}: {error}")]
-    assert estimator.take_failures() == []
+    assert rows.failures == ((99, f"{type(error).__name__}: {error}"),)
 
 
 def test_contained_estimator_what_is_no_number_is_a_failure_of_its_window_and_in_no_row() -> None:
@@ -87,7 +81,7 @@ def test_contained_estimator_what_is_no_number_is_a_failure_of_its_window_and_in
     diverged = rows.reason[:, 0] == Reason.DIVERGED
     assert rows.index[diverged].tolist() == [49, 59]
     assert np.isfinite(rows.theta[~diverged]).all()
-    assert estimator.take_failures() == [(99, "FloatingPointError: overflow encountered in square")]
+    assert rows.failures == ((99, "FloatingPointError: overflow encountered in square"),)
 
 
 def test_contained_estimator_made_anew_begins_with_what_was_adopted_and_keeps_its_counts() -> None:

@@ -1,7 +1,7 @@
 """What a row is worth: status, reason, held values and their ages, counts, intervals."""
 
 import pickle
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from agent.blocks.estimation import Estimation, Labels
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.inference.verdicts import Belief
 from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
 BoolArray = NDArray[np.bool_]
@@ -31,12 +30,6 @@ class Told:
         return None
 
     def adopt(self, content: str) -> None: ...
-
-    def take_beliefs(self) -> list[tuple[int, tuple[Belief, ...]]]:
-        return []
-
-    def take_failures(self) -> list[tuple[int, str]]:
-        return []
 
     def start_segment(self) -> None:
         self.segments += 1
@@ -70,7 +63,7 @@ def feed(block: Estimation, cuts: list[int], total: int = 100) -> list[EstimateB
     for start, stop in zip([0, *cuts], [*cuts, total], strict=True):
         index: IntArray = np.arange(start, stop, dtype=np.int64)
         samples = Samples(index, START + index * 1_000_000, np.zeros((len(index), 1)), np.zeros((len(index), 1)), 0)
-        batch = block.step(samples)
+        batch = block.step(samples).batch
         batches += [] if batch is None else [batch]
     return batches
 
@@ -138,9 +131,23 @@ def test_estimation_counts_what_windows_lack_and_forgets_what_no_window_reaches(
         missing = np.zeros((100, 2), dtype=bool)
         missing[::10, 0] = True
         samples = Samples(index, START + index, np.zeros((100, 1)), np.zeros((100, 1)), 0, missing)
-        batch = block.step(samples)
+        batch = block.step(samples).batch
         assert batch is not None
         counts.append(batch.n_missing)
         sizes.append(len(pickle.dumps(block)))
     assert np.unique(np.concatenate(counts[1:])).tolist() == [3]
     assert max(sizes) <= sizes[2] + 100
+
+
+def test_estimation_failure_of_a_call_that_ends_no_row_is_said_at_its_newest_sample() -> None:
+    @dataclass
+    class Failing(Told):
+        def step(self, index: int, y: FloatArray, u: FloatArray, *masks: BoolArray | None) -> Outcome:
+            return replace(Told.step(self, index, y, u, *masks), failures=((index + len(y) - 1, "planted"),))
+
+    index: IntArray = np.arange(4, dtype=np.int64)
+    samples = Samples(index, START + index, np.zeros((4, 1)), np.zeros((4, 1)), 0)
+    found = estimation(Failing()).step(samples)
+    assert found.batch is None
+    assert (found.failures, found.newest_ns) == (((3, "planted"),), START + 3)
+    assert found.times([1]) == {1: START + 3}

@@ -5,6 +5,7 @@ import pytest
 
 from agent.blocks.quality import Quality, QualitySettings
 from agent.blocks.sensor_alarms import SensorAlarms
+from agent.blocks.sensor_labels import Labelled
 from agent.types import FloatArray, IntArray, Reason, Samples, SensorEvent, SensorFault
 from tests.unit.numerics.rigs import noisy
 
@@ -23,12 +24,12 @@ def play(
 ) -> tuple[list[Samples], list[SensorEvent], Quality]:
     quality = Quality(QualitySettings(CHANNELS, 1, np.zeros(3), W, bridge))
     index = np.arange(len(v), dtype=np.int64) if index is None else index
-    pieces: list[Samples] = []
+    found: list[Labelled] = []
     for start in range(0, len(v), cut):
         part = slice(start, start + cut)
-        pieces += quality.step(index[part], index[part] * 1_000_000, v[part])
-    pieces += quality.finish()
-    return pieces, quality.take_events(), quality
+        found.append(quality.step(index[part], index[part] * 1_000_000, v[part]))
+    whole = Labelled.joined([*found, quality.finish()])
+    return list(whole.values), list(whole.events), quality
 
 
 def joined(pieces: list[Samples], name: str) -> np.ndarray:

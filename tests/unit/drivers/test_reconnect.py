@@ -16,7 +16,8 @@ from drivers.port import (
     SampleBlock,
     SourceRequest,
 )
-from drivers.reconnect import Backoff, ReconnectingDriver
+from drivers.reconnect import Backoff
+from tests.links import NotedLink
 
 
 class Clock:
@@ -68,16 +69,16 @@ class Stop(threading.Event):
 
 
 @pytest.fixture
-def parts() -> tuple[Scripted, ReconnectingDriver, Clock]:
+def parts() -> tuple[Scripted, NotedLink, Clock]:
     clock, driver = Clock(), Scripted()
-    wrapper = ReconnectingDriver(driver, 2.0, clock=clock, rng=random.Random(1), stop=Stop(clock))
+    wrapper = NotedLink(driver, 2.0, clock=clock, rng=random.Random(1), stop=Stop(clock))
     return driver, wrapper, clock
 
 
-Parts = tuple[Scripted, ReconnectingDriver, Clock]
+Parts = tuple[Scripted, NotedLink, Clock]
 
 
-def causes(wrapper: ReconnectingDriver) -> list[str]:
+def causes(wrapper: NotedLink) -> list[str]:
     return [event.cause for event in wrapper.take_events()]
 
 
@@ -110,7 +111,7 @@ class Local(Scripted):
 def test_source_that_is_known_to_be_there_or_not_is_tried_more_often(parts: Parts) -> None:
     _, _, clock = parts
     driver = Local()
-    wrapper = ReconnectingDriver(driver, 2.0, clock=clock, rng=random.Random(1), stop=Stop(clock))
+    wrapper = NotedLink(driver, 2.0, clock=clock, rng=random.Random(1), stop=Stop(clock))
     driver.opens.extend([DriverIOError("no such device")] * 60)
     pauses = []
     for _ in range(60):

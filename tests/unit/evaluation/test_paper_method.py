@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.config import load
-from agent.runtime.methods import make_estimation
+from agent.runtime.assembly.methods import make_estimation
 from agent.types import EstimateBatch, Reason, Samples, Status
 from tests.bench.scene import NOMINAL, Record, play
 
@@ -29,7 +29,7 @@ window_s"""
     file.write_text(text.replace("@NOISE@", "1e-6").replace("@WINDOW@", "0.5"), encoding="utf-8")
     block = make_estimation(load(file), np.zeros(2))
     index = np.arange(len(record.y), dtype=np.int64)
-    found = block.step(Samples(index, index * 1_000_000, record.u, record.y, segment=0))
+    found = block.step(Samples(index, index * 1_000_000, record.u, record.y, segment=0)).batch
     assert found is not None
     return found
 

@@ -7,8 +7,8 @@ import pytest
 
 from agent.blocks.rig_model import rig_model
 from agent.config import RigConfig, load
-from agent.runtime.methods import make_estimation
-from agent.runtime.model_check import model_faults
+from agent.runtime.assembly.methods import make_estimation
+from agent.runtime.assembly.model_check import model_faults
 from agent.types import Samples, Status
 from tests.bench.scene import NOMINAL, play
 
@@ -44,7 +44,7 @@ def test_window_ml_recovers_a_gain_error_of_five_percent_beside_the_stiffness(
     index = np.arange(len(record.y))
     config = configured(tmp_path, *channels)
     samples = Samples(index, index * 1_000_000, record.u, record.y * [1.05, 1.0], segment=0)
-    batch = make_estimation(config, np.zeros(2)).step(samples)
+    batch = make_estimation(config, np.zeros(2)).step(samples).batch
     assert batch is not None
     expected = np.array([*NOMINAL, 1.05, 1.0][: len(NOMINAL) + len(channels)])
     assert batch.parameters[4:] == tuple(f"{channel}.gain" for channel in channels)
@@ -60,14 +60,15 @@ def test_window_ml_a_gain_error_that_is_not_asked_for_is_found_among_the_constan
     index = np.arange(len(record.y))
     samples = Samples(index, index * 1_000_000, record.u, record.y * [1.05, 1.0], segment=0)
     estimation = make_estimation(configured(tmp_path), np.zeros(2))
-    batch = estimation.step(samples)
+    estimated = estimation.step(samples)
+    batch = estimated.batch
     assert batch is not None
     valid = (batch.status == Status.VALID).all(axis=1)
     assert valid[-1]
     # one window alone cannot tell a gain that is off from one that drifts, and its sds of 3e-5 are too small for what
     # it is off by, at most as much as the force's gain leaves open in every later row: 2e-4
     assert np.all((np.abs(batch.value - NOMINAL) < 5 * np.maximum(batch.sd, 2e-4 * NOMINAL))[valid])
-    _, believed = estimation.estimator.take_beliefs()[-1]
+    _, believed = estimated.beliefs[-1]
     (off,) = [belief for belief in believed if belief.probability > 0.9]
     assert (off.name, off.kind) == ("x1", "output")
     assert abs(off.size - 0.05) < 5 * off.sd < 5e-3

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.blocks.acquisition.alignment import Alignment, AlignmentPlan, StreamPlan
+from agent.blocks.acquisition.alignment import Alignment
 from agent.blocks.acquisition.interface import ChannelScale
 from agent.blocks.acquisition.single_source import SingleSource, source_plan
+from agent.blocks.acquisition.stream import AlignmentPlan, StreamPlan
 from agent.config import load
-from agent.runtime.acquisition_plan import make_acquisition
+from agent.runtime.assembly.acquisition_plan import make_acquisition
 from agent.types import Aligned
 from drivers.port import FloatArray, IntArray, SampleBlock
 from tests.scenario.live import example
@@ -52,12 +53,12 @@ def assert_conserved(alignment: Alignment, received: dict[str, int]) -> None:
 
 def test_alignment_two_sources_join_by_counter_whoever_comes_first() -> None:
     alignment = pair()
-    assert alignment.step("one", first([0, 1, 2, 3]), 256) == []
-    (piece,) = alignment.step("two", block([1, 2], [10.0, 20.0]), 256)
+    assert alignment.step("one", first([0, 1, 2, 3]), 256).values == []
+    (piece,) = alignment.step("two", block([1, 2], [10.0, 20.0]), 256).values
     assert piece.index.tolist() == [1, 2]
     np.testing.assert_allclose(piece.u[:, 0], [1, 2])
     np.testing.assert_allclose(piece.y, [[2, 10], [4, 20]])
-    (piece,) = alignment.step("two", block([3, 4], [30.0, 40.0]), 256)
+    (piece,) = alignment.step("two", block([3, 4], [30.0, 40.0]), 256).values
     assert piece.index.tolist() == [3]
     assert alignment.streams["one"].tally.rejected == {"unpaired": 1}
     assert_conserved(alignment, {"one": 4, "two": 4})
@@ -92,8 +93,8 @@ def test_alignment_late_channel_is_read_where_it_was_true() -> None:
     """x2 is read 3.7 samples late: its reading number i shows the motion of instant i - 3.7."""
     alignment = pair(late=0.0037)
     rows = np.arange(400)
-    pieces = alignment.step("one", first(rows), None)
-    pieces += alignment.step("two", block(rows, smooth(rows - 3.7)), None)
+    pieces = list(alignment.step("one", first(rows), None).values)
+    pieces += alignment.step("two", block(rows, smooth(rows - 3.7)), None).values
     index, values = joined(pieces)
     assert index.tolist() == list(range(400 - 3 - 2))
     np.testing.assert_allclose(values[:, 2], smooth(index), atol=2e-7)
@@ -105,7 +106,8 @@ def test_alignment_missing_reading_spoils_only_what_needs_it() -> None:
     rows = np.arange(60)
     values = smooth(rows - 0.5)
     values[30] = np.nan
-    pieces = alignment.step("two", block(rows, values), None) + alignment.step("one", first(rows), None)
+    later, sooner = alignment.step("two", block(rows, values), None), alignment.step("one", first(rows), None)
+    pieces = [*later.values, *sooner.values]
     index, got = joined(pieces)
     assert index.tolist() == list(range(58))
     assert index[np.isnan(got[:, 2])].tolist() == [0, 28, 29, 30, 31]
@@ -126,8 +128,9 @@ def test_alignment_rows_do_not_depend_on_the_order_in_which_blocks_come() -> Non
             part = rows[sent[name] : sent[name] + end - begin]
             sent[name] += end - begin
             if len(part):
-                pieces += alignment.step(name, first(part) if name == "one" else block(part, smooth(part)), None)
-        found.append(joined(pieces + alignment.finish()))
+                taken = first(part) if name == "one" else block(part, smooth(part))
+                pieces += alignment.step(name, taken, None).values
+        found.append(joined([*pieces, *alignment.finish().values]))
         assert_conserved(alignment, {"one": 3000, "two": 3000})
     for index, values in found[1:]:
         np.testing.assert_array_equal(index, found[0][0])
@@ -149,7 +152,7 @@ def played(alignment: Alignment, seconds: float, ppm: float, rate_hz: float, beg
                 arrival = round((now + rng.exponential(5e-4)) * 1e9) + 10**15
                 both = np.column_stack([part, smooth(at)])
                 counted = block(part, both, arrival) if name == "one" else block(part + 77, smooth(at), arrival)
-                pieces += alignment.step(name, counted, 65536)
+                pieces += alignment.step(name, counted, 65536).values
                 sent[name] = taken
     return pieces
 
@@ -198,8 +201,8 @@ def test_alignment_is_what_a_configuration_with_delays_asks_for(tmp_path: Path) 
     np.testing.assert_allclose(found.plan.delay_s, [0.0, 0.0037, 0.0037])
     assert found.plan.late_s == 0.0015
     rows = np.arange(100)
-    pieces = found.step("modbus", block(rows, np.column_stack([rows, rows, rows])), None)
-    pieces += found.finish()
+    pieces = list(found.step("modbus", block(rows, np.column_stack([rows, rows, rows])), None).values)
+    pieces += found.finish().values
     index, values = joined(pieces)
     np.testing.assert_allclose(values[5:90, 1] - values[5:90, 0], 3.7)
     assert pieces[0].stamps is not None

@@ -41,15 +41,15 @@ def test_acquisition_readings_become_si_in_the_order_of_channels() -> None:
         "x1": ChannelScale(1.0, 0.0, 1e-3),
         "x2": ChannelScale(-1.0, 5.0, 1.0),
     }
-    (piece,) = single(scales).step("rig", block([0], [[7.0, 3.0, 4.0]]), None)
+    (piece,) = single(scales).step("rig", block([0], [[7.0, 3.0, 4.0]]), None).values
     np.testing.assert_allclose(piece.u, [[9000.0]])
     np.testing.assert_allclose(piece.y, [[0.007, 2.0]])
 
 
 def test_acquisition_gap_starts_a_new_segment_and_is_counted() -> None:
     acquisition = single()
-    first = acquisition.step("rig", block([5, 6, 7]), 256)
-    later = acquisition.step("rig", block([8, 9, 14, 15]), 256)
+    first = acquisition.step("rig", block([5, 6, 7]), 256).values
+    later = acquisition.step("rig", block([8, 9, 14, 15]), 256).values
     assert [p.index.tolist() for p in first + later] == [[0, 1, 2], [3, 4], [9, 10]]
     assert [p.segment for p in first + later] == [1, 1, 2]
     state = acquisition.sources["rig"]
@@ -57,7 +57,7 @@ def test_acquisition_gap_starts_a_new_segment_and_is_counted() -> None:
 
 
 def test_acquisition_stamps_travel_with_their_samples() -> None:
-    pieces = single().step("rig", block([0, 1, 1, 3], t_ns=[10, 20, 25, 40]), None)
+    pieces = single().step("rig", block([0, 1, 1, 3], t_ns=[10, 20, 25, 40]), None).values
     assert [p.stamps.tolist() for p in pieces if p.stamps is not None] == [[10, 20], [40]]
 
 
@@ -65,7 +65,7 @@ def test_acquisition_values_that_are_none_are_refused_by_reason() -> None:
     acquisition = single()
     values = np.ones((6, 3))
     values[1, 0], values[2, 2], values[4] = np.nan, np.inf, [np.nan, -np.inf, 1.0]
-    pieces = acquisition.step("rig", block(range(6), values), None)
+    pieces = acquisition.step("rig", block(range(6), values), None).values
     assert indices(pieces) == [0, 3, 5]
     assert acquisition.sources["rig"].refusals() == {"missing value": 1, "not finite": 2}
     assert all(np.isfinite(p.y).all() and np.isfinite(p.u).all() for p in pieces)
@@ -76,7 +76,7 @@ def test_acquisition_readings_that_no_instrument_means_are_refused_by_a_reason_o
     acquisition = single()
     values = np.ones((4, 3))
     values[1, 0], values[2, 1], values[3, 2] = reading, 0.9e30, -0.9e30
-    pieces = acquisition.step("rig", block(range(4), values), None)
+    pieces = acquisition.step("rig", block(range(4), values), None).values
     assert indices(pieces) == [0, 2, 3]
     assert acquisition.sources["rig"].refusals() == {"too large": 1}
 
@@ -84,7 +84,7 @@ def test_acquisition_readings_that_no_instrument_means_are_refused_by_a_reason_o
 def test_acquisition_reading_that_its_scale_makes_infinite_is_too_large() -> None:
     acquisition = single({name: ChannelScale(1e20, 0.0, 1e3) for name in ("force", "x1", "x2")})
     values = np.array([[1.0, 1.0, 1.0], [1e290, 1.0, 1.0], [1.0, np.inf, 1.0]])
-    assert indices(acquisition.step("rig", block(range(3), values), None)) == [0]
+    assert indices(acquisition.step("rig", block(range(3), values), None).values) == [0]
     assert acquisition.sources["rig"].refusals() == {"too large": 1, "not finite": 1}
 
 
@@ -99,7 +99,7 @@ def test_acquisition_any_stream_is_used_or_refused_sample_by_sample(
     last = -1
     while cut < len(counters):
         end = data.draw(st.integers(cut + 1, len(counters)))
-        for piece in acquisition.step("rig", block(counters[cut:end], values[cut:end]), 64):
+        for piece in acquisition.step("rig", block(counters[cut:end], values[cut:end]), 64).values:
             passed += len(piece.index)
             assert piece.index[0] > last
             assert np.all(np.diff(piece.index) == 1)

@@ -8,8 +8,8 @@ import pytest
 from drivers.modbus.driver import ModbusDriver
 from drivers.modbus.settings import ModbusSettings
 from drivers.port import DriverIOError, SourceRequest
-from drivers.reconnect import ReconnectingDriver
 from tests.conformance.modbus_device import Registers, TcpDevice
+from tests.links import NotedLink
 from tests.unit.drivers.modbus.test_driver import driver_of, read_all, write_samples
 from tests.unit.drivers.played_line import read_on
 
@@ -37,7 +37,7 @@ def test_poll_of_a_server_that_ended_the_idle_connection_is_answered_and_no_even
 ) -> None:
     device.resets = resets
     driver = poller(device, share=share)
-    link = ReconnectingDriver(driver, 3600.0)
+    link = NotedLink(driver, 3600.0)
     samples = 0
     for _ in range(20):
         samples += len(link.read(0.01))

@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from drivers.modbus.units import PATIENCE, Unit
+from drivers.modbus.limits import PATIENCE
+from drivers.modbus.units import Unit
 
 
 def lost(cost_s: float, failures: int) -> Unit:

@@ -6,7 +6,7 @@ import pytest
 from drivers.can.codec.error_frames import ErrorWatch, names_of
 from drivers.can.codec.frames import ERROR, Frames, frames_of, pack_frame
 from drivers.port import Counts, Driver, DriverSettings, SampleBlock, SourceRequest
-from drivers.reconnect import ReconnectingDriver
+from tests.links import NotedLink
 
 SECOND = 1_000_000_000
 
@@ -121,7 +121,7 @@ class Told(Driver):
 def test_bus_off_is_one_fault_until_samples_come_again() -> None:
     now = [0.0]
     driver = Told()
-    wrapper = ReconnectingDriver(driver, 2.0, clock=lambda: now[0])
+    wrapper = NotedLink(driver, 2.0, clock=lambda: now[0])
     driver.report("bus-off", "can0: bus-off")
     wrapper.read(0.0)
     driver.report("bus-off", "can0: bus-off again")
@@ -141,7 +141,7 @@ def test_bus_off_is_one_fault_until_samples_come_again() -> None:
 def test_error_passive_is_an_event_and_no_loss() -> None:
     driver = Told()
     driver.next = 1
-    wrapper = ReconnectingDriver(driver, 2.0)
+    wrapper = NotedLink(driver, 2.0)
     driver.report("error-passive", "can0: error-passive")
     wrapper.read(0.0)
     assert [(event.cause, event.away) for event in wrapper.take_events()] == [("error-passive", False)]

@@ -15,7 +15,7 @@ from agent.numerics.model.mechanics import MassSpringDamper, Output
 from agent.numerics.model.observer import unobservable_states
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import Model
-from agent.runtime.number_checks import number_faults, observer_faults
+from agent.runtime.assembly.number_checks import number_faults, observer_faults
 from agent.types import FloatArray
 
 ESTIMATE = "estimator.estimate"
@@ -51,7 +51,8 @@ def _hidden_fault(hidden: list[str], rig: RigModel) -> Fault:
 
 
 def _parameter_faults(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
-    measured, scale = signals(config), _scale(rig)
+    measured = signals(config)
+    scale = _scale(rig)
     found = identifiability(rig.model, measured, scale)
     for number in found.silent:
         name = rig.parameters[number].name

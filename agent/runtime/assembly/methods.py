@@ -15,7 +15,7 @@ from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
-from agent.runtime.model_check import require_observable
+from agent.runtime.assembly.model_check import require_observable
 from agent.types import FloatArray
 
 
@@ -39,7 +39,7 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
     )  # fmt: skip
     make = partial(_estimator, config, rig, resolution)
     estimator = ContainedEstimator(make, Budget(plan.window), plan, len(rig.parameters))
-    return Estimation(estimator, labels, estimator.take_failures)
+    return Estimation(estimator, labels)
 
 
 def _require_readings(config: RigConfig, rig: RigModel, window: int) -> None:
@@ -57,7 +57,8 @@ def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray, budget:
         return SlidingEstimator(estimator_settings(config, resolution), budget)
     from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
 
-    period_s, hold = 1.0 / config.rig.sample_rate_hz, config.estimator.hold
+    period_s = 1.0 / config.rig.sample_rate_hz
+    hold = config.estimator.hold
     sampled = discretise(rig.model.continuous(rig.model.nominal), period_s, hold)
     noise = known_noise(config, resolution)
     sigma = np.where(np.isfinite(noise), noise, 1.0)

@@ -6,10 +6,12 @@ from math import pi
 
 import numpy as np
 
-from agent.blocks.acquisition.alignment import Alignment, AlignmentPlan, StreamPlan
+from agent.blocks.acquisition.alignment import Alignment
 from agent.blocks.acquisition.interface import Acquisition, ChannelScale, SourcePlan
 from agent.blocks.acquisition.single_source import SingleSource, source_plan
 from agent.blocks.acquisition.skew_watch import SkewGroup, SkewWatch
+from agent.blocks.acquisition.stream import AlignmentPlan, StreamPlan
+from agent.blocks.acquisition.tuning import LONGEST_STRETCH_S, MOST_STRETCH_SAMPLES, SHORTEST_STRETCH_S
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import hop_plan, known_noise, rig_model, scale_columns
 from agent.config import RigConfig
@@ -19,8 +21,6 @@ from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.types import FloatArray
 
-SHORTEST_S, LONGEST_S = 0.5, 4.0
-MOST_SAMPLES = 4000
 Maps = Mapping[str, Mapping[str, str]]
 
 
@@ -42,7 +42,8 @@ def make_acquisition(
     groups = skew_groups(config)
     late = configured_delays(config)
     if len(plans) == 1 and not groups and not late.any():
-        rig, inputs = config.rig, len(config.inputs)
+        rig = config.rig
+        inputs = len(config.inputs)
         return SingleSource(plans[0], inputs, rig.clock, rig.sample_rate_hz, keep_incomplete=keep_incomplete)
     watch = _watch(config, groups, resolution) if groups else None
     remeasure = partial(_watch, config, _all_groups(config), resolution) if len(plans) > 1 else None
@@ -73,13 +74,15 @@ def skew_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
 
 
 def _all_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
-    reference, names = reference_source(config), [channel.name for channel in channels_of(config)]
+    reference = reference_source(config)
+    names = [channel.name for channel in channels_of(config)]
     others = [source for source in config.source if source is not reference]
     return tuple(SkewGroup(s.name, tuple(names.index(name) for name in s.map)) for s in others)
 
 
 def _plan(config: RigConfig, plans: list[SourcePlan], late: FloatArray) -> AlignmentPlan:
-    known, rate = {source.name: source for source in config.source}, config.rig.sample_rate_hz
+    known = {source.name: source for source in config.source}
+    rate = config.rig.sample_rate_hz
     streams = []
     for plan in plans:
         source = known.get(plan.name)
@@ -105,7 +108,8 @@ def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatAr
 
 def complete_inputs(config: RigConfig, resolution: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return what makes all of the model's inputs of outputs and measured inputs: signs of dry friction, the 1."""
-    friction, model = friction_inputs(config, resolution), rig_model(config).model
+    friction = friction_inputs(config, resolution)
+    model = rig_model(config).model
     columns = model.continuous(model.nominal).m
 
     def complete(y: FloatArray, u: FloatArray) -> FloatArray:
@@ -119,7 +123,8 @@ def complete_inputs(config: RigConfig, resolution: FloatArray) -> Callable[[Floa
 
 def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewMeter:
     """Return what measures the skews of groups of channels; resolution (p,) is that of the outputs' wires, SI."""
-    rig, inputs = rig_model(config), len(config.inputs)
+    rig = rig_model(config)
+    inputs = len(config.inputs)
     nominal = rig.model.nominal
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
     scale = np.where(nominal != 0, np.abs(nominal), limited)
@@ -142,5 +147,5 @@ def stretch_samples(config: RigConfig) -> tuple[int, int]:
     slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))
     unknowns = len(model.state_names) + len(model.parameters) + 1
     least = max(hop_plan(config).window, 20 * unknowns // max(len(config.outputs), 1))
-    longest = round(float(np.clip(pi / max(slowest, 1e-9), SHORTEST_S, LONGEST_S)) * rate)
-    return min(least, MOST_SAMPLES), max(min(longest, MOST_SAMPLES), min(least, MOST_SAMPLES))
+    longest = round(float(np.clip(pi / max(slowest, 1e-9), SHORTEST_STRETCH_S, LONGEST_STRETCH_S)) * rate)
+    return min(least, MOST_STRETCH_SAMPLES), max(min(longest, MOST_STRETCH_SAMPLES), min(least, MOST_STRETCH_SAMPLES))

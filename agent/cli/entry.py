@@ -1,0 +1,13 @@
+"""The command line's entry: little is imported before it can be ended well."""
+
+from typing import NoReturn
+
+from agent.cli.signals import done_when_terminated
+
+
+def main() -> NoReturn:
+    """Run the command line; SIGTERM ends it well from here on, while the imports are still under way."""
+    with done_when_terminated():
+        from agent.cli.app import main as command_line
+
+        command_line()

@@ -1,0 +1,45 @@
+"""Tuned numbers of the running agent: name, value, unit in the name or in the words, where from, and what needs it.
+
+The tests that need these are tests/scenario (rounds, order of rounds, isolation, ends) and tests/replay (recordings
+that are of no use).
+"""
+
+# ------------------------------------------------------------------ rounds of the service
+READ_S = 0.2
+"""How long a reader waits for samples at most before it looks whether it is to end."""
+QUEUE_SAMPLES = 120_000
+"""Samples that wait for the processing thread at most, a connection: two minutes at 1 kHz."""
+PART = 2_000
+"""Samples of one rig that are computed in its turn; where more wait, the other rigs come first."""
+IDLE_S = 0.5
+"""A round begins after this where nothing comes."""
+ROUND_S = 0.05, 0.25
+"""From one round of computing to the next, at least and, where more wait than that takes, at most."""
+HEALTH_PERIOD_NS = 10_000_000_000
+"""From one ledger to the next, ns: of the clock while it runs, of samples in a replay."""
+
+# ------------------------------------------------------------------ faults and delays
+PAUSE_NS = 1_000_000_000, 60_000_000_000
+"""Shortest and longest pause after a fault in a rig's numerics, ns."""
+RAISE_NS = 2_000_000_000
+CLEAR_NS = 500_000_000
+"""Computing is behind when the oldest sample has waited for longer, ns, and no more when it has waited for less."""
+
+# ------------------------------------------------------------------ the end
+FINISH_S = 2.0
+"""How long an agent that ends goes on with what waits; samples left then are dropped and counted."""
+HURRY_S = 1.0
+CLOSE_S = 1.0
+"""After being asked to end it begins no fit nor search any more; and how long it waits for readers to end."""
+
+# ------------------------------------------------------------------ what is said of recordings and runs
+MOST_REPORTED = 10_000
+"""Activations of alarms, and words of advice, that the document of a run tells, the newest; the database has all."""
+WATCHED = 20_000
+"""Rows of a recording whose time stamps are looked at."""
+MOST_REFUSED = 0.5
+"""Share of a recording's rows that must be refused for one reason to be worth words."""
+LITTLE = 0.01
+"""A recording of which less is used is of no use."""
+NEAR = 1.25
+"""Two rates within this factor are the same, as far as words are concerned."""

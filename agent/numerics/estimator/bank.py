@@ -102,7 +102,8 @@ class Bank:
 
     def _lost_until(self, record: Record, stop: int) -> Lost:
         """Return the lost readings of the heads and the rests of hops that are whole by sample `stop`."""
-        plan, lost = self._settings.plan, Lost.none()
+        plan = self._settings.plan
+        lost = Lost.none()
         if not record.loses(self._lost_fed, stop):
             into = stop % plan.hop
             self._lost_fed = max(self._lost_fed, stop - into + (plan.head if into >= plan.head else 0))

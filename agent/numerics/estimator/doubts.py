@@ -62,7 +62,9 @@ class Doubts:
 
     def forget(self) -> None:
         """Let go of a segment that ended."""
-        self.size, self._undecided, self._trusted = {}, set(), None
+        self.size = {}
+        self._undecided = set()
+        self._trusted = None
 
     def replaced(self, index: int, u: FloatArray, suspect: BoolArray | None, outputs: int) -> FloatArray:
         """Return inputs u (N, m), the first of them sample `index`, with trusted readings in place of suspect ones."""

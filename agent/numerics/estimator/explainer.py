@@ -71,7 +71,8 @@ class Explainer:
         self.bank.stop()
         self.doubts.forget()
         self.disturbance = Disturbance()
-        self.lines, self._moves = {}, False
+        self.lines = {}
+        self._moves = False
         if self.known is not None:
             self.known = replace(self.known, scatter=self.known.scatter.interrupted())
 
@@ -152,7 +153,8 @@ class Explainer:
 
         A blow moves what the window is linearised about, so it must be in before anything is solved.
         """
-        window, known = record.window(newest, self.settings.plan.window), self.known
+        window = record.window(newest, self.settings.plan.window)
+        known = self.known
         moved = np.zeros(len(window.lost))
         doubted = self.doubts.among(window.lost, newest + 1 - window.length)
         if known is None or not doubted.any():
@@ -164,13 +166,15 @@ class Explainer:
 
     def due(self, reading: Reading) -> BoolArray:
         """(N,) rows whose windows are to be learnt from: it is time, or there is far less noise than was learnt."""
-        index, whole = reading.index, reading.index >= self.schedule.tried + self.settings.plan.window
+        index = reading.index
+        whole = reading.index >= self.schedule.tried + self.settings.plan.window
         quiet = (reading.excess < -tuning.MISMATCH_SD) & whole
         return np.asarray(((index >= self.schedule.due) | quiet) & (not self.budget.closed))
 
     def learn(self, record: Record, reading: Reading, i: int) -> bool:
         """Learn from a row's window; return whether the bank moved."""
-        newest, known = int(reading.index[i]), self.known
+        newest = int(reading.index[i])
+        known = self.known
         assert known is not None  # noqa: S101 - known since the first window
         if self.disturbance.since(self.schedule.tried):  # the windows before a change do not compare
             known = replace(known, scatter=known.scatter.interrupted())
@@ -226,7 +230,7 @@ class Explainer:
         window = self.window(record, newest)[0]
         posterior, theta = self.learner.solve(window, known)
         self._last = (window, posterior)
-        rests = posterior.converged and not posterior.changing and not posterior.mismatch
+        rests = posterior.holds
         same = rests and self._is_the_same(posterior)
         if (not same and self._is_a_channel(record, window, newest, theta, rests)) or not rests:
             return None
@@ -245,7 +249,8 @@ class Explainer:
         """Whether a channel may be what is wrong with a window; asked where it is whole, or other parameters fit it."""
         onset, faults, known = self.disturbance.onset, self.faults, self.known
         whole = onset is not None and newest - onset >= WHOLE * self.settings.plan.window
-        if known is None or self.posterior is None or not (rests or whole or faults.is_active):
+        is_asked = any((rests, whole, faults.is_active))
+        if known is None or self.posterior is None or not is_asked:
             return False
         found = faults.contest(record, window, newest, known, self.posterior.sd_repeat, theta)
         return faults.follow(newest, found, onset, rests)
@@ -260,16 +265,29 @@ class Explainer:
         if self._moves and self._runs_on(self.window(record, newest)[0], newest):
             return False
         if self._solve(record, newest) is not None:
-            if disturbance.is_more_than_a_change(newest, length):
-                return self._relearn(record, *self._last, newest, jumps=False) or True
-            self.known = replace(self.known, scatter=self.known.scatter.interrupted())  # type: ignore[union-attr,type-var]
-            self.schedule.follow(newest)
+            self._take_change(record, newest)
             return True
+        return self._explain_otherwise(record, newest)
+
+    def _take_change(self, record: Record, newest: int) -> None:
+        """Go on with the other parameters that fit a window; where they change too often, with other noise."""
+        assert self.known is not None  # noqa: S101 - known since the first window
+        if self.disturbance.is_more_than_a_change(newest, self.settings.plan.window):
+            self._relearn(record, *self._last, newest, jumps=False)
+            return
+        self.known = replace(self.known, scatter=self.known.scatter.interrupted())
+        self.schedule.follow(newest)
+
+    def _explain_otherwise(self, record: Record, newest: int) -> bool:
+        """Explain a window that no other parameters fit by lines, or a whole window after its onset by other noise."""
+        disturbance, length = self.disturbance, self.settings.plan.window
         window, posterior = self._last
         early = newest - (disturbance.onset or newest) < length
         if self.faults.standing is not None:  # it is looked at again a window later
             disturbance.wait(newest + length)
-        if early or self.faults.is_active or not posterior.converged or self._runs_on(window, newest):
+        if early or self.faults.is_active or not posterior.converged:
+            return False
+        if self._runs_on(window, newest):
             return False
         return self._relearn(record, window, posterior, newest, jumps=posterior.changing)
 

@@ -134,13 +134,16 @@ class Faults:
         measured. The contest is between the stated noise and nominal parameters with one channel wrong, and anything
         else.
         """
-        length, nominal = self.learner.window, np.abs(self.learner.rig.nominal)
+        length = self.learner.window
+        nominal = np.abs(self.learner.rig.nominal)
         forces = self.learner.unknown_forces(window, said.noise)
-        odd = self.standing is not None or self._is_many_times(found.theta) or forces >= tuning.AS_LARGE
+        far = self._is_many_times(found.theta)
+        odd = any((self.standing is not None, far, forces >= tuning.AS_LARGE))
         if self._standing_inputs(record, newest, length) or not odd:
             return False
-        surely = self._is_many_times(found.theta) or forces >= tuning.LARGER
-        if newest + 1 - record.first < length + length // 4 and surely and not found.rubs:
+        surely = (far or forces >= tuning.LARGER) and not found.rubs
+        early = newest + 1 - record.first < length + length // 4
+        if early and surely:
             return True  # nothing can be late yet: looked at again a quarter of a window on
         spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
         nominally = replace(fresh, kept=said.kept)
@@ -197,12 +200,11 @@ class Faults:
         """
         if self._lasts:
             return True
-        clear = found.fault is not None or self.standing is not None or not rests
-        if found.leads is None or not clear:
+        named = found.fault is not None or self.standing is not None
+        if found.leads is None or (rests and not named):
             self._withdraw(newest)
             return self.standing is not None
-        began = newest if self._since is None else self._since
-        self._since = began if onset is None else min(began, onset)
+        self._since = min((sample for sample in (self._since, onset) if sample is not None), default=newest)
         if newest - self._since < WHOLE * self.learner.window:
             return True
         self.tied = found.fault is None

@@ -31,7 +31,8 @@ class LookAhead:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._ahead, self._behind = max((0, *rig.shifts)), -min((0, *rig.shifts))
+        self._ahead = max((0, *rig.shifts))
+        self._behind = -min((0, *rig.shifts))
         self._v: FloatArray | None = None
 
     def forget(self) -> None:

@@ -216,21 +216,26 @@ def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int) -> No
     # a line's leakage is no noise where the line is followed
     usual = np.median(noise.levels[: max(known.kept, 1)], axis=0)
     sigma = np.exp(noise.log_sigma) * np.sqrt(usual)
-    forces = max((s.number for s in sources if s.kind == "force"), default=-1) + 1
-    nodes = noise.nodes[:, 0] if noise.is_started else np.full(len(sources), np.inf)
-    first_white = {s.number: nodes[a] for a, s in enumerate(sources) if s.kind == "force" and s.pole == 0}
-    white, coloured = np.zeros(forces), []
-    for a, source in enumerate(sources):
-        shown = noise.intensity[a] / nodes[a]  # beside the sensors' noise, where the source is strongest
-        doubtful = shown < ACTIVE_NODES and noise.log_weight[a, 0] > -SURE
-        if shown < PRESENT_NODES:
-            continue
-        if source.kind == "force" and (source.pole == 0 or doubtful):
+    white = np.zeros(max((s.number for s in sources if s.kind == "force"), default=-1) + 1)
+    if not noise.is_started:
+        return NoiseModel(sigma, white, (), _lines(noise.levels, window))
+    nodes = noise.nodes[:, 0]
+    shown = noise.intensity / nodes  # beside the sensors' noise, where each source is strongest
+    doubtful = (shown < ACTIVE_NODES) & (noise.log_weight[:, 0] > -SURE)
+    present = [(a, source) for a, source in enumerate(sources) if shown[a] >= PRESENT_NODES]
+    first_white = {s.number: nodes[a] for a, s in enumerate(sources) if _is_white_force(s)}
+    coloured = []
+    for a, source in present:
+        if _is_white_force(source) or (source.kind == "force" and doubtful[a]):
             # two states for a force that may as well be absent would cost as much as all else
-            white[source.number] = np.hypot(white[source.number], shown * first_white[source.number])
+            white[source.number] = np.hypot(white[source.number], shown[a] * first_white[source.number])
         else:
             coloured.append(Coloured(source.kind, source.number, source.pole, float(noise.intensity[a])))
     return NoiseModel(sigma, white, tuple(coloured), _lines(noise.levels, window))
+
+
+def _is_white_force(source: Source) -> bool:
+    return source.kind == "force" and source.pole == 0
 
 
 def _lines(levels: FloatArray, window: int) -> tuple[Line, ...]:

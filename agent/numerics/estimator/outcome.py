@@ -109,7 +109,8 @@ class Outcome:
     ) -> None:
         """Take estimates of rows (k,) from another window's reading, where `wanted` (k, q); which: its k windows."""
         for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
-            mine, other = getattr(self, name), getattr(found, name)[which]
+            mine = getattr(self, name)
+            other = getattr(found, name)[which]
             mine[rows] = np.where(wanted, other, mine[rows])
         status = np.where(found.sd[which] <= enough, int(Status.VALID), int(Status.UNEXCITED))
         self.status[rows] = np.where(wanted, status, self.status[rows])

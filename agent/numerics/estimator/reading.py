@@ -77,7 +77,8 @@ def read(
     jump_before: the newest statistic of a jump before these rows, which stands until the next row that is scanned.
     far_sd: sds from the point beyond which a window is linearised too far away.
     """
-    normal, q = windowed.normal, len(point.theta)
+    normal = windowed.normal
+    q = len(point.theta)
     c = normal.H.shape[1]
     prior = np.concatenate([np.full(q, FLAT), np.ones(c - q)])
     M = normal.H + np.diag(prior)

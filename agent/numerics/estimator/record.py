@@ -148,7 +148,8 @@ class Record:
 
     def resting_in(self, index: IntArray, span: int, driven: BoolArray) -> BoolArray:
         """Return which of the driven inputs (N, m) read one value in the last `span` samples up to samples `index`."""
-        newest, inputs = index - self.first, np.flatnonzero(driven)
+        newest = index - self.first
+        inputs = np.flatnonzero(driven)
         oldest = np.maximum(newest - span + 1, 0)
         u = self._v[:, self.p + inputs]
         same = (newest >= span - 1)[:, None] & (u[newest] == u[oldest])

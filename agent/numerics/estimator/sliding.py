@@ -8,7 +8,7 @@
 The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one likelihood.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from agent.numerics.estimator.schedule import TRIES
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.windows import chosen, clean
 from agent.numerics.inference import tuning
-from agent.numerics.window.rows import BankRows
+from agent.numerics.window.rows import BankRows, Windowed
 from agent.types import Reason
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +35,37 @@ RETRY = 4
 """Tries a window length to find a first window that fits."""
 MOST_LOST = 0.1
 """Share of a window's samples that may have lost readings; beyond it a window says too little for what it costs."""
+
+
+@dataclass(slots=True)
+class _Batch:
+    """N rows on their way.
+
+    Attributes:
+        reading: what their windows say.
+        longer: what the longer windows say; None of one that is not whole yet.
+        rows: as they will be given.
+        broken: (N,) a change, or nothing known explains it.
+        sound: (N,) neither broken nor still.
+        hollow: (N,) too many readings lost.
+        still: (N,) nothing moved.
+        frozen: (N,) the outputs repeat themselves.
+        agrees: (N,) the estimates are what they were.
+        ended: (N,) sample at which the last stretch of broken rows before each of them ended.
+        marked: how many of them carry what broke them.
+    """
+
+    reading: Reading
+    longer: list[Reading | None]
+    rows: Outcome
+    broken: BoolArray
+    sound: BoolArray
+    hollow: BoolArray
+    still: BoolArray
+    frozen: BoolArray
+    agrees: BoolArray
+    ended: IntArray
+    marked: int = 0
 
 
 class SlidingEstimator:
@@ -99,7 +130,8 @@ class SlidingEstimator:
         due = plan.rows_between(index, index + len(y))
         pieces = [Outcome.warming(due[due < self._whole], q)]
         while not self.explainer.bank.is_running and record.stop > self._whole:
-            first, begun = self._whole, self._begin(record)
+            first = self._whole
+            begun = self._begin(record)
             if not begun:
                 self._whole += -(-plan.window // (RETRY * plan.hop)) * plan.hop
                 passed = due[(due >= first) & (due < self._whole)]
@@ -121,51 +153,71 @@ class SlidingEstimator:
         return self.explainer.begin(record, self._whole)
 
     # ------------------------------------------------------------------ the rows
-    def _settled(self, record: Record, batch: BankRows) -> Outcome:
+    def _settled(self, record: Record, arrived: BankRows) -> Outcome:
         """Read a batch of rows and act at the first that asks for it; later rows of the batch are then void."""
-        windowed, point, plan = batch.windows[0], self.explainer.bank.point, self.settings.plan
+        windowed, point = arrived.windows[0], self.explainer.bank.point
         if windowed is None or point is None:
-            return Outcome.warming(batch.index, self.settings.rig.q)
-        far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
-        reading = read(windowed, point, plan.window, self._jump, far_sd)
-        hollow = self._hollow(record, reading.index) | reading.unsolved
-        still = self._still(record, reading.index)
-        frozen = self.explainer.faults.frozen_in(record, reading.index, still)
-        broken = (reading.broken(self.explainer.learner.threshold) | hollow) & ~still | frozen
-        sound = ~broken & ~still
-        assert self.explainer.known is not None  # noqa: S101 - known since the first window
-        agrees = self.explainer.faults.agrees(reading, self.explainer.known)
-        rows = Outcome.of(reading, self.settings.enough_sd)
-        ended = np.empty(len(rows.index), dtype=np.int64)
-        longer = self._longer(batch, point)
-        stop, position, marked, moved = len(reading.index), 0, 0, False
-        while position < stop:
-            if self.explainer.faults.is_active:
-                broken[position] |= sound[position] and not agrees[position]  # biased by a channel, though it fits
-            else:
-                position = self._first_event(reading, broken & ~hollow, hollow | still, position)
-            # what is done at a row depends on the rows before it, however many of them came at once
-            self._mark(record, rows, range(marked, position), broken, hollow, still, ended)
-            marked = position
-            if (centred := self._centred(record, rows, longer, broken, ended, position)) < position:
-                stop = centred
-            elif position < stop and frozen[position]:
-                self.explainer.faults.freeze(record, int(reading.index[position]))
-            elif position < stop and self._meet(record, reading, position, broken, hollow | still):
-                stop, moved = position, True
-            position += 1
-        self._mark(record, rows, range(marked, stop), broken, hollow, still, ended)
-        if marked < stop:
-            stop = self._centred(record, rows, longer, broken, ended, stop)
-        rows = rows.part(0, stop)
-        rows = chosen(rows, longer, broken[:stop], ended[:stop], self.settings) if longer else rows
-        rows.stand_still((still & ~frozen)[:stop])
-        self.explainer.faults.rested(record, reading.index[:stop][sound[:stop]])
+            return Outcome.warming(arrived.index, self.settings.rig.q)
+        batch = self._batch(record, windowed, self._longer(arrived, point), point)
+        stop, moved = self._acted(record, batch)
+        rows = batch.rows.part(0, stop)
+        if batch.longer:
+            rows = chosen(rows, batch.longer, batch.broken[:stop], batch.ended[:stop], self.settings)
+        rows.stand_still((batch.still & ~batch.frozen)[:stop])
+        self.explainer.faults.rested(record, rows.index[batch.sound[:stop]])
         if moved:
             self._jump = 0.0  # what jumped did so about another point
         elif stop:
-            self._jump = float(reading.jump[stop - 1])
+            self._jump = float(batch.reading.jump[stop - 1])
         return rows
+
+    def _batch(self, record: Record, windowed: Windowed, longer: list[Reading | None], point: OperatingPoint) -> _Batch:
+        """Read the windows that end at a batch of rows, and see what of them can be told at once."""
+        faults, known = self.explainer.faults, self.explainer.known
+        assert known is not None  # noqa: S101 - known since the first window
+        far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
+        reading = read(windowed, point, self.settings.plan.window, self._jump, far_sd)
+        hollow = self._hollow(record, reading.index) | reading.unsolved
+        still = self._still(record, reading.index)
+        frozen = faults.frozen_in(record, reading.index, still)
+        broken = (reading.broken(self.explainer.learner.threshold) | hollow) & ~still | frozen
+        rows = Outcome.of(reading, self.settings.enough_sd)
+        ended = np.empty(len(rows.index), dtype=np.int64)
+        agrees = faults.agrees(reading, known)
+        return _Batch(reading, longer, rows, broken, ~broken & ~still, hollow, still, frozen, agrees, ended)
+
+    def _acted(self, record: Record, batch: _Batch) -> tuple[int, bool]:
+        """Do what rows ask for, one after another; return how many rows stand, and whether the bank moved."""
+        stop = len(batch.reading.index)
+        position = 0
+        while position < stop:
+            position = self._next_event(batch, position)
+            # what is done at a row depends on the rows before it, however many of them came at once
+            self._mark(record, batch, position)
+            centred = self._centred(record, batch, position)
+            if centred < position:
+                return centred, False
+            if position < stop and self._moves_at(record, batch, position):
+                return position, True
+            position += 1
+        waits = batch.marked < stop
+        self._mark(record, batch, stop)
+        return self._centred(record, batch, stop) if waits else stop, False
+
+    def _next_event(self, batch: _Batch, start: int) -> int:
+        """Return the first row from `start` on at which something is to be done; the number of rows if none."""
+        if not self.explainer.faults.is_active:
+            return self._first_event(batch, start)
+        if batch.sound[start] and not batch.agrees[start]:
+            batch.broken[start] = True  # biased by a channel, though it fits
+        return start
+
+    def _moves_at(self, record: Record, batch: _Batch, i: int) -> bool:
+        """Do what row i asks for; return whether the bank moved or runs again."""
+        if batch.frozen[i]:
+            self.explainer.faults.freeze(record, int(batch.reading.index[i]))
+            return False
+        return self._meet(record, batch, i)
 
     def _longer(self, batch: BankRows, point: OperatingPoint) -> list[Reading | None]:
         """Return what the longer windows say; None of one that is not whole yet."""
@@ -213,14 +265,12 @@ class SlidingEstimator:
         places = tuple((start + row, channel) for row, channel in whole.lost.tolist())
         return Found(places, values + moved, covariance, whole.lost_sd)
 
-    def _centred(
-        self, record: Record, rows: Outcome, longer: list[Reading | None], broken: BoolArray, ended: IntArray, stop: int
-    ) -> int:
+    def _centred(self, record: Record, batch: _Batch, stop: int) -> int:
         """Move the point to what the longest window says that is too sharp for it; return how many rows stand."""
-        for found in reversed(longer):
+        for found in reversed(batch.longer):
             if found is None:
                 continue
-            at, use = clean(found, rows.index[:stop], broken[:stop], ended[:stop])
+            at, use = clean(found, batch.rows.index[:stop], batch.broken[:stop], batch.ended[:stop])
             far = np.flatnonzero(use & found.far & (found.index >= self._centred_at + found.samples // TRIES))
             if len(far):
                 newest = int(found.index[far[0]])
@@ -229,58 +279,54 @@ class SlidingEstimator:
                     return int(at[far[0]])
         return stop
 
-    def _first_event(self, reading: Reading, broken: BoolArray, hollow: BoolArray, start: int) -> int:
-        """Return the first row from `start` on at which something is to be done; the number of rows if none."""
-        events = self._calls(reading, broken, hollow)
+    def _first_event(self, batch: _Batch, start: int) -> int:
+        """Return the first row from `start` on that asks for something; the number of rows if none."""
+        index = batch.reading.index
+        mute = batch.hollow | batch.still
+        events = self._calls(batch.reading, batch.broken & ~batch.hollow, mute)
         decision = self.explainer.doubts.first_due(self.settings.plan.window)
         if decision is not None:
-            events |= (reading.index >= decision) & ~hollow
+            events |= (index >= decision) & ~mute
         events = events[start:]
-        return start + int(np.argmax(events)) if events.any() else len(reading.index)
+        return start + int(np.argmax(events)) if events.any() else len(index)
 
-    def _calls(self, reading: Reading, broken: BoolArray, hollow: BoolArray) -> BoolArray:
+    def _calls(self, reading: Reading, broken: BoolArray, mute: BoolArray) -> BoolArray:
         """(N,) rows that ask for their window to be learnt from or solved."""
         index = reading.index
-        sound = ~broken & ~hollow
+        sound = ~broken & ~mute
         due = self.explainer.due(reading) & sound
         return np.asarray(due | ((broken | (reading.far & sound)) & (index >= self.explainer.disturbance.again)))
 
-    def _meet(self, record: Record, reading: Reading, i: int, broken: BoolArray, hollow: BoolArray) -> bool:
-        """Do what a row asks for; return whether the bank moved or runs again."""
-        if self._decide(record, reading, i, bool(broken[i])):
+    def _meet(self, record: Record, batch: _Batch, i: int) -> bool:
+        """Decide about spikes and solve, learn or explain at row i; return whether the bank moved or runs again."""
+        if self._decide(record, batch.reading, i, bool(batch.broken[i])):
             return True
-        calls = self._calls(reading, broken & ~hollow, hollow)
-        return bool(calls[i]) and self._act(record, reading, i, broken)
+        mute = batch.hollow | batch.still
+        calls = self._calls(batch.reading, batch.broken & ~mute, mute)
+        return bool(calls[i]) and self._act(record, batch.reading, i, batch.broken)
 
-    def _mark(
-        self,
-        record: Record,
-        rows: Outcome,
-        which: range,
-        broken: BoolArray,
-        hollow: BoolArray,
-        still: BoolArray,
-        ended: IntArray,
-    ) -> None:
-        """Write on rows what broke them: a change for a window's length after its onset, then a mismatch.
+    def _mark(self, record: Record, batch: _Batch, stop: int) -> None:
+        """Write on the rows up to `stop` what broke them: a change for a window's length after its onset, a mismatch.
 
-        ended (N,) is filled with the sample at which the last stretch of broken rows before each of them ended.
+        Filled beside them: the sample at which the last stretch of broken rows before each of them ended.
         """
-        i = which.start
-        while i < which.stop:
-            sound = slice(i, i + _leading(~broken[i : which.stop]))
+        i = batch.marked
+        while i < stop:
+            sound = slice(i, i + _leading(~batch.broken[i:stop]))
             if sound.stop > i:
-                self._hold(record, rows, sound, still)
-                ended[sound] = self.explainer.disturbance.ended
+                self._hold(record, batch.rows, sound, batch.still)
+                batch.ended[sound] = self.explainer.disturbance.ended
             i = sound.stop
-            if i < which.stop:
-                self._break(rows, i, bool(hollow[i]))
-                ended[i] = self.explainer.disturbance.ended
+            if i < stop:
+                self._break(batch.rows, i, bool(batch.hollow[i]))
+                batch.ended[i] = self.explainer.disturbance.ended
             i += 1
+        batch.marked = max(batch.marked, stop)
 
     def _break(self, rows: Outcome, i: int, hollow: bool) -> None:
         """Note a broken row and write why it is, or what its window says if its parameters run on."""
-        index, window = int(rows.index[i]), self.settings.plan.window
+        index = int(rows.index[i])
+        window = self.settings.plan.window
         self.explainer.disturbance.at(index)
         if index in self.explainer.lines:
             rows.write(i, self.explainer.lines.pop(index), self.settings.enough_sd)

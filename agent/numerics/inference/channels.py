@@ -54,6 +54,16 @@ class Fault:
     size: float
     sd: float
 
+    @property
+    def lag(self) -> int:
+        """Whole samples that a channel comes late; 0 where that is not its fault."""
+        return round(self.size) if self.kind == "delay" else 0
+
+    def moved(self, step: float) -> "Fault":
+        """Return the fault with what was still found of it once its size was put right."""
+        size = (1 + self.size) * (1 + step) - 1 if self.kind == "gain" else self.size + step
+        return replace(self, size=size)
+
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
@@ -87,7 +97,8 @@ class Contest:
         """What is believed of a channel: it explains the window, and nothing else does nearly as well."""
         if not self.channels or not self.channels[0].explains:
             return None
-        best, others = self.channels[0], [self.structure, *self.channels[1:2]]
+        best = self.channels[0]
+        others = [self.structure, *self.channels[1:2]]
         clear = all(best.evidence - other.evidence > tuning.CHANNEL_EVIDENCE for other in others)
         return best.fault if clear else None
 
@@ -153,7 +164,8 @@ class ChannelTest:
 
     # ------------------------------------------------------------------ the structure
     def _structure(self, at: Linearised, known: Knowledge, sd: FloatArray) -> Explanation:
-        layout, dof = at.regression.layout, self._dof(at)
+        layout = at.regression.layout
+        dof = self._dof(at)
         q, nb = self._rig.q, layout.base
         flat = np.full(q, FLAT)
         held = (at.unit / sd) ** 2
@@ -229,25 +241,30 @@ class ChannelTest:
     def _mended(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late) -> Explanation | None:
         """Mend the readings by a fault's size, and by what is left of it, until it rests; None where it never does."""
         for _ in range(tuning.MENDINGS):
-            lag = round(fault.size) if fault.kind == "delay" else 0
-            whole = late(fault.channel, lag) if 0 <= lag < self._learner.window // 4 else None
-            if whole is None:
+            left = self._left(fault, known, sd, late)
+            if left is None:
                 return None
-            window = _put_right(whole, self._rig, fault)
-            at = self._learner.at_point(window, known)
-            (found,) = self._with(at, known, sd, self._column(at, window, known, fault.channel, fault.kind)[..., None])
-            if found is None:
-                return None
-            _, step, spread = found
-            fault = replace(fault, sd=spread, size=lag if fault.kind == "delay" else fault.size)
-            if fault.kind == "delay" and abs(step) < RESTS_SAMPLES:
-                return self._explained(replace(fault, size=lag + step), window, known, sd)
+            window, step, spread = left
+            fault = replace(fault, sd=spread)
+            if fault.kind == "delay":
+                fault = replace(fault, size=fault.lag)
+                if abs(step) < RESTS_SAMPLES:
+                    return self._explained(fault.moved(step), window, known, sd)
             if abs(step) < RESTS_SD * spread:
                 return self._explained(fault, window, known, sd)
-            fault = replace(
-                fault, size=(1 + fault.size) * (1 + step) - 1 if fault.kind == "gain" else fault.size + step
-            )
+            fault = fault.moved(step)
         return None
+
+    def _left(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late) -> tuple[Window, float, float] | None:
+        """Return a window put right by a fault's size, and how much of it is left with its sd; None where none is."""
+        lag = fault.lag
+        whole = late(fault.channel, lag) if 0 <= lag < self._learner.window // 4 else None
+        if whole is None:
+            return None
+        window = _put_right(whole, self._rig, fault)
+        at = self._learner.at_point(window, known)
+        (found,) = self._with(at, known, sd, self._column(at, window, known, fault.channel, fault.kind)[..., None])
+        return None if found is None else (window, found[1], found[2])
 
     def _explained(self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray) -> Explanation | None:
         """A mended window's evidence: of a gain, its noise behind the gain or before it, whichever is likelier."""
@@ -284,7 +301,8 @@ class ChannelTest:
         """The evidence under a force of intensity fault.sd, white and lasting; its mean and its ends are free."""
         response, kept, W = at.cells.response, at.cells.kept, self._learner.window
         taps = self._rig.taps_of(fault.channel - self._learner.p)
-        z, pole = response.z[:kept], np.exp(-2 * np.pi / W)
+        z = response.z[:kept]
+        pole = np.exp(-2 * np.pi / W)
         tapped = [z**shift for shift, _ in zip((0, *self._rig.shifts), taps, strict=False)]
         lasting = (1 - pole**W) / (1 - pole / z) / np.sqrt(W)
         more = [np.sum([response.driven(int(j), t * signal) for j, t in zip(taps, tapped, strict=True)], axis=0)
@@ -316,7 +334,8 @@ class ChannelTest:
 
     def _prior(self, at: Linearised, known: Knowledge, precision: FloatArray, more: int) -> _Prior:
         """Prior with θ ~ N(as known, 1/precision), constants as they stand, and so many further flat columns."""
-        layout, k = at.regression.layout, at.regression.layout.base + more
+        layout = at.regression.layout
+        k = at.regression.layout.base + more
         R, mean = np.zeros((k, k)), np.zeros(k)
         R[: layout.base, : layout.base] = at.ridge.R
         psi, xi = layout.psi, layout.xi
@@ -324,7 +343,8 @@ class ChannelTest:
         mean[psi] = (known.theta - at.theta) / at.unit
         if len(known.eta):
             centre, P = known.constants.standing
-            R[xi, xi], mean[xi] = inverse(P), centre - known.eta
+            R[xi, xi] = inverse(P)
+            mean[xi] = centre - known.eta
         b = R @ mean
         return _Prior(R, b, float(mean @ b))
 

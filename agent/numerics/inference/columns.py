@@ -52,7 +52,9 @@ def window_of(y: FloatArray, u: FloatArray, before: FloatArray | None = None) ->
 
 def refilled(window: Window, change: FloatArray, rig: Rig) -> Window:
     """Return a window whose lost inputs are filled with `change` (l,) more than before, at every tap."""
-    u, slope, p = window.u.copy(), window.slope.copy(), window.y.shape[1]
+    u = window.u.copy()
+    slope = window.slope.copy()
+    p = window.y.shape[1]
     for (row, channel), more in zip(window.lost.tolist(), change.tolist(), strict=True):
         if channel < p:
             continue
@@ -153,7 +155,8 @@ class Regressor:
     def __init__(self, rig: Rig, response: Response, sources: tuple[Source, ...], eta: FloatArray) -> None:
         self.rig, self.response = rig, response
         self.slow = tuple(s for s in sources if s.is_slow_force)
-        p, m = len(response.at.C), response.at.B.shape[1]
+        p = len(response.at.C)
+        m = response.at.B.shape[1]
         self.output_gain, self.input_gain = np.ones(p), np.ones(m)
         for i, constant in enumerate(rig.constants):
             if constant.kind == "output":
@@ -192,7 +195,8 @@ class Regressor:
         gamma: ComplexArray = np.asarray(response.gamma * self.output_gain[:, None], dtype=complex)
         residual = fy[: bins.kept] - self._outputs(X, low)
         x0 = self._best_start(weigh, gamma, residual)
-        periodic, sums = x0, np.zeros((len(edges), at.n))
+        periodic = x0
+        sums = np.zeros((len(edges), at.n))
         if response.is_free:
             x0, sums = self._placed(x0, u, fy[0].real, fu[0].real, edges)
         elif driven is not None:
@@ -209,7 +213,8 @@ class Regressor:
         parts.append((fy[: bins.kept] - modelled)[..., None])
         above = self._high(fu, x0 if response.is_free else periodic, forced[-1])
         power = np.abs(np.vstack([modelled, above])) ** 2
-        X_all, high = np.concatenate(parts, axis=2), fy[bins.high] - above
+        X_all = np.concatenate(parts, axis=2)
+        high = fy[bins.high] - above
         return Regression(X_all, high, X, power, self.layout(window, len(cuts)))
 
     def _outputs(self, X: ComplexArray, U: ComplexArray) -> ComplexArray:
@@ -244,13 +249,16 @@ class Regressor:
         return _edge_states(self.response.at.A, u @ self.response.at.B.T, edges)
 
     def _ends(self) -> ComplexArray:
-        kept, p = self.response.bins.kept, len(self.output_gain)
+        kept = self.response.bins.kept
+        p = len(self.output_gain)
         columns = [end_effect(self.response, source, kept) * self.output_gain for source in self.slow]
         return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)
 
     def _lost(self, window: Window) -> ComplexArray:
         """One column a lost reading: an error of 1 in what was filled in."""
-        kept, p, W = self.response.bins.kept, len(self.output_gain), window.length
+        kept = self.response.bins.kept
+        p = len(self.output_gain)
+        W = window.length
         out = np.zeros((kept, p, len(window.lost)), dtype=complex)
         k = np.arange(kept)
         for column, (row, channel) in enumerate(window.lost):
@@ -279,7 +287,8 @@ class Regressor:
     def _constants(self, window: Window, modelled: ComplexArray, u: FloatArray, U: ComplexArray) -> ComplexArray:
         """Columns of gains and delay, in the order of the rig's constants after the masses."""
         kept, p = modelled.shape
-        rig, columns = self.rig, []
+        rig = self.rig
+        columns = []
         for constant in rig.constants[rig.masses :]:
             column = np.zeros((kept, p), dtype=complex)
             if constant.kind == "output":

@@ -52,7 +52,8 @@ class Learner:
 
     def prior(self, sigma: FloatArray, spread: FloatArray) -> Knowledge:
         """Return what is known before the first window; sigma (p,) stated or guessed, spread (p,) of its logarithm."""
-        rig, c = self.rig, len(self.rig.constants)
+        rig = self.rig
+        c = len(self.rig.constants)
         total = self.window // 2 + 1
         noise = Noise.prior(np.maximum(sigma, np.exp(self.log_floor)), spread, total, len(self.sources), rig.q)
         return Knowledge(rig.nominal.copy(), np.zeros(c), noise, Constants.prior(self.hypotheses), Scatter.prior(rig.q))
@@ -218,7 +219,8 @@ class Learner:
         if after is None:
             after = self._constants_after(at, known)
         _, _, alone, V, Z = eliminated(at)
-        u, own = at.unit, np.diag(V)
+        u = at.unit
+        own = np.diag(V)
         means = _moved(at.theta + u * alone, u * ((after.mean - known.eta) @ -Z.T))
         # a square: what is below 0 is rounding
         unsure = np.maximum(np.einsum("ia,hab,ib->hi", Z, after.covariance, Z, optimize=True), 0.0)
@@ -265,13 +267,15 @@ class Learner:
         layout, q = at.regression.layout, self.rig.q
         nb, cuts = layout.base, layout.cuts
         to = np.zeros((len(at.G), nb + q + 1))  # base columns at the window's middle, lines, residual
-        to[:nb, :nb], to[-1, -1] = np.eye(nb), 1.0
+        to[:nb, :nb] = np.eye(nb)
+        to[-1, -1] = 1.0
         for i in range(cuts):
             to[layout.jump(i), nb : nb + q] = np.eye(q) / cuts
         to[layout.psi, nb : nb + q] = -0.5 * np.eye(q)
         G = to.T @ at.G @ to
         R = np.zeros((nb + q, nb + q))
-        R[:nb, :nb], R[nb:, nb:] = at.ridge.R, np.eye(q) / tuning.LINE_SD**2
+        R[:nb, :nb] = at.ridge.R
+        R[nb:, nb:] = np.eye(q) / tuning.LINE_SD**2
         score = G[:-1, -1] + np.concatenate([at.ridge.b, np.zeros(q)])
         V = inverse(G[:-1, :-1] + R)
         fit = V @ score
@@ -296,7 +300,8 @@ class Learner:
 
     def _jump(self, at: Linearised, V: FloatArray, fit: FloatArray, i: int) -> float:
         """Score statistic of one jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108)."""
-        nb, t = at.regression.layout.base, at.regression.layout.jump(i)
+        nb = at.regression.layout.base
+        t = at.regression.layout.jump(i)
         cross = at.G[:nb, t]
         J = at.G[t, t] - cross.T @ V @ cross
         g = at.G[t, -1] - cross.T @ fit

@@ -123,7 +123,8 @@ class Lineariser:
         """The point (q,) towards which the cost falls: a full step, half of it, a quarter ...; None where none does."""
         linear = self.rig.nominal == 0
         longest = np.where(linear, np.inf, tuning.LONGEST_STEP)
-        share, before = 1.0, self._cost(at, at.regression, given) + self._strayed(at.theta, known)
+        share = 1.0
+        before = self._cost(at, at.regression, given) + self._strayed(at.theta, known)
         for _ in range(tuning.HALVINGS):
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
@@ -190,7 +191,8 @@ class Lineariser:
 
         N(anchor, (POINT_SD unit)²) steers where the model is linearised, and enters nothing that is said of the window.
         """
-        psi, spread = at.regression.layout.psi, self._anchor_spread(anchor)
+        psi = at.regression.layout.psi
+        spread = self._anchor_spread(anchor)
         R, b = at.ridge.R.copy(), at.ridge.b.copy()
         R[psi, psi] += np.diag((at.unit / spread) ** 2)
         b[psi] -= at.unit * (at.theta - anchor) / spread**2
@@ -214,7 +216,8 @@ class Lineariser:
         self, layout: Layout, window: Window, P: FloatArray, mean: FloatArray, intensity: FloatArray | None = None
     ) -> Ridge:
         """Return the base columns' prior: constants N(mean, P), lost readings, end effects of given intensities."""
-        R, b = np.diag(layout_free(layout)), np.zeros(layout.base)
+        R = np.diag(layout_free(layout))
+        b = np.zeros(layout.base)
         if len(window.lost):
             R[layout.gaps, layout.gaps] = np.diag(1.0 / window.lost_sd**2)
         if intensity is not None:
@@ -267,7 +270,9 @@ class Lineariser:
         """Grams of the base columns up to each rung, every bin summed once."""
         X = at.regression.without_jumps[..., :-1]
         weighted = (at.Si[: at.cells.kept] @ X) * at.cells.weight[: at.cells.kept, None, None]
-        out, total, start = [], np.zeros((X.shape[-1],) * 2), 0
+        out = []
+        total = np.zeros((X.shape[-1],) * 2)
+        start = 0
         for stop in ladder:
             a, b = X[start:stop].reshape(-1, X.shape[-1]), weighted[start:stop].reshape(-1, X.shape[-1])
             total = total + a.real.T @ b.real + a.imag.T @ b.imag

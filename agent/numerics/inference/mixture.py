@@ -23,7 +23,8 @@ def interval95(weight: FloatArray, mean: FloatArray, sd: FloatArray) -> tuple[Fl
     level = np.array([0.025, 0.975])[:, None]
     # the mixture's quantile lies between those of its components
     ends = mean[:, None] + np.array([-NORMAL_975, NORMAL_975])[:, None] * sd[:, None]
-    low, high = ends.min(axis=0), ends.max(axis=0)
+    low = ends.min(axis=0)
+    high = ends.max(axis=0)
     for _ in range(0 if len(weight) == 1 else 24):
         middle = 0.5 * (low + high)
         above = np.einsum("h,hqi->qi", weight, ndtr((middle - mean[:, None]) / sd[:, None])) > level

@@ -143,7 +143,8 @@ class NoiseFit:
         self.X, self._high = regression.without_jumps, regression.high
         self.R0, self.b = ridge.R, ridge.b
         self.log_sigma, self.log_sigma_var = noise.log_sigma.copy(), noise.log_sigma_var.copy()
-        self.intensity, self.levels = noise.intensity.copy(), noise.levels
+        self.intensity = noise.intensity.copy()
+        self.levels = noise.levels
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
         self.ends = Ends(cells.response, sources)
@@ -227,14 +228,16 @@ class NoiseFit:
         unseen = np.maximum(own - own**2 * diagonal[:kept], 0.0)
         power = (own**2 * (np.abs(residual) ** 2 + leverage) + unseen) / variance
         used = np.where(self.cells.weight[:kept] > 0, bins.multiplicity[:kept], 0.0)[:, None]
-        self.seen_power[:kept], self.seen_dof[:kept] = used * power, used
+        self.seen_power[:kept] = used * power
+        self.seen_dof[:kept] = used
         if bins.groups:
             Sg = self.Si[kept:][bins.group_of]
             z = (Sg @ self.high.r[..., None])[..., 0]
             unseen = np.maximum(1 - variance * diagonal[kept:][bins.group_of], 0.0)
             excess = variance * np.abs(z) ** 2 + unseen
             many = bins.multiplicity[bins.high][:, None]
-            self.seen_power[bins.high], self.seen_dof[bins.high] = many * self.levels[bins.high] * excess, many
+            self.seen_power[bins.high] = many * self.levels[bins.high] * excess
+            self.seen_dof[bins.high] = many
         self.levels = (carried.power + self.seen_power) / (carried.dof + self.seen_dof)
 
     # ------------------------------------------------------------------ intensities of the sources
@@ -247,7 +250,9 @@ class NoiseFit:
 
     def joint(self, prior_mean: FloatArray, prior_var: FloatArray, nodes: FloatArray, steps: int = 25) -> None:
         """Average-information REML in all log variances at once, for the first window (Gilmour et al. 1995)."""
-        p, kept, cells = len(self.log_sigma), self.cells.kept, self.cells
+        p = len(self.log_sigma)
+        kept = self.cells.kept
+        cells = self.cells
         d = np.concatenate([np.broadcast_to(np.eye(p, dtype=complex), (len(cells.weight), p, p)), cells.D], axis=2)
         spectra = np.concatenate([cells.cell_levels(self.levels).T, cells.spectra])
         prior = np.concatenate([0.25 / prior_var, np.full(len(self.sources), 1e-2)])
@@ -376,7 +381,9 @@ class Scan:
 
     def _changed(self, w: FloatArray) -> FloatArray:
         """The Gram (..., base+1, base+1) when S grows by change · d d*; w = change / (1 + change d*S⁻¹d) (..., C)."""
-        fit, kept, size = self.fit, self.fit.cells.kept, self.fit.layout.base + 1
+        fit = self.fit
+        kept = self.fit.cells.kept
+        size = self.fit.layout.base + 1
         low = (w[..., :kept] * fit.cells.weight[:kept]) @ self.outer
         G = fit.G - low.reshape(*w.shape[:-1], size, size)
         G[..., -1, -1] -= w[..., kept:] @ self.high
@@ -450,38 +457,36 @@ def learn(  # noqa: PLR0913, PLR0917
     shaken: the window before was not explained: σ may have changed more than it usually does.
     anew: sources are looked for as in a first window.
     """
-    start = (
-        noise
-        if noise.is_started
-        else replace(
-            noise,
-            nodes=first_nodes(cells, least),
-            log_weight=np.zeros((len(sources), tuning.NODES)),
-        )
-    )
+    start = noise
+    if not noise.is_started:
+        empty = np.zeros((len(sources), tuning.NODES))
+        start = replace(noise, nodes=first_nodes(cells, least), log_weight=empty)
     if anew:
         start = replace(start, log_weight=tuning.SHAKEN * start.log_weight)
     fit = NoiseFit(start, cells, regression, sources, wide)
     walk = start.walk * (start.windows > 0) + 0.3**2 * shaken
-    mean, var = start.log_sigma, start.log_sigma_var + walk
+    mean = start.log_sigma
+    var = start.log_sigma_var + walk
     carried = np.maximum(tuning.FORGET * start.log_weight, tuning.LOWEST_LOG_WEIGHT)
     every = start.windows < 3
-    # what is scanned first takes what two can explain: slow forces leave wider intervals than white ones
-    order = np.argsort([source.pole == 0 for source in sources], kind="stable") if every else _order(start)
+    order = _order(start)
+    steps = 1 if start.windows else FIRST_STEPS
     if len(sources) and (anew or not start.windows):
         fit = _start(start, fit, mean, var)
-    sweeps = 2 if every else 1
-    scan = Scan(fit, carried, start.nodes, every, pred)
-    for i in range(sweeps):
-        fit.score_sigma(mean, var, start, 1 if start.windows else FIRST_STEPS)
-        last = i == sweeps - 1
-        scan = fit.scan(order, carried, start.nodes, every, pred if last else None)
+    if every:
+        # what is scanned first takes what two can explain: slow forces leave wider intervals than white ones
+        order = np.argsort([source.pole == 0 for source in sources], kind="stable")
+        fit.score_sigma(mean, var, start, steps)
+        fit.scan(order, carried, start.nodes, every, None)
+    fit.score_sigma(mean, var, start, steps)
+    scan = fit.scan(order, carried, start.nodes, every, pred)
     return _after(start, fit, scan), fit
 
 
 def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> NoiseFit:
     """The best of three joint fits: forces and sensors, forces alone, sensors alone; coordinate steps are greedy."""
-    best, found = -np.inf, (fit.log_sigma, fit.intensity)
+    best = -np.inf
+    found = (fit.log_sigma, fit.intensity)
     forces = np.array([source.kind == "force" for source in fit.sources])
     as_sensors = np.clip(first_nodes(fit.cells, mean)[:, 5], noise.nodes[:, 0], noise.nodes[:, -1])
     for of_forces, of_sensors in ((True, True), (True, False), (False, True)):
@@ -491,7 +496,8 @@ def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> No
         fit.joint(mean, var, noise.nodes)
         value = fit.restricted_log_likelihood()
         if value > best:
-            best, found = value, (fit.log_sigma, fit.intensity)
+            best = value
+            found = (fit.log_sigma, fit.intensity)
     fit.log_sigma, fit.intensity = found
     return fit
 

@@ -74,6 +74,11 @@ class Posterior:
         """Whether the residual's power is not explained by what the noise may be."""
         return self.excess > tuning.MISMATCH_SD
 
+    @property
+    def holds(self) -> bool:
+        """Whether one set of parameters explains the window."""
+        return self.converged and not self.changing and not self.mismatch
+
 
 @dataclass(frozen=True)
 class Line:
@@ -92,5 +97,4 @@ class Line:
     @property
     def holds(self) -> bool:
         """Whether lines explain the window, and better than anything that jumps once."""
-        end = self.end
-        return end.converged and not end.mismatch and not end.changing and self.moves
+        return self.end.holds and self.moves

@@ -84,7 +84,8 @@ class Response:
         scale = np.sqrt((np.abs(gamma[self.weight[:kept] > 0]) ** 2).sum(axis=(0, 1)))
         self.gamma_scale = np.where(scale > 0, scale, 1.0)
         self.gamma = gamma / self.gamma_scale
-        k, width = len(at.dA), at.B.shape[1]
+        k = len(at.dA)
+        width = at.B.shape[1]
         stacked = np.concatenate(
             [np.concatenate([at.dA, at.dB], axis=2), np.concatenate([at.dC, at.dD], axis=2)], axis=1
         )
@@ -92,7 +93,9 @@ class Response:
 
     def columns(self, x: ComplexArray, u: ComplexArray) -> ComplexArray:
         """Return d y by each parameter and log mass (kept, p, k), modulo Γ, from DFTs of states and inputs."""
-        n, p, k = self.at.n, len(self.at.C), len(self.at.dA)
+        n = self.at.n
+        p = len(self.at.C)
+        k = len(self.at.dA)
         change = (np.concatenate([x, u], axis=1) @ self._derivatives).reshape(len(x), k, n + p)
         found = self.CR @ change[:, :, :n].transpose(0, 2, 1) + change[:, :, n:].transpose(0, 2, 1)
         return np.asarray(self._closed(found, change[0, :, :n].T.real))

@@ -122,7 +122,8 @@ def expected(pooled: FloatArray, seen: float) -> FloatArray:
     pooled (q,): mean of `seen` ratios and of SCATTER_PRIOR_DOF ones. Neighbouring second differences, and leverages
     that differ from block to block, leave half of them independent.
     """
-    prior, half = tuning.SCATTER_PRIOR_DOF, 0.5 * seen
+    prior = tuning.SCATTER_PRIOR_DOF
+    half = 0.5 * seen
     power = np.maximum(0.5 * ((seen + prior) * pooled - prior), 0.0)  # Σ z² of the independent ones
     after = 0.5 * (prior + half)
     slab = gammaln(after) - gammaln(0.5 * prior) + 0.5 * prior * np.log(0.5 * prior)

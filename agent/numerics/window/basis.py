@@ -66,14 +66,16 @@ def balanced_basis(system: System, real: Realisation, predictor: Predictor, plan
     from_balanced = (Vt[:r].T / s[:r]) / scale[:, None]
     steps = (plan.head, plan.rest, plan.hop)
     head, rest, hop = (to_balanced @ np.linalg.matrix_power(over, k) @ from_balanced for k in steps)
-    size, n_g = system.size, len(real.A)
+    size = system.size
+    n_g = len(real.A)
     drift = to_balanced[:, n_g:].reshape(r, size.c, size.n).transpose(1, 0, 2)
     return Basis(np.ascontiguousarray(G @ from_balanced), (head, rest, hop), to_balanced[:, :n_g], drift, plan)
 
 
 def _free_responses(system: System, real: Realisation, predictor: Predictor, hop: int) -> tuple[FloatArray, FloatArray]:
     """Return G over a hop, (H p, n_g + c n), and what carries it on by one sample."""
-    size, n_g = system.size, len(real.A)
+    size = system.size
+    n_g = len(real.A)
     a, n, c, p = size.a, size.n, size.c, size.p
     gain = np.zeros((n_g, p))
     gain[:a] = predictor.K

@@ -40,7 +40,8 @@ class Course:
 
     def over(self, powers: FloatArray, forced: FloatArray) -> "tuple[FloatArray, Course]":
         """Solve z(j+1) = transition z(j) + forced(j) over N hops; return z(0..N-1), (N, nz), and the course after."""
-        total, nz = self.phase + len(forced), len(self.start)
+        total = self.phase + len(forced)
+        nz = len(self.start)
         groups = -(-total // GROUP)
         inputs = np.zeros((groups * GROUP, nz))
         inputs[self.phase : total] = forced

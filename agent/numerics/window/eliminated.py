@@ -107,7 +107,9 @@ class Eliminated:
 
     def right_of(self, operators: Operators, right: int, hop: int, summary: Summary) -> tuple[LostRight, Summary]:
         """Return what the readings do on the right of a boundary, and that part's summary as filled."""
-        events, member, first = self.columns.events, self.columns.membership, hop - right
+        events = self.columns.events
+        member = self.columns.membership
+        first = hop - right
         later = events.hop >= first
         powers = operators.powers
         # a free response on the right, where the reading lies before the boundary
@@ -136,7 +138,8 @@ def eliminated(solver: WindowSolver, summary: Summary, starts: Starts, columns: 
     solved = solver.solve(_filled(summary, columns, value), starts)
     cross = _projected(solver, solved, columns, components)
     cross[:, 0] += (columns.gram + np.diag(precision)) @ value
-    weighed, normal = covariance @ cross, solved.normal
+    weighed = covariance @ cross
+    normal = solved.normal
     return Eliminated(
         solved, normal.H[0] - cross[:, 1:].T @ weighed[:, 1:], normal.g[0] - cross[:, 1:].T @ weighed[:, 0],
         max(float(normal.rss[0] + value @ (precision * value) - cross[:, 0] @ weighed[:, 0]), 0.0),
@@ -149,7 +152,8 @@ def _projected(
 ) -> FloatArray:
     """Return h'[e* ψ*] (l, 1+c), Γ projected out; of h'e itself that of e as it came, not as filled."""
     r = columns.U.shape[1]
-    shift, along = solved.moved[0, :, :r], -2 * solved.moved[0, :, r:]
+    shift = solved.moved[0, :, :r]
+    along = -2 * solved.moved[0, :, r:]
     return np.asarray(columns.cross + columns.U @ shift.T - components @ (along + shift @ solver.reach.T).T)
 
 
@@ -205,7 +209,8 @@ class Solving:
         columns = columns_of(events, self.operators, fulls, hop)
         if columns is None:
             return
-        solver, row = self.operators.solvers[self.number], slice(i, i + 1)
+        solver = self.operators.solvers[self.number]
+        row = slice(i, i + 1)
         found = eliminated(solver, self.summary.part(row), self.starts.part(row), columns)
         normal = self.solved.normal
         normal.H[i], normal.g[i], normal.rss[i], normal.x0[i] = found.H, found.g, found.rss, found.solved.normal.x0[0]
@@ -220,7 +225,8 @@ class Solving:
         at = int(np.searchsorted(scanning.jumps.index, self.index[i]))
         if at == len(scanning.jumps.index) or scanning.jumps.index[at] != self.index[i]:
             return
-        row, own = slice(at, at + 1), self.starts.part(slice(i, i + 1))
+        row = slice(at, at + 1)
+        own = self.starts.part(slice(i, i + 1))
         for b, scan in enumerate(self.operators.scans):
             right = found.right_of(self.operators, scan.right, hop, scanning.parts[b].part(row))
             columns = scan.columns(found.solved, right[1], own, scanning.starts[b].part(row), right[0])

@@ -112,7 +112,8 @@ class Cell:
 
     def forced(self, v: FloatArray) -> FloatArray:
         """Return the states (N, nz) that inputs v (N, L, p+m) leave when started from zero."""
-        a, count = self.size.a, len(v)
+        a = self.size.a
+        count = len(v)
         out = np.empty((count, self.size.z))
         out[:, :a] = row_products(v.reshape(count, -1), self.into_predictor)
         out[:, a:] = row_products(v[:, :, self.size.p :].reshape(count, -1), self.into_mean)
@@ -120,7 +121,9 @@ class Cell:
 
     def write(self, v: FloatArray, z: FloatArray, out: FloatArray) -> None:
         """Write e, ψ of N cells with inputs v (N, L, p+m) from states z (N, nz) into out (N, 1+c, L p)."""
-        count, a, n = len(v), self.size.a, self.size.n
+        count = len(v)
+        a = self.size.a
+        n = self.size.n
         out[:, 0] = row_products(_beside(v, z[:, :a]), self.innovation)
         driven = row_products(_beside(v[:, :, self.size.p :], z[:, a : a + n]), self.mean)
         free = row_products(z[:, a + n :].reshape(count, -1, a), self.tangent)
@@ -204,7 +207,8 @@ def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:
 def _cell(size: Sizes, L: int, free: FloatArray, states: tuple[FloatArray, FloatArray], impulse: FloatArray) -> Cell:
     a, n, p, c = size.a, size.n, size.p, size.c
     forced, powers = states
-    T, rows = impulse[:, :L, :, :L], L * p
+    T = impulse[:, :L, :, :L]
+    rows = L * p
     innovation = np.vstack([T[0].reshape(rows, -1).T, free[:L, 0, :, :a].reshape(rows, a).T])
     from_mean = free[:L, 1:, :, a : a + n].transpose(1, 0, 2, 3).reshape(c * rows, n).T
     tangent = free[:L, 1, :, a + n : 2 * a + n].reshape(rows, a).T

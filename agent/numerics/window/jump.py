@@ -100,7 +100,8 @@ class JumpScan:
         before = fulls - right
         self.q = q
         factor = basis.factor(right)
-        self.right, self.square = right, factor.T @ factor
+        self.right = right
+        self.square = factor.T @ factor
         n = basis.drift.shape[2]
         self._drift = np.linalg.matrix_power(model.A, before * basis.plan.hop).T @ (
             basis.drift[:q].transpose(2, 0, 1).reshape(n, -1)
@@ -119,7 +120,8 @@ class JumpScan:
 
         lost: readings of the (one) window that are unknown; `right` is as filled by what they were found to be.
         """
-        q, count = self.q, len(right)
+        q = self.q
+        count = len(right)
         moved = row_products(solved.normal.x0 - starts.mean, self._drift).reshape(count, q, -1)
         j = moved - row_products(at.tangents[:, :q], self._gamma)  # (N, q, r)
         alone = right.moment[:, 1 : 1 + q]

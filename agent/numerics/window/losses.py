@@ -51,14 +51,14 @@ class Losses:
         near = self._lost.between((hop - 1) * self._plan.hop - self._reach, (hop + len(heads)) * self._plan.hop)
         if self._columns.is_idle(hop) and not len(near):
             return
-        for i in range(len(heads)):
-            before = None if completed is None else completed.moment[i]
+        solved = [one for one in solving if one is not None]
+        befores = [None] * len(heads) if completed is None else list(completed.moment)
+        for i, before in enumerate(befores):
             events = self._events(hop + i, before, heads.moment[i], over)
             if events is None:
                 continue
-            for one in solving:
-                if one is not None:
-                    one.eliminate(events, self._columns.held_from, hop + i)
+            for one in solved:
+                one.eliminate(events, self._columns.held_from, hop + i)
 
     def _events(self, hop: int, completed: FloatArray | None, head: FloatArray, over: Over) -> Events | None:
         """Carry the columns on to a head's end; None where none is held."""

@@ -78,7 +78,8 @@ class Impulses:
         self.output = np.concatenate([system.J[:1], later]).transpose(0, 2, 1)
         self.taps, self.hop = taps, hop
         offsets = [offset for channel in taps for offset, *_ in channel]
-        self.earliest, self.latest = min(0, *offsets), max(0, *offsets)
+        self.earliest = min(0, *offsets)
+        self.latest = max(0, *offsets)
 
     def events(self, lost: Lost, start: int) -> tuple[IntArray, FloatArray, FloatArray]:
         """Return which readings touch the hop from sample `start` on (k,), e (k, H, p), the state after it (k, a)."""

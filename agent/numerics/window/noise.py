@@ -146,7 +146,8 @@ def smallest_force(model: StateSpace, push: Push, sigma: FloatArray) -> FloatArr
 
 def _pushed(A: FloatArray, b: FloatArray) -> FloatArray:
     """Return Σ Aᵏ b b' A'ᵏ over FORGOTTEN_SAMPLES, by doubling."""
-    total, power = np.outer(b, b), A
+    total = np.outer(b, b)
+    power = A
     for _ in range(FORGOTTEN_SAMPLES.bit_length() - 1):
         total, power = total + power @ total @ power.T, power @ power
     return total

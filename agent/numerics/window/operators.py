@@ -39,7 +39,8 @@ class Operators:
     def __init__(
         self, model: StateSpace, push: Push, noise: NoiseModel, plan: HopPlan, longer: Sequence[int], interest: int
     ) -> None:
-        self.plan, self.lengths = plan, (plan.fulls, *longer)
+        self.plan = plan
+        self.lengths = (plan.fulls, *longer)
         self.longest = max(self.lengths)
         self.real, self.predictor = predictor_of(model, push, noise)
         self.system = system = filter_system(model, self.real, self.predictor)
@@ -60,7 +61,8 @@ class Operators:
     ) -> tuple[Summary, FloatArray]:
         """Return the summaries of N stretches v (N, L, p+m) from states z (N, nz), and the states after them."""
         step = max(1, CHUNK // (ROWS * self.plan.hop)) * ROWS
-        count, width = len(v), 1 + self.size.c
+        count = len(v)
+        width = 1 + self.size.c
         U = self.basis.U[: v.shape[1] * self.size.p]
         gram, moment = np.empty((count, width, width)), np.empty((count, width, U.shape[1]))
         after = np.empty_like(z)
@@ -84,7 +86,8 @@ class Operators:
         """U'U over 0, 1, .. whole hops and a head, (longest + 1, r, r)."""
         U, step = self.basis.U, self.basis.steps[2]
         head = U[: self.plan.head * self.size.p]
-        hop, squares = U.T @ U, [head.T @ head]
+        hop = U.T @ U
+        squares = [head.T @ head]
         for _ in range(self.longest):
             squares.append(hop + step.T @ squares[-1] @ step)
         return np.array(squares)

@@ -102,7 +102,9 @@ class WindowSolver:
 
     def __init__(self, basis: Basis, real: Realisation, predictor: Predictor, fulls: int) -> None:
         n, a = real.n, real.filtered
-        self.n, self.a, self.samples = n, a, basis.plan.samples(fulls)
+        self.n = n
+        self.a = a
+        self.samples = basis.plan.samples(fulls)
         self._gamma_f = basis.gamma[:, n:a]
         self._drift = np.ascontiguousarray(basis.drift.transpose(2, 0, 1).reshape(n, -1))
         loading = _root(np.diag(real.prior_var[n:a]) - predictor.P[n:a, n:a])

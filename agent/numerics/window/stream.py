@@ -152,7 +152,8 @@ class Stream:
         """Summarise the next rows' samples; return the rows that were not given before."""
         heads, rests = self._first_head() if self._head is None else self._units(units)
         index = self._done - self.plan.hop * np.arange(units - 1, -1, -1, dtype=np.int64) - 1
-        before, windows = self._head, self._windows(heads, rests)
+        before = self._head
+        windows = self._windows(heads, rests)
         fresh = int(np.sum(index > self._given))
         solving = self._solving(index[units - fresh :], windows)
         completed = _completed(before, heads, rests, self.operators)
@@ -178,7 +179,8 @@ class Stream:
         plan, filters = self.plan, self.operators.filters
         v = self.samples(self._done, self._done + units * plan.hop).reshape(units, plan.hop, -1)
         states, forced, self._course = filters.over(v, self._course)
-        rests, cells = None, len(filters.rest)
+        rests = None
+        cells = len(filters.rest)
         if plan.rest:
             rests, states = self.operators.summarise(filters.rest, v[:, : plan.rest], states, forced[:cells])
         heads, _ = self.operators.summarise(filters.head, v[:, plan.rest :], states, forced[cells:])
@@ -229,7 +231,9 @@ class Stream:
         self, solved: Solved, windows: dict[Kind, Summary], starts: Starts, index: IntArray
     ) -> Scanning | None:
         """Return the columns of a jump in those windows that are scanned, and what they are made of."""
-        rights, every, count = self.operators.rights, self.operators.every, len(index)
+        rights = self.operators.rights
+        every = self.operators.every
+        count = len(index)
         which = self._scanned(count)
         scanned = index[which]
         if not rights or not len(scanned):
@@ -243,7 +247,8 @@ class Stream:
     def _over(self, hop: int, stop: int) -> FloatArray:
         """Return [e ψ] of a hop's samples up to `stop`; the newest are at hand."""
         if self._newest_columns is None or self._newest_columns[0] != (hop, stop):
-            v, state = self.samples(hop * self.plan.hop, stop), self._states.part(hop, hop + 1)[0]
+            v = self.samples(hop * self.plan.hop, stop)
+            state = self._states.part(hop, hop + 1)[0]
             self._newest_columns = ((hop, stop), self.operators.columns(v, state))
         return self._newest_columns[1]
 

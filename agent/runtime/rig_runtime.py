@@ -10,9 +10,8 @@ from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
 from agent.runtime.containment import IsolatedPipeline
-from agent.runtime.lateness import COMPUTING, Lateness
 from agent.runtime.ledger import Conservation
-from agent.runtime.pending import Waiting
+from agent.runtime.pending import COMPUTING, Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from agent.config import RigConfig, load
-from agent.runtime import service
+from agent.runtime import rig_runtime
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, Use
 from agent.storage.write.retention import Retention
@@ -96,8 +96,8 @@ def test_step_in_a_run_is_one_event_and_one_warning_and_the_run_stays_one(
 def test_lag_runs_on_the_monotonic_clock(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
     published: list[Record] = []
     rig = RigRuntime(agent.config, published.extend, wall=lambda: START + YEAR)
-    monkeypatch.setattr(service, "monotonic_ns", lambda: 2_500_000_000)
-    monkeypatch.setattr(service, "wall_ns", lambda: START + YEAR, raising=False)
+    monkeypatch.setattr(rig_runtime, "monotonic_ns", lambda: 2_500_000_000)
+    monkeypatch.setattr(rig_runtime, "wall_ns", lambda: START + YEAR, raising=False)
     use = Use(agent.config.rig.name, agent.config.source[0].name, (0, 1, 2))
     for block in blocks(2):
         ahead = 0 if block.arrival_ns < SECOND else YEAR

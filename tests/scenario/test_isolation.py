@@ -103,7 +103,9 @@ def test_fault_in_one_rig_leaves_the_other_rig_its_rows_and_starts_that_rig_anew
     assert found["right"]["samples"]["rejected"] == {}
     lost = found["left"]["samples"]["rejected"]["failure"]
     assert 0 < lost <= PAUSE_NS[0] / 1e6 + 4 * PIECE
-    assert [alarm["state"] for alarm in found["left"]["alarms"]] == ["RTNUN"]
+    # a slow machine computes behind as well, which is another alarm
+    failed = [alarm["state"] for alarm in found["left"]["alarms"] if alarm["parameter"] == "estimation"]
+    assert failed == ["RTNUN"]
     assert found["left"]["estimates"]["k1"]["status"] == "valid"
     assert found["right"]["estimates"]["k1"]["n_valid"] > found["left"]["estimates"]["k1"]["n_valid"] > 0
     ((message,),) = rows(db, "SELECT message FROM v_alarms WHERE kind = 'source' AND parameter = 'estimation'")

@@ -1,6 +1,6 @@
 """An agent that is behind its samples says so once, with an alarm that names the rig, and once when it keeps up."""
 
-from agent.runtime.lateness import Lateness
+from agent.runtime.pending import Lateness
 from agent.types import AlarmTransition, HealthEvent, Record
 
 S = 1_000_000_000

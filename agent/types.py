@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 CodeArray = NDArray[np.uint8]
+ComplexArray = NDArray[np.complex128]
 
 STEP_NS = 1_000_000_000
 """Settings of the wall clock that are nearer to one another are one, ns."""

@@ -11,7 +11,6 @@ Each costs a token of the budget, but for what the schedule has learnt.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.estimator.bank import Bank
 from agent.numerics.estimator.budget import Budget
@@ -27,9 +26,8 @@ from agent.numerics.inference.columns import Window, refilled
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.verdicts import Belief, beliefs
+from agent.types import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
 MOVED_SD = 0.3

@@ -7,7 +7,6 @@ all but wholly behind its onset. Until rows agree with what held before nothing 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
@@ -18,11 +17,8 @@ from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.noise import Noise
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.preprocessing.noise import sensor_noise
-from agent.types import Reason
+from agent.types import BoolArray, FloatArray, IntArray, Reason
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 WHOLE = 0.8
 """Share of a window that lies behind the onset of what it is to show."""
 AGREES_SD = 3.5

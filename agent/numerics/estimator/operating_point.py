@@ -8,7 +8,6 @@ L v of unit prior; the others change no sd by a hundredth.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.lines import between
 from agent.numerics.inference.mixture import NORMAL_975
@@ -18,8 +17,8 @@ from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import Rig, sampled
 from agent.numerics.window.noise import Coloured, Line, NoiseModel, Push
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 LEAST_SHARE = 0.01
 """Directions of the constants that add less than this to every parameter's variance are left out."""
 PRESENT_NODES = 2.0

@@ -11,11 +11,8 @@ from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.inference.posterior import Posterior
 from agent.numerics.inference.verdicts import Belief
-from agent.types import Reason, Status
+from agent.types import CodeArray, FloatArray, IntArray, Reason, Status
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-CodeArray = NDArray[np.uint8]
 EVENTS = ("beliefs", "findings", "failures")
 """Fields of `Outcome` that tell of the whole call, beside its columns."""
 

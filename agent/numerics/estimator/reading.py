@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.operating_point import OperatingPoint
@@ -12,10 +11,8 @@ from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise import chance, louder
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
+from agent.types import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 FAR_SD = 3.5
 """Sds from the point that chance alone does not reach in some hundred windows."""
 FAR_CURVATURE = 0.1

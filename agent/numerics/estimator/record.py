@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.inference.columns import Window, window_of
@@ -11,10 +10,8 @@ from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
 from agent.numerics.preprocessing.rows import any_of
 from agent.numerics.window.lost import Lost
+from agent.types import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 SPARE = 8192
 """Samples beyond those kept that may wait before the oldest are let go."""
 PROBES = 8

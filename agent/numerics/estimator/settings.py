@@ -2,13 +2,9 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.window.hops import HopPlan
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

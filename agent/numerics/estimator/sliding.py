@@ -11,7 +11,6 @@ The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.doubts import Found
@@ -26,11 +25,8 @@ from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.windows import chosen, clean
 from agent.numerics.inference import tuning
 from agent.numerics.window.rows import BankRows, Windowed
-from agent.types import Reason
+from agent.types import BoolArray, FloatArray, IntArray, Reason
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 RETRY = 4
 """Tries a window length to find a first window that fits."""
 MOST_LOST = 0.1

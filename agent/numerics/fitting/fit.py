@@ -8,7 +8,6 @@ Identification, 2nd ed. 1999, section 7.4). Nothing is carried from window to wi
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.fitting.work import WORK
 from agent.numerics.inference.algebra import inverse
@@ -18,9 +17,8 @@ from agent.numerics.inference.covariance import Cells, inverse_of
 from agent.numerics.inference.response import Response
 from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.model.uncertain import Rig, sampled
-from agent.types import FloatArray, IntArray
+from agent.types import ComplexArray, FloatArray, IntArray
 
-ComplexArray = NDArray[np.complex128]
 GREATEST = 1e60
 """What a motion may grow to within a window."""
 HALVINGS = 8

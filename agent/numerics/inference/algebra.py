@@ -1,9 +1,9 @@
 """Small dense algebra with columns of very different size: everything is scaled to unit diagonals first."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
+
 JITTER = 1e-13
 """Added to unit diagonals: a direction that the data do not show at all stays finite."""
 

@@ -7,10 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.inference.tuning import HIGH_GROUPS, MOST_BINS
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ComplexArray = NDArray[np.complex128]
+from agent.types import ComplexArray, FloatArray, IntArray
 
 
 def unitary(x: FloatArray) -> ComplexArray:

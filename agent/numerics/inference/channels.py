@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse
@@ -26,9 +25,8 @@ from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.noise import chance
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.model.uncertain import Rig
+from agent.types import ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Kind = Literal["offset", "gain", "delay", "stood"]
 Late = Callable[[int, int], Window | None]
 """(channel, lag) -> the window in which a channel's readings are moved back by so many samples; None where not whole"""

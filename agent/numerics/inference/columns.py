@@ -5,16 +5,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.bins import unitary
 from agent.numerics.inference.response import Response, end_states
 from agent.numerics.inference.sources import Source, end_effect
 from agent.numerics.model.uncertain import Rig
+from agent.types import ComplexArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ComplexArray = NDArray[np.complex128]
 Weigh = Callable[[ComplexArray], FloatArray]
 """The Gram (c, c) of columns (kept, p, c) under today's noise."""
 

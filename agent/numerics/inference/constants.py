@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse, log_determinant, root
 from agent.numerics.model.uncertain import Constant, Kind
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 GROUPS: tuple[tuple[Kind, str], ...] = (("mass", "all masses"), ("output", "all outputs"), ("input", "all inputs"))
 
 

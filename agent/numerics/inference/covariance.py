@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.response import Response
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from agent.types import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,11 @@ free mass's momentum, of variance Σ (w E_j)² v² |P(1)|².
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.response import Response
 from agent.numerics.inference.sources import Source
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 LEAST_VARIANCE = 1e-300
 
 

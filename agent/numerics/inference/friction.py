@@ -7,16 +7,14 @@ trajectory. Its likelihood ratio is weighed against what a column costs (Schwarz
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse
 from agent.numerics.inference.bins import unitary
 from agent.numerics.inference.response import Response
 from agent.numerics.model.uncertain import Rubbing
+from agent.types import ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 UNSEEN = 1e-9
 """Share of a column that must be left beside the model's own for it to have digits."""
 

@@ -6,7 +6,6 @@ window -> Gauss-Newton about θ_r -> jump? unexplained? -> noise -> hypotheses o
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
@@ -22,10 +21,7 @@ from agent.numerics.inference.posterior import Knowledge, Line, Posterior
 from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio
 from agent.numerics.inference.sources import sources_of
 from agent.numerics.model.uncertain import Rig
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ComplexArray = NDArray[np.complex128]
+from agent.types import FloatArray
 
 FIRM = 1e6
 """Times as many degrees of freedom behind the level of each bin as were seen: one window moves none."""

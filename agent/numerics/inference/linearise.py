@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse, refined, scales, shown
@@ -16,10 +15,7 @@ from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.response import Response
 from agent.numerics.inference.sources import Source, directions
 from agent.numerics.model.uncertain import Rig, sampled, unit_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ComplexArray = NDArray[np.complex128]
+from agent.types import ComplexArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,13 @@ some colour would have to explain it, and that reaches the bins that tell of the
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.columns import Regression
 from agent.numerics.inference.covariance import Cells
 from agent.numerics.inference.noise import Noise
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 LEAKAGE_ROUNDS = 4
 """Times that lines are looked for: beside a strong one weaker bins of its leakage stand out next."""
 MEDIAN = float(np.log(2))

@@ -1,12 +1,11 @@
 """Quantiles of Gaussian mixtures."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from agent.numerics.inference.tuning import STANDING_WEIGHT
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 LEAST_WEIGHT = 1e-4
 """Components below this weight do not move a 2.5 % quantile."""
 NORMAL_975 = 1.959963984540054

@@ -7,7 +7,6 @@ eliminated, so forces never explain what a mass can (Harville, J. Am. Stat. Ass.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse, log_determinant
@@ -15,10 +14,8 @@ from agent.numerics.inference.columns import Layout, Regression
 from agent.numerics.inference.covariance import Cells, HighPower, inverse_of, log_determinants
 from agent.numerics.inference.ends import Ends
 from agent.numerics.inference.sources import Source
+from agent.types import ComplexArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
 DROWNED = 1e-7
 """Share of the residual's power that must be left for a rank-one change of S to have digits."""
 

@@ -2,15 +2,11 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants
 from agent.numerics.inference.noise import Noise
 from agent.numerics.inference.scatter import Scatter
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,11 @@ forces leave one random column a free direction, z C R r, of variance Σ (w E_j)
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.bins import Bins
 from agent.numerics.model.uncertain import Sampled
+from agent.types import ComplexArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 ON_A_POLE = 1e-9
 """Bins nearer than this to a pole are left out: their response has no digits."""
 FREE_SHARE = 1e-6

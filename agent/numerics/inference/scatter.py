@@ -15,14 +15,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, gammaln
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.algebra import inverse
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from agent.types import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

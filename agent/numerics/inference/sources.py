@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.response import Response
 from agent.numerics.inference.tuning import FORCE_CORNER_OF_SLOWEST, FORCE_CORNERS, SENSOR_CORNERS
 from agent.numerics.model.uncertain import Rig, sampled
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from agent.types import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

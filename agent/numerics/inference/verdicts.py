@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference.constants import Constants, Hypothesis
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,11 @@ model costs the same few milliseconds whatever its time constants are.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, qr
 
 from agent.numerics.model.statespace import Model, StateSpace
-from agent.types import FloatArray
+from agent.types import ComplexArray, FloatArray
 
-ComplexArray = NDArray[np.complex128]
 TOLERANCE = 1e-7
 """Singular values, of the Jacobian with columns of length 1, below this share of the largest count as zero."""
 SILENT = 1e-11

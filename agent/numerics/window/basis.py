@@ -10,7 +10,6 @@ Automatic Control 26 (1981) 17; the square-root form: Tombs & Postlethwaite, Int
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import Predictor
@@ -18,8 +17,7 @@ from agent.numerics.window.constants import NEGLIGIBLE
 from agent.numerics.window.filters import System, whitening
 from agent.numerics.window.hops import HopPlan
 from agent.numerics.window.noise import Realisation
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.window.constants import GROUP
 from agent.numerics.window.products import row_products
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 def powers_of(transition: FloatArray) -> FloatArray:

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.window.constants import UNSEEN
 from agent.numerics.window.jump import Jumps, LostRight
@@ -21,9 +20,8 @@ from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import Asked, Windowed
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
 from agent.numerics.window.summary import Summary
+from agent.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 UNSOLVED = -1
 """In the place of how many readings a window lost."""
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import Predictor
@@ -22,8 +21,7 @@ from agent.numerics.window.course import Course, powers_of
 from agent.numerics.window.hops import HopPlan, divide
 from agent.numerics.window.noise import Realisation
 from agent.numerics.window.products import row_products
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

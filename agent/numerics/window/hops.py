@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.window.constants import CELL_TARGET
-
-IntArray = NDArray[np.int64]
+from agent.types import IntArray
 
 
 @dataclass(frozen=True, slots=True)

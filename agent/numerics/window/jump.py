@@ -10,7 +10,6 @@ the window's and the right part's summaries give X'J and J'J for X = [e* ψ*], a
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.basis import Basis
@@ -18,9 +17,7 @@ from agent.numerics.window.constants import BOUNDARIES, GROUP, SCANS, SINGULAR
 from agent.numerics.window.products import row_products
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
 from agent.numerics.window.summary import Summary
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from agent.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)

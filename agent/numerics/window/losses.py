@@ -2,15 +2,12 @@
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.numerics.window.eliminated import Solving
 from agent.numerics.window.lost import Events, Lost, LostColumns, Taps
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.summary import Summary
+from agent.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Over = Callable[[int, int], FloatArray]
 """[e ψ] (1+c, samples p) of a hop's samples up to some number."""
 

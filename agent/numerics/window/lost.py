@@ -14,15 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.window.constants import MOST_EVENTS
 from agent.numerics.window.filters import System
 from agent.numerics.window.operators import Operators
+from agent.types import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Taps = Sequence[Sequence[tuple[int, int, float]]]
 """Where readings of each channel enter: (samples later, column of v = (y, u), weight)."""
 

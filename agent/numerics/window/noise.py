@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import NoSteadyStateError, Predictor, spectral_radius, steady_predictor
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.constants import FORGOTTEN_SAMPLES, STABLE
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.riccati import spectral_radius
 from agent.numerics.model.statespace import StateSpace
@@ -17,8 +16,7 @@ from agent.numerics.window.noise import NoiseModel, Push, predictor_of
 from agent.numerics.window.products import row_products
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
 from agent.numerics.window.summary import Summary
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 class Operators:

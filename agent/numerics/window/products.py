@@ -6,11 +6,9 @@ every row takes the same way.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.window.constants import ROWS
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 def row_products(left: FloatArray, right: FloatArray) -> FloatArray:

@@ -4,14 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.window.jump import Jumps
 from agent.numerics.window.solve import Normal, Starts
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from agent.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)

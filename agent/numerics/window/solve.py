@@ -17,7 +17,6 @@ What is left after projection is the restricted likelihood (Harville, Biometrika
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.riccati import Predictor
 from agent.numerics.window.basis import Basis
@@ -26,8 +25,7 @@ from agent.numerics.window.filters import Sizes
 from agent.numerics.window.noise import Realisation
 from agent.numerics.window.products import row_products
 from agent.numerics.window.summary import Summary
-
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

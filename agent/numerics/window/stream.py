@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.constants import BATCH, RENEWED, SPARE
@@ -19,9 +18,7 @@ from agent.numerics.window.rows import BankRows, Windowed, joined
 from agent.numerics.window.solve import Solved, Starts
 from agent.numerics.window.summary import Kind, Sliding, Summary
 from agent.numerics.window.tail import Tail
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from agent.types import FloatArray, IntArray
 
 
 class Stream:

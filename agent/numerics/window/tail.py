@@ -1,9 +1,8 @@
 """The newest rows of a growing table, appended in place and let go of in large pieces."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from agent.types import FloatArray
 
 
 class Tail:

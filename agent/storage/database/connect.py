@@ -159,12 +159,14 @@ class Reader(sqlite3.Connection):
     Attributes:
         refused: rows that were not shown because their checksums are wrong.
         whole: tables that were looked through from end to end.
+        listed: tables whose indexes were compared with them, and from which row on.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self.refused = 0
         self.whole: set[str] = set()
+        self.listed: dict[str, int] = {}
 
     def refuse(self, rows: int) -> None:
         """Count rows that are not shown."""

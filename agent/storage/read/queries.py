@@ -296,9 +296,7 @@ def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:
     return " AND ".join(["1 = 1", *(f"{name} = ?" for name in known)]), tuple(known.values())
 
 
-def _rows(
-    connection: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST
-) -> Rows:
+def _rows(connection: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST) -> Rows:
     names, rows = proven(connection, view, condition, values, first_hop)
     found = Rows(dict(zip(names, cells, strict=True)) for cells in rows)
     found.refused = connection.refused

@@ -20,6 +20,7 @@ from agent.recording.setup import event_writer, recorder
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.databases import RunKind, path_of, writers_of
 from agent.runtime.lateness import COMPUTING, Lateness
+from agent.runtime.memory import keep_heap_small, release_free_pages
 from agent.runtime.pending import Waiting
 from agent.runtime.pipeline import Conservation
 from agent.runtime.results import RunSummary
@@ -320,6 +321,7 @@ class Service:
             rig.restore(writer.standing.get(name, []), writer.learnt.get(name))
         for connection in self.connections:
             connection.start()
+        release_free_pages()
 
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Compute what has arrived, of each rig a part at once, until it `ended`."""
@@ -401,6 +403,7 @@ def run(
 
     Raises ConfigError, ModelError, StoreError.
     """
+    keep_heap_small()
     rigs = load_many(configs)
     _need_sources(rigs)
     started = monotonic_ns()

@@ -89,7 +89,9 @@ def _indexes(table: str) -> list[tuple[str, list[str]]]:
     """Return the indexes of a table by name, each with its columns."""
     texts = [str(text) for (kind, _), (of, text) in own_schema().items() if (kind, of) == ("index", table) and text]
     named = [re.fullmatch(rf"CREATE INDEX (\w+) ON {table} \((.*)\)", text) for text in texts]
-    return [(match[1], match[2].split(", ")) for match in named if match]
+    unique = re.match(r"(\w+) TEXT NOT NULL UNIQUE", TABLES[table])
+    own = [(f"sqlite_autoindex_{table}_1", [unique[1]])] if unique else []
+    return own + [(match[1], match[2].split(", ")) for match in named if match]
 
 
 def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:

@@ -1,3 +1,4 @@
+# ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Answers proved to be whole: a row that damage hides is counted, and no older one passes for the newest.
 
 Each row of `hops` has an estimate of every parameter of its run; where an answer has fewer, the others were lost.
@@ -12,9 +13,11 @@ from agent.storage.read.proof import prove_listed
 
 _RANGE = "FROM hops h INDEXED BY hops_by_time WHERE h.run_id = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ?"
 _COUNT = f"SELECT count(*) {_RANGE} AND NOT {covered('h.run_id', 'h.t_ns')}"
-_NEWEST = """SELECT g.name, x.seq, x.kind = 'live', h.seq, h.t_ns FROM runs x NOT INDEXED
- CROSS JOIN rigs g ON g.seq = x.rig_id CROSS JOIN hops h ON h.seq = (SELECT m.seq FROM hops m INDEXED BY hops_by_time
- WHERE m.run_id = x.seq AND m.span = 0 ORDER BY m.t_ns DESC, m.seq DESC LIMIT 1)"""
+_OF_RUN = """FROM hops m INDEXED BY hops_by_time WHERE m.run_id = x.seq AND m.span = 0
+ ORDER BY m.t_ns DESC, m.seq DESC LIMIT 1"""
+_NEWEST = f"""SELECT g.name, x.seq, x.kind = 'live', (SELECT m.seq {_OF_RUN}) AS hop, (SELECT m.t_ns {_OF_RUN})
+ FROM runs x NOT INDEXED CROSS JOIN rigs g ON g.seq = x.rig_id WHERE hop IS NOT NULL"""
+"""From the index alone: the rows themselves may be what is damaged."""
 _Newest = tuple[int, int, int]
 """The order of rows: (t_ns, run, hop)."""
 

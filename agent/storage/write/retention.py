@@ -20,7 +20,7 @@ _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s afte
 _STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
 _FREE_PAGES = 128
 _GROWING = 3  # parts of a run that rows may still come for
-_HOPS_A_PURGE = 50_000
+_HOPS_A_PURGE = 10_000
 _YEAR_S = 365 * 86400
 _HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 47.0, 38.0, 60.0
 
@@ -73,6 +73,8 @@ class Database(Protocol):
 
     @property
     def connection(self) -> sqlite3.Connection: ...
+    @property
+    def hurried(self) -> bool: ...
     def transaction(self) -> AbstractContextManager[sqlite3.Connection]: ...
     def commit(self, plans: Sequence[Plan]) -> None: ...
     def count(self, name: str, more: int) -> None: ...
@@ -160,6 +162,8 @@ class TierKeeper:
                 first = stop
             else:
                 first = self._skip(run_id, span, stop, end)
+            if self._store.hurried:  # the next start makes the others
+                break
         return first
 
     def _skip(self, run_id: int, span: int, first: int, end: int) -> int:
@@ -185,7 +189,7 @@ class TierKeeper:
                 if isfinite(keep_s):
                     before = ((now_ns - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
                     before = min(before, self._aggregated(run_id, span, before))
-                    while self._purge(run_id, span, before, self._sent()):
+                    while not self._store.hurried and self._purge(run_id, span, before, self._sent()):
                         pass
 
     def _aggregated(self, run_id: int, span: int, before: int) -> int:
@@ -207,7 +211,7 @@ class TierKeeper:
             return
         for _ in range(8):  # a step must not hold up the next commit
             victim = self._oldest_anywhere()
-            if victim is None or self.used_bytes() <= 0.9 * self._keep.max_bytes:
+            if victim is None or self._store.hurried or self.used_bytes() <= 0.9 * self._keep.max_bytes:
                 return
             run_id, span, oldest = victim
             self._purge(run_id, span, (oldest // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)

@@ -14,6 +14,7 @@ from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
 from agent.storage.tables.ages import Part, parts_of, shifts
 from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.storage.write.log_bounds import purge_logs
 from agent.storage.write.rollups import HOUR, MINUTE, SECOND, add_groups, aggregate
 
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
@@ -180,6 +181,8 @@ class TierKeeper:
         hours = {run_id: (self._newest(run_id, 0) or 0) // _STRETCH_NS for run_id in self._runs}
         if hours != self._purged_at:
             self._purge_old()
+            with self._store.transaction() as connection:
+                purge_logs(connection)
             self._purged_at = hours
 
     def _purge_old(self) -> None:

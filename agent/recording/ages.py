@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.storage.database.files import opened
 
-SAVE_S = 600.0
+_SAVE_S = 600.0
 """How often the time that ran is written down; a power cut loses no more of it, and files stay that much longer."""
 
 log = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ class Ages:
         """Forget all other files, take up new ones, and write down what is known where it is time or that changed."""
         now, before = self._now(), self._ended
         self._ended = {name: before.get(name, now) for name in names}
-        due = time.monotonic() - self._saved_s >= SAVE_S
+        due = time.monotonic() - self._saved_s >= _SAVE_S
         if self._path.parent.is_dir() and (due or self._ended.keys() != before.keys()):
             self._save()
 

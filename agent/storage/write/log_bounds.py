@@ -4,7 +4,7 @@
 import sqlite3
 
 KEPT = 100_000
-"""Events, alarms, verdicts and event records that are gone: some 20 MB each, years of all but the most restless rigs."""
+"""Events, alarms, verdicts, records that are gone: some 20 MB each, years of all but the most restless rigs."""
 
 _OLD = "seq <= (SELECT seq FROM {table} ORDER BY seq DESC LIMIT 1 OFFSET ?)"
 _OVER = {"events": "", "hypotheses": "", "alarms": " AND cleared_ns IS NOT NULL",

@@ -2,15 +2,16 @@
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from agent.clock import wall_ns
 from agent.config.tables import Events
+from agent.recording.ages import Ages
 from agent.recording.event_files import (
     META,
     EventFolder,
@@ -21,7 +22,7 @@ from agent.recording.event_files import (
     read_meta,
     table_of,
 )
-from agent.recording.folder import make_folder, room
+from agent.recording.folder import AGES, make_folder, room
 from agent.recording.header import RawHeader
 from agent.types import EventRecord, HealthEvent, Record
 
@@ -78,6 +79,7 @@ class EventWriter:
     ) -> None:
         self._facts, self._limits, self._publish, self._known = facts, limits, publish, known
         self._folder = EventFolder(db.with_name(db.name + SUFFIX), facts.rig)
+        self._ages = Ages(self._folder.folder / f"{facts.rig}{AGES}")
         self._rows: dict[str, EventRecord] = {}
         self._jobs: deque[Job] = deque()
         self._condition = threading.Condition()
@@ -142,6 +144,8 @@ class EventWriter:
             self._lost(job, f"{type(error).__name__}: {error}")
             return
         self._rows[record.file] = record
+        if isfinite(self._limits.keep):
+            self._ages.note(Path(record.file).name.replace("*", min(self._facts.fields)))
         events: list[Record] = [record]
         if self._failing:
             self._failing = False
@@ -240,11 +244,13 @@ class EventWriter:
             while len(groups) > 1 and self._too_much(groups, sizes):
                 self._delete(groups.pop(0))
                 sizes.pop(0)
+            if isfinite(self._limits.keep):
+                self._ages.keep(paths[0].name for paths in groups)
         except OSError as error:
             log.warning("%s: old event records cannot be deleted: %s", self._facts.rig, error)
 
     def _too_much(self, groups: Sequence[Sequence[Path]], sizes: Sequence[int]) -> bool:
-        old = time.time() - groups[0][0].stat().st_mtime > self._limits.keep
+        old = self._ages.of(groups[0][0].name) > self._limits.keep
         return old or len(groups) > self._limits.max_count or sum(sizes) > self._limits.max_mb * 1e6
 
     def _delete(self, paths: Sequence[Path]) -> None:

@@ -2,15 +2,18 @@
 
 import os
 import re
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 
+from agent.recording.ages import Ages
 from agent.storage.database.files import sync_folder
 
 LEAST_FREE = 64 << 20
 """Bytes of the disk, or a tenth of a small one, that recordings leave to the database."""
+AGES = ".ages"
+"""Ending of the file that says how old the others are."""
 
 
 def room(folder: Path) -> int:
@@ -36,8 +39,7 @@ class Shelf:
         suffixes: of the forms that a recording may have; the newest number counts over all of them.
         companions: suffixes added to a file's name for what belongs to it.
         max_bytes: of all together.
-        max_age_s: since a file was written last, by the monotonic clock for those of this process, by their
-            modification time for those of earlier ones.
+        max_age_s: since a file was complete, in time that agents ran.
     """
 
     folder: Path
@@ -46,7 +48,10 @@ class Shelf:
     companions: tuple[str, ...] = ()
     max_bytes: float = float("inf")
     max_age_s: float = float("inf")
-    _ended: dict[Path, float] = field(default_factory=dict)
+    _ages: Ages = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._ages = Ages(self.folder / f"{self.name}{AGES}")
 
     def files(self) -> list[Path]:
         """Return the files, oldest first."""
@@ -67,7 +72,8 @@ class Shelf:
 
     def end(self, path: Path) -> None:
         """Note that a file is complete, from now on."""
-        self._ended[path] = time.monotonic()
+        if isfinite(self.max_age_s):
+            self._ages.note(path.name)
 
     def prune(self, writing: Path | None = None) -> list[Path]:
         """Delete the oldest files until size and age are within bounds, never the one being written; return them."""
@@ -75,10 +81,12 @@ class Shelf:
         total = sum(map(self.size, there)) + (self.size(writing) if writing is not None else 0)
         gone = []
         for path in there:
-            if total > self.max_bytes or self._age_s(path) > self.max_age_s:
+            if total > self.max_bytes or self._ages.of(path.name) > self.max_age_s:
                 total -= self.size(path)
                 self.delete([path])
                 gone.append(path)
+        if isfinite(self.max_age_s):
+            self._ages.keep(path.name for path in there if path not in gone)
         return gone
 
     def delete(self, paths: Iterable[Path]) -> None:
@@ -86,11 +94,6 @@ class Shelf:
         for path in paths:
             for part in self._parts(path):
                 part.unlink(missing_ok=True)
-            self._ended.pop(path, None)
 
     def _parts(self, path: Path) -> list[Path]:
         return [path, *(path.with_name(path.name + suffix) for suffix in self.companions)]
-
-    def _age_s(self, path: Path) -> float:
-        ended = self._ended.get(path)
-        return time.monotonic() - ended if ended is not None else time.time() - path.stat().st_mtime

@@ -27,7 +27,8 @@ CLEAR_NS = 500_000_000
 
 # ------------------------------------------------------------------ the end
 FINISH_S = 2.0
-"""How long an agent that ends goes on with what waits; samples left then are dropped and counted."""
+END_S = 2.8
+"""How long an agent that ends goes on with what waits (samples left then are dropped and counted), and takes in all."""
 HURRY_S = 1.0
 CLOSE_S = 1.0
 """After being asked to end it begins no fit nor search any more; and how long it waits for readers to end."""

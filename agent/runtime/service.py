@@ -16,7 +16,9 @@ from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
 from agent.runtime.databases import RunKind, path_of, writers_of
-from agent.runtime.limits import CLOSE_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
+from agent.runtime.limits import CLOSE_S, END_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
+from agent.runtime.memory import keep_heap_small, release_free_pages
+from agent.runtime.opening import Opening
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import connect
@@ -79,6 +81,8 @@ class Service:
     def _hurry(self) -> None:
         for rig in self.rigs.values():
             rig.hurry()
+        for writer in self.writers.values():
+            writer.hurry()
 
     def run(self, duration_s: float | None) -> None:
         """Read, compute and store until stopped or duration_s has passed.
@@ -93,7 +97,7 @@ class Service:
         if duration_s is not None:
             self._hurry_in(duration_s + HURRY_S)
         try:
-            self._start()
+            self._start(ended)
             ledger_due = started + HEALTH_PERIOD_NS
             while not ended():
                 self._wake.wait(0.0 if self._behind() else _patience(started, duration_s))
@@ -109,9 +113,11 @@ class Service:
         finally:
             self._finish()
 
-    def _start(self) -> None:
-        for writer in self.writers.values():
-            writer.start()
+    def _start(self, ended: Callable[[], bool] = lambda: False) -> None:
+        """Open the databases and the sources; nothing more where it `ended` before the databases were open."""
+        opening = Opening(self.writers.values())
+        if not opening.done(ended):
+            return
         for events in self._event_writers:
             events.start()
         for name, rig in self.rigs.items():
@@ -120,6 +126,7 @@ class Service:
             rig.restore(writer.standing.get(name, []), writer.learnt.get(name))
         for connection in self.connections:
             connection.start()
+        release_free_pages()
 
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Compute what has arrived, of each rig a part at once, until it `ended`."""
@@ -152,9 +159,8 @@ class Service:
     def _behind(self) -> bool:
         return any(rig.waiting for rig in self.rigs.values())
 
-    def _settle(self) -> None:
-        """Compute what still waits while there is time; what is left then is dropped."""
-        until = monotonic_ns() + round(FINISH_S * 1e9)
+    def _settle(self, until: int) -> None:
+        """Compute what still waits until then (monotonic, ns); what is left then is dropped."""
         self._take()
         while self._behind() and monotonic_ns() < until:
             self.process(lambda: monotonic_ns() >= until)
@@ -175,21 +181,23 @@ class Service:
             rig.ledger(self.connections)
 
     def _finish(self) -> None:
+        begun = monotonic_ns()
+        for writer in self.writers.values():
+            writer.hurry()
         for connection in self.connections:
             connection.end()
-        until = monotonic_ns() + round(CLOSE_S * 1e9)
         for connection in self.connections:
-            connection.stop(max(0.1, (until - monotonic_ns()) / 1e9))
-        self._settle()
+            connection.stop(max(0.1, _left_s(begun, CLOSE_S)))
+        self._settle(begun + round(FINISH_S * 1e9))
         for rig in self.rigs.values():
             rig.finish()
         for timer in self._timers:
             timer.cancel()
         self._ledgers()
         for events in self._event_writers:
-            events.stop()
+            events.stop(max(0.3, _left_s(begun, FINISH_S)))
         for writer in self.writers.values():
-            writer.stop()
+            writer.stop(max(0.5, _left_s(begun, END_S)))
         for name, rig in self.rigs.items():
             rig.summary.run_id = self._writer_of[name].run_ids.get(name, rig.summary.run_id)
 
@@ -201,6 +209,7 @@ def run(
 
     Raises ConfigError, ModelError, StoreError.
     """
+    keep_heap_small()
     rigs = load_many(configs)
     _need_sources(rigs)
     started = monotonic_ns()
@@ -243,6 +252,11 @@ def _rest_s(spent_s: float) -> float:
     """Return how long to let blocks gather after a round that took so long: three times as long where that may be."""
     least, most = ROUND_S
     return max(0.0, min(most, max(least, 4 * spent_s)) - spent_s)
+
+
+def _left_s(begun: int, seconds: float) -> float:
+    """Return what is left of some seconds from an instant (monotonic, ns) on."""
+    return seconds - (monotonic_ns() - begun) / 1e9
 
 
 def _patience(started: int, duration_s: float | None) -> float:

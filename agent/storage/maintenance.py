@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.errors import StoreError, StoreHeldError, UsageError
-from agent.storage.database.connect import Reader, cause_of, connect_reader, connect_writer, may_pass
+from agent.storage.database.connect import cause_of, connect_reader, connect_writer, may_pass
 from agent.storage.database.files import (
     Kind,
     Lock,
@@ -205,22 +205,19 @@ def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[st
         raise UsageError.at("what", f'there is no view "{what}"', f"views are {', '.join(_EXPORTED)}")
     if rig is not None and rig not in queries.rigs(path):
         raise UsageError.at("--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}")
-    connection = connect_reader(Path(path))
-    connection.execute("BEGIN")  # rows and what proves them are of one state
     own = "alarm_id IN (SELECT id FROM v_alarms WHERE rig = ?)" if what == "alarm_events" else "rig = ?"
     condition, values = (own, (rig,)) if rig is not None else ("1 = 1", ())
-    try:
-        columns, rows = proven(connection, f"v_{what}", condition, values)
-    except BaseException:
-        connection.close()
-        raise
-    return columns, _rows(connection, rows, Path(path))
+    rows = _rows(Path(path), f"v_{what}", condition, values)
+    columns = next(rows)
+    return list(columns), rows
 
 
-def _rows(connection: Reader, rows: Iterator[Sequence[Any]], path: Path) -> Iterator[Sequence[Any]]:
-    with closing(connection):
+def _rows(path: Path, view: str, condition: str, values: Sequence[object]) -> Iterator[Sequence[Any]]:
+    """Yield the names of a view's columns, then its rows that prove themselves."""
+    with queries.reading(path) as connection:
+        columns, rows = proven(connection, view, condition, values)
+        yield columns
         yield from rows
-        queries.tell_refused(path, connection.refused)
 
 
 def export_csv(path: Path | str, what: str, output: "SupportsWrite[str]", rig: str | None = None) -> int:

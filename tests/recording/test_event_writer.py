@@ -80,7 +80,7 @@ def written(folder: Path, reported: Told, count: int, **limits: float) -> EventW
 
 
 def files(folder: Path) -> list[str]:
-    return sorted(path.name for path in (folder / "rig.db.events").iterdir())
+    return sorted(path.name for path in (folder / "rig.db.events").iterdir() if path.suffix != ".ages")
 
 
 def test_file_holds_time_stamps_readings_and_provenance(tmp_path: Path, reported: Told) -> None:
@@ -149,6 +149,15 @@ def test_oldest_records_go_first_and_the_index_says_so(
     assert [name[8:16] for name in files(tmp_path)] == [f"{n:08d}" for n in range(6 - left, 6)]
     gone = [name[8:16] for name, state in reported.rows() if state == "purged"]
     assert gone == [f"{n:08d}" for n in range(6 - left)]
+
+
+@pytest.mark.parametrize("moment", [1.0, 4e9])
+def test_records_made_by_a_wrong_clock_are_no_older(tmp_path: Path, reported: Told, moment: float) -> None:
+    written(tmp_path, reported, 3, keep=3600.0)
+    for name in files(tmp_path):
+        os.utime(tmp_path / "rig.db.events" / name, (moment, moment))
+    written(tmp_path, reported, 1, keep=3600.0)
+    assert len(files(tmp_path)) == 4
 
 
 def test_records_of_other_rigs_and_other_files_are_left_alone(tmp_path: Path, reported: Told) -> None:

@@ -1,4 +1,5 @@
 import errno
+import json
 import os
 import threading
 from collections.abc import Callable
@@ -96,11 +97,34 @@ def test_recording_is_bounded_by_age(tmp_path: Path) -> None:
 
 
 def test_age_of_files_of_an_earlier_process_counts_as_well(tmp_path: Path) -> None:
-    recorded(tmp_path, [block(0)])
-    recorded(tmp_path, [block(1)])
-    os.utime(segments(tmp_path)[0], (1e9, 1e9))
-    recorded(tmp_path, [block(2)], Limits(max_age_s=86400.0))
-    assert [p.name[-12:] for p in segments(tmp_path)] == ["00000001.raw", "00000002.raw"]
+    for i in range(3):
+        recorded(tmp_path, [block(i)], Limits(max_age_s=86400.0))
+    (ages,) = tmp_path.glob("*.ages")
+    content = json.loads(ages.read_text())
+    first, *_ = sorted(content["ended"])
+    later = {name: ended + 86_500.0 * (name != first) for name, ended in content["ended"].items()}
+    ages.write_text(json.dumps({"ran_s": content["ran_s"] + 86_500.0, "ended": later}))
+    recorded(tmp_path, [block(3)], Limits(max_age_s=86400.0))
+    assert [p.name[-12:] for p in segments(tmp_path)] == ["00000001.raw", "00000002.raw", "00000003.raw"]
+
+
+@pytest.mark.parametrize("moment", [1.0, 1e9, 4e9])
+def test_recording_made_by_a_wrong_clock_is_no_older(tmp_path: Path, moment: float) -> None:
+    for i in range(2):
+        recorded(tmp_path, [block(i)], Limits(max_age_s=3600.0))
+    for path in segments(tmp_path):
+        os.utime(path, (moment, moment))
+    recorded(tmp_path, [block(2)], Limits(max_age_s=3600.0))
+    assert len(segments(tmp_path)) == 3
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"ran_s": -5}', '{"ran_s": 9, "ended": {"x": NaN}}', '{"ran_s": "q"}'])
+def test_ages_that_cannot_be_read_delete_nothing(tmp_path: Path, content: str) -> None:
+    recorded(tmp_path, [block(0)], Limits(max_age_s=3600.0))
+    (ages,) = tmp_path.glob("*.ages")
+    ages.write_text(content)
+    recorded(tmp_path, [block(1)], Limits(max_age_s=3600.0))
+    assert len(segments(tmp_path)) == 2
 
 
 @pytest.mark.parametrize("cut", [1, 7, 8, 100, 1000])

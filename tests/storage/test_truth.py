@@ -58,6 +58,10 @@ ANSWERS: dict[str, Callable[[Path], Any]] = {
 }  # fmt: skip
 
 
+WHOLE_ANSWERS = ("estimates", "latest", "alarms", "health", "runs", "records", "events", "alarm_events")
+"""Questions that leave out no row without saying so; of a trend that holds for the newest row."""
+
+
 def asked(path: Path, caplog: pytest.LogCaptureFixture) -> dict[str, Shown | None]:
     """Return what each question shows; None where it ends in an error or says that rows were refused."""
     found: dict[str, Shown | None] = {}
@@ -109,7 +113,7 @@ def test_flipped_bit_anywhere_shows_no_changed_row(
     shutil.copy(whole, path)
     truth = asked(path, caplog)
     assert None not in truth.values()
-    size, reported, wrong = whole.stat().st_size, 0, []
+    size, reported, wrong, silent = whole.stat().st_size, 0, [], []
     for _ in range(count):
         place, bit = int(rng.integers(size)), int(rng.integers(8))
         flip(path, place, bit)
@@ -118,9 +122,14 @@ def test_flipped_bit_anywhere_shows_no_changed_row(
         wrong += [
             (place, bit, name) for name, rows in found.items() if rows is not None and rows - (truth[name] or Shown())
         ]
+        silent += [
+            (place, bit, name) for name in WHOLE_ANSWERS if found[name] is not None and truth[name] != found[name]
+        ]
         flip(path, place, bit)
-    figure(f"bits flipped anywhere: {count}, {reported} said so by a question, {len(wrong)} answers with a changed row")
+    figure(f"bits flipped anywhere: {count}, {reported} said so by a question, {len(wrong)} answers with a changed "
+           f"row, {len(silent)} with one left out and nothing said")  # fmt: skip
     assert wrong == []
+    assert silent == []
 
 
 @pytest.mark.parametrize("count", FEW_AND_MANY)
@@ -200,19 +209,88 @@ def test_damage_to_what_orders_the_parts_of_a_run_is_not_shown_as_time(
 def test_index_that_leaves_out_a_row_that_hides_others_is_damage(whole: Path, memory: Path, index: str) -> None:
     path = memory / "rig.db"
     shutil.copy(whole, path)
+    leave_out(path, index, "seq < 0")
+    for ask in (queries.estimates, lambda path: queries.points(path, "press-7", "k1")):
+        with pytest.raises(StoreError, match="an index does not list what its table holds"):
+            ask(path)
+
+
+def leave_out(path: Path, index: str, condition: str) -> None:
+    """Make an index leave out rows, as damage to its pages may; its text says nothing of it."""
     with closing(sqlite3.connect(path)) as file:
         text = file.execute("SELECT sql FROM sqlite_master WHERE name = ?", (index,)).fetchone()[0]
         file.execute("PRAGMA writable_schema = ON")
-        file.execute("UPDATE sqlite_master SET sql = sql || ' WHERE seq < 0' WHERE name = ?", (index,))
+        file.execute("UPDATE sqlite_master SET sql = sql || ? WHERE name = ?", (f" WHERE {condition}", index))
         file.commit()
     with closing(sqlite3.connect(path)) as file:
         file.execute(f"REINDEX {index}")
         file.execute("PRAGMA writable_schema = ON")
         file.execute("UPDATE sqlite_master SET sql = ? WHERE name = ?", (text, index))
         file.commit()
-    for ask in (queries.estimates, lambda path: queries.points(path, "press-7", "k1")):
+
+
+NEWEST = "(SELECT max(seq) FROM hops WHERE run_id = 1 AND span = 0)"
+
+
+def _newest_hop(path: Path) -> int:
+    with closing(sqlite3.connect(path)) as file:
+        return int(file.execute(f"SELECT {NEWEST}").fetchone()[0])
+
+
+def test_newest_row_that_the_index_leaves_out_is_not_replaced_by_an_older_one(whole: Path, memory: Path) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    leave_out(path, "hops_by_time", f"seq <> {_newest_hop(path)}")
+    for ask in (queries.latest, queries.estimates, lambda path: list(maintenance.export(path, "tiers")[1])):
         with pytest.raises(StoreError, match="an index does not list what its table holds"):
             ask(path)
+
+
+def test_newest_row_of_all_that_the_index_leaves_out_is_missed_by_a_trend(memory: Path) -> None:
+    path = memory / "rig.db"
+    with Store.open(path) as store:
+        store.write(store.begin_run(run_info()), [batch(30)])
+    leave_out(path, "hops_by_time", "seq < 30")
+    with pytest.raises(StoreError, match="an index does not list what its table holds"):
+        queries.points(path, "press-7", "k1")
+
+
+@pytest.mark.parametrize(
+    "damage", ["DELETE FROM estimates", "UPDATE estimates SET value = 9.0", "UPDATE estimates SET series_id = 99"]
+)
+def test_newest_estimate_that_is_damaged_is_counted_by_latest_and_estimates(
+    whole: Path, memory: Path, damage: str
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    with closing(sqlite3.connect(path)) as file:
+        assert file.execute(f"{damage} WHERE seq = {NEWEST} * 1024 + 1").rowcount == 1
+        file.commit()
+    assert queries.latest(path, "press-7").refused == 1
+    assert queries.estimates(path, "press-7").refused == 1
+    assert queries.estimates(path, "press-7", "k2").refused == 1
+    assert queries.estimates(path, "press-7", "k1").refused == 0
+
+
+@pytest.mark.parametrize(
+    ("table", "ask"),
+    [
+        ("alarms", queries.alarms), ("events", queries.events), ("health", queries.health),
+        ("event_records", queries.event_records), ("runs", queries.runs),
+    ],
+)  # fmt: skip
+def test_damaged_newest_row_of_other_answers_is_counted(
+    whole: Path, memory: Path, table: str, ask: Callable[[Path], queries.Rows]
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    with closing(sqlite3.connect(path)) as file:
+        if table == "events":
+            file.execute("INSERT INTO events VALUES (1, 1, 'clock', 1, 'a', 'b', 7)")
+        newest = f"(SELECT max(seq) FROM {table} WHERE seq NOT IN (SELECT run_id FROM clocks WHERE run_id <> part_of))"
+        file.execute(f"UPDATE {table} SET crc = crc + 1 WHERE seq = {newest}")
+        file.commit()
+    assert ask(path).refused >= 1
 
 
 RECURSIVE = "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"

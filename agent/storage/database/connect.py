@@ -31,7 +31,7 @@ _WRITER = (
     "PRAGMA mmap_size = 0",  # a stray write must not reach the file
     "PRAGMA wal_autocheckpoint = 0",  # the store checkpoints by itself, between commits
     f"PRAGMA journal_size_limit = {WAL_BOUND // 4}",
-    "PRAGMA cache_size = -8000",
+    "PRAGMA cache_size = -2000",  # grows to this within the first hours; more was not quicker
     "PRAGMA cell_size_check = ON",
     "PRAGMA secure_delete = OFF",  # purged pages need not be written once more
     "PRAGMA temp_store = MEMORY",
@@ -159,12 +159,14 @@ class Reader(sqlite3.Connection):
     Attributes:
         refused: rows that were not shown because their checksums are wrong.
         whole: tables that were looked through from end to end.
+        listed: tables whose indexes were compared with them, and from which row on.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self.refused = 0
         self.whole: set[str] = set()
+        self.listed: dict[str, int] = {}
 
     def refuse(self, rows: int) -> None:
         """Count rows that are not shown."""

@@ -28,20 +28,29 @@ _INDEXED = {
     "alarms": ("run_id", "raised_ns"), "alarm_events": ("alarm_id",), "health": ("run_id", "t_ns"),
 }  # fmt: skip
 """Columns that an index holds as well, by table."""
-_WHOLE = {"overlaps": "overlaps_by_run", "alarms": "alarms_by_time", "clocks": "clocks_by_run"}
-"""Short tables that views look into for a row that may not be there, and by which index."""
+_WHOLE = ("overlaps", "alarms", "clocks")
+"""Short tables that views look into for a row that may not be there."""
 _AT_ONCE = 20_000
+_FIRST, _LAST = -(2**63), 2**63 - 1
 
 
-def proven(reader: Reader, view: str, condition: str, values: Sequence[object]) -> tuple[list[str], Iterator[Cells]]:
-    """Return the columns of a view and those of its rows under a condition that prove themselves."""
+def proven(
+    reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST
+) -> tuple[list[str], Iterator[Cells]]:
+    """Return the columns of a view and those of its rows under a condition that prove themselves.
+
+    first_hop: from which row of `hops` on their index is compared with them; older ones are not asked for.
+    """
     query, parts = _traced(view)
     width = sum(1 + len(_INDEXED.get(table, ())) for table in parts)
     for table in _WHOLE:
         if re.search(rf"\b{table}\b", query):
             prove_whole(reader, table)
+    for table in parts:
+        prove_listed(reader, table, first_hop if table == "hops" else _FIRST)
     cursor = reader.execute(f"SELECT * FROM ({query}) WHERE {condition}", tuple(values))
-    return [column[0] for column in cursor.description][width:], _sound(reader, cursor, parts, width)
+    once = "json_each" not in query  # a row of a table may make several of those
+    return [column[0] for column in cursor.description][width:], _sound(reader, cursor, parts, width, once=once)
 
 
 def row_of(alias: str) -> str:
@@ -53,14 +62,40 @@ def prove_whole(reader: Reader, table: str) -> None:
     """Count the wrong rows of a short table, once; raises sqlite3.DatabaseError where its index leaves one out."""
     if table not in reader.whole:
         reader.whole.add(table)
-        reader.refuse(bad_rows(reader, table, -(2**63), 2**63 - 1))
-        listed = f"SELECT 1 FROM {table} i INDEXED BY {_WHOLE[table]} WHERE i.run_id = t.run_id AND i.seq = t.seq"
-        if reader.execute(f"SELECT 1 FROM {table} t NOT INDEXED WHERE NOT EXISTS ({listed}) LIMIT 1").fetchone():
+        reader.refuse(bad_rows(reader, table, _FIRST, _LAST))
+        prove_listed(reader, table)
+
+
+def prove_listed(reader: Reader, table: str, first: int = _FIRST) -> None:
+    """See that the indexes of a table list its rows from a number on, once; raises sqlite3.DatabaseError.
+
+    A row that none lists would not be shown, and an older one in its place.
+    """
+    if first >= reader.listed.get(table, _LAST):
+        return
+    reader.listed[table] = first
+    names = columns_of(table)
+    for index, columns in _indexes(table):
+        same = " AND ".join(f"i.{name} = t.{name}" for name in (*columns, "seq"))
+        query = f"""SELECT {", ".join(names)} FROM {table} t NOT INDEXED WHERE t.seq >= ? AND NOT EXISTS (
+ SELECT 1 FROM {table} i INDEXED BY {index} WHERE {same}) LIMIT {_AT_ONCE}"""
+        # one whose checksum is wrong is refused where the index says what it was
+        if good_rows(table, reader.execute(query, (first,)).fetchall()).any():
             raise damaged("an index does not list what its table holds")
 
 
+@cache
+def _indexes(table: str) -> list[tuple[str, list[str]]]:
+    """Return the indexes of a table by name, each with its columns."""
+    texts = [str(text) for (kind, _), (of, text) in own_schema().items() if (kind, of) == ("index", table) and text]
+    named = [re.fullmatch(rf"CREATE INDEX (\w+) ON {table} \((.*)\)", text) for text in texts]
+    unique = re.match(r"(\w+) TEXT NOT NULL UNIQUE", TABLES[table])
+    own = [(f"sqlite_autoindex_{table}_1", [unique[1]])] if unique else []
+    return own + [(match[1], match[2].split(", ")) for match in named if match]
+
+
 def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:
-    """See that the parts of a rig's runs are what they say; raises sqlite3.DatabaseError where one is not.
+    """See that the parts of a rig's runs are what they say, and the newest row the newest; or sqlite3.DatabaseError.
 
     A wrong one would move the rows of others in time.
     """
@@ -80,16 +115,20 @@ def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:
     )
     if any(wrong) or reader.refused > refused:
         raise damaged("a row that says when a run was has a wrong checksum")
+    prove_listed(reader, "hops", max((cells[0] for cells in edges), default=_FIRST))
 
 
 _EDGE = "SELECT seq, run_id, span, t_ns FROM hops WHERE run_id = ? AND span IN (0, 60, 3600) AND t_ns = ? LIMIT 1"
 
 
-def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int) -> Iterator[Cells]:
+def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int, *, once: bool) -> Iterator[Cells]:
+    before = set[Cells]()
     while rows := cursor.fetchmany(_AT_ONCE):
-        said = list(zip(*(row[:width] for row in rows), strict=True))
-        wrong = set[int]()
+        heads = [row[:width] for row in rows]
+        said = list(zip(*heads, strict=True))
+        wrong = _repeated(heads, before) if once else set[int]()
         place = 0
+        before = set(heads)
         for table in parts:
             columns = _INDEXED.get(table, ())
             seen = list(zip(*said[place : place + 1 + len(columns)], strict=True))
@@ -99,6 +138,17 @@ def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: 
             place += 1 + len(columns)
         reader.refuse(len(wrong))
         yield from (row[width:] for i, row in enumerate(rows) if i not in wrong)
+
+
+def _repeated(heads: Sequence[Cells], before: set[Cells]) -> set[int]:
+    """Return the places of rows that came already, here or just before: a damaged page may list one twice."""
+    again = set[int]()
+    shown = set[Cells]()
+    for i, head in enumerate(heads):
+        if head in shown or head in before:
+            again.add(i)
+        shown.add(head)
+    return again
 
 
 def differing(reader: sqlite3.Connection, table: str, columns: Sequence[str], seen: set[Cells]) -> set[Cells]:
@@ -157,7 +207,7 @@ def sound_points(reader: Reader, run: int, series: Sequence[int], span: int, fir
     if not rows:
         return NOTHING
     columns = list(zip(*rows, strict=True))
-    right = _right(reader, run, span, columns)
+    right = _right(reader, run, span, columns) & _first_ones(columns[3])
     said = (1, *(3 + _SAID.index(name) for name in ("value", "sd", "repeat")))
     stamps, values, sds, repeats = (columns[place] for place in said)
     if not right.all():
@@ -183,6 +233,13 @@ def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDA
         if bad:
             right &= [(number,) not in bad for number in named]
     return right
+
+
+def _first_ones(numbers: Cells) -> NDArray[np.bool_]:
+    """Tell of each row whether none before it has its number."""
+    first = np.zeros(len(numbers), dtype=bool)
+    first[np.unique(numbers, return_index=True)[1]] = True
+    return first
 
 
 @cache

@@ -13,6 +13,7 @@ import numpy as np
 
 from agent.errors import Fault, UsageError
 from agent.storage.database.connect import Reader, connect_reader, damaged, unreadable
+from agent.storage.read.complete import oldest_hop, prove_count, prove_newest
 from agent.storage.read.proof import NOTHING, Found, differing, prove_parts, proven, row_of, series_of, sound_points
 from agent.storage.read.times import age_ns, parse_time
 from agent.storage.tables.ages import newest_of, parts_of, shifts
@@ -112,9 +113,14 @@ def estimates(
         found: list[tuple[int, dict[str, Any]]] = []
         for name in _chosen_rigs(connection, rig):
             condition, values = _where(rig=name, parameter=parameter)
-            for part, shift, first, last in _stretches(connection, name, since, until)[0]:
-                own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
-                rows = _rows(connection, "v_estimates", own, (*values, part, first, last))
+            stretches = _stretches(connection, name, since, until)[0]
+            first_hop = oldest_hop(connection, stretches)
+            own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
+            for stretch in stretches:
+                part, shift, first, last = stretch
+                refused = connection.refused
+                rows = _rows(connection, "v_estimates", own, (*values, part, first, last), first_hop)
+                prove_count(connection, stretch, rows, connection.refused - refused, parameter)
                 found += [(row["t_ns"] + shift, row) for row in rows]
         _check_parameter(connection, rig, parameter)
         found.sort(key=lambda pair: (pair[0], pair[1]["rig"]))
@@ -126,8 +132,11 @@ def estimates(
 def latest(db: Path | str, rig: str | None = None) -> Rows:
     """Return the newest row of each rig and parameter."""
     with reading(db) as connection:
-        _chosen_rigs(connection, rig)
-        return _rows(connection, "v_latest", *_where(rig=rig))
+        rigs = _chosen_rigs(connection, rig)
+        rows = _rows(connection, "v_latest", *_where(rig=rig), _LAST)
+        prove_newest(connection, rows, rigs)
+        rows.refused = connection.refused
+    return rows
 
 
 def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows:
@@ -287,8 +296,8 @@ def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:
     return " AND ".join(["1 = 1", *(f"{name} = ?" for name in known)]), tuple(known.values())
 
 
-def _rows(connection: Reader, view: str, condition: str, values: Sequence[object]) -> Rows:
-    names, rows = proven(connection, view, condition, values)
+def _rows(connection: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST) -> Rows:
+    names, rows = proven(connection, view, condition, values, first_hop)
     found = Rows(dict(zip(names, cells, strict=True)) for cells in rows)
     found.refused = connection.refused
     return found

@@ -14,13 +14,14 @@ from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
 from agent.storage.tables.ages import Part, parts_of, shifts
 from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.storage.write.log_bounds import purge_logs
 from agent.storage.write.rollups import HOUR, MINUTE, SECOND, add_groups, aggregate
 
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
 _STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
 _FREE_PAGES = 128
 _GROWING = 3  # parts of a run that rows may still come for
-_HOPS_A_PURGE = 50_000
+_HOPS_A_PURGE = 10_000
 _YEAR_S = 365 * 86400
 _HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 47.0, 38.0, 60.0
 
@@ -73,6 +74,8 @@ class Database(Protocol):
 
     @property
     def connection(self) -> sqlite3.Connection: ...
+    @property
+    def hurried(self) -> bool: ...
     def transaction(self) -> AbstractContextManager[sqlite3.Connection]: ...
     def commit(self, plans: Sequence[Plan]) -> None: ...
     def count(self, name: str, more: int) -> None: ...
@@ -160,6 +163,8 @@ class TierKeeper:
                 first = stop
             else:
                 first = self._skip(run_id, span, stop, end)
+            if self._store.hurried:  # the next start makes the others
+                break
         return first
 
     def _skip(self, run_id: int, span: int, first: int, end: int) -> int:
@@ -176,17 +181,22 @@ class TierKeeper:
         hours = {run_id: (self._newest(run_id, 0) or 0) // _STRETCH_NS for run_id in self._runs}
         if hours != self._purged_at:
             self._purge_old()
+            with self._store.transaction() as connection:
+                purge_logs(connection)
             self._purged_at = hours
 
     def _purge_old(self) -> None:
+        tiers = (0, self._keep.full_s), (MINUTE, self._keep.minute_s), (HOUR, self._keep.hour_s)
+        bounded = [(span, keep_s) for span, keep_s in tiers if isfinite(keep_s)]
         for part, now_ns in _ages(self._store.connection):
-            run_id = part.seq
-            for span, keep_s in ((0, self._keep.full_s), (MINUTE, self._keep.minute_s), (HOUR, self._keep.hour_s)):
-                if isfinite(keep_s):
-                    before = ((now_ns - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
-                    before = min(before, self._aggregated(run_id, span, before))
-                    while self._purge(run_id, span, before, self._sent()):
-                        pass
+            for span, keep_s in bounded:
+                before = ((now_ns - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
+                self._purge_before(part.seq, span, min(before, self._aggregated(part.seq, span, before)))
+
+    def _purge_before(self, run_id: int, span: int, before: int) -> None:
+        """Purge rows of a tier older than `before`, unless there is no time for it now."""
+        while not self._store.hurried and self._purge(run_id, span, before, self._sent()):
+            pass
 
     def _aggregated(self, run_id: int, span: int, before: int) -> int:
         """Return up to where the next tier holds what this one would lose."""
@@ -207,7 +217,7 @@ class TierKeeper:
             return
         for _ in range(8):  # a step must not hold up the next commit
             victim = self._oldest_anywhere()
-            if victim is None or self.used_bytes() <= 0.9 * self._keep.max_bytes:
+            if victim is None or self._store.hurried or self.used_bytes() <= 0.9 * self._keep.max_bytes:
                 return
             run_id, span, oldest = victim
             self._purge(run_id, span, (oldest // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)

@@ -2,7 +2,7 @@
 
 import sqlite3
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,16 @@ from typing import Self
 
 from agent.errors import StoreError
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.connect import FRAME_BYTES, WAL_BOUND, cause_of, connect_writer, create, is_damage, may_pass
+from agent.storage.database.connect import (
+    FRAME_BYTES,
+    WAL_BOUND,
+    cause_of,
+    code_of,
+    connect_writer,
+    create,
+    is_damage,
+    may_pass,
+)
 from agent.storage.database.files import (
     Ballast,
     Kind,
@@ -65,6 +74,9 @@ class Store:
         self._keep = keep
         self._scrubber = Scrubber()
         self._missing: str | None = None
+        self._maintaining = False
+        self.hurried = False
+        """Whether the process is about to end: nothing is purged any more, and of aggregates only the next made."""
         self.recovery: Recovery | None = None
         """What became of a damaged file that was found here; told in the next run that begins."""
 
@@ -341,7 +353,8 @@ class Store:
     def compact(self) -> None:
         """Give free pages back to the disk; needs room for a second copy, and no other transaction meanwhile."""
         with self._mutex:
-            self.connection.execute("VACUUM")
+            if not self._finished(lambda: self.connection.execute("VACUUM")):
+                raise StoreError.at(str(self.path), "its agent is ending", "ask again when it has ended")
             self.checkpoint("TRUNCATE")
 
     def maintain(self, *, finish: bool = False) -> None:
@@ -349,10 +362,30 @@ class Store:
         with self._mutex:
             if self.spilling:
                 self._checkpoint_if_due()
-                return
-            self._tiers.step(finish=finish)
-            self._scrubber.step(self.connection)
-            self._ballast.lay()
+            elif not self.hurried or finish:
+                self._finished(lambda: self._tiers.step(finish=finish))
+                self._scrubber.step(self.connection)
+                self._ballast.lay()
+
+    def hurry(self) -> None:
+        """Break off what no row waits for, such as a purge, and begin none any more; from any thread."""
+        self.hurried = True
+        connection = self._connection
+        if self._maintaining and connection is not None:
+            connection.interrupt()
+
+    def _finished(self, act: Callable[[], object]) -> bool:
+        """Do what `hurry` may break off; tell whether it came to its end."""
+        self._maintaining = True
+        try:
+            act()
+        except sqlite3.OperationalError as error:
+            if not self.hurried or code_of(error) != sqlite3.SQLITE_INTERRUPT:
+                raise
+            return False
+        finally:
+            self._maintaining = False
+        return True
 
     def _disconnect(self) -> None:
         connections, self._connection, self._side = (self._side, self._connection), None, None

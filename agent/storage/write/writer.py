@@ -127,13 +127,25 @@ class StoreWriter:
                 self._raise_failure()
             return done and self._answered >= ticket
 
+    def hurry(self) -> None:
+        """See that nothing holds up the writing of rows any more; for a process that is about to end."""
+        store = self._store
+        if store is not None:
+            store.hurry()
+
     def stop(self, timeout_s: float = 10.0) -> None:
-        """Write what is left, close the store and end the thread; what a failing disk still refuses is dropped."""
+        """Write what is left, close the store and end the thread; what a failing disk still refuses is dropped.
+
+        A thread that takes longer is left to itself, and rows that it had not written yet are lost with the process.
+        """
         with self._condition:
             self._stopping = True
             self._condition.notify_all()
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
+            if self.is_alive():
+                words = "%s: is busy for longer than the end may take; rows since its last commit are not stored"
+                log.warning(words, self._place())
         else:
             self._end()
         if self._lossless:

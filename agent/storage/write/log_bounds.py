@@ -1,0 +1,22 @@
+# ruff: noqa: S608 - statements are put together from this module's own names; values are always bound
+"""How many rows of what happened are kept: the newest of each table, counted, since a count depends on no clock."""
+
+import sqlite3
+
+KEPT = 100_000
+"""Events, alarms, verdicts, records that are gone: some 20 MB each, years of all but the most restless rigs."""
+
+_OLD = "seq <= (SELECT seq FROM {table} ORDER BY seq DESC LIMIT 1 OFFSET ?)"
+_OVER = {"events": "", "hypotheses": "", "alarms": " AND cleared_ns IS NOT NULL",
+         "event_records": " AND state IN ('purged', 'failed')"}  # fmt: skip
+"""What of a table may go: an alarm that stands and a record whose file is there stay, however old."""
+
+
+def purge_logs(connection: sqlite3.Connection, kept: int = KEPT) -> None:
+    """Delete the oldest rows of what happened beyond a number; inside a transaction."""
+    for table, over in _OVER.items():
+        condition = _OLD.format(table=table) + over
+        if table == "alarms":
+            query = f"DELETE FROM alarm_events WHERE alarm_id IN (SELECT seq FROM alarms WHERE {condition})"
+            connection.execute(query, (kept,))
+        connection.execute(f"DELETE FROM {table} WHERE {condition}", (kept,))

@@ -1,0 +1,53 @@
+"""What an agent of one rig keeps in memory, on each bus: nothing of what only others need, and at most 110 MB."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.figures import figure
+from tests.scenario.live import example
+
+MOST_MB = 110
+LIBRARIES = {"can": ["can", "cantools"], "modbus": ["pymodbus"], "serial": ["serial"]}
+"""What reads each bus; numpy and scipy compute, on all of them, and pydantic checks the configuration."""
+ASKED = {"can", "cantools", "pymodbus", "serial", "asammdf", "pandas", "pyarrow", "matplotlib", "sim_bus", "rich"}
+
+PROGRAM = f"""
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from agent.config import load
+from agent.runtime.memory import keep_heap_small, release_free_pages
+from agent.runtime.service import Service
+from drivers.port import SampleBlock
+
+keep_heap_small()
+config = load(Path(sys.argv[1]))
+service = Service([config], None, "live")
+service._start()
+rig, source = service.rigs[config.rig.name], config.source[0].name
+rng, x = np.random.default_rng(1), np.zeros(4)
+for start in range(0, 1000, 100):
+    v = np.column_stack([rng.normal(0.0, 5.0, 100), rng.normal(0.0, 1e-3, (100, 2))])
+    rig.pipeline.take(source, SampleBlock(v, (start + 100) * 1_000_000, np.arange(start, start + 100)), None, None)
+    rig.pipeline.compute()
+service._finish()
+lines = Path("/proc/self/status").read_text().splitlines()
+print(next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")))
+print(*sorted({{name.split(".")[0] for name in sys.modules}} & {ASKED!r}))
+"""
+
+
+@pytest.mark.parametrize("bus", list(LIBRARIES))
+def test_agent_of_one_rig_takes_at_most_110_mb_and_imports_only_its_bus(bus: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", PROGRAM, str(example(bus, tmp_path))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    peak, imported = done.stdout.strip().splitlines()[-2:]
+    figure(f"most memory of an agent of one rig on {bus}: {float(peak):.0f} MB (at most {MOST_MB})")
+    assert imported.split() == LIBRARIES[bus]
+    assert float(peak) <= MOST_MB

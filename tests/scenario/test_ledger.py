@@ -11,6 +11,7 @@ from agent.config import load
 from agent.runtime.replay import replay
 from agent.runtime.service import Service
 from drivers.port import Counts, SampleBlock
+from drivers.reconnect import Delivery
 from tests.scenario.live import example, rows
 
 LEDGER = "SELECT received, used, rejected, dropped FROM v_health ORDER BY received"
@@ -29,12 +30,12 @@ class Told:
 
     def _nothing(self, _counts: Counts) -> None: ...
 
-    def _read(self, _timeout_s: float) -> SampleBlock:
+    def _read(self, _timeout_s: float) -> Delivery:
         counts, counter = self.connection._driver.counts, self._next
         counts.received += len(counter)
         self._count(counts)
         arrival = (int(counter[-1]) if len(counter) else 0) * 1_000_000
-        return SampleBlock(np.random.default_rng(1).normal(size=(len(counter), 3)), arrival, counter)
+        return Delivery(SampleBlock(np.random.default_rng(1).normal(size=(len(counter), 3)), arrival, counter), ())
 
     def samples(self, first: int, count: int) -> None:
         """Let samples arrive."""

@@ -130,7 +130,7 @@ class Explainer:
         self.known, self._learnt_at = learnt, newest
         self.faults.learnt(window)
         kinds = tuple(c.kind for c in self.settings.rig.constants)
-        if kinds:
+        if kinds and learnt.noise.windows >= LEAST_WINDOWS:  # the first windows tell of noise and constants at once
             self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
 
     def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ Thompson 1971), and every answer is the mixture over the grid. So an interval is
 from scatter, and narrow where it can.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -102,7 +102,7 @@ class _Mixture:
         from scipy.special import chdtrc
 
         mean = self.mean[:, columns]
-        cov = self.cov[np.ix_(np.arange(len(mean)), columns, columns)]
+        cov = self.cov[:, columns][:, :, columns]
         square = np.einsum("ki,ki->k", mean, np.linalg.solve(cov, mean[..., None])[..., 0])
         return float(self.weight @ chdtrc(len(columns), square))
 

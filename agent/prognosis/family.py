@@ -3,6 +3,7 @@
     constant     du = b dt + q dW                        u = y
     rate law     dy = b (y/y0)^m dt (…)                  u(y) = y0 ((y/y0)^(1−m) − 1)/(1 − m)     Box & Cox 1964
                  where level and limit differ in sign    u(y) = L (1 − exp(−κ (y − y0)/L))/κ
+    ramp         du = b (1 + r (t − t0)) dt + q dW       u = y
     run-in       a rate that wanders freely until t_in, then the rate law
     onset        nothing until t_on, then the rate law
     saturation   du = b exp(−(t − t0)/τ) dt + q dW       u = y
@@ -17,10 +18,11 @@ import numpy as np
 
 from agent.types import FloatArray
 
-MEMBERS = ("constant", "rate law", "run-in", "onset", "saturation")
+MEMBERS = ("constant", "rate law", "ramp", "run-in", "onset", "saturation")
 SHAPES: dict[str, tuple[str, ...]] = {
     "constant": (),
     "rate law": ("bend",),
+    "ramp": ("ramp",),
     "run-in": ("bend", "run_in"),
     "onset": ("bend", "onset"),
     "saturation": ("saturation",),
@@ -134,6 +136,9 @@ def progress(t: FloatArray, member: str, shape: FloatArray) -> FloatArray:
     """
     if member == "onset":
         return np.maximum(t[:, None] - instant(shape[:, 1]), 0.0)
+    if member == "ramp":
+        gone = t[:, None] + 1.0
+        return gone + 0.5 * np.exp(shape[:, 0]) * gone * gone
     if member == "saturation":
         constant = np.exp(shape[:, 0])
         return -constant * np.expm1(-(t[:, None] + 1.0) / constant)

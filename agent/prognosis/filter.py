@@ -2,7 +2,8 @@
 
     u(k+1) = u(k) + h(k) b(k) + η,   b(k+1) = b(k) + ζ,   y(k) = u(k) + ε(k)
 
-the local linear trend (Harvey 1989, Forecasting, Structural Time Series Models, section 2.3) with steps h of any length.
+the local linear trend (Harvey 1989, Forecasting, Structural Time Series Models, section 2.3) with steps h of any
+length.
 """
 
 from dataclasses import dataclass

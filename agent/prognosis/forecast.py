@@ -64,7 +64,7 @@ def forecast(history: History, limit: float, horizon: float | None = None, like:
     if len(thin) < FEWEST or thin.span <= 0.0:
         return Forecast("too short", horizon=horizon)
     readings, scale = readings_of(thin, limit)
-    if scale.limit == 0.0 or _beyond_limit(thin, readings, scale):
+    if scale.limit == 0.0 or _past_limit(readings, scale):
         return Forecast("crossed", horizon=horizon, chance=1.0)
     rng = np.random.default_rng(SEED)
     prior = plain_prior(readings)
@@ -82,7 +82,7 @@ def _steady(history: History) -> bool:
     return found is None or not found.trend
 
 
-def _beyond_limit(thin: History, readings: Readings, scale: Scale) -> bool:
+def _past_limit(readings: Readings, scale: Scale) -> bool:
     """Tell whether the newest means lie on the limit's other side."""
     newest = float(np.mean(readings.smooth[-3:]))
     return (scale.limit - newest) * scale.limit <= 0.0 and (scale.limit - float(readings.z[-1])) * scale.limit <= 0.0
@@ -106,7 +106,7 @@ def _stated(passages: FloatArray, horizon: float, span: float, family: dict[str,
     elif wide or np.isinf(p90):
         status = "no trend" if steady else "too short"
     else:
-        far = p50 > horizon and horizon > span
+        far = p50 > horizon > span
         return Forecast("beyond" if far else "ok", p10, p50, p90, horizon, chance, family, passages)
     return Forecast(status, None, None, None, horizon, chance, family, passages)
 
@@ -134,9 +134,10 @@ def plain_prior(readings: Readings) -> Prior:
         "onset": Student(0.0, 1.5),
         "run_in": Student(-1.0, 1.0),
         "saturation": Student(0.0, 1.0),
+        "ramp": Student(1.0, 1.2),
     }
-    members = dict(zip(MEMBERS, (0.15, 0.45, 0.15, 0.15, 0.1), strict=True))
-    return Prior(of, members, later=Student(0.8, 0.8))
+    members = dict(zip(MEMBERS, (0.15, 0.35, 0.15, 0.1, 0.15, 0.1), strict=True))
+    return Prior(of, members, later=Student(0.8, 1.4))
 
 
 def learn_from(histories: Sequence[History], limit: float | None = None) -> Learnt:

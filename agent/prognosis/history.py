@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.types import FloatArray
 
@@ -37,7 +38,7 @@ class History:
         """Return the rows up to an instant."""
         return self[: int(np.searchsorted(self.t, t, side="right"))]
 
-    def __getitem__(self, rows: "slice | FloatArray") -> "History":
+    def __getitem__(self, rows: "slice | NDArray[np.intp]") -> "History":
         return History(self.t[rows], self.value[rows], self.sd[rows])
 
 
@@ -55,7 +56,8 @@ def sound(history: History) -> History:
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
     apart = np.abs(history.value - around)
     deviation = np.hypot(max(_scatter(history), 1.4826 * float(np.median(apart))), history.sd)
-    keep = (apart <= OUTLIER * deviation) | (np.arange(n) >= n - NEIGHBOURS)
+    drift = float(np.median(np.abs(np.diff(history.value))))  # an outlier moves its neighbours' median by so much
+    keep = (apart <= OUTLIER * deviation + drift) | (np.arange(n) >= n - NEIGHBOURS)
     return history[np.flatnonzero(keep)]
 
 

@@ -18,7 +18,9 @@ USUAL = {"life": 0.3, "exponent": 0.5, "wander": 0.5}
 """Spread between machines of a kind before any is seen, in natural logarithms; of the exponent, in κ."""
 COUNT = 1.0
 """How many machines that counts for."""
-BENDS = np.linspace(-8.0, 12.0, 201)
+LIGHT = 2.0
+"""Degrees of freedom beyond that: with fewer than three, draws reach past any machine."""
+GRID = np.linspace(-8.0, 12.0, 201)
 SEEN = (0.3, 0.5, 0.7, 0.9)
 LATER = 0.7
 """Spread of what κ differs by later before any machine is seen."""
@@ -28,8 +30,11 @@ WANDER = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Learnt:
-    """Student densities by parameter, (loc, scale, dof) each; the way that lives are counted over; n histories;
-    by how much κ differs beyond what a history has shown: (share of the way gone, loc, scale), the shares ascending."""
+    """What n like machines teach.
+
+    of: Student densities by parameter, (loc, scale, dof) each. way: what lives are counted over. later: by how much κ
+    differs beyond what a history has shown, as (share of the way gone, loc, scale), the shares ascending.
+    """
 
     of: Mapping[str, tuple[float, float, float]]
     way: float
@@ -62,22 +67,22 @@ def specimen(t: FloatArray, z: FloatArray, scale: Scale) -> Specimen:
 
     What share of the way in u is gone is held against what share of the time is, for each κ.
     """
-    u, _ = bent(z[:, None], BENDS, scale)
+    u, _ = bent(z[:, None], GRID, scale)
     share = (u - u[0]) / (u[-1] - u[0])
     span = float(t[-1] - t[0])
     misfit = np.sqrt(np.mean((share - ((t - t[0]) / span)[:, None]) ** 2, axis=0))
     best = int(np.argmin(misfit))
     wander = float(np.log(np.clip(WANDER * misfit[best], 0.02, 2.0))) - 0.5 * float(np.log(span))
-    later = tuple(_later((t - t[0]) / span, z, float(BENDS[best]), share_of_life, scale) for share_of_life in SEEN)
-    return Specimen(float(np.log(span)), float(BENDS[best]) / scale.reach, wander, scale.reach, later)
+    later = tuple(_later((t - t[0]) / span, z, float(GRID[best]), share_of_life, scale) for share_of_life in SEEN)
+    return Specimen(float(np.log(span)), float(GRID[best]) / scale.reach, wander, scale.reach, later)
 
 
 def _later(t: FloatArray, z: FloatArray, bend: float, seen: float, scale: Scale) -> tuple[float, float]:
     """Return the way gone after a share of the life, and by how much κ differed for the rest to take its time."""
     now = float(np.interp(seen, t, z))
     gone = float(bent(np.array(now), np.array(bend), scale)[0] - bent(z[0], np.array(bend), scale)[0])
-    left = onward(now, np.full(len(BENDS), bend), bend + BENDS, scale)
-    return way_share(now, scale), float(BENDS[int(np.argmin(np.abs(left - gone * (1.0 - seen) / seen)))])
+    left = onward(now, np.full(len(GRID), bend), bend + GRID, scale)
+    return way_share(now, scale), float(GRID[int(np.argmin(np.abs(left - gone * (1.0 - seen) / seen)))])
 
 
 def learn(specimens: Sequence[Specimen]) -> Learnt:
@@ -91,7 +96,7 @@ def learn(specimens: Sequence[Specimen]) -> Learnt:
         beforehand = (usual / way if name == "exponent" else usual) ** 2
         spread = ((n - 1) * float(np.var(values, ddof=1)) if n > 1 else 0.0) + COUNT * beforehand
         scale = float(np.sqrt(spread / (n - 1 + COUNT) * (1.0 + 1.0 / n)))
-        of[name] = (float(np.mean(values)), scale, n - 1 + COUNT)
+        of[name] = (float(np.mean(values)), scale, n - 1 + COUNT + LIGHT)
     return Learnt(of, way, n, _later_of(np.array([s.later for s in specimens])))
 
 
@@ -106,7 +111,7 @@ def _later_of(later: FloatArray) -> tuple[tuple[float, float, float], ...]:
 
 
 def as_prior(like: Learnt, plain: Prior, scale: Scale, span: float, newest: float) -> Prior:
-    """Return the prior for a history of that span, its shapes beyond the rate law's as without like machines; newest: scaled level."""
+    """Return the prior for a history of that span whose newest scaled level is given; other shapes as in `plain`."""
     of = dict(plain.of)
     for name, by in (("life", -np.log(span)), ("wander", 0.5 * np.log(span))):
         loc, width, dof = like.of[name]

@@ -16,6 +16,8 @@ from agent.types import FloatArray
 PARTICLES = 800
 """Of each member in each round."""
 ROUNDS = 6
+WITHIN = -40.0, 25.0
+"""Logarithms that a proposal may reach; beyond, numbers overflow."""
 RUN_IN = 50.0
 """How freely the rate wanders while a part runs in, in usual rates over a span."""
 COMMON = ("walk", "wander", "scatter")
@@ -116,9 +118,9 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
     """Return normalised weights, flattened until at least that many particles count."""
     top = log_weight - log_weight.max()
     power = 1.0
+    weight: FloatArray = np.exp(top)
     for _ in range(30):
-        weight = np.exp(power * top)
-        weight /= weight.sum()
+        weight = np.exp(power * top) / np.exp(power * top).sum()
         if 1.0 / float(weight @ weight) >= least:
             break
         power *= 0.7
@@ -129,7 +131,7 @@ def filtered(
     readings: Readings, scale: Scale, member: str, names: tuple[str, ...], theta: FloatArray
 ) -> tuple[State, FloatArray]:
     """Return states at the newest reading and log likelihoods of particles (N, d)."""
-    column = {name: theta[:, index] for index, name in enumerate(names)}
+    column = {name: np.clip(theta[:, index], *WITHIN) for index, name in enumerate(names)}
     bend = column.get("bend", np.zeros(len(theta)))
     if "life" in column:
         column["rate"] = np.log(life_way(bend, readings.way, scale)) - column["life"]
@@ -157,5 +159,5 @@ def _start(readings: Readings, u: FloatArray, column: dict[str, FloatArray]) -> 
     if "rate" in column:
         mean = readings.sign * np.exp(column["rate"])
         sd = 0.1 * np.abs(mean)
-    apart = (10.0 * max(float(np.ptp(readings.smooth)), float(readings.sd.max()))) ** 2 + np.exp(2.0 * column["scatter"])
-    return State(np.full(n, u[0]) if np.ndim(u) == 0 else u.mean() + np.zeros(n), mean, apart, np.zeros(n), sd**2)
+    apart = 10.0 * max(float(np.ptp(readings.smooth)), float(readings.sd.max()))
+    return State(u, mean, apart**2 + np.exp(2.0 * column["scatter"]), np.zeros(n), sd**2)

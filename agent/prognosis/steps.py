@@ -56,7 +56,8 @@ def _largest(thin: History) -> Step | None:
     mean: FloatArray = (sums[ASIDE:] - sums[:-ASIDE]) / ASIDE
     apart = mean[ASIDE:] - mean[:-ASIDE]
     middle = float(np.median(apart))
-    sd = max(1.4826 * float(np.median(np.abs(apart - middle))), float(np.median(thin.sd)) * np.sqrt(2.0 / ASIDE), 1e-300)
+    stated = float(np.median(thin.sd)) * float(np.sqrt(2.0 / ASIDE))
+    sd = max(1.4826 * float(np.median(np.abs(apart - middle))), stated, 1e-300)
     k = int(np.argmax(np.abs(apart - middle)))
     size = float(apart[k])
     inside = ASIDE <= k < len(apart) - ASIDE

@@ -86,7 +86,7 @@ def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
 def trend(path: Path, since: str) -> dict[str, object]:
     """Return what `deltak trend --json` prints."""
     found = queries.points(path, None, "k1", since=since)
-    return commands_trend._document(found, commands_trend._window_s(path, "k1"), None)
+    return commands_trend._document(found, commands_trend.window_s(path, "k1"), None)
 
 
 def flat_copy(path: Path) -> Path:

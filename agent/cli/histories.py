@@ -12,7 +12,7 @@ import numpy as np
 from agent.errors import UsageError
 from agent.numerics.trend import DAY_NS, disjoint
 from agent.prognosis.forecast import Forecast, forecast, learn_from
-from agent.prognosis.history import History
+from agent.prognosis.history import History, blocks, sound
 from agent.prognosis.learnt import Learnt
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
@@ -20,17 +20,19 @@ from agent.storage.read.times import age_ns
 from agent.text import iso_time
 
 PRIOR = "deltak prior 1"
+MOST = 1000
+"""Means that a history is thinned to at once, so that a year of rows costs little more than a day."""
 _LATEST_NS = 253_402_300_799 * 10**9
 """The end of the year 9999: what ISO 8601 can write."""
 
 
 def history_of(points: queries.Points, window_s: float) -> History:
-    """Return the rows that share no samples, t in days from the newest."""
+    """Return the rows that share no samples and are no outliers, or means of runs of them; t in days from the newest."""
     rows = disjoint(points.t_ns, np.maximum(points.span_s, window_s))
     if not len(rows):
         return History(np.empty(0), np.empty(0), np.empty(0))
     days = (points.t_ns[rows] - points.t_ns[-1]) / DAY_NS
-    return History(days, points.value[rows], points.sd_repeat[rows])
+    return blocks(sound(History(days, points.value[rows], points.sd_repeat[rows])), MOST)
 
 
 def window_s(db: Path, parameter: str) -> float:

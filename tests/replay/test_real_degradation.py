@@ -31,7 +31,9 @@ def history(t: Sequence[str], value: Sequence[str]) -> History:
 
 def cracks() -> list[History]:
     rows = table("virkler_odd.csv")
-    return [history([row[name] for row in rows], [row["crack_mm"] for row in rows]) for name in rows[0] if name[0] == "s"]
+    return [
+        history([row[name] for row in rows], [row["crack_mm"] for row in rows]) for name in rows[0] if name[0] == "s"
+    ]
 
 
 def joints() -> list[History]:

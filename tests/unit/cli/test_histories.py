@@ -51,7 +51,9 @@ def asked(said: Said, path: Path, limit: float | None = None, **ahead: Any) -> d
     return found
 
 
-def test_trend_of_a_table_says_that_it_falls_faster_and_when(tmp_path: Path, rng: np.random.Generator, said: Said) -> None:
+def test_trend_of_a_table_says_that_it_falls_faster_and_when(
+    tmp_path: Path, rng: np.random.Generator, said: Said
+) -> None:
     path = table(tmp_path / "press.csv", falling(rng))
     found = asked(said, path, 18.0, horizon="30d")
     assert (found["rig"], found["n"], found["trend"]) == ("press", 120, True)
@@ -107,7 +109,9 @@ def test_trend_of_what_cannot_be_forecast_is_a_sentence(
     assert found["forecast"] is None or found["forecast"]["p50_s"] is None
 
 
-def test_trend_of_rows_out_of_order_says_so_and_is_the_same(tmp_path: Path, rng: np.random.Generator, said: Said) -> None:
+def test_trend_of_rows_out_of_order_says_so_and_is_the_same(
+    tmp_path: Path, rng: np.random.Generator, said: Said
+) -> None:
     value = falling(rng)
     straight = asked(said, table(tmp_path / "a.csv", value), 18.0)
     lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
@@ -128,7 +132,9 @@ def test_trend_of_rows_out_of_order_says_so_and_is_the_same(tmp_path: Path, rng:
         ("none.csv", None, "cannot be read"),
     ],
 )
-def test_trend_of_what_is_no_history_is_a_usage_error(tmp_path: Path, name: str, content: str | None, words: str) -> None:
+def test_trend_of_what_is_no_history_is_a_usage_error(
+    tmp_path: Path, name: str, content: str | None, words: str
+) -> None:
     if content is not None:
         (tmp_path / name).write_text(content, encoding="utf-8")
     with pytest.raises(UsageError, match=words):

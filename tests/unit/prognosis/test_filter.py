@@ -28,7 +28,9 @@ def test_filter_likelihood_is_that_of_statsmodels(rng: np.random.Generator) -> N
 def test_crps_is_that_of_scoringrules(rng: np.random.Generator) -> None:
     for _ in range(20):
         draws, came = rng.gamma(2.0, 30.0, 400), rng.gamma(2.0, 30.0)
-        assert crps(draws, came) == pytest.approx(float(scoringrules.crps_ensemble(came, draws, estimator="nrg")), abs=1e-9)
+        assert crps(draws, came) == pytest.approx(
+            float(scoringrules.crps_ensemble(came, draws, estimator="nrg")), abs=1e-9
+        )
 
 
 def test_pit_and_held_of_plain_cases() -> None:

@@ -11,12 +11,10 @@ from tests.figures import figure
 from tests.unit.prognosis.histories import LIMIT, bent, straight
 
 
-def transforms(rng: np.random.Generator, count: int, *, stated: bool = True) -> np.ndarray:
+def transforms(rng: np.random.Generator, count: int) -> np.ndarray:
     found = []
     for _ in range(count):
         history, remains = straight(rng)
-        if not stated:  # no sd is stated, and rows without noise let none be seen
-            history = History(history.t, history.value, np.zeros(len(history)))
         made = forecast(history, LIMIT)
         if len(made.passages):
             found.append(pit(made.passages, remains))

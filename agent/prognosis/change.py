@@ -16,14 +16,14 @@ from agent.types import FloatArray
 
 BLOCKS = 32
 """Means that the change is asked of."""
-ASKED = 0.02
-"""Of each of the two questions, so that a history without a trend says "trend" once in twenty."""
+ASKED = 0.01
+"""Of each of the two questions, so that a history without a trend says "trend" less than once in twenty."""
 FEWEST = 6
 """Rows below which nothing is said."""
 YEAR = 365.25
 SEASONAL = 0.7
 """Years of history from which on a yearly season is thought of."""
-SHARES = (0.45, 0.06, 0.04, 0.03, 0.26, 0.1, 0.06)
+SHARES = (0.6, 0.06, 0.04, 0.02, 0.15, 0.09, 0.04)
 """How probable each shape is beforehand: white, three of exp(−|Δt|/τ), a random walk, white beside two walks."""
 SIZES = np.geomspace(0.02, 8.0, 13)
 """Standard deviations, in those of the differences of neighbours."""

@@ -27,7 +27,7 @@ _LATEST_NS = 253_402_300_799 * 10**9
 
 
 def history_of(points: queries.Points, window_s: float) -> History:
-    """Return the rows that share no samples and are no outliers, or means of runs of them; t in days from the newest."""
+    """Return the rows that share no samples and are no outliers, or means of runs of them; t in days before now."""
     rows = disjoint(points.t_ns, np.maximum(points.span_s, window_s))
     if not len(rows):
         return History(np.empty(0), np.empty(0), np.empty(0))

@@ -181,7 +181,7 @@ def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
     many = best_ms(lambda: fleet([path], "90d", None, 20.0), 2)
     daily = found.value[:: len(found.value) // 365]
     rival = best_ms(lambda: UnobservedComponents(daily, "local linear trend").fit(disp=False), 1)
-    say(f"rig-year: trend {asked:.0f} ms (at most 100), with a forecast {ahead:.0f} ms (at most 1000), fleet of its four "
+    say(f"rig-year: trend {asked:.0f} ms (at most 100), with forecast {ahead:.0f} ms (at most 1000), fleet of its four "
         f"parameters {many:.0f} ms; statsmodels' local linear trend of 365 means {rival:.0f} ms")  # fmt: skip
     assert asked <= 100
     assert ahead <= 1000

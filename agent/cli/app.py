@@ -225,20 +225,56 @@ def verdicts(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False
 
 @app.command()
 def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
-    db: Database,
-    parameter: Annotated[str, typer.Argument(metavar="PARAMETER", help="For example k1.", show_default=False)],
+    db: Annotated[Path, typer.Argument(metavar="DB|TABLE", help="Database, or CSV or Parquet.", show_default=False)],
+    parameter: Annotated[
+        str | None, typer.Argument(metavar="PARAMETER", help="For example k1; all without.", show_default=False)
+    ] = None,
     rig: Rig = None,
     since: Since = None,
     until: Until = None,
-    limit: Annotated[float | None, typer.Option(metavar="V", help="A value of the parameter to set beside it.")] = None,
+    limit: Annotated[float | None, typer.Option(metavar="V", help="The value to cross, in its unit.")] = None,
+    from_reference: Annotated[
+        float | None, typer.Option("--from-reference", metavar="R", help="Take --limit as a change from R.")
+    ] = None,
+    like: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Like machines: DB, TABLE, or a prior of fleet learn.")
+    ] = None,
+    horizon: Annotated[str | None, typer.Option(metavar="T", help="How far ahead the chance is of: 90d, 12h.")] = None,
     json: Json = False,
     csv: Csv = False,
     plot: Plot = None,
 ) -> None:
-    """Tell a parameter's drift per day, with the interval that decides whether there is one."""
+    """Tell a parameter's drift, whether there is a trend, and when it reaches a limit."""
     from agent.cli import trend as commands_trend
 
-    commands_trend.trend(db, parameter, rig, (since, until), limit, _form(json=json, csv=csv), plot)
+    ahead = commands_trend.Ahead(tuple(like or ()), horizon, from_reference)
+    form = _form(json=json, csv=csv)
+    commands_trend.trend(db, parameter, rig, (since, until), limit, form, plot, ahead)
+
+
+@app.command()
+def fleet(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="[learn] DB|FOLDER|TABLE...", help="Databases, or folders of them.")
+    ],
+    within: Annotated[str, typer.Option(metavar="T", help="How far ahead the chance is of: 90d, 12h.")] = "90d",
+    parameter: Annotated[str | None, typer.Option(metavar="P", help="Only this parameter.")] = None,
+    limit_percent: Annotated[
+        float, typer.Option("--limit-percent", metavar="X", help="The limit of a parameter that never raised an alarm.")
+    ] = 20.0,
+    to: Annotated[Path | None, typer.Option(metavar="PRIOR", help="With learn: the file to write.")] = None,
+    limit: Annotated[float | None, typer.Option(metavar="V", help="With learn: where lives end.")] = None,
+    json: Json = False,
+) -> None:
+    """Tell which parts of many machines change fastest and which reach a limit; learn: what like machines teach."""
+    from agent.cli import fleet as commands_fleet
+
+    if str(files[0]) == "learn":
+        document = commands_fleet.learn_prior(files[1:], parameter, limit, to)
+        _answer(document, commands_fleet.print_learnt, as_json=json)
+    else:
+        document = commands_fleet.fleet(files, within, parameter, limit_percent)
+        _answer(document, commands_fleet.print_fleet, as_json=json)
 
 
 @app.command()

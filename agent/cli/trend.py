@@ -1,37 +1,69 @@
-"""`deltak trend`: a parameter's drift, as sentences, JSON, CSV or a picture."""
+"""`deltak trend`: whether a parameter changes and when it reaches a limit, as sentences, JSON, CSV or a picture."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agent.cli.output import print_csv, print_json, show
+from agent.cli.histories import forecast_document, history_of, horizon_days, like_machines, window_s
+from agent.cli.output import print_csv, print_json, print_table, show
+from agent.cli.trend_plot import draw
+from agent.cli.trend_words import drift, finding, forecast_words, unit_of, verdict
 from agent.errors import UsageError
 from agent.numerics.trend import DAY_NS, Trend, fit_trend
+from agent.prognosis.change import Change, change
+from agent.prognosis.steps import find_steps, without
 from agent.storage.read import queries
-from agent.text import interval, iso_time, number, short_time, with_sd
+from agent.storage.read.tables import is_table, table_points
+from agent.text import iso_time, number, short_time, with_sd
+from agent.types import FloatArray
 
 Document = Mapping[str, Any]
+_BARS = "▁▂▃▄▅▆▇█"
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What is asked of the future: like machines, how far ahead, and the value that a limit is counted from."""
+
+    like: tuple[Path, ...] = ()
+    horizon: str | None = None
+    reference: float | None = None
 
 
 def trend(
     db: Path,
-    parameter: str,
+    parameter: str | None,
     rig: str | None,
     times: tuple[str | None, str | None],
     limit: float | None,
     form: str,
     plot: Path | None,
+    ahead: Ahead | None = None,
 ) -> None:
     """Print a parameter's trend. Raises StoreError; UsageError for a parameter, rig, time or picture that cannot be."""
+    ahead = ahead or Ahead()
     if limit is not None and not math.isfinite(limit):
         raise UsageError.at("--limit", f"must be a number, not {limit:g}", "give a value of the parameter, in its unit")
-    document = _document(queries.points(db, rig, parameter, *times), _window_s(db, parameter), limit)
+    if limit is not None and ahead.reference is not None:
+        limit += ahead.reference
+    if is_table(db):
+        points, backward = table_points(db, *times)
+        points = replace(points, parameter=parameter or points.parameter)
+        window = 0.0
+    elif parameter is None:
+        _print_all(db, rig, times, form)
+        return
+    else:
+        points = queries.points(db, rig, parameter, *times)
+        window = window_s(db, parameter)
+        backward = 0
+    document = _document(points, window, limit, ahead) | {"backward": backward}
     if plot is not None:
-        _draw(document, plot)
+        draw(document, plot)
     if form == "json":
         print_json(document)
     elif form == "csv":
@@ -41,18 +73,17 @@ def trend(
         show(_sentences(document))
 
 
-def _window_s(db: Path, parameter: str) -> float:
-    """Return the longest window that newest estimates of a parameter rest on."""
-    rows = queries.latest(db)
-    return max((row["window_s"] or 0.0 for row in rows if row["parameter"] == parameter), default=0.0)
-
-
-def _document(points: queries.Points, window_s: float, limit: float | None) -> dict[str, Any]:
-    found = fit_trend(points.t_ns, points.value, points.sd_repeat, np.maximum(points.span_s, window_s))
-    if found.sd is not None:  # what the constants leave open is the same in every point: of the level, not the slope
-        found = replace(found, sd=math.hypot(found.sd, _common(points)))
+def _document(points: queries.Points, window: float, limit: float | None, ahead: Ahead | None = None) -> dict[str, Any]:
+    ahead = ahead or Ahead()
+    found = fit_trend(points.t_ns, points.value, _stated(points), np.maximum(points.span_s, window))
+    history = history_of(points, window)
+    steps = find_steps(history)
+    asked = change(without(history, steps))
+    found = _changed(found, asked, points)
     instants = points.t_ns.tolist()
-    return {
+    newest = instants[-1] if instants else 0
+    like = like_machines(ahead.like, points.parameter, limit)
+    document: dict[str, Any] = {
         "rig": points.rig,
         "parameter": points.parameter,
         "unit": points.unit,
@@ -60,12 +91,51 @@ def _document(points: queries.Points, window_s: float, limit: float | None) -> d
         "n_disjoint": found.n_disjoint,
         "refused": points.refused,
         "since": iso_time(instants[0]) if instants else None,
-        "until": iso_time(instants[-1]) if instants else None,
+        "until": iso_time(newest) if instants else None,
+        "span_s": (newest - instants[0]) / 1e9 if instants else 0.0,
         **{key: getattr(found, key) for key in Trend.__dataclass_fields__ if key != "n_disjoint"},
+        **_shape(asked),
+        "changes": [_step(step.t, step.size, step.sd, newest) for step in steps],
         "limit": limit,
-        "forecast": None,
+        "forecast": forecast_document(history, newest, limit, horizon_days(ahead.horizon), like),
         "points": list(zip(instants, points.value.tolist(), points.sd.tolist(), strict=True)),
     }
+    return document | {"words": verdict(document)}
+
+
+def _stated(points: queries.Points) -> FloatArray:
+    """Return the rows' own sd, and for those without one what their scatter allows; never zero."""
+    known = points.sd_repeat[points.sd_repeat > 0.0]
+    spread = float(np.std(points.value)) if len(points.value) else 0.0
+    least = float(np.median(known)) if len(known) else spread
+    return np.where(points.sd_repeat > 0.0, points.sd_repeat, least or 1e-9)
+
+
+def _changed(line: Trend, asked: Change | None, points: queries.Points) -> Trend:
+    """Return the trend with what the test apart from its shape says, where there are rows enough for it.
+
+    What the constants leave open is the same in every point: of the level, not of the slope.
+    """
+    if asked is not None:
+        line = replace(
+            line, value=asked.level, sd=asked.level_sd, slope_per_day=asked.slope, slope_sd=asked.slope_sd,
+            slope_lower=asked.slope_lower, slope_upper=asked.slope_upper, trend=asked.trend,
+        )  # fmt: skip
+    return line if line.sd is None else replace(line, sd=math.hypot(line.sd, _common(points)))
+
+
+def _shape(asked: Change | None) -> dict[str, float | None]:
+    return {
+        "newest_slope_per_day": None if asked is None else asked.newest,
+        "newest_slope_sd": None if asked is None else asked.newest_sd,
+        "curvature_per_day2": None if asked is None else asked.curvature,
+        "curvature_sd": None if asked is None else asked.curvature_sd,
+    }
+
+
+def _step(t: float, size: float, sd: float, newest_ns: int) -> dict[str, Any]:
+    at = newest_ns + round(t * DAY_NS)
+    return {"t_ns": at, "time": iso_time(at), "size": size, "sd": sd}
 
 
 def _common(points: queries.Points) -> float:
@@ -77,19 +147,21 @@ def _sentences(found: Document) -> str:
     name = f"{found['parameter']} of {found['rig']}"
     if not found["n"]:
         return f"{name}: no valid rows in that time"
-    unit = _unit(found)
+    unit = unit_of(found)
     _, newest, sd = found["points"][-1]
     lines = [f"{name}: newest {with_sd(newest, sd)} {unit} at {short_time(found['until'])}"]
     lines.append(
         f"{found['n']} rows since {short_time(found['since'])}, {found['n_disjoint']} of them share no samples"
     )
+    if found["backward"]:
+        lines.append(f"{found['backward']} rows stand before an earlier one, as after a step of a clock; put in order")
     if found["slope_lower"] is None:
         lines.append("too few rows to tell a drift")
     else:
-        verdict = "a trend" if found["trend"] else "no trend: the interval holds 0"
-        lines.append(f"line there: {with_sd(found['value'], found['sd'])} {unit}; {_drift(found)}: {verdict}")
+        lines.append(f"line there: {with_sd(found['value'], found['sd'])} {unit}; {drift(found)}: {finding(found)}")
     if found["limit"] is not None:
         lines.append(f"limit {number(found['limit'])} {unit}: {_distance(found, newest)}".replace("  ", " "))
+        lines.append(forecast_words(found))
     return "\n".join(lines)
 
 
@@ -97,57 +169,46 @@ def _distance(found: Document, newest: float) -> str:
     """Say how far the limit is, and whether it lies between the first row and the newest."""
     before, now = found["limit"] - found["points"][0][1], found["limit"] - newest
     beyond = before * now < 0
-    return f"{'crossed, ' if beyond else ''}{number(abs(now), 4)} {_unit(found)} {'beyond it' if beyond else 'away'}"
+    words = f"{'crossed, ' if beyond else ''}{number(abs(now), 4)} {unit_of(found)}"
+    return f"{words} {'beyond it' if beyond else 'away'}"
 
 
-def _unit(found: Document) -> str:
-    """Return the unit as it is written behind a number; nothing for a bare number."""
-    return "" if found["unit"] in {None, "1"} else str(found["unit"])
+def _print_all(db: Path, rig: str | None, times: tuple[str | None, str | None], form: str) -> None:
+    """Print the trend of every parameter, one line each, those that change most in proportion first."""
+    documents = []
+    for name in [rig] if rig is not None else queries.rigs(db):
+        for parameter in queries.parameters(db, name):
+            points = queries.points(db, name, parameter, *times)
+            documents.append(_document(points, window_s(db, parameter), None))
+    documents.sort(key=_share, reverse=True)
+    if form == "json":
+        print_json({"rows": [{k: v for k, v in found.items() if k != "points"} for found in documents]})
+        return
+    rows = [(d["rig"], d["parameter"], _newest(d), _sparkline(d), d["words"]) for d in documents]
+    if form == "csv":
+        print_csv(("rig", "parameter", "words"), [{"rig": r[0], "parameter": r[1], "words": r[4]} for r in rows])
+    else:
+        print_table("", ("rig", "parameter", "newest", "history", "trend"), rows)
 
 
-def _drift(found: Document) -> str:
-    """Write the drift in a unit of time that suits the span."""
-    seconds, word = _time_unit(found)
-    slope, sd, lower, upper = (found[f"slope_{k}"] * seconds / 86_400 for k in ("per_day", "sd", "lower", "upper"))
-    change = f"{with_sd(slope, sd)} {_unit(found)}".rstrip()
-    return f"drift {change} per {word} (95 %: {interval(lower, upper)})"
+def _share(found: Document) -> tuple[bool, float]:
+    """Return what trends are ordered by: whether there is one, and the share of the value that changes in a day."""
+    slope, value = found["slope_per_day"], found["value"]
+    return bool(found["trend"]), abs(slope / value) if slope is not None and value else 0.0
 
 
-def _time_unit(found: Document) -> tuple[int, str]:
-    """Return seconds and name of the unit of time in which people read the span of the rows."""
-    span_s = (found["points"][-1][0] - found["points"][0][0]) / 1e9
-    return (1, "second") if span_s < 600 else (3600, "hour") if span_s < 172_800 else (86_400, "day")
+def _newest(found: Document) -> str:
+    if not found["n"]:
+        return "no valid rows"
+    _, value, sd = found["points"][-1]
+    return f"{with_sd(value, sd)} {unit_of(found)}".rstrip()
 
 
-def _draw(found: Document, path: Path) -> None:
-    """Draw points, line and limit. Raises UsageError where matplotlib or the place for the file is missing."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    axes = figure.add_subplot(ylabel=found["unit"] or "")
-    axes.set_title(f"{found['parameter']} of {found['rig']}", loc="left")
-    axes.spines[["top", "right"]].set_visible(False)
-    if found["n"]:
-        _draw_points(axes, found)
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        advice = "name a .png, .svg or .pdf in a folder there is"
-        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
-
-
-def _draw_points(axes: Any, found: Document) -> None:
-    """Draw every row with its 95 % interval; the line only where there is a trend."""
-    t_ns, value, sd = zip(*found["points"], strict=True)
-    seconds, word = _time_unit(found)
-    t = (np.array(t_ns) - t_ns[-1]) / (seconds * 1e9)
-    axes.set_xlabel(f"{word}s before {short_time(found['until'])}")
-    axes.errorbar(t, value, yerr=1.96 * np.array(sd), fmt=".", ms=4, lw=0.8, color="tab:blue", label="estimate, 95 %")
-    if found["trend"]:
-        line = found["value"] + found["slope_per_day"] * t * seconds * 1e9 / DAY_NS
-        axes.plot(t, line, color="tab:red", label="trend")
-    if found["limit"] is not None:
-        axes.axhline(found["limit"], color="black", ls="--", lw=1, label="limit")
-    axes.legend(frameon=False)
+def _sparkline(found: Document) -> str:
+    """Return the history in sixteen bars, lowest to highest."""
+    values = np.array([value for _, value, _ in found["points"]])
+    if not len(values):
+        return ""
+    means = np.array([part.mean() for part in np.array_split(values, min(16, len(values)))])
+    spread = float(np.ptp(means)) or 1.0
+    return "".join(_BARS[int(level)] for level in np.rint((means - means.min()) / spread * (len(_BARS) - 1)))

@@ -5,6 +5,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -86,7 +87,7 @@ def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
 def trend(path: Path, since: str) -> dict[str, object]:
     """Return what `deltak trend --json` prints."""
     found = queries.points(path, None, "k1", since=since)
-    return commands_trend._document(found, commands_trend._window_s(path, "k1"), None)
+    return commands_trend._document(found, commands_trend.window_s(path, "k1"), None)
 
 
 def flat_copy(path: Path) -> Path:
@@ -162,3 +163,28 @@ def test_bytes_written_to_disk_in_a_day_at_defaults(tmp_path: Path) -> None:
     daily = (sum(written) - 3 * 2**20) / seconds * DAY / 1e9
     say(f"bytes written at defaults: {daily:.2f} GB a day (at most 0.5)")
     assert daily <= 0.5
+
+
+@pytest.mark.bench
+@pytest.mark.timeout(600)
+def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
+    """Beside the same in pandas and statsmodels: a local linear trend fitted to the year's daily means."""
+    from statsmodels.tsa.statespace.structural import UnobservedComponents
+
+    from agent.cli.fleet import fleet
+
+    path = tmp_path / "rig.db"
+    year(path)
+    found = queries.points(path, None, "k1")
+    window = commands_trend.window_s(path, "k1")
+    asked = best_ms(lambda: commands_trend._document(found, window, None))
+    ahead = best_ms(lambda: commands_trend._document(found, window, 20.0))
+    many = best_ms(lambda: fleet([path], "90d", None, 20.0), 2)
+    daily = found.value[:: len(found.value) // 365]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # whether the rival converges is its own affair
+        rival = best_ms(lambda: UnobservedComponents(daily, "local linear trend").fit(disp=False), 1)
+    say(f"rig-year: trend {asked:.0f} ms (at most 100), with forecast {ahead:.0f} ms (at most 1000), fleet of its four "
+        f"parameters {many:.0f} ms; statsmodels' local linear trend of 365 means {rival:.0f} ms")  # fmt: skip
+    assert asked <= 100
+    assert ahead <= 1000

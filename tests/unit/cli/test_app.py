@@ -137,7 +137,7 @@ def test_no_command_prints_the_help_on_stderr_and_exits_2(deltak: Run) -> None:
     [
         (["dmo"], "command line", "'demo'"),
         (["--nonsense"], "command line", "--nonsense"),
-        (["trend", "a.db"], "trend", "PARAMETER"),
+        (["trend"], "trend", "DB|TABLE"),
         (["estimates"], "estimates", "DB"),
         (["estimates", "a.db", "--sinse", "1d"], "estimates", "--since"),
         (["run", "a.toml", "--duration", "soon"], "run", "--duration"),

@@ -1,0 +1,115 @@
+"""`deltak fleet`: the parts of many machines in one table, the most urgent first; and what like machines teach."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.cli.histories import forecast_document, history_of, horizon_days, like_machines, window_s, write_prior
+from agent.cli.output import print_table, show
+from agent.cli.trend_words import ahead
+from agent.errors import UsageError
+from agent.prognosis.change import Change, change
+from agent.prognosis.steps import find_steps, without
+from agent.storage.read import queries
+from agent.text import number, short_time
+
+Document = Mapping[str, Any]
+_YEAR = 365.25
+
+
+def fleet(files: Sequence[Path], within: str, parameter: str | None, limit_percent: float) -> dict[str, Any]:
+    """Return a row for each rig and parameter of databases. Raises StoreError; UsageError for no file."""
+    horizon = horizon_days(within)
+    rows = [row for path in databases(files) for row in _rows(path, parameter, horizon, limit_percent)]
+    rows.sort(key=lambda row: (-(row["chance"] or 0.0), -abs(row["slope_percent_per_year"] or 0.0)))
+    return {"rows": rows, "within_s": horizon * 86_400.0 if horizon is not None else None}
+
+
+def databases(files: Sequence[Path]) -> list[Path]:
+    """Return the databases meant, those of a folder in the alphabet's order. Raises UsageError where there is none."""
+    found: list[Path] = []
+    for path in files:
+        found += sorted(path.glob("*.db")) if path.is_dir() else [path]
+    if not found:
+        raise UsageError.at("DB", f"no .db file in {', '.join(map(str, files))}", "name databases, or folders of them")
+    return found
+
+
+def _rows(path: Path, parameter: str | None, horizon: float | None, limit_percent: float) -> list[dict[str, Any]]:
+    limits = {(a["rig"], a["parameter"]): a["limit_value"] for a in queries.alarms(path) if a["kind"] == "level"}
+    windows: dict[str, float] = {}
+    found = []
+    for rig in queries.rigs(path):
+        for name in queries.parameters(path, rig):
+            if parameter in {None, name}:
+                windows.setdefault(name, window_s(path, name))
+                points = queries.points(path, rig, name)
+                found.append(_row(points, windows[name], limits.get((rig, name)), horizon, limit_percent))
+    return found
+
+
+def _row(
+    points: queries.Points, window: float, alarm_limit: float | None, horizon: float | None, limit_percent: float
+) -> dict[str, Any]:
+    """Return what is said of one parameter of one rig; a forecast only where there is a trend."""
+    history = history_of(points, window)
+    asked = change(without(history, find_steps(history)))
+    reference = points.reference if points.reference is not None else _first(points)
+    limit = None if asked is None or reference is None else _limit(asked, reference, alarm_limit, limit_percent)
+    moving = asked is not None and asked.trend
+    newest = int(points.t_ns[-1]) if len(points.t_ns) else 0
+    found = forecast_document(history, newest, limit, horizon, None) if moving else None
+    share = None if asked is None or not reference else 100.0 * _YEAR * asked.newest / abs(reference)
+    return {
+        "rig": points.rig,
+        "parameter": points.parameter,
+        "slope_percent_per_year": share if moving else None,
+        "trend": moving,
+        "limit": limit,
+        "status": "no trend" if found is None else found["status"],
+        "p50_s": None if found is None else found["p50_s"],
+        "p50_at": None if found is None else found["p50_at"],
+        "chance": None if found is None else found["chance"],
+        "record": {"made": 0, "held": 0, "crps": None},
+    }
+
+
+def _first(points: queries.Points) -> float | None:
+    return float(points.value[0]) if len(points.value) else None
+
+
+def _limit(asked: Change, reference: float, alarm_limit: float | None, limit_percent: float) -> float:
+    """Return the limit on the side that the parameter moves to."""
+    way = alarm_limit if alarm_limit is not None else abs(reference) * limit_percent / 100.0
+    return reference + (way if asked.newest > 0.0 else -way)
+
+
+def print_fleet(found: Document) -> None:
+    """Print the table for people."""
+    rows = [
+        (
+            row["rig"], row["parameter"], number(row["slope_percent_per_year"], 3), number(row["limit"], 4),
+            row["status"] if row["p50_s"] is None else f"in {ahead(row['p50_s'])}", short_time(row["p50_at"]),
+            "-" if row["chance"] is None else f"{100.0 * row['chance']:.0f} %",
+        )
+        for row in found["rows"]
+    ]  # fmt: skip
+    titles = ("rig", "parameter", "% a year", "limit", "reached", "P50", "chance")
+    print_table(f"chance within {ahead(found['within_s'])}", titles, rows, right=("% a year", "limit", "chance"))
+
+
+def learn_prior(files: Sequence[Path], parameter: str | None, limit: float | None, to: Path | None) -> dict[str, Any]:
+    """Learn a prior of like machines' histories and write it. Raises UsageError where they teach nothing."""
+    if to is None:
+        raise UsageError.at("--to", "is needed with learn", "name the file to write the prior to")
+    paths = [path for file in files for path in (databases([file]) if file.is_dir() else [file])]
+    learnt = like_machines(paths, parameter, limit)
+    if learnt is None:
+        raise UsageError.at("DB", "learn names no file", "name databases or tables of like machines")
+    write_prior(learnt, to)
+    return {"prior": str(to), "histories": learnt.n, "of": {name: list(cells) for name, cells in learnt.of.items()}}
+
+
+def print_learnt(found: Document) -> None:
+    """Print what was learnt of how many."""
+    show(f"{found['prior']}: learnt of {found['histories']} histories; use it by deltak trend --like {found['prior']}")

@@ -1,0 +1,58 @@
+"""The picture of a trend: history, line or curve, steps, limit and forecast."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.cli.trend_words import time_unit
+from agent.errors import UsageError
+from agent.text import short_time
+
+Document = Mapping[str, Any]
+
+
+def draw(found: Document, path: Path) -> None:
+    """Draw a trend. Raises UsageError where matplotlib or the place for the file is missing."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    axes = figure.add_subplot(ylabel=found["unit"] or "")
+    axes.set_title(f"{found['parameter']} of {found['rig']}", loc="left")
+    axes.spines[["top", "right"]].set_visible(False)
+    if found["n"]:
+        _draw_points(axes, found)
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        advice = "name a .png, .svg or .pdf in a folder there is"
+        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
+
+
+def _draw_points(axes: Any, found: Document) -> None:
+    """Draw every row with its 95 % interval; the line only where there is a trend."""
+    t_ns, value, sd = zip(*found["points"], strict=True)
+    seconds, word = time_unit(found["span_s"])
+    t = (np.array(t_ns) - t_ns[-1]) / (seconds * 1e9)
+    axes.set_xlabel(f"{word}s from {short_time(found['until'])}")
+    axes.errorbar(t, value, yerr=1.96 * np.array(sd), fmt=".", ms=4, lw=0.8, color="tab:blue", label="estimate, 95 %")
+    if found["trend"]:
+        axes.plot(t, found["value"] + found["slope_per_day"] * t * seconds / 86_400, color="tab:red", label="trend")
+    for change in found["changes"]:
+        axes.axvline((change["t_ns"] - t_ns[-1]) / (seconds * 1e9), color="tab:gray", ls=":", label="step")
+    if found["limit"] is not None:
+        axes.axhline(found["limit"], color="black", ls="--", lw=1, label="limit")
+    if found["forecast"] is not None and found["forecast"]["p50_s"] is not None:
+        _draw_forecast(axes, found, value[-1], seconds)
+    axes.legend(frameon=False)
+
+
+def _draw_forecast(axes: Any, found: Document, newest: float, seconds: int) -> None:
+    """Draw the fan from the newest row to the limit at P10, P50 and P90."""
+    p10, p50, p90 = (found["forecast"][f"{name}_s"] / seconds for name in ("p10", "p50", "p90"))
+    limit = found["limit"]
+    axes.fill([0.0, p10, p90], [newest, limit, limit], color="tab:orange", alpha=0.25, lw=0, label="forecast, 80 %")
+    axes.plot([0.0, p50], [newest, limit], color="tab:orange", lw=1)

@@ -1,0 +1,208 @@
+"""Whether a parameter changes, asked apart from the shape of the change: level, slope and curvature of block means.
+
+    y = X β + e,   Cov e = diag(sd²) + s² R(τ) + a² S,   R = exp(−|Δt|/τ), at τ → ∞ a random walk;   S: a yearly season
+
+The variances are not known: each (s, τ, a) of a grid is weighed by its restricted likelihood (REML, Patterson &
+Thompson 1971), and every answer is the mixture over the grid. So an interval is wide where a random walk cannot be told
+from scatter, and narrow where it can.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.prognosis.history import History, blocks, sound
+from agent.types import FloatArray
+
+BLOCKS = 32
+"""Means that the change is asked of."""
+ASKED = 0.01
+"""Of each of the two questions, so that a history without a trend says "trend" less than once in twenty."""
+FEWEST = 6
+"""Rows below which nothing is said."""
+YEAR = 365.25
+SEASONAL = 0.7
+"""Years of history from which on a yearly season is thought of."""
+SHARES = (0.6, 0.06, 0.04, 0.02, 0.15, 0.09, 0.04)
+"""How probable each shape is beforehand: white, three of exp(−|Δt|/τ), a random walk, white beside two walks."""
+SIZES = np.geomspace(0.02, 8.0, 13)
+"""Standard deviations, in those of the differences of neighbours."""
+LEAST = 0.01
+"""Least sd of a reading, in the same: one without a stated sd is not exact."""
+STRENGTHS = (None, 0.3, 1.0, 3.0)
+"""Of a yearly season, in standard deviations of the readings; None without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Level, slope and curvature at the newest row, and whether anything changes.
+
+    Attributes:
+        level, level_sd: at the newest row.
+        slope, slope_sd, slope_lower, slope_upper: of the line through the whole span, and its 95 % interval.
+        newest, newest_sd: slope of the newest half.
+        curvature, curvature_sd: second derivative.
+        p_whole, p_half: how probable as much change is without any, over the whole span and over its newest half.
+        trend: whether either is below ASKED.
+    """
+
+    level: float
+    level_sd: float
+    slope: float
+    slope_sd: float
+    slope_lower: float
+    slope_upper: float
+    newest: float
+    newest_sd: float
+    curvature: float
+    curvature_sd: float
+    p_whole: float
+    p_half: float
+
+    @property
+    def trend(self) -> bool:
+        return min(self.p_whole, self.p_half) < ASKED
+
+
+@dataclass(frozen=True, slots=True)
+class _Mixture:
+    """Means (K, d), covariances (K, d, d) and weights (K,) of β over the grid of variances."""
+
+    mean: FloatArray
+    cov: FloatArray
+    weight: FloatArray
+
+    def moments(self, row: FloatArray) -> tuple[float, float]:
+        """Return mean and sd of a linear function of β."""
+        mean = self.mean @ row
+        variance = np.einsum("kij,i,j->k", self.cov, row, row)
+        centre = float(self.weight @ mean)
+        return centre, float(np.sqrt(self.weight @ (variance + (mean - centre) ** 2)))
+
+    def interval(self, row: FloatArray, share: float) -> tuple[float, float]:
+        """Return the equal-tailed interval of a linear function of β."""
+        from scipy.special import ndtr
+
+        counts = self.weight > 1e-6
+        mean = self.mean[counts] @ row
+        sd = np.sqrt(np.einsum("kij,i,j->k", self.cov[counts], row, row))
+        centre, spread = self.moments(row)
+        ends = []
+        for tail in (0.5 * (1.0 - share), 0.5 * (1.0 + share)):
+            low, high = centre - 40.0 * spread, centre + 40.0 * spread
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                below = float(self.weight[counts] @ ndtr((middle - mean) / sd)) < tail
+                low, high = (middle, high) if below else (low, middle)
+            ends.append(middle)
+        return ends[0], ends[1]
+
+    def improbable(self, columns: list[int]) -> float:
+        """Return how probable coefficients as far from zero are where they are zero (Wald), over the mixture."""
+        from scipy.special import chdtrc
+
+        mean = self.mean[:, columns]
+        cov = self.cov[:, columns][:, :, columns]
+        square = np.einsum("ki,ki->k", mean, np.linalg.solve(cov, mean[..., None])[..., 0])
+        return float(self.weight @ chdtrc(len(columns), square))
+
+
+def change(history: History, most: int = BLOCKS) -> Change | None:
+    """Return the change of a history whose t is in days; None where it has fewer than six rows or no span."""
+    thin = blocks(sound(history), most)
+    if len(thin) < FEWEST or thin.span <= 0.0:
+        return None
+    t = (thin.t - thin.t[-1]) / thin.span
+    size = max(float(np.ptp(thin.value)), float(thin.sd.max()), 1e-300)
+    y = (thin.value - thin.value[-1]) / size
+    rough = 1.4826 * float(np.median(np.abs(np.diff(y)))) + 1e-6
+    sd = np.maximum(thin.sd / size, LEAST * rough)
+    scatter = _Scatter.of(t, y, sd, rough, thin.span)
+    one, late = np.ones_like(t), (t >= -0.5).astype(np.float64)
+    whole = _reml(np.column_stack([one, t]), y, scatter)
+    bent = _reml(np.column_stack([one, t, 0.5 * t * t]), y, scatter)
+    half = _reml(np.column_stack([1.0 - late, (1.0 - late) * t, late, late * t]), y, scatter)
+    return _answer(whole, bent, half, float(thin.value[-1]), size, thin.span)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scatter:
+    """What the readings may scatter by: shapes of correlation, each turned to its own axes, and a season.
+
+    Attributes:
+        roots: turns readings over sd to the axes of each shape, (m, m) each; eigenvalues: (m,) of each.
+        log_prior: of each shape.
+        sizes: (s,) standard deviations.
+        season: (m, 2) cosine and sine of the year, or (m, 0).
+    """
+
+    roots: list[FloatArray]
+    eigenvalues: list[FloatArray]
+    log_prior: FloatArray
+    sizes: FloatArray
+    season: FloatArray
+
+    @classmethod
+    def of(cls, t: FloatArray, y: FloatArray, sd: FloatArray, rough: float, span: float) -> "_Scatter":
+        step = float(np.median(np.diff(t)))
+        apart = np.abs(t[:, None] - t[None, :]) / step
+        white, walk = np.eye(len(t)), (1.0 + np.minimum(t[:, None], t[None, :])) / step - np.eye(len(t)) / 6.0
+        shapes = [white, *(np.exp(-apart / k) for k in (1.0, 2.5, 6.0)), walk, white + 0.1 * walk, white + 0.01 * walk]
+        turned = [np.linalg.eigh(R / np.outer(sd, sd)) for R in shapes]
+        phase = 2.0 * np.pi * t * span / YEAR
+        season = np.column_stack([np.cos(phase), np.sin(phase)]) if span > SEASONAL * YEAR else np.zeros((len(t), 0))
+        return cls(
+            [(V / sd[:, None]).T for _, V in turned],
+            [np.maximum(values, 0.0) for values, _ in turned],
+            np.log(SHARES),
+            rough * SIZES,
+            season * float(np.std(y)),
+        )
+
+
+def _reml(X: FloatArray, y: FloatArray, scatter: _Scatter) -> _Mixture:
+    """Return β for each shape, size and strength of a season, weighed by its restricted likelihood."""
+    p, seasonal = X.shape[1], scatter.season.shape[1]
+    columns = np.column_stack([X, scatter.season, y])
+    gram, log_det = [], []
+    for root, values in zip(scatter.roots, scatter.eigenvalues, strict=True):
+        turned = root @ columns
+        spread = 1.0 + np.multiply.outer(scatter.sizes**2, values)
+        gram.append(np.einsum("ki,ia,ib->kab", 1.0 / spread, turned, turned))
+        log_det.append(np.log(spread).sum(axis=1))
+    prior = np.repeat(scatter.log_prior, len(scatter.sizes)) - 0.5 * np.concatenate(log_det)
+    found = [_weighed(np.concatenate(gram), p, a) for a in (STRENGTHS if seasonal else (None,))]
+    log_weight = np.concatenate([prior + more for *_, more in found])
+    weight = np.exp(log_weight - log_weight.max())
+    return _Mixture(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]), weight / weight.sum())
+
+
+def _weighed(gram: FloatArray, p: int, strength: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return means, covariances of the p coefficients and log restricted likelihoods; strength: of the season."""
+    last = gram.shape[1] - 1
+    free = np.arange(p if strength is None else last)
+    A = gram[np.ix_(np.arange(len(gram)), free, free)]
+    b = gram[:, free, last]
+    precision = np.zeros(len(free))
+    if strength is not None:
+        precision[p:] = 1.0 / strength**2
+    cov = np.linalg.inv(A + np.diag(precision))
+    beta = np.einsum("kij,kj->ki", cov, b)
+    square = gram[:, last, last] - np.einsum("ki,ki->k", b, beta)
+    _, log_det = np.linalg.slogdet(cov)
+    log_weight = 0.5 * (log_det - square + np.log(precision[p:]).sum())
+    return beta[:, :p], cov[:, :p, :p], log_weight - (0.0 if strength is None else np.log(6.0))
+
+
+def _answer(whole: _Mixture, bent: _Mixture, half: _Mixture, origin: float, size: float, span: float) -> Change:
+    level, level_sd = whole.moments(np.array([1.0, 0.0]))
+    slope, slope_sd = whole.moments(np.array([0.0, 1.0]))
+    lower, upper = whole.interval(np.array([0.0, 1.0]), 0.95)
+    curvature, curvature_sd = bent.moments(np.array([0.0, 0.0, 1.0]))
+    newest, newest_sd = half.moments(np.array([0.0, 0.0, 0.0, 1.0]))
+    per = size / span
+    return Change(
+        origin + size * level, size * level_sd, per * slope, per * slope_sd, per * lower, per * upper,
+        per * newest, per * newest_sd, per / span * curvature, per / span * curvature_sd,
+        bent.improbable([1, 2]), half.improbable([3]),
+    )  # fmt: skip

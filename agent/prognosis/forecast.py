@@ -1,0 +1,171 @@
+"""When a parameter first reaches a limit, and how sure that is: P10, P50 and P90 over a family of laws.
+
+The band holds what the estimates' sd leaves open, what a history leaves open of each law's parameters, and which law it
+is. It is of the first passage of the parameter itself, not of the crossing of a mean line.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from agent.prognosis.change import FEWEST, change
+from agent.prognosis.family import MEMBERS, Scale, scale_of
+from agent.prognosis.history import History, blocks, smoothed, sound
+from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
+from agent.prognosis.passage import FARTHEST, first_passages
+from agent.prognosis.posterior import Particles, Readings, posterior
+from agent.prognosis.prior import Prior, Student
+from agent.prognosis.steps import find_steps, without
+from agent.types import FloatArray
+
+BLOCKS = 160
+"""Means that a history is thinned to."""
+SPANS = 3.0
+"""P90 − P10 in spans of the history from which on a history is too short to say."""
+RATIO = 4.0
+"""And P90 : P10, so that what is near is not called unknown."""
+SEED = 15
+
+Status = Literal["ok", "no trend", "too short", "beyond", "crossed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """A forecast, in the unit of time of the history, counted from its newest row.
+
+    Attributes:
+        status: "ok"; else why there are no quantiles. Only "ok" and, where they exist, "beyond" have them.
+        p10, p50, p90: quantiles of the first passage.
+        horizon: what `chance` is of; chance: of the first passage before it, None where nothing can be said.
+        family: members and their weights. passages: sorted draws of the first passage, inf for none.
+    """
+
+    status: Status
+    p10: float | None = None
+    p50: float | None = None
+    p90: float | None = None
+    horizon: float = 0.0
+    chance: float | None = None
+    family: dict[str, float] = field(default_factory=dict)
+    passages: FloatArray = field(default_factory=lambda: np.empty(0))
+
+
+def forecast(history: History, limit: float, horizon: float | None = None, like: Learnt | None = None) -> Forecast:
+    """Forecast the first passage of a limit.
+
+    history: rows until now, t in days. horizon: days ahead that the chance is of; None for as long again as the history
+    is. like: what was learnt of like machines. Nothing but the arguments enters: later rows cannot.
+    """
+    horizon = history.span if horizon is None else horizon
+    history = without(history, find_steps(history))
+    thin = blocks(sound(history), BLOCKS)
+    if len(thin) < FEWEST or thin.span <= 0.0:
+        return Forecast("too short", horizon=horizon)
+    readings, scale = readings_of(thin, limit)
+    if scale.limit == 0.0 or _past_limit(readings, scale):
+        return Forecast("crossed", horizon=horizon, chance=1.0)
+    rng = np.random.default_rng(SEED)
+    prior = plain_prior(readings)
+    newest = float(readings.smooth[-1])
+    if like is not None:
+        prior = as_prior(like, prior, scale, thin.span, newest)
+        readings = replace(readings, way=like.way)
+    found = posterior(readings, scale, prior, rng)
+    passages = np.sort(first_passages(found, scale, newest, prior.later, rng)) * thin.span
+    return _stated(passages, horizon, thin.span, _weights(found), steady=_steady(history))
+
+
+def _steady(history: History) -> bool:
+    found = change(history)
+    return found is None or not found.trend
+
+
+def _past_limit(readings: Readings, scale: Scale) -> bool:
+    """Tell whether the newest means lie on the limit's other side."""
+    newest = float(np.mean(readings.smooth[-3:]))
+    return (scale.limit - newest) * scale.limit <= 0.0 and (scale.limit - float(readings.z[-1])) * scale.limit <= 0.0
+
+
+def _weights(found: list[Particles]) -> dict[str, float]:
+    evidence = np.array([p.log_evidence for p in found])
+    weight = np.exp(evidence - evidence.max())
+    return dict(zip((p.member for p in found), (weight / weight.sum()).tolist(), strict=True))
+
+
+def _stated(passages: FloatArray, horizon: float, span: float, family: dict[str, float], *, steady: bool) -> Forecast:
+    """Return what draws of the first passage allow to be said."""
+    p10, p50, p90 = (float(passages[int(q * len(passages))]) for q in (0.1, 0.5, 0.9))
+    chance = float(np.mean(passages <= min(horizon, FARTHEST * span)))
+    wide = p90 - p10 > SPANS * span and p90 > RATIO * p10
+    if p50 == 0.0:
+        return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
+    if np.isinf(p10):
+        status: Status = "no trend" if steady else "beyond"
+    elif wide or np.isinf(p90):
+        status = "no trend" if steady else "too short"
+    else:
+        far = p50 > horizon > span
+        return Forecast("beyond" if far else "ok", p10, p50, p90, horizon, chance, family, passages)
+    return Forecast(status, None, None, None, horizon, chance, family, passages)
+
+
+def readings_of(thin: History, limit: float) -> tuple[Readings, Scale]:
+    """Return a thinned history in the scale of the laws that lead to a limit."""
+    smooth = smoothed(thin)
+    scale = scale_of(smooth, limit)
+    z, level = scale.scaled(thin.value), scale.scaled(smooth)
+    breadth = 3.0 * max(float(np.ptp(level)), 1e-9)
+    usual = max(abs(float(level[-1] - level[0])), float(np.ptp(level)) / 3.0, 1e-12)
+    t = (thin.t - thin.t[-1]) / thin.span
+    return Readings(t, z, thin.sd / scale.size, level, breadth, usual, float(np.sign(scale.limit))), scale
+
+
+def plain_prior(readings: Readings) -> Prior:
+    """Return what is believed without like machines: sizes from the history's own scatter, shapes as machines have."""
+    second = np.diff(readings.z, 2)
+    scatter = max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0), 1e-6 * max(float(np.ptp(readings.z)), 1e-9))
+    of = {
+        "walk": Student(float(np.log(0.3 * scatter * np.sqrt(len(readings.z)))), 1.5),
+        "wander": Student(float(np.log(0.05)), 0.9, 30.0),
+        "scatter": Student(float(np.log(0.5 * scatter)), 1.2),
+        "bend": Student(1.4, 1.0, 5.0),
+        "onset": Student(0.0, 1.5),
+        "run_in": Student(-1.0, 1.0),
+        "saturation": Student(0.0, 1.0),
+        "ramp": Student(1.0, 1.2),
+    }
+    members = dict(zip(MEMBERS, (0.15, 0.35, 0.15, 0.1, 0.15, 0.1), strict=True))
+    return Prior(of, members, later=Student(0.8, 1.4))
+
+
+def learn_from(histories: Sequence[History], limit: float | None = None) -> Learnt:
+    """Learn the prior that like machines' histories lead to, each up to its own first passage of a limit.
+
+    Raises ValueError where none of them is long enough or moves.
+    """
+    specimens = [found for history in histories if (found := _specimen(history, limit)) is not None]
+    if not specimens:
+        raise ValueError("none of the histories of like machines has six rows that move")
+    return learn(specimens)
+
+
+def _specimen(history: History, limit: float | None) -> Specimen | None:
+    thin = blocks(sound(_life(history, limit)), BLOCKS)
+    if len(thin) < FEWEST or thin.span <= 0.0 or float(np.ptp(thin.value)) == 0.0:
+        return None
+    end = float(smoothed(thin)[-1]) if limit is None else limit
+    readings, scale = readings_of(thin, end)
+    moves = scale.limit != 0.0 and scale.relative
+    return specimen(thin.t, readings.smooth, scale) if moves else None
+
+
+def _life(history: History, limit: float | None) -> History:
+    """Return the rows up to the first that reaches the limit, which may be on either side of the first rows."""
+    if limit is None or not len(history):
+        return history
+    way = limit - float(np.median(history.value[:5]))
+    beyond = np.flatnonzero((history.value - limit) * np.sign(way) >= 0.0)
+    held = [row for row in beyond[:50].tolist() if row >= 5]
+    return history if not held else history[: held[0] + 1]

@@ -1,0 +1,88 @@
+"""When a level first reaches its limit: paths simulated onward from a posterior."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from agent.prognosis.family import Scale, bent, onward
+from agent.prognosis.posterior import Particles
+from agent.prognosis.prior import Student
+from agent.types import FloatArray
+
+PATHS = 4000
+STEPS = 120
+FARTHEST = 20.0
+"""How many spans of the history ahead paths are followed."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Course:
+    """How rates go on in time by themselves: r of a ramp, 0 for none; τ of a saturation, inf for none."""
+
+    ramp: FloatArray
+    constant: FloatArray
+
+    def at(self, t: float) -> FloatArray:
+        """Return the rate over the rate at the start, at t spans from now."""
+        return (1.0 + self.ramp * (t + 1.0)) * np.exp(-(t + 1.0) / self.constant)
+
+
+def first_passages(
+    found: list[Particles], scale: Scale, newest: float, later: Student, rng: np.random.Generator
+) -> FloatArray:
+    """Return (PATHS,) times to the first passage, in spans of the history; inf where a path never gets there.
+
+    Each path starts from a particle, drawn by its weight, with level and rate drawn from its Gaussian. newest: scaled
+    level up to which the history shows the law; later: how much κ differs beyond.
+    """
+    evidence = np.array([p.log_evidence for p in found])
+    share = np.exp(evidence - evidence.max())
+    share /= share.sum()
+    counts = np.floor(share * PATHS + 1e-9).astype(int)
+    counts[int(np.argmax(share))] += PATHS - counts.sum()
+    drawn = zip(found, counts.tolist(), strict=True)
+    return np.concatenate([_paths(member, scale, newest, later, n, rng) for member, n in drawn if n])
+
+
+def _paths(
+    found: Particles, scale: Scale, newest: float, later: Student, n: int, rng: np.random.Generator
+) -> FloatArray:
+    weight = np.exp(found.log_weight)
+    steps = (rng.uniform() + np.arange(n)) / n
+    index = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), steps), len(weight) - 1)
+    index = index[rng.permutation(n)]
+    s = found.state
+    bend = found.column("bend", 0.0)[index]
+    fixed = "bend" not in found.names
+    beyond = bend if fixed else bend + later.draw(rng, n)
+    limit = bent(np.array(newest), bend, scale)[0] + onward(newest, bend, beyond, scale)
+    normal = rng.standard_normal((2, n))
+    root = np.sqrt(np.maximum(s.bb[index], 0.0))
+    b = s.b[index] + root * normal[0]
+    lean = np.divide(s.ub[index], s.bb[index], out=np.zeros(n), where=s.bb[index] > 0)
+    rest = np.maximum(s.uu[index] - lean * s.ub[index], 0.0)
+    u = s.u[index] + lean * (b - s.b[index]) + np.sqrt(rest) * normal[1]
+    course = _Course(np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]))
+    q, w = np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index])
+    return _simulated(np.sign(scale.limit) * (limit - u), np.sign(scale.limit) * b, q, w, course, rng)
+
+
+def _simulated(
+    gap: FloatArray, b: FloatArray, q: FloatArray, w: FloatArray, course: _Course, rng: np.random.Generator
+) -> FloatArray:
+    """Follow paths until their gap to the limit is closed, with Brownian bridges between the steps."""
+    edges = np.r_[0.0, np.geomspace(1e-4, FARTHEST, STEPS)]
+    reached = np.where(gap <= 0.0, 0.0, np.inf)
+    for begin, end in pairwise(edges.tolist()):
+        dt = end - begin
+        step = b * course.at(0.5 * (begin + end)) * dt + q * np.sqrt(dt) * rng.standard_normal(len(gap))
+        b = b * np.exp(np.minimum(w * np.sqrt(dt) * rng.standard_normal(len(gap)), 3.0))
+        after = gap - step
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            touched = rng.uniform(size=len(gap)) < np.exp(-2.0 * gap * np.maximum(after, 0.0) / (q * q * dt))
+            fraction = np.where(after <= 0.0, gap / np.maximum(gap - after, 1e-300), 0.5)
+        hit = np.isinf(reached) & ((after <= 0.0) | touched)
+        reached = np.where(hit, begin + np.clip(fraction, 0.0, 1.0) * dt, reached)
+        gap = np.maximum(after, 1e-12)
+    return reached

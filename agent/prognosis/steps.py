@@ -1,0 +1,67 @@
+"""Steps of a parameter: where the level left its own noise at one instant, and stayed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.prognosis.history import History, blocks, sound
+from agent.types import FloatArray
+
+BLOCKS = 200
+ASIDE = 3
+"""Means on each side of an instant that are held against each other."""
+APART = 7.0
+"""Standard deviations of that difference, as it scatters over the whole history, from which on it is a step."""
+MOST = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step: when the first row after it was taken, how large it is and how sure that is."""
+
+    t: float
+    size: float
+    sd: float
+
+
+def find_steps(history: History) -> list[Step]:
+    """Return steps in order of time, the MOST largest.
+
+    The difference of the means on both sides is held against its own robust scatter over the history: a random walk or
+    a drift has such differences everywhere, a step has one. What is no less on either side of it is a fast change.
+    """
+    thin = blocks(sound(history), BLOCKS)
+    if len(thin) < 6 * ASIDE:
+        return []
+    found: list[Step] = []
+    for _ in range(MOST):
+        step = _largest(thin)
+        if step is None:
+            break
+        found.append(step)
+        thin = without(thin, [step])
+    return sorted(found, key=lambda step: step.t)
+
+
+def without(history: History, steps: list[Step]) -> History:
+    """Return the history as it were had its level always been where it is since the newest step."""
+    value = history.value.copy()
+    for step in steps:
+        value[history.t < step.t] += step.size
+    return History(history.t, value, history.sd)
+
+
+def _largest(thin: History) -> Step | None:
+    sums = np.cumsum(np.r_[0.0, thin.value])
+    mean: FloatArray = (sums[ASIDE:] - sums[:-ASIDE]) / ASIDE
+    apart = mean[ASIDE:] - mean[:-ASIDE]
+    middle = float(np.median(apart))
+    stated = float(np.median(thin.sd)) * float(np.sqrt(2.0 / ASIDE))
+    sd = max(1.4826 * float(np.median(np.abs(apart - middle))), stated, 1e-300)
+    k = int(np.argmax(np.abs(apart - middle)))
+    size = float(apart[k])
+    inside = ASIDE <= k < len(apart) - ASIDE
+    if not inside or abs(size - middle) < APART * sd:
+        return None
+    beside = max(abs(apart[k - ASIDE] - middle), abs(apart[k + ASIDE] - middle))
+    return None if beside > 0.5 * abs(size - middle) else Step(float(thin.t[k + ASIDE]), size - middle, sd)

@@ -1,0 +1,109 @@
+"""Histories from elsewhere: a CSV or Parquet table of time, value and, where there is one, sd."""
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.errors import UsageError
+from agent.storage.read.queries import Points
+from agent.storage.read.times import age_ns, parse_time
+
+ENDINGS = frozenset({".csv", ".parquet", ".pq"})
+_TIMES = ("time", "t", "t_ns")
+_ADVICE = "a history has the columns time (ISO 8601, or seconds), value and, where there is one, sd"
+
+
+def is_table(path: Path) -> bool:
+    """Tell whether a file is a table by its name's end."""
+    return path.suffix.lower() in ENDINGS
+
+
+def table_points(path: Path, since: str | None = None, until: str | None = None) -> tuple[Points, int]:
+    """Return the history in a table in order of time, and how many rows stood before an earlier one.
+
+    Rows without a number are left out. Raises UsageError for a file that cannot be read or is no history.
+    """
+    columns = _columns(path)
+    clock = next((name for name in _TIMES if name in columns), None)
+    if clock is None or "value" not in columns:
+        raise UsageError.at(str(path), f"has the columns {', '.join(columns) or 'none'}", _ADVICE)
+    t_ns = np.array([_instant(path, row, cell, clock) for row, cell in enumerate(columns[clock], 2)], dtype=np.int64)
+    value = _numbers(path, "value", columns["value"])
+    sd = _numbers(path, "sd", columns["sd"]) if "sd" in columns else np.zeros(len(value))
+    keep = np.isfinite(value)
+    backward = int(np.sum(np.diff(t_ns[keep]) < 0))
+    order = np.flatnonzero(keep)[np.argsort(t_ns[keep], kind="stable")]
+    t_ns, value, sd = t_ns[order], value[order], np.maximum(np.nan_to_num(sd[order]), 0.0)
+    first, last = (_bound(text, t_ns) for text in (since, until))
+    kept = (t_ns >= (first if first is not None else -(2**63))) & (t_ns <= (last if last is not None else 2**63 - 1))
+    t_ns, value, sd = t_ns[kept], value[kept], sd[kept]
+    found = Points(path.stem, "value", "1", t_ns, value, sd, sd, np.zeros_like(t_ns), first, last, None, 0)
+    return found, backward
+
+
+def _bound(text: str | None, t_ns: "np.ndarray[Any, np.dtype[np.int64]]") -> int | None:
+    newest = int(t_ns[-1]) if len(t_ns) else 0
+    return None if text is None else parse_time(text, newest)
+
+
+def _columns(path: Path) -> Mapping[str, Sequence[Any]]:
+    try:
+        return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UsageError.at(str(path), f"cannot be read: {error}", "name a CSV or Parquet file there is") from error
+
+
+def _csv(path: Path) -> dict[str, list[str]]:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        rows = csv.DictReader(file)
+        names = [name.strip() for name in rows.fieldnames or ()]
+        cells = [[cell or "" for cell in (row[name] for name in rows.fieldnames or ())] for row in rows]
+    return {name: [row[i] for row in cells] for i, name in enumerate(names)}
+
+
+def _parquet(path: Path) -> dict[str, list[Any]]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise UsageError.at(str(path), "pyarrow is not installed", "pip install 'deltak[parquet]'") from error
+    try:
+        table = pq.read_table(path)
+    except pa.ArrowInvalid as error:
+        raise UsageError.at(str(path), f"cannot be read: {error}", "name a Parquet file") from error
+    return {name: table.column(name).to_pylist() for name in table.column_names}
+
+
+def _instant(path: Path, row: int, cell: Any, clock: str) -> int:
+    """Return nanoseconds of a time: an ISO text, a moment, or a number of seconds (of nanoseconds in t_ns)."""
+    if hasattr(cell, "timestamp"):
+        cell = cell.isoformat()
+    if isinstance(cell, int) and clock == "t_ns":
+        return cell
+    try:
+        seconds = float(cell)
+    except (TypeError, ValueError):
+        return _iso(path, row, str(cell))
+    if not math.isfinite(seconds) or abs(seconds) * (1.0 if clock == "t_ns" else 1e9) > 9e18:
+        raise UsageError.at(f"{path}:{row}", f'"{cell}" is no time', "seconds, or ISO 8601")
+    return int(cell) if clock == "t_ns" else round(seconds * 1e9)
+
+
+def _iso(path: Path, row: int, text: str) -> int:
+    try:
+        if age_ns(text) is None:
+            return parse_time(text, 0)
+    except UsageError:
+        pass  # the line says more than the option that parse_time names
+    raise UsageError.at(f"{path}:{row}", f'"{text}" is no time', "seconds, or ISO 8601")
+
+
+def _numbers(path: Path, name: str, cells: Sequence[Any]) -> "np.ndarray[Any, np.dtype[np.float64]]":
+    try:
+        return np.array([math.nan if cell in {None, ""} else float(cell) for cell in cells])
+    except (TypeError, ValueError) as error:
+        raise UsageError.at(str(path), f"the column {name} holds what is no number: {error}", _ADVICE) from error

@@ -1,0 +1,193 @@
+"""`deltak trend` on tables, with like machines and limits; `deltak fleet` on databases that the real store wrote."""
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from agent.cli.fleet import fleet, learn_prior
+from agent.cli.trend import Ahead, trend
+from agent.errors import UsageError
+from agent.storage.write.store import Store
+from tests.storage.rows import batch, run_info
+
+DAY = 86_400
+OPEN = (None, None)
+Said = Callable[..., str]
+
+
+@pytest.fixture
+def said(capsys: pytest.CaptureFixture[str]) -> Said:
+    def run(command: Callable[..., Any], *args: Any, **kwargs: Any) -> str:
+        capsys.readouterr()
+        command(*args, **kwargs)
+        return capsys.readouterr().out
+
+    return run
+
+
+def table(path: Path, value: np.ndarray, sd: float | None = 0.05, begin: int = 1_700_000_000) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(["time", "value"] + (["sd"] if sd else []))
+        rows.writerows([begin + DAY * i, v] + ([sd] if sd else []) for i, v in enumerate(value.tolist()))
+    return path
+
+
+def falling(rng: np.random.Generator, n: int = 120) -> np.ndarray:
+    t = np.arange(float(n))
+    return 25.0 - 0.01 * t - 1.5e-4 * t * t + 0.05 * rng.standard_normal(n)
+
+
+def asked(said: Said, path: Path, limit: float | None = None, **ahead: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(said(trend, path, None, None, OPEN, limit, "json", None, Ahead(**ahead)))
+    return found
+
+
+def test_trend_of_a_table_says_that_it_falls_faster_and_when(
+    tmp_path: Path, rng: np.random.Generator, said: Said
+) -> None:
+    path = table(tmp_path / "press.csv", falling(rng))
+    found = asked(said, path, 18.0, horizon="30d")
+    assert (found["rig"], found["n"], found["trend"]) == ("press", 120, True)
+    assert found["words"] == "falls, and faster each month"
+    ahead = found["forecast"]
+    assert ahead["status"] == "ok"
+    assert 0 < ahead["p10_s"] < ahead["p50_s"] < ahead["p90_s"]
+    assert ahead["horizon_s"] == 30 * DAY
+    words = said(trend, path, None, None, OPEN, 18.0, "table", None)
+    assert "a trend: falls, and faster each month" in words
+    assert "(80 %: " in words
+
+
+def test_trend_of_parquet_equals_that_of_csv(tmp_path: Path, rng: np.random.Generator, said: Said) -> None:
+    value = falling(rng)
+    one = asked(said, table(tmp_path / "a.csv", value), 18.0)
+    columns = {"time": [1_700_000_000 + DAY * i for i in range(120)], "value": value, "sd": np.full(120, 0.05)}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    assert asked(said, tmp_path / "a.parquet", 18.0) == one
+
+
+def test_trend_of_iso_times_without_sd_is_the_same_history(tmp_path: Path, said: Said) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"2026-01-{day:02d}T00:00:00Z,{30 - day}" for day in range(1, 20)]
+    path.write_text("\n".join(["time,value", *rows]) + "\n", encoding="utf-8")
+    found = asked(said, path)
+    assert (found["since"], found["n"]) == ("2026-01-01T00:00:00.000000000Z", 19)
+    assert found["slope_per_day"] == pytest.approx(-1.0)
+    assert found["forecast"] is None
+
+
+def test_trend_limit_from_a_reference_is_a_change(tmp_path: Path, rng: np.random.Generator, said: Said) -> None:
+    path = table(tmp_path / "a.csv", falling(rng))
+    assert asked(said, path, -7.0, reference=25.0)["forecast"] == asked(said, path, 18.0)["forecast"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "limit", "words"),
+    [
+        (0, 18.0, "no valid rows"),
+        (1, 18.0, "too short to say"),
+        (4, 18.0, "too short to say"),
+        (120, 24.0, "crossed already"),
+        (120, 30.0, "moves away from the limit"),
+    ],
+)
+def test_trend_of_what_cannot_be_forecast_is_a_sentence(
+    tmp_path: Path, rng: np.random.Generator, said: Said, rows: int, limit: float, words: str
+) -> None:
+    path = table(tmp_path / "a.csv", falling(rng)[:rows])
+    assert words in said(trend, path, None, None, OPEN, limit, "table", None)
+    found = asked(said, path, limit)
+    assert found["forecast"] is None or found["forecast"]["p50_s"] is None
+
+
+def test_trend_of_rows_out_of_order_says_so_and_is_the_same(
+    tmp_path: Path, rng: np.random.Generator, said: Said
+) -> None:
+    value = falling(rng)
+    straight = asked(said, table(tmp_path / "a.csv", value), 18.0)
+    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "b.csv").write_text("\n".join([lines[0], *lines[61:], *lines[1:61]]), encoding="utf-8")
+    stepped = asked(said, tmp_path / "b.csv", 18.0)
+    assert stepped["backward"] == 1
+    assert stepped["forecast"] == straight["forecast"]
+    assert "as after a step of a clock" in said(trend, tmp_path / "b.csv", None, None, OPEN, None, "table", None)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.csv", "when,what\n1,2\n", "a history has the columns time"),
+        ("a.csv", "time,value\nsoon,2\n", '"soon" is no time'),
+        ("a.csv", "time,value\n1,two\n", "holds what is no number"),
+        ("a.parquet", "no parquet", "cannot be read"),
+        ("none.csv", None, "cannot be read"),
+    ],
+)
+def test_trend_of_what_is_no_history_is_a_usage_error(
+    tmp_path: Path, name: str, content: str | None, words: str
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    with pytest.raises(UsageError, match=words):
+        trend(tmp_path / name, None, None, OPEN, None, "json", None)
+
+
+def test_prior_file_says_what_its_histories_say(tmp_path: Path, rng: np.random.Generator, said: Said) -> None:
+    others = [table(tmp_path / f"{i}.csv", falling(rng, 200)) for i in range(4)]
+    learnt = learn_prior(others, None, 17.0, tmp_path / "prior.json")
+    assert learnt["histories"] == 4
+    path = table(tmp_path / "mine.csv", falling(rng, 60))
+    by_file = asked(said, path, 17.0, like=(tmp_path / "prior.json",))["forecast"]
+    by_histories = asked(said, path, 17.0, like=tuple(others))["forecast"]
+    assert by_file == by_histories
+    assert by_file["like"] == {"histories": 4}
+    (tmp_path / "odd.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(UsageError, match="holds no prior"):
+        asked(said, path, 17.0, like=(tmp_path / "odd.json",))
+
+
+@pytest.fixture
+def machines(tmp_path: Path) -> Path:
+    """Two databases in a folder: k1 of one falls, all else stays."""
+    folder = tmp_path / "fleet"
+    folder.mkdir()
+    for name, fall in (("press-1", 0.0), ("press-2", 4.0)):
+        rows = batch(400, rig=name)
+        value = rows.value.copy()
+        value[:, 0] -= fall * np.linspace(0.0, 1.0, 400) ** 2
+        with Store.open(folder / f"{name}.db") as store:
+            store.write(store.begin_run(replace(run_info(), rig=name)), [replace(rows, value=value)])
+    return folder
+
+
+def test_fleet_shows_the_part_that_changes_first(machines: Path) -> None:
+    found = fleet([machines], "90d", None, 30.0)["rows"]
+    assert {row["rig"] for row in found} == {"press-1", "press-2"}
+    assert (found[0]["rig"], found[0]["parameter"], found[0]["trend"]) == ("press-2", "k1", True)
+    assert found[0]["slope_percent_per_year"] < 0.0
+    assert {"rig", "parameter", "slope_percent_per_year", "p50_at", "chance", "record"} <= set(found[0])
+    only = fleet([machines / "press-1.db"], "90d", "k1", 30.0)["rows"]
+    assert [(row["rig"], row["parameter"]) for row in only] == [("press-1", "k1")]
+
+
+def test_fleet_of_an_empty_folder_says_so(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"no \.db file"):
+        fleet([tmp_path], "90d", None, 20.0)
+
+
+def test_trend_without_a_parameter_lists_all(machines: Path, said: Said) -> None:
+    shown = said(trend, machines / "press-2.db", None, None, OPEN, None, "table", None)
+    lines = [line for line in shown.splitlines() if "press-2" in line]
+    assert "k1" in lines[0]
+    assert "falls" in lines[0]
+    rows = json.loads(said(trend, machines / "press-2.db", None, None, OPEN, None, "json", None))["rows"]
+    assert rows[0]["parameter"] == "k1"

@@ -1,0 +1,83 @@
+"""Trends told from scatter, walks and seasons; intervals that hold."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from agent.prognosis.change import change
+from agent.prognosis.history import History
+from tests.figures import figure
+from tests.unit.prognosis.histories import bent, coloured, year
+
+N = 400
+DAYS = np.linspace(0.0, 365.0, N)
+QUIET: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
+    "white": lambda rng: rng.standard_normal(N),
+    "AR(0.99)": lambda rng: coloured(rng, N, 0.99),
+    "walk": lambda rng: np.cumsum(rng.standard_normal(N)),
+    "walk beside noise": lambda rng: np.cumsum(rng.standard_normal(N)) + 3.0 * rng.standard_normal(N),
+    "season": lambda rng: 3.0 * np.cos(2 * np.pi * (DAYS / 365.25 + rng.uniform())) + rng.standard_normal(N),
+    "season in AR(0.9)": lambda rng: 3.0 * np.cos(2 * np.pi * (DAYS / 365.25 + rng.uniform())) + coloured(rng, N, 0.9),
+}
+
+
+def false_trends(rng: np.random.Generator, kind: str, count: int) -> float:
+    found = [change(year(QUIET[kind](rng))) for _ in range(count)]
+    return float(np.mean([f is not None and f.trend for f in found]))
+
+
+@pytest.mark.parametrize("kind", QUIET)
+def test_change_years_without_a_trend_seldom_say_trend(rng: np.random.Generator, kind: str) -> None:
+    assert false_trends(rng, kind, 40) <= 0.125  # 5 % of 40 are 2; more than 5 come in 1.4 % of seeds
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", QUIET)
+def test_change_of_many_years_without_a_trend_says_trend_in_a_twentieth(rng: np.random.Generator, kind: str) -> None:
+    share = false_trends(rng, kind, 500)
+    figure(f"false trends, {kind}: {100 * share:.1f} % of 500 years")
+    assert share <= 0.05
+
+
+def slope_held(rng: np.random.Generator, count: int) -> float:
+    held = []
+    for _ in range(count):
+        found = change(year(coloured(rng, N, 0.9) - 0.01 * DAYS))
+        assert found is not None
+        held.append(found.slope_lower < -0.01 < found.slope_upper)
+    return float(np.mean(held))
+
+
+def test_change_slope_interval_holds_a_drift_under_coloured_noise(rng: np.random.Generator) -> None:
+    assert slope_held(rng, 60) >= 0.87
+
+
+@pytest.mark.soak
+def test_change_slope_interval_holds_in_what_it_says(rng: np.random.Generator) -> None:
+    share = slope_held(rng, 1000)
+    figure(f"slope intervals of a drift under AR(0.9): {100 * share:.1f} % of 1000 hold it")
+    assert 0.93 <= share <= 0.98  # aimed at 0.97; it is a little wide where walks cannot be excluded
+
+
+def test_change_bent_fall_is_a_trend_and_gets_faster(rng: np.random.Generator) -> None:
+    found = change(bent(rng))
+    assert found is not None
+    assert found.trend
+    assert found.newest == pytest.approx(-0.01 - 3e-4 * 89.5, rel=0.05)  # the middle of the newest half
+    assert found.curvature == pytest.approx(-3e-4, abs=4 * found.curvature_sd)
+
+
+def test_change_of_few_rows_or_no_span_says_nothing() -> None:
+    assert change(History(np.arange(5.0), np.arange(5.0), np.ones(5))) is None
+    assert change(History(np.zeros(9), np.arange(9.0), np.ones(9))) is None
+
+
+def test_change_without_stated_sd_is_finite() -> None:
+    found = change(History(np.arange(50.0), 30.0 - 0.5 * np.arange(50), np.zeros(50)))
+    assert found is not None
+    assert found.trend
+    assert found.slope == pytest.approx(-0.5)
+    constant = change(History(np.arange(50.0), np.full(50, 30.0), np.zeros(50)))
+    assert constant is not None
+    assert not constant.trend

@@ -1,0 +1,120 @@
+"""First passages: as sure as they say, blind to what comes later, and silent where nothing can be said."""
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from agent.prognosis.forecast import Forecast, forecast, learn_from
+from agent.prognosis.history import History
+from agent.prognosis.scores import pit
+from tests.figures import figure
+from tests.unit.prognosis.histories import LIMIT, bent, straight
+
+
+def transforms(rng: np.random.Generator, count: int) -> np.ndarray:
+    found = []
+    for _ in range(count):
+        history, remains = straight(rng)
+        made = forecast(history, LIMIT)
+        if len(made.passages):
+            found.append(pit(made.passages, remains))
+    return np.array(found)
+
+
+def test_forecast_band_holds_what_comes(rng: np.random.Generator) -> None:
+    share = np.mean(np.abs(transforms(rng, 25) - 0.5) <= 0.4)
+    assert share >= 0.68  # four in five of 25 are 20; fewer than 17 come in 5 % of seeds
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_forecast_transforms_of_many_histories_are_uniform(rng: np.random.Generator) -> None:
+    found = transforms(rng, 500)
+    share, p = float(np.mean(np.abs(found - 0.5) <= 0.4)), float(kstest(found, "uniform").pvalue)
+    figure(f"forecasts of a steady fall: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.3f}")
+    assert share >= 0.75
+
+
+def test_forecast_knows_nothing_of_later_rows(rng: np.random.Generator) -> None:
+    history = bent(rng, 200)
+    now = 119.0
+    short = History(history.t[:120].copy(), history.value[:120].copy(), history.sd[:120].copy())
+    one, other = forecast(history.until(now), 18.0), forecast(short, 18.0)
+    assert (one.p10, one.p50, one.p90, one.chance) == (other.p10, other.p50, other.p90, other.chance)
+    assert np.array_equal(one.passages, other.passages)
+
+
+def test_forecast_of_an_accelerating_fall_is_sooner_than_its_line(rng: np.random.Generator) -> None:
+    history = bent(rng)
+    found = forecast(history, 15.0)
+    truth = (-0.01 + np.sqrt(1e-4 + 4 * 1.5e-4 * 10.0)) / (2 * 1.5e-4) - 119.0
+    line = (history.value[-1] - 15.0) / ((25.0 - history.value[-1]) / 119.0)
+    assert found.status == "ok"
+    assert found.p10 is not None
+    assert found.p90 is not None
+    assert found.p10 < truth < found.p90 < line
+
+
+def test_forecast_more_noise_in_the_estimates_widens_the_band(rng: np.random.Generator) -> None:
+    quiet, loud = (forecast(bent(rng, noise=noise), 18.0) for noise in (0.02, 0.4))
+    assert width(loud) > 1.5 * width(quiet)
+
+
+def width(found: Forecast) -> float:
+    """P90 - P10 of the draws, whether they are shown or not."""
+    return float(found.passages[int(0.9 * len(found.passages))] - found.passages[int(0.1 * len(found.passages))])
+
+
+@pytest.mark.parametrize("n", range(6))
+def test_forecast_of_few_rows_is_too_short(n: int) -> None:
+    found = forecast(History(np.arange(float(n)), np.full(n, 25.0), np.full(n, 0.1)), LIMIT)
+    assert (found.status, found.p50, found.chance) == ("too short", None, None)
+
+
+def test_forecast_of_a_level_that_stays_has_no_trend_and_no_date(rng: np.random.Generator) -> None:
+    found = forecast(History(np.arange(90.0), 25.0 + 0.1 * rng.standard_normal(90), np.full(90, 0.1)), 15.0)
+    assert (found.status, found.p50) == ("no trend", None)
+    assert found.chance is not None
+    assert found.chance < 0.05
+
+
+def test_forecast_of_a_crossed_limit_says_so(rng: np.random.Generator) -> None:
+    assert forecast(bent(rng), 24.0).status == "crossed"
+
+
+def test_forecast_of_a_limit_on_the_other_side_never_comes(rng: np.random.Generator) -> None:
+    found = forecast(bent(rng), 30.0)
+    assert (found.status, found.p50) == ("beyond", None)
+
+
+def test_forecast_beyond_the_horizon_still_has_its_quantiles(rng: np.random.Generator) -> None:
+    near, far = forecast(bent(rng), 15.0, horizon=500.0), forecast(bent(rng, 60), 5.0, horizon=100.0)
+    assert near.status == "ok"
+    assert far.status in {"beyond", "too short"}
+    assert near.chance is not None
+    assert near.chance > 0.9
+
+
+def test_forecast_family_weights_sum_to_one(rng: np.random.Generator) -> None:
+    found = forecast(bent(rng), 18.0)
+    assert sum(found.family.values()) == pytest.approx(1.0)
+    assert found.family["rate law"] > found.family["constant"]
+
+
+def test_like_machines_narrow_a_short_history_and_lose_to_a_long_one(rng: np.random.Generator) -> None:
+    learnt = learn_from([bent(rng, 220) for _ in range(8)], 17.0)
+    assert learnt.n == 8
+    early = bent(rng, 50)
+    alone, together = forecast(early, 17.0), forecast(early, 17.0, like=learnt)
+    assert width(together) < width(alone)
+    t = np.arange(180.0)
+    other = History(t, 25.0 - 0.02 * t + 0.02 * rng.standard_normal(180), np.full(180, 0.02))
+    misled = forecast(other, 17.0, like=learnt)  # like machines lived 200 days; this one has 221 left, and says so
+    assert misled.p10 is not None
+    assert misled.p90 is not None
+    assert 70.0 < misled.p10 < 221.0 < misled.p90
+
+
+def test_learn_from_nothing_that_moves_says_so() -> None:
+    with pytest.raises(ValueError, match="none of the histories"):
+        learn_from([History(np.arange(4.0), np.ones(4), np.ones(4))])

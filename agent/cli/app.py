@@ -245,7 +245,7 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
     plot: Plot = None,
 ) -> None:
     """Tell a parameter's drift, whether there is a trend, and when it reaches a limit."""
-    from agent.cli import trend as commands_trend
+    from agent.cli.prognosis import trend as commands_trend
 
     ahead = commands_trend.Ahead(tuple(like or ()), horizon, from_reference)
     form = _form(json=json, csv=csv)
@@ -267,7 +267,7 @@ def fleet(
     json: Json = False,
 ) -> None:
     """Tell which parts of many machines change fastest and which reach a limit; learn: what like machines teach."""
-    from agent.cli import fleet as commands_fleet
+    from agent.cli.prognosis import fleet as commands_fleet
 
     if str(files[0]) == "learn":
         document = commands_fleet.learn_prior(files[1:], parameter, limit, to)

@@ -14,7 +14,7 @@ import numpy as np
 from agent.prognosis.history import History, blocks, sound
 from agent.types import FloatArray
 
-BLOCKS = 32
+MEANS = 32
 """Means that the change is asked of."""
 ASKED = 0.01
 """Of each of the two questions, so that a history without a trend says "trend" less than once in twenty."""
@@ -107,7 +107,7 @@ class _Mixture:
         return float(self.weight @ chdtrc(len(columns), square))
 
 
-def change(history: History, most: int = BLOCKS) -> Change | None:
+def change(history: History, most: int = MEANS) -> Change | None:
     """Return the change of a history whose t is in days; None where it has fewer than six rows or no span."""
     thin = blocks(sound(history), most)
     if len(thin) < FEWEST or thin.span <= 0.0:
@@ -118,7 +118,8 @@ def change(history: History, most: int = BLOCKS) -> Change | None:
     rough = 1.4826 * float(np.median(np.abs(np.diff(y)))) + 1e-6
     sd = np.maximum(thin.sd / size, LEAST * rough)
     scatter = _Scatter.of(t, y, sd, rough, thin.span)
-    one, late = np.ones_like(t), (t >= -0.5).astype(np.float64)
+    one = np.ones_like(t)
+    late = (t >= -0.5).astype(np.float64)
     whole = _reml(np.column_stack([one, t]), y, scatter)
     bent = _reml(np.column_stack([one, t, 0.5 * t * t]), y, scatter)
     half = _reml(np.column_stack([1.0 - late, (1.0 - late) * t, late, late * t]), y, scatter)
@@ -146,7 +147,8 @@ class _Scatter:
     def of(cls, t: FloatArray, y: FloatArray, sd: FloatArray, rough: float, span: float) -> "_Scatter":
         step = float(np.median(np.diff(t)))
         apart = np.abs(t[:, None] - t[None, :]) / step
-        white, walk = np.eye(len(t)), (1.0 + np.minimum(t[:, None], t[None, :])) / step - np.eye(len(t)) / 6.0
+        white = np.eye(len(t))
+        walk = (1.0 + np.minimum(t[:, None], t[None, :])) / step - np.eye(len(t)) / 6.0
         shapes = [white, *(np.exp(-apart / k) for k in (1.0, 2.5, 6.0)), walk, white + 0.1 * walk, white + 0.01 * walk]
         turned = [np.linalg.eigh(R / np.outer(sd, sd)) for R in shapes]
         phase = 2.0 * np.pi * t * span / YEAR

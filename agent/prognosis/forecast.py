@@ -98,17 +98,18 @@ def _stated(passages: FloatArray, horizon: float, span: float, family: dict[str,
     """Return what draws of the first passage allow to be said."""
     p10, p50, p90 = (float(passages[int(q * len(passages))]) for q in (0.1, 0.5, 0.9))
     chance = float(np.mean(passages <= min(horizon, FARTHEST * span)))
-    wide = p90 - p10 > SPANS * span and p90 > RATIO * p10
     if p50 == 0.0:
         return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
-    if np.isinf(p10):
-        status: Status = "no trend" if steady else "beyond"
-    elif wide or np.isinf(p90):
-        status = "no trend" if steady else "too short"
-    else:
-        far = p50 > horizon > span
-        return Forecast("beyond" if far else "ok", p10, p50, p90, horizon, chance, family, passages)
-    return Forecast(status, None, None, None, horizon, chance, family, passages)
+    if not _is_wide(p10, p90, span):
+        status: Status = "beyond" if p50 > horizon > span else "ok"
+        return Forecast(status, p10, p50, p90, horizon, chance, family, passages)
+    why: Status = "beyond" if np.isinf(p10) else "too short"
+    return Forecast("no trend" if steady else why, None, None, None, horizon, chance, family, passages)
+
+
+def _is_wide(p10: float, p90: float, span: float) -> bool:
+    """Whether it is left open if a passage is soon or far, or is at all."""
+    return bool(np.isinf(p90)) or (p90 - p10 > SPANS * span and p90 > RATIO * p10)
 
 
 def readings_of(thin: History, limit: float) -> tuple[Readings, Scale]:
@@ -153,7 +154,7 @@ def learn_from(histories: Sequence[History], limit: float | None = None) -> Lear
 
 def _specimen(history: History, limit: float | None) -> Specimen | None:
     thin = blocks(sound(_life(history, limit)), BLOCKS)
-    if len(thin) < FEWEST or thin.span <= 0.0 or float(np.ptp(thin.value)) == 0.0:
+    if len(thin) < FEWEST or 0.0 in {thin.span, float(np.ptp(thin.value))}:
         return None
     end = float(smoothed(thin)[-1]) if limit is None else limit
     readings, scale = readings_of(thin, end)

@@ -155,7 +155,8 @@ def _walk(readings: Readings, member: str, column: dict[str, FloatArray], theta:
 
 def _start(readings: Readings, u: FloatArray, column: dict[str, FloatArray]) -> State:
     n = len(u)
-    mean, sd = np.zeros(n), np.full(n, readings.breadth)
+    mean = np.zeros(n)
+    sd = np.full(n, readings.breadth)
     if "rate" in column:
         mean = readings.sign * np.exp(column["rate"])
         sd = 0.1 * np.abs(mean)

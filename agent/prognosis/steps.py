@@ -7,7 +7,7 @@ import numpy as np
 from agent.prognosis.history import History, blocks, sound
 from agent.types import FloatArray
 
-BLOCKS = 200
+PARTS = 200
 ASIDE = 3
 """Means on each side of an instant that are held against each other."""
 APART = 7.0
@@ -30,7 +30,7 @@ def find_steps(history: History) -> list[Step]:
     The difference of the means on both sides is held against its own robust scatter over the history: a random walk or
     a drift has such differences everywhere, a step has one. What is no less on either side of it is a fast change.
     """
-    thin = blocks(sound(history), BLOCKS)
+    thin = blocks(sound(history), PARTS)
     if len(thin) < 6 * ASIDE:
         return []
     found: list[Step] = []

@@ -171,7 +171,7 @@ def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
     """Beside the same in pandas and statsmodels: a local linear trend fitted to the year's daily means."""
     from statsmodels.tsa.statespace.structural import UnobservedComponents
 
-    from agent.cli.fleet import fleet
+    from agent.cli.prognosis.fleet import fleet
 
     path = tmp_path / "rig.db"
     year(path)

@@ -8,13 +8,13 @@ from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.inference.columns import Window, window_of
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
-from agent.numerics.preprocessing.rows import any_of
+from agent.numerics.preprocessing.rows import rows_with
 from agent.numerics.window.lost import Lost
 from agent.types import BoolArray, FloatArray, IntArray
 
 SPARE = 8192
 """Samples beyond those kept that may wait before the oldest are let go."""
-PROBES = 8
+PLACES = 8
 """Samples of a window that are looked at before all of them are."""
 
 
@@ -40,11 +40,11 @@ class Record:
         v[:had], v[had:, : self.p], v[had:, self.p :] = self._v, y, u
         before = max(had - 1, 0)
         self._changed = np.concatenate(
-            [self._changed, any_of(np.diff(y, axis=0, prepend=v[before : before + 1, : self.p]) != 0)]
+            [self._changed, rows_with(np.diff(y, axis=0, prepend=v[before : before + 1, : self.p]) != 0)]
         )
         self._v = v
         lost = np.zeros((len(y), v.shape[1]), dtype=bool) if lost is None else lost
-        self._holed = np.concatenate([self._holed, any_of(lost)])
+        self._holed = np.concatenate([self._holed, rows_with(lost)])
         self._lost = np.concatenate([self._lost, lost])
 
     def outputs(self, start: int, stop: int) -> FloatArray:
@@ -101,7 +101,7 @@ class Record:
         Two of a window's W samples that differ by d make its standard deviation d/√(2W) or more: most windows show so.
         """
         newest = index - self.first
-        places = np.maximum(newest - np.arange(PROBES)[:, None] * (window // PROBES), 0)
+        places = np.maximum(newest - np.arange(PLACES)[:, None] * (window // PLACES), 0)
         apart = np.ptp(self._v[places, : self.p], axis=0)
         quiet = np.asarray((apart < np.sqrt(2 * window) * least).all(axis=1))
         if quiet.any():

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.bridge import filled, lagrange, runs
-from agent.numerics.preprocessing.rows import any_of, columns_with, largest_in
+from agent.numerics.preprocessing.rows import columns_with, largest_in, rows_with
 from agent.types import BoolArray, FloatArray
 
 LONGEST_SPIKE = 3
@@ -153,7 +153,7 @@ class Cleaner:
         if len(x) > first:
             size = np.abs(x[first:] - 2 * x[first - 1 : -1] + x[first - 2 : -2])
             doubtful = ~(size <= self._limits[first:])
-            for place in (np.flatnonzero(any_of(doubtful)) + first).tolist():
+            for place in (np.flatnonzero(rows_with(doubtful)) + first).tolist():
                 if place + LOOK_AHEAD >= len(x) and not end:
                     self._decided = place
                     return

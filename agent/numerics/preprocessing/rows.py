@@ -5,7 +5,7 @@ import numpy as np
 from agent.types import BoolArray, FloatArray
 
 
-def any_of(marks: BoolArray) -> BoolArray:
+def rows_with(marks: BoolArray) -> BoolArray:
     """Return which rows (N,) of marks (N, c) hold one."""
     found = np.zeros(len(marks), dtype=bool)
     for column in marks.T:

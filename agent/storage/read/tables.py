@@ -28,7 +28,7 @@ def table_points(path: Path, since: str | None = None, until: str | None = None)
     Rows without a number are left out. Raises UsageError for a file that cannot be read or is no history.
     """
     columns = _columns(path)
-    clock = next((name for name in _TIMES if name in columns), None)
+    clock = next(filter(columns.__contains__, _TIMES), None)
     if clock is None or "value" not in columns:
         raise UsageError.at(str(path), f"has the columns {', '.join(columns) or 'none'}", _ADVICE)
     t_ns = np.array([_instant(path, row, cell, clock) for row, cell in enumerate(columns[clock], 2)], dtype=np.int64)
@@ -39,7 +39,11 @@ def table_points(path: Path, since: str | None = None, until: str | None = None)
     order = np.flatnonzero(keep)[np.argsort(t_ns[keep], kind="stable")]
     t_ns, value, sd = t_ns[order], value[order], np.maximum(np.nan_to_num(sd[order]), 0.0)
     first, last = (_bound(text, t_ns) for text in (since, until))
-    kept = (t_ns >= (first if first is not None else -(2**63))) & (t_ns <= (last if last is not None else 2**63 - 1))
+    kept = np.ones(len(t_ns), dtype=np.bool_)
+    if first is not None:
+        kept &= t_ns >= first
+    if last is not None:
+        kept &= t_ns <= last
     t_ns, value, sd = t_ns[kept], value[kept], sd[kept]
     found = Points(path.stem, "value", "1", t_ns, value, sd, sd, np.zeros_like(t_ns), first, last, None, 0)
     return found, backward

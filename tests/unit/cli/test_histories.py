@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from agent.cli.fleet import fleet, learn_prior
-from agent.cli.trend import Ahead, trend
+from agent.cli.prognosis.fleet import fleet, learn_prior
+from agent.cli.prognosis.trend import Ahead, trend
 from agent.errors import UsageError
 from agent.storage.write.store import Store
 from tests.storage.rows import batch, run_info

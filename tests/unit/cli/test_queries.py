@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from agent.cli.errors import faults_of
+from agent.cli.prognosis.trend import trend
 from agent.cli.queries import (
     ALARM_COLUMNS,
     ESTIMATE_COLUMNS,
@@ -21,7 +22,6 @@ from agent.cli.queries import (
     estimates,
     verdicts,
 )
-from agent.cli.trend import trend
 from agent.errors import UsageError
 from agent.storage.read import queries
 from agent.storage.write.store import Store

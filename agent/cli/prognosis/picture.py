@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.cli.trend_words import time_unit
+from agent.cli.prognosis.words import time_unit
 from agent.errors import UsageError
 from agent.text import short_time
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from agent.cli.histories import forecast_document, history_of, horizon_days, like_machines, window_s
 from agent.cli.output import print_csv, print_json, print_table, show
-from agent.cli.trend_plot import draw
-from agent.cli.trend_words import drift, finding, forecast_words, unit_of, verdict
+from agent.cli.prognosis.histories import forecast_document, history_of, horizon_days, like_machines, window_s
+from agent.cli.prognosis.picture import draw
+from agent.cli.prognosis.words import drift, finding, forecast_words, unit_of, verdict
 from agent.errors import UsageError
 from agent.numerics.trend import DAY_NS, Trend, fit_trend
 from agent.prognosis.change import Change, change
@@ -45,25 +45,38 @@ def trend(
     ahead: Ahead | None = None,
 ) -> None:
     """Print a parameter's trend. Raises StoreError; UsageError for a parameter, rig, time or picture that cannot be."""
-    ahead = ahead or Ahead()
-    if limit is not None and not math.isfinite(limit):
-        raise UsageError.at("--limit", f"must be a number, not {limit:g}", "give a value of the parameter, in its unit")
-    if limit is not None and ahead.reference is not None:
-        limit += ahead.reference
-    if is_table(db):
-        points, backward = table_points(db, *times)
-        points = replace(points, parameter=parameter or points.parameter)
-        window = 0.0
-    elif parameter is None:
+    if parameter is None and not is_table(db):
         _print_all(db, rig, times, form)
         return
-    else:
-        points = queries.points(db, rig, parameter, *times)
-        window = window_s(db, parameter)
-        backward = 0
-    document = _document(points, window, limit, ahead) | {"backward": backward}
+    ahead = ahead or Ahead()
+    document = _asked(db, parameter, rig, times, _limit_of(limit, ahead.reference), ahead)
     if plot is not None:
         draw(document, plot)
+    _print(document, form)
+
+
+def _limit_of(limit: float | None, reference: float | None) -> float | None:
+    """Return the limit as a value of the parameter. Raises UsageError where it is no number."""
+    if limit is not None and not math.isfinite(limit):
+        raise UsageError.at("--limit", f"must be a number, not {limit:g}", "give a value of the parameter, in its unit")
+    return limit if limit is None or reference is None else limit + reference
+
+
+def _asked(
+    db: Path, parameter: str | None, rig: str | None, times: tuple[str | None, str | None], limit: float | None,
+    ahead: Ahead,
+) -> dict[str, Any]:  # fmt: skip
+    """Return what is said of one history, of a database or a table."""
+    if parameter is not None and not is_table(db):
+        return _document(queries.points(db, rig, parameter, *times), window_s(db, parameter), limit, ahead) | {
+            "backward": 0
+        }
+    points, backward = table_points(db, *times)
+    points = replace(points, parameter=parameter or points.parameter)
+    return _document(points, 0.0, limit, ahead) | {"backward": backward}
+
+
+def _print(document: dict[str, Any], form: str) -> None:
     if form == "json":
         print_json(document)
     elif form == "csv":
@@ -73,15 +86,14 @@ def trend(
         show(_sentences(document))
 
 
-def _document(points: queries.Points, window: float, limit: float | None, ahead: Ahead | None = None) -> dict[str, Any]:
-    ahead = ahead or Ahead()
+def _document(points: queries.Points, window: float, limit: float | None, ahead: Ahead) -> dict[str, Any]:
     found = fit_trend(points.t_ns, points.value, _stated(points), np.maximum(points.span_s, window))
     history = history_of(points, window)
     steps = find_steps(history)
     asked = change(without(history, steps))
     found = _changed(found, asked, points)
     instants = points.t_ns.tolist()
-    newest = instants[-1] if instants else 0
+    oldest, newest = (instants[0], instants[-1]) if instants else (0, 0)
     like = like_machines(ahead.like, points.parameter, limit)
     document: dict[str, Any] = {
         "rig": points.rig,
@@ -90,9 +102,9 @@ def _document(points: queries.Points, window: float, limit: float | None, ahead:
         "n": len(instants),
         "n_disjoint": found.n_disjoint,
         "refused": points.refused,
-        "since": iso_time(instants[0]) if instants else None,
+        "since": iso_time(oldest) if instants else None,
         "until": iso_time(newest) if instants else None,
-        "span_s": (newest - instants[0]) / 1e9 if instants else 0.0,
+        "span_s": (newest - oldest) / 1e9,
         **{key: getattr(found, key) for key in Trend.__dataclass_fields__ if key != "n_disjoint"},
         **_shape(asked),
         "changes": [_step(step.t, step.size, step.sd, newest) for step in steps],
@@ -179,7 +191,7 @@ def _print_all(db: Path, rig: str | None, times: tuple[str | None, str | None], 
     for name in [rig] if rig is not None else queries.rigs(db):
         for parameter in queries.parameters(db, name):
             points = queries.points(db, name, parameter, *times)
-            documents.append(_document(points, window_s(db, parameter), None))
+            documents.append(_document(points, window_s(db, parameter), None, Ahead()))
     documents.sort(key=_share, reverse=True)
     if form == "json":
         print_json({"rows": [{k: v for k, v in found.items() if k != "points"} for found in documents]})

@@ -4,9 +4,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.histories import forecast_document, history_of, horizon_days, like_machines, window_s, write_prior
 from agent.cli.output import print_table, show
-from agent.cli.trend_words import ahead
+from agent.cli.prognosis.histories import (
+    forecast_document,
+    history_of,
+    horizon_days,
+    like_machines,
+    window_s,
+    write_prior,
+)
+from agent.cli.prognosis.words import ahead
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
 from agent.prognosis.steps import find_steps, without
@@ -52,26 +59,24 @@ def _row(
     points: queries.Points, window: float, alarm_limit: float | None, horizon: float | None, limit_percent: float
 ) -> dict[str, Any]:
     """Return what is said of one parameter of one rig; a forecast only where there is a trend."""
+    row: dict[str, Any] = {
+        "rig": points.rig, "parameter": points.parameter, "slope_percent_per_year": None, "trend": False,
+        "limit": None, "status": "no trend", "p50_s": None, "p50_at": None, "chance": None,
+        "record": {"made": 0, "held": 0, "crps": None},
+    }  # fmt: skip
     history = history_of(points, window)
     asked = change(without(history, find_steps(history)))
     reference = points.reference if points.reference is not None else _first(points)
-    limit = None if asked is None or reference is None else _limit(asked, reference, alarm_limit, limit_percent)
-    moving = asked is not None and asked.trend
-    newest = int(points.t_ns[-1]) if len(points.t_ns) else 0
-    found = forecast_document(history, newest, limit, horizon, None) if moving else None
-    share = None if asked is None or not reference else 100.0 * _YEAR * asked.newest / abs(reference)
-    return {
-        "rig": points.rig,
-        "parameter": points.parameter,
-        "slope_percent_per_year": share if moving else None,
-        "trend": moving,
-        "limit": limit,
-        "status": "no trend" if found is None else found["status"],
-        "p50_s": None if found is None else found["p50_s"],
-        "p50_at": None if found is None else found["p50_at"],
-        "chance": None if found is None else found["chance"],
-        "record": {"made": 0, "held": 0, "crps": None},
-    }
+    if asked is None or reference is None:
+        return row
+    row["limit"] = limit = _limit(asked, reference, alarm_limit, limit_percent)
+    if not asked.trend:
+        return row
+    if reference:
+        row["slope_percent_per_year"] = 100.0 * _YEAR * asked.newest / abs(reference)
+    row["trend"] = True
+    found = forecast_document(history, int(points.t_ns[-1]), limit, horizon, None) or {}
+    return row | {name: found[name] for name in ("status", "p50_s", "p50_at", "chance") if name in found}
 
 
 def _first(points: queries.Points) -> float | None:

@@ -19,6 +19,7 @@ from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.databases import RunKind, path_of, writers_of
+from agent.runtime.deadline import Deadline
 from agent.runtime.lateness import COMPUTING, Lateness
 from agent.runtime.memory import keep_heap_small, release_free_pages
 from agent.runtime.opening import Opening
@@ -38,8 +39,9 @@ ROUND_S = 0.05, 0.25
 """From one round of computing to the next, at least and, where more wait than that takes, at most."""
 FINISH_S, END_S = 2.0, 2.8
 """How long an agent that ends goes on with what waits (samples left then are dropped and counted), and takes in all."""
-HURRY_S, CLOSE_S = 1.0, 1.0
-"""After being asked to end it begins no fit nor search any more; and how long it waits for readers to end."""
+HURRY_S, BREAK_S, CLOSE_S = 1.0, 1.6, 0.6
+"""After being asked to end it begins no fit nor search any more, then breaks off one under way; and how long it waits
+for readers to end."""
 
 log = logging.getLogger(__name__)
 
@@ -235,6 +237,7 @@ class Service:
         self._wake = threading.Event()
         self._stop = threading.Event()
         self._timers: list[threading.Timer] = []
+        self._deadline = Deadline()
         self.connections = connect(configs, self._wake)
         self.writers = writers_of(configs, db, kind)
         self._record(configs, db)
@@ -277,6 +280,7 @@ class Service:
         timer.daemon = True
         timer.start()
         self._timers.append(timer)
+        self._deadline.in_s(seconds - HURRY_S + BREAK_S)
 
     def _hurry(self) -> None:
         for rig in self.rigs.values():
@@ -334,7 +338,7 @@ class Service:
         for rig in self.rigs.values():
             if ended():
                 return
-            rig.work()
+            self._deadline.within(rig.work)
         for rig in self.rigs.values():
             rig.poll()
 
@@ -362,7 +366,7 @@ class Service:
     def _settle(self, until: int) -> None:
         """Compute what still waits until then (monotonic, ns); what is left then is dropped."""
         self._take()
-        while self._behind() and monotonic_ns() < until:
+        while self._behind() and not self._deadline.over and monotonic_ns() < until:
             self.process(lambda: monotonic_ns() >= until)
             self._take()
         while self._behind():
@@ -390,9 +394,11 @@ class Service:
             connection.stop(max(0.1, _left_s(begun, CLOSE_S)))
         self._settle(begun + round(FINISH_S * 1e9))
         for rig in self.rigs.values():
-            rig.finish()
+            if not self._deadline.within(rig.finish):
+                log.warning("%s: what was being computed at the end is not stored", rig.config.rig.name)
         for timer in self._timers:
             timer.cancel()
+        self._deadline.cancel()
         self._ledgers()
         for events in self._event_writers:
             events.stop(max(0.3, _left_s(begun, FINISH_S)))

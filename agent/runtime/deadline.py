@@ -29,7 +29,7 @@ class Deadline:
         timer.start()
         self._timers.append(timer)
 
-    def cancel(self) -> None:
+    def end(self) -> None:
         """Break nothing off any more."""
         for timer in self._timers:
             timer.cancel()

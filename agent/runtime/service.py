@@ -398,7 +398,7 @@ class Service:
                 log.warning("%s: what was being computed at the end is not stored", rig.config.rig.name)
         for timer in self._timers:
             timer.cancel()
-        self._deadline.cancel()
+        self._deadline.end()
         self._ledgers()
         for events in self._event_writers:
             events.stop(max(0.3, _left_s(begun, FINISH_S)))

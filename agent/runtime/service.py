@@ -16,9 +16,10 @@ from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
 from agent.runtime.databases import RunKind, path_of, writers_of
-from agent.runtime.limits import CLOSE_S, END_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
-from agent.runtime.memory import keep_heap_small, release_free_pages
-from agent.runtime.opening import Opening
+from agent.runtime.limits import BREAK_S, CLOSE_S, END_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
+from agent.runtime.process.deadline import Deadline
+from agent.runtime.process.memory import keep_heap_small, release_free_pages
+from agent.runtime.process.opening import Opening
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import connect
@@ -34,6 +35,7 @@ class Service:
         self._wake = threading.Event()
         self._stop = threading.Event()
         self._timers: list[threading.Timer] = []
+        self._deadline = Deadline()
         self.connections = connect(configs, self._wake)
         self.writers = writers_of(configs, db, kind)
         self._record(configs, db)
@@ -77,6 +79,7 @@ class Service:
         timer.daemon = True
         timer.start()
         self._timers.append(timer)
+        self._deadline.in_s(seconds - HURRY_S + BREAK_S)
 
     def _hurry(self) -> None:
         for rig in self.rigs.values():
@@ -134,7 +137,7 @@ class Service:
         for rig in self.rigs.values():
             if ended():
                 return
-            rig.work()
+            self._deadline.within(rig.work)
         for rig in self.rigs.values():
             rig.poll()
 
@@ -162,7 +165,7 @@ class Service:
     def _settle(self, until: int) -> None:
         """Compute what still waits until then (monotonic, ns); what is left then is dropped."""
         self._take()
-        while self._behind() and monotonic_ns() < until:
+        while self._behind() and not self._deadline.over and monotonic_ns() < until:
             self.process(lambda: monotonic_ns() >= until)
             self._take()
         while self._behind():
@@ -190,9 +193,11 @@ class Service:
             connection.stop(max(0.1, _left_s(begun, CLOSE_S)))
         self._settle(begun + round(FINISH_S * 1e9))
         for rig in self.rigs.values():
-            rig.finish()
+            if not self._deadline.within(rig.finish):
+                log.warning("%s: what was being computed at the end is not stored", rig.config.rig.name)
         for timer in self._timers:
             timer.cancel()
+        self._deadline.end()
         self._ledgers()
         for events in self._event_writers:
             events.stop(max(0.3, _left_s(begun, FINISH_S)))

@@ -41,8 +41,7 @@ class Rig:
     def __init__(self, line: PlayedLine, **keys: object) -> None:
         self.line = line
         self.links = [
-            NotedLink(source(unit, period_s=PERIOD_S, **keys), 3600.0, rng=random.Random(unit))
-            for unit in UNITS
+            NotedLink(source(unit, period_s=PERIOD_S, **keys), 3600.0, rng=random.Random(unit)) for unit in UNITS
         ]
         self.samples = [0] * len(self.links)
         self.events: list[list[str]] = [[] for _ in self.links]

@@ -9,7 +9,7 @@ import pytest
 
 from agent.config import load
 from agent.errors import StoreError
-from agent.runtime.service import END_S, Service
+from agent.runtime.service import END_S, RigRuntime, Service
 from agent.storage.read import queries
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
@@ -99,6 +99,29 @@ def test_agent_that_ends_leaves_what_cannot_be_broken_off_and_says_so(
     assert not ended.is_alive()
     assert "is busy for longer than the end may take" in caplog.text
     assert END_S < MOST_S
+
+
+def test_agent_that_ends_while_it_computes_breaks_that_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    busy = threading.Event()
+
+    def compute(_: RigRuntime) -> None:
+        busy.set()
+        until = time.monotonic() + LONG_S
+        while time.monotonic() < until:
+            pass
+
+    monkeypatch.setattr(RigRuntime, "work", compute)
+    service = Service([load(example("modbus", tmp_path))], tmp_path / "rig.db", "live")
+    ended = threading.Thread(target=service.run, args=(None,))
+    ended.start()
+    assert busy.wait(LONG_S)
+    begun = time.monotonic()
+    service.stop()
+    ended.join(LONG_S)
+    assert time.monotonic() - begun < MOST_S
+    assert "what was being computed at the end is not stored" in caplog.text
 
 
 def test_compacting_is_broken_off_with_an_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.config import load
-from agent.runtime.memory import keep_heap_small, release_free_pages
+from agent.runtime.process.memory import keep_heap_small, release_free_pages
 from agent.runtime.service import Service
 from drivers.port import SampleBlock
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.cli import trend as commands_trend
+from agent.cli.prognosis import trend as commands_trend
 from agent.storage.read import queries
 from agent.storage.tables.rows import Plan
 from agent.storage.write.retention import Retention
@@ -177,7 +177,7 @@ def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
     year(path)
     found = queries.points(path, None, "k1")
     window = commands_trend.window_s(path, "k1")
-    asked = best_ms(lambda: commands_trend._document(found, window, None))
+    asked = best_ms(lambda: commands_trend._document(found, window, None, commands_trend.Ahead()))
     ahead = best_ms(lambda: commands_trend._document(found, window, 20.0))
     many = best_ms(lambda: fleet([path], "90d", None, 20.0), 2)
     daily = found.value[:: len(found.value) // 365]

@@ -127,7 +127,7 @@ def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
         f"joint EKF {cost['ekf'] / 1e3:.1f} µs, {overhead:.2f} x filterpy's own predict + update: {ratio:.0f} x dearer"
     )
     assert overhead <= 1.5
-    assert ratio >= 100
+    assert ratio >= 120
 
 
 def test_bank_costs_a_small_share_of_a_joint_ekf(samples: Record) -> None:

@@ -181,7 +181,7 @@ class Explainer:
         posterior, learnt = self.learner.learn(window, known, later=max(later, 1.0))
         self.solved += 1
         if posterior.changing or not posterior.converged:
-            self.schedule.later(newest)
+            self.schedule.later(newest, failed=not posterior.converged)
             return False
         if self.settings.longer:
             # longer windows need a sharper point than one short window gives

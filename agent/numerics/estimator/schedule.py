@@ -10,6 +10,8 @@ GROWTH = 2.0
 """Ratio of the stretches between windows learnt from afterwards."""
 SELDOM, SELDOM_SAMPLES = 256, 256_000
 """Windows between two that are learnt from, at the most, or so many samples where windows are short."""
+LATEST = 5
+"""Doublings of the time between tries at windows that cannot be solved: eight windows, at the most."""
 FOLLOWED = 8
 """Windows learnt from one after another where the noise changed: of slow forces each says but little."""
 TRIES = 8
@@ -28,18 +30,20 @@ class Schedule:
     learnt: int = 0
     due: int = 0
     tried: int = 0
+    failed: int = 0
 
     def done(self, index: int) -> None:
         """Note that the window ending at sample `index` was learnt from."""
-        self.learnt, self.tried = self.learnt + 1, index
+        self.learnt, self.tried, self.failed = self.learnt + 1, index, 0
         most = max(SELDOM, SELDOM_SAMPLES // self.window)
         stretch = min(GROWTH ** max(0, self.learnt - self._eager), most)
         self.due = index + self.window * int(stretch)
 
-    def later(self, index: int) -> None:
-        """Try again a quarter of a window on."""
+    def later(self, index: int, *, failed: bool = False) -> None:
+        """Try again a quarter of a window on; where windows cannot be solved, twice as long after each."""
+        self.failed = self.failed + 1 if failed else 0
         self.tried = index
-        self.due = index + max(1, self.window // 4)
+        self.due = index + max(1, self.window // 4) * 2 ** min(max(self.failed - 1, 0), LATEST)
 
     def skip(self, index: int) -> None:
         """Learn from no window that reaches back to sample `index`: parameters moved there."""

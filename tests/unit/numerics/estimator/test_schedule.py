@@ -36,3 +36,17 @@ def test_schedule_that_follows_learns_from_every_window_again() -> None:
     assert schedule.due - schedule.tried == SELDOM * 1000
     schedule.follow(schedule.tried)
     assert schedule.due - schedule.tried == 1000
+
+
+def test_schedule_tries_windows_that_cannot_be_solved_ever_more_seldom() -> None:
+    schedule, tries, index = Schedule(1000), [], 0
+    for _ in range(8):
+        schedule.later(index, failed=True)
+        tries.append(schedule.due - index)
+        index = schedule.due
+    assert tries == [250, 500, 1000, 2000, 4000, 8000, 8000, 8000]
+    schedule.later(index)  # a change passes through the window: no failure
+    assert schedule.due - index == 250
+    schedule.done(index)
+    schedule.later(index, failed=True)
+    assert schedule.due - index == 250

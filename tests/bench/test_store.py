@@ -87,7 +87,7 @@ def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
 def trend(path: Path, since: str) -> dict[str, object]:
     """Return what `deltak trend --json` prints."""
     found = queries.points(path, None, "k1", since=since)
-    return commands_trend._document(found, commands_trend.window_s(path, "k1"), None)
+    return commands_trend._document(found, commands_trend.window_s(path, "k1"), None, commands_trend.Ahead())
 
 
 def flat_copy(path: Path) -> Path:
@@ -178,7 +178,7 @@ def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
     found = queries.points(path, None, "k1")
     window = commands_trend.window_s(path, "k1")
     asked = best_ms(lambda: commands_trend._document(found, window, None, commands_trend.Ahead()))
-    ahead = best_ms(lambda: commands_trend._document(found, window, 20.0))
+    ahead = best_ms(lambda: commands_trend._document(found, window, 20.0, commands_trend.Ahead()))
     many = best_ms(lambda: fleet([path], "90d", None, 20.0), 2)
     daily = found.value[:: len(found.value) // 365]
     with warnings.catch_warnings():

@@ -15,7 +15,7 @@ import typer
 
 from agent import __version__
 from agent.cli.group import CommandGroup
-from agent.cli.signals import done_when_terminated
+from agent.cli.terminal.signals import done_when_terminated
 
 app = typer.Typer(
     name="deltak",
@@ -340,14 +340,14 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     # two threads are ten times slower than one on the small products here; numpy reads this when it is first imported
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with done_when_terminated():
-        from agent.cli.errors import guarded
+        from agent.cli.terminal.errors import guarded
 
         sys.exit(guarded(app, list(sys.argv[1:] if argv is None else argv)))
 
 
 def _answer(document: Mapping[str, Any], table: Callable[[Mapping[str, Any]], None], *, as_json: bool) -> None:
     """Print a document as JSON or as a table."""
-    from agent.cli.output import print_json
+    from agent.cli.terminal.output import print_json
 
     if as_json:
         print_json(document)

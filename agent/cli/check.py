@@ -4,8 +4,8 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
-from agent.cli.errors import USAGE
-from agent.cli.output import print_faults, print_table, show
+from agent.cli.terminal.errors import USAGE
+from agent.cli.terminal.output import print_faults, print_table, show
 from agent.errors import Fault
 from agent.text import number
 

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from agent.cli.output import print_json, print_table, show, stdout_text
+from agent.cli.terminal.output import print_json, print_table, show, stdout_text
 from agent.errors import StoreError, UsageError
 from agent.storage import maintenance
 

@@ -2,7 +2,7 @@
 
 from typing import NoReturn
 
-from agent.cli.signals import done_when_terminated
+from agent.cli.terminal.signals import done_when_terminated
 
 
 def main() -> NoReturn:

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from agent.cli.streams import ReaderGoneError
+from agent.cli.terminal.streams import ReaderGoneError
 from agent.errors import AgentError
 
 GROUP = "deltak.commands"

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.output import print_csv, print_table
 from agent.cli.results import verdict
+from agent.cli.terminal.output import print_csv, print_table
 from agent.storage.read import queries
 from agent.text import interval, number, short_time, with_sd
 

@@ -8,7 +8,7 @@ from shlex import quote
 from types import ModuleType
 from typing import Any
 
-from agent.cli.output import print_json, print_table, show
+from agent.cli.terminal.output import print_json, print_table, show
 from agent.text import interval, number, short_time, with_sd
 
 Document = Mapping[str, Any]

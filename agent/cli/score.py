@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from agent.cli.output import print_table, show
+from agent.cli.terminal.output import print_table, show
 from agent.text import number
 
 NOT_MET = 1

@@ -30,7 +30,7 @@ FINISH_S = 2.0
 END_S = 2.8
 """How long an agent that ends goes on with what waits (samples left then are dropped and counted), and takes in all."""
 HURRY_S = 1.0
-BREAK_S = 1.6
+ABANDON_S = 1.6
 """After being asked to end it begins no fit nor search any more, and then breaks off one under way."""
 CLOSE_S = 0.6
 """How long an agent that ends waits for readers to end."""

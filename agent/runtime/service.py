@@ -16,7 +16,7 @@ from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
 from agent.runtime.databases import RunKind, path_of, writers_of
-from agent.runtime.limits import BREAK_S, CLOSE_S, END_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
+from agent.runtime.limits import ABANDON_S, CLOSE_S, END_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
 from agent.runtime.process.deadline import Deadline
 from agent.runtime.process.memory import keep_heap_small, release_free_pages
 from agent.runtime.process.opening import Opening
@@ -79,7 +79,7 @@ class Service:
         timer.daemon = True
         timer.start()
         self._timers.append(timer)
-        self._deadline.in_s(seconds - HURRY_S + BREAK_S)
+        self._deadline.in_s(seconds - HURRY_S + ABANDON_S)
 
     def _hurry(self) -> None:
         for rig in self.rigs.values():

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from agent.cli.app import app
-from agent.cli.errors import guarded
+from agent.cli.terminal.errors import guarded
 from agent.numerics.model import margins_box
 from tests.property.random_rigs import written
 

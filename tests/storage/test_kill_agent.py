@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from agent.cli.app import app
-from agent.cli.errors import guarded
+from agent.cli.terminal.errors import guarded
 from agent.storage.database.connect import connect_reader
 from agent.storage.database.files import beside
 from agent.storage.database.verify import problems

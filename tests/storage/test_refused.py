@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from agent.cli.app import app
-from agent.cli.errors import guarded
+from agent.cli.terminal.errors import guarded
 from agent.storage.database.files import beside
 from agent.storage.write.store import Store
 from tests import peers

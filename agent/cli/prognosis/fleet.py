@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.output import print_table, show
 from agent.cli.prognosis.histories import (
     forecast_document,
     history_of,
@@ -14,6 +13,7 @@ from agent.cli.prognosis.histories import (
     write_prior,
 )
 from agent.cli.prognosis.words import ahead
+from agent.cli.terminal.output import print_table, show
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
 from agent.prognosis.steps import find_steps, without

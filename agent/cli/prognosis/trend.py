@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from agent.cli.output import print_csv, print_json, print_table, show
 from agent.cli.prognosis.histories import forecast_document, history_of, horizon_days, like_machines, window_s
 from agent.cli.prognosis.picture import draw
 from agent.cli.prognosis.words import drift, finding, forecast_words, unit_of, verdict
+from agent.cli.terminal.output import print_csv, print_json, print_table, show
 from agent.errors import UsageError
 from agent.numerics.trend import DAY_NS, Trend, fit_trend
 from agent.prognosis.change import Change, change

@@ -21,8 +21,8 @@ import agent.evaluation.demo
 import agent.evaluation.paper
 import agent.runtime
 from agent.cli.app import app
-from agent.cli.errors import guarded, take_flags
-from agent.cli.logs import OncePerPeriod
+from agent.cli.terminal.errors import guarded, take_flags
+from agent.cli.terminal.logs import OncePerPeriod
 from agent.errors import BusError, ConfigError, Fault, StoreError
 
 Run = Callable[..., tuple[int, str, str]]

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.cli.errors import faults_of
 from agent.cli.prognosis.trend import trend
 from agent.cli.queries import (
     ALARM_COLUMNS,
@@ -22,6 +21,7 @@ from agent.cli.queries import (
     estimates,
     verdicts,
 )
+from agent.cli.terminal.errors import faults_of
 from agent.errors import UsageError
 from agent.storage.read import queries
 from agent.storage.write.store import Store

@@ -9,9 +9,9 @@ from typing import Any
 
 import typer
 
-from agent.cli.logs import set_up_logging
-from agent.cli.output import print_faults
-from agent.cli.streams import ReaderGoneError, guarded_streams
+from agent.cli.terminal.logs import set_up_logging
+from agent.cli.terminal.output import print_faults
+from agent.cli.terminal.streams import ReaderGoneError, guarded_streams
 from agent.errors import Fault, UsageError
 
 INTERRUPTED = 130

@@ -1,0 +1,4 @@
+"""What all commands share: documents and tables on the terminal, streams, signals, logs, errors and exit codes.
+
+Imported by the other rooms of the command line.
+"""

@@ -6,8 +6,8 @@ The transforms of a signal y by the derivatives of ψ are sums of windowed Fouri
 
     S_j(y) = ∫ ψ^(j) y dt = Σ_a C(j, a) (-iω)^(j-a) ∫ w^(a) y exp(-iωt) dt
 
-Sums over samples are integrals here: the integrand vanishes at both ends with many derivatives (Shinbrot, Trans. ASME 79
-(1957) 547; Pearson & Lee, Automatica 21 (1985) 573).
+Sums over samples are integrals here: the integrand vanishes at both ends with many derivatives (Shinbrot, Trans. ASME
+79 (1957) 547; Pearson & Lee, Automatica 21 (1985) 573).
 """
 
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class Modulation:
         rows = [
             sum(comb(j, a) * turning ** (j - a) * windowed[a] for a in range(j + 1)) for j in range(self.order + 1)
         ]
-        return self.period_s * np.array(rows)
+        return np.asarray(self.period_s * np.array(rows), dtype=np.complex128)
 
     def _window(self) -> FloatArray:
         """(order + 1, length) w and its derivatives, from the cosines that an even power of a sine is made of."""
@@ -66,4 +66,5 @@ class Modulation:
 def held(omega: FloatArray, period_s: float, *, straight: bool) -> ComplexArray:
     """Return (b,) what lies between samples: straight lines, or steps that last until the next sample."""
     step = np.sinc(omega * period_s / (2 * np.pi))
-    return np.asarray(step**2 + 0j if straight else step * np.exp(-0.5j * omega * period_s))
+    late = np.zeros_like(omega) if straight else 0.5 * omega * period_s
+    return np.asarray((step**2 if straight else step) * np.exp(-1j * late), dtype=np.complex128)

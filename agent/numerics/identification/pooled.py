@@ -4,8 +4,8 @@ Each window linearised at the same point says of deviations (δ, ξ) of paramete
 
     cost = (δ - a + Z ξ)ᵀ V⁻¹ (δ - a + Z ξ) + ξᵀ S ξ - 2 gᵀ ξ
 
-with its own initial state and noise eliminated. Costs add up; constants have the prior of their data sheets once, so what
-these leave open is averaged by no number of windows. Gauss-Newton: the point moves until the sum rests.
+with its own initial state and noise eliminated. Costs add up; constants have the prior of their data sheets once, so
+what these leave open is averaged by no number of windows. Gauss-Newton: the point moves until the sum rests.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.numerics.inference.algebra import inverse
 from agent.numerics.inference.columns import Window
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import eliminated
@@ -22,6 +23,8 @@ from agent.types import FloatArray, IntArray
 
 TAUGHT = 3
 """Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
+FARTHEST = 10.0
+"""Standard deviations of its data sheet that a constant may move: beyond, it is the graph that does not fit."""
 MOST_STEPS, RESTS = 8, 0.05
 """Steps, and the step in standard deviations at which they end."""
 Told = Callable[[str], None]
@@ -64,15 +67,15 @@ def pooled(
         posterior, known = learner.learn(window, known, believe=True)
         taught.append(posterior)
     known = replace(known, eta=np.zeros(len(rig.constants)))
+    farthest = FARTHEST * np.array([constant.sheet for constant in rig.constants])
     for step in range(MOST_STEPS):
         told(f"joining {len(windows)} windows, step {step + 1}")
         found = _Sum.of(learner, windows, known)
         unit = np.abs(found.unit)
         moved = unit * found.step[: rig.q]
-        known = replace(
-            known, theta=np.maximum(known.theta + _bounded(moved, known.theta), rig.lower),
-            eta=known.eta + found.step[rig.q :],
-        )  # fmt: skip
+        eta = np.clip(known.eta + found.step[rig.q :], -farthest, farthest)
+        theta = np.maximum(known.theta + _bounded(moved, known.theta), rig.lower)
+        known = replace(known, theta=theta, eta=eta)
         rests = bool(np.all(np.abs(moved) <= RESTS * unit * np.sqrt(np.diag(found.covariance)[: rig.q])))
         if rests:
             break
@@ -111,18 +114,19 @@ class _Sum:
         for window in windows:
             at = learner.lineariser.point(window, known, known.theta, no_cuts)
             S, g, alone, V, Z = eliminated(at)
-            precision, J = np.linalg.inv(V), np.hstack([np.eye(q), Z])
+            precision = inverse(V)
+            J = np.hstack([np.eye(q), Z])
             H += J.T @ precision @ J
             h += J.T @ (precision @ alone)
             H[q:, q:] += S
             h[q:] += g
             said.append((alone, precision, Z))
-        covariance = np.linalg.inv(H)
+        covariance = inverse(H)
         step = covariance @ h
         differing = [alone - Z @ step[q:] - step[:q] for alone, _, Z in said]
         total = sum(float(d @ W @ d) for d, (_, W, _) in zip(differing, said, strict=True))
         scatter = max(1.0, total / (q * max(len(said) - 1, 1)))
-        return cls(at.unit, step, covariance, np.linalg.inv(H[:q, :q]), scatter)
+        return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter)
 
     def said(self, known: Knowledge, taught: tuple[Posterior, ...], converged: bool) -> Pooled:
         q = len(self.unit)

@@ -43,7 +43,7 @@ def start(
     model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], period_s: float, sigma: FloatArray,
     *, straight: bool, standing: bool,
 ) -> FloatArray:  # fmt: skip
-    """Return the parameters (q,) of records (y (N, p), u (N, m), the signs of frictions last); sigma (p,): sensor noise.
+    """Return the parameters (q,) of records (y (N, p), u (N, m), the signs of frictions last); sigma (p,): sensor sds.
 
     Raises ValueError where no piece is long enough.
     """
@@ -147,7 +147,7 @@ class _Solver:
 
     def _weight(self, theta: FloatArray, P: ComplexArray, b: ComplexArray, whole: FloatArray) -> ComplexArray:
         G, noise = self._gain(theta), self._scattered()
-        N = np.einsum("bnv,bv,bmv->bnm", G, noise, G.conj())
+        N: ComplexArray = np.einsum("bnv,bv,bmv->bnm", G, noise, G.conj()).astype(np.complex128)
         every = np.arange(N.shape[1])
         left = np.abs(b - P @ whole) ** 2
         force = np.maximum(np.median(left - N[:, every, every].real, axis=0), 0.0)
@@ -177,7 +177,7 @@ class _Solver:
         self, Z: ComplexArray, P: ComplexArray, b: ComplexArray, N: ComplexArray, *, compensated: bool
     ) -> FloatArray:
         """Return the unknowns from Re Zᴴ N⁻¹ (P θ - b) = 0, what noise adds to the columns' products taken out."""
-        W = np.linalg.inv(N)
+        W: ComplexArray = np.asarray(np.linalg.inv(N), dtype=np.complex128)
         A = np.einsum("bnc,bnm,bmd->cd", Z.conj(), W, P, optimize=True).real
         g = np.einsum("bnc,bnm,bm->c", Z.conj(), W, b, optimize=True).real
         if compensated:

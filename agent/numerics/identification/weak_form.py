@@ -93,7 +93,7 @@ def spectra(
     modulation = Modulation(len(y), period_s, r + 2)
     omega, ones = modulation.omega, np.ones((len(y), 1))
     whole = modulation.transforms(np.hstack([y, u, ones]))
-    motion = np.zeros((3, len(omega), len(nodes)), dtype=complex)
+    motion: ComplexArray = np.zeros((3, len(omega), len(nodes)), dtype=np.complex128)
     for node, sensor, q in zip(sensing.node, sensing.sensor, sensing.order, strict=True):
         for j in range(3):
             motion[j, :, node] = (-1.0) ** (j + q) * whole[r + j - q, :, sensor]
@@ -105,7 +105,7 @@ def spectra(
     # all of one sign: the test function's order is common to every term
     signs = driven[:, len(model.forces) : -1]
     energy = np.full(len(omega), len(y) * period_s**2)
-    return Spectra(omega, (-1.0) ** r * motion, force, signs, driven[:, -1], energy)
+    return Spectra(omega, np.asarray((-1.0) ** r * motion), force, signs, driven[:, -1], energy)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,53 @@
+"""Predicted against measured motion: the model runs free through each window, and what it leaves is unexplained."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.blocks.rig_model import rig_model
+from agent.commissioning.prediction import sampled
+from agent.commissioning.readings import Recorded
+from agent.config import RigConfig
+from agent.numerics.model.sensors import with_constant
+from agent.numerics.model.statespace import simulate
+from agent.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What a model explains of recorded motion.
+
+    Attributes:
+        measured, predicted: (N, p) outputs of all windows, SI, the windows' means taken out of neither.
+        share: (p,) mean square of what is left, in that of the motion about its mean; 1 at most.
+        beyond: (p,) the same with the sensors' noise taken off.
+    """
+
+    measured: FloatArray
+    predicted: FloatArray
+    share: FloatArray
+    beyond: FloatArray
+
+
+def explained(config: RigConfig, records: list[Recorded], window: int, noise: FloatArray) -> Explained:
+    """Run the model at its nominal through every window, from the state that its readings show; noise (p,) in SI."""
+    rig = rig_model(config)
+    discrete = sampled(config, rig)
+    measured, predicted = [], []
+    for record in records:
+        for first, end in windows_of(record, window):
+            u = with_constant(record.u[first:end], discrete.model.m)
+            _, y = simulate(discrete, record.first_state(discrete, first, end), u)
+            measured.append(record.y[first:end])
+            predicted.append(y)
+    whole, left = np.concatenate(measured), np.concatenate(measured) - np.concatenate(predicted)
+    motion = np.maximum(np.mean((whole - whole.mean(axis=0)) ** 2, axis=0), 1e-300)
+    rest = np.mean(left**2, axis=0)
+    # what predicts worse than nothing explains nothing
+    share, beyond = np.minimum(rest / motion, 1.0), np.clip((rest - noise**2) / motion, 0.0, 1.0)
+    return Explained(whole, np.concatenate(predicted), share, beyond)
+
+
+def windows_of(record: Recorded, window: int) -> list[tuple[int, int]]:
+    """Return the disjoint windows (first, end) of a record's uninterrupted pieces."""
+    return [(a, a + window) for first, end in record.pieces for a in range(first, end - window + 1, window)]

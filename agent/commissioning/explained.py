@@ -1,15 +1,16 @@
 """Predicted against measured motion: the model runs free through each window, and what it leaves is unexplained."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from agent.blocks.rig_model import rig_model
-from agent.commissioning.prediction import sampled
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
+from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
-from agent.numerics.model.statespace import simulate
+from agent.numerics.model.statespace import Discrete, discretise, simulate
 from agent.types import FloatArray
 
 
@@ -29,23 +30,34 @@ class Explained:
     beyond: FloatArray
 
 
-def explained(config: RigConfig, records: list[Recorded], window: int, noise: FloatArray) -> Explained:
-    """Run the model at its nominal through every window, from the state that its readings show; noise (p,) in SI."""
-    rig = rig_model(config)
-    discrete = sampled(config, rig)
+def explained(
+    config: RigConfig, theta: FloatArray, records: Sequence[Recorded], window: int, noise: FloatArray
+) -> Explained:
+    """Run the model at theta (q,) through every window, from the state that its readings show; noise (p,) in SI."""
+    hold = straight(config.estimator.hold)
+    discrete = discretise(rig_model(config).model.continuous(theta), 1.0 / config.rig.sample_rate_hz, hold)
     measured, predicted = [], []
     for record in records:
         for first, end in windows_of(record, window):
             u = with_constant(record.u[first:end], discrete.model.m)
-            _, y = simulate(discrete, record.first_state(discrete, first, end), u)
             measured.append(record.y[first:end])
-            predicted.append(y)
+            predicted.append(_free_run(discrete, record.y[first:end], u))
     whole, left = np.concatenate(measured), np.concatenate(measured) - np.concatenate(predicted)
     motion = np.maximum(np.mean((whole - whole.mean(axis=0)) ** 2, axis=0), 1e-300)
     rest = np.mean(left**2, axis=0)
     # what predicts worse than nothing explains nothing
     share, beyond = np.minimum(rest / motion, 1.0), np.clip((rest - noise**2) / motion, 0.0, 1.0)
     return Explained(whole, np.concatenate(predicted), share, beyond)
+
+
+def _free_run(discrete: Discrete, y: FloatArray, u: FloatArray) -> FloatArray:
+    """Return outputs (W, p) under inputs u (W, m) from the state at which they are nearest to what was measured."""
+    n = discrete.model.n
+    _, forced = simulate(discrete, np.zeros(n), u)
+    free = np.array([simulate(discrete, unit, np.zeros_like(u))[1].ravel() for unit in np.eye(n)]).T
+    size = np.maximum(np.abs(free).max(axis=0), 1e-300)
+    first = np.linalg.lstsq(free / size, (y - forced).ravel(), rcond=1e-12)[0]
+    return np.asarray(forced + (free / size @ first).reshape(y.shape))
 
 
 def windows_of(record: Recorded, window: int) -> list[tuple[int, int]]:

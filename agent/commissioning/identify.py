@@ -1,6 +1,6 @@
 """`deltak identify`: the elements of the configured graph from recordings; no nominal is needed, none is trusted.
 
-recordings -> weak form (a start from nothing) -> all windows joined by the estimator's likelihood -> free run -> values,
+recordings -> weak form (a start from nothing) -> all windows joined by the estimator's likelihood -> free run -> values
 or a refusal. Equations and limits are in docs/identify.md.
 """
 
@@ -36,7 +36,7 @@ from agent.runtime.model_check import model_faults
 from agent.text import percent
 from agent.types import FloatArray
 
-PERIODS, WINDOWS, LONGEST = 10, 12, 16_384
+PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
 """Periods of the slowest mode in a window, windows of all recordings where they allow, most samples of a window."""
 SHORTEST = 128
 UNEXPLAINED = 0.02
@@ -189,7 +189,9 @@ def _window(config: RigConfig, records: Sequence[Recorded]) -> int:
     slowest = float(np.min(speeds[speeds > 1e-6 * speeds.max()], initial=speeds.max()))
     lengths = [b - a for record in records for a, b in record.pieces]
     wanted = max(PERIODS * 2 * pi / slowest * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST)
-    return int(min(wanted, LONGEST, max(lengths)))
+    longest = max(lengths)
+    # equal parts of the longest piece: a remainder would be lost
+    return min(longest // max(1, int(longest / wanted)), LONGEST)
 
 
 def _joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) -> _Found:
@@ -215,7 +217,7 @@ def _joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) -
     names = [parameter.name for parameter in rig.parameters]
     found = with_nominals(config, dict(zip(names, said.theta.tolist(), strict=True)))
     constants = settings.rig.constants
-    seen = explained(_weighed(found, said, constants), list(records), window, noise)
+    seen = explained(_weighed(found, said, constants), said.theta, records, window, noise)
     return _Found(found, rig, said, window, len(windows), seen, constants)
 
 

@@ -48,9 +48,7 @@ class Modulation:
         omega = self.omega
         windowed = [np.fft.rfft(w[:, None] * signals, axis=0)[: len(omega)] for w in self._window()]
         turning = -1j * omega[:, None]
-        rows = [
-            sum(comb(j, a) * turning ** (j - a) * windowed[a] for a in range(j + 1)) for j in range(self.order + 1)
-        ]
+        rows = [sum(comb(j, a) * turning ** (j - a) * windowed[a] for a in range(j + 1)) for j in range(self.order + 1)]
         return np.asarray(self.period_s * np.array(rows), dtype=np.complex128)
 
     def _window(self) -> FloatArray:

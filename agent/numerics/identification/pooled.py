@@ -27,7 +27,7 @@ FARTHEST = 10.0
 """Standard deviations of its data sheet that a constant may move: beyond, it is the graph that does not fit."""
 MOST_STEPS, RESTS = 8, 0.05
 """Steps, and the step in standard deviations at which they end."""
-Told = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -54,22 +54,22 @@ class Pooled:
 
 
 def pooled(
-    rig: Rig, windows: Sequence[Window], sigma: FloatArray, spread: FloatArray, floor: FloatArray, told: Told
+    rig: Rig, windows: Sequence[Window], sigma: FloatArray, spread: FloatArray, floor: FloatArray, progress: Progress
 ) -> Pooled:
     """Estimate from disjoint windows of one length, begun at the rig's nominal; sigma, spread, floor (p,) of its noise.
 
-    told: is told how far it is.
+    progress: is called with words for how far it is.
     """
     learner = Learner(rig, windows[0].length, len(sigma), floor)
     known, taught = learner.prior(sigma, spread), []
     for number, window in enumerate(_spread_out(windows)):
-        told(f"learning the noise: window {number + 1} of {min(TAUGHT, len(windows))}")
+        progress(f"learning the noise: window {number + 1} of {min(TAUGHT, len(windows))}")
         posterior, known = learner.learn(window, known, believe=True)
         taught.append(posterior)
     known = replace(known, eta=np.zeros(len(rig.constants)))
     farthest = FARTHEST * np.array([constant.sheet for constant in rig.constants])
     for step in range(MOST_STEPS):
-        told(f"joining {len(windows)} windows, step {step + 1}")
+        progress(f"joining {len(windows)} windows, step {step + 1}")
         found = _Sum.of(learner, windows, known)
         unit = np.abs(found.unit)
         moved = unit * found.step[: rig.q]

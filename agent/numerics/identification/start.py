@@ -167,7 +167,7 @@ class _Solver:
                     force[:, nodes.index(node)] -= sign * friction.nominal * s.slip[:, i]
         # at rest a free rig has no stiffness
         scale = np.abs(G).max(axis=(1, 2), keepdims=True)
-        G = G + 1e-9 * scale * np.eye(G.shape[1])
+        G = G + (1e-9 * scale + 1e-12 * scale.max()) * np.eye(G.shape[1])
         x = np.linalg.solve(G, force[..., None])[..., 0]
         iw = 1j * s.omega[:, None]
         Z, _ = self.equations.regression(replace(s, motion=np.array([x, iw * x, iw**2 * x])))

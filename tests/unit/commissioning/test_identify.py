@@ -48,9 +48,7 @@ def test_what_needs_nominals_refuses_and_advises_to_identify(
     assert len(err.splitlines()) == 4
 
 
-def test_identify_writes_nominals_that_replay_then_runs_with(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_identify_writes_nominals_that_replay_then_runs_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     config, recording = files(tmp_path, text=f"# of the shop floor\n{TEXT}")
     plot = tmp_path / "seen.png"
     code, out, err = run(["identify", config, recording, "--write", "--plot", str(plot)], capfd)

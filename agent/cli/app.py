@@ -158,6 +158,26 @@ def replay(
 
 
 @app.command()
+def identify(
+    config: Config,
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    write: Annotated[bool, typer.Option("--write", help="Put the values found into CONFIG; comments stay.")] = False,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Find springs and dampers of a graph from recordings; no nominal is needed, none is trusted."""
+    from agent.cli import identify as commands_identify
+    from agent.commissioning import identify as body
+
+    document, seen = body.identify(config=config, recordings=recordings, write=write)
+    if plot is not None:
+        commands_identify.draw(document, seen, plot)
+    _answer(document, commands_identify.print_identified, as_json=json)
+    if not document["ok"]:
+        raise typer.Exit(commands_identify.report_refusal(document))
+
+
+@app.command()
 def score(
     scenarios: Annotated[
         list[str] | None, typer.Argument(metavar="SCENARIO...", help="Scenarios that name their rig; all that ship.")

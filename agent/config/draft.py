@@ -25,10 +25,11 @@ class Draft:
     """The tables of one file with their key paths, and the faults found in it.
 
     Values that could not be read are None; rules pass over them, because they have been complained of already.
-    rig and model are None where the file has none.
+    rig and model are None where the file has none. identified: nominals are yet to be found, none need be stated.
     """
 
     folder: Path
+    identified: bool = False
     faults: Faults = field(default_factory=Faults)
     rig: Rig | None = None
     model: Model | None = None

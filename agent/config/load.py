@@ -43,21 +43,21 @@ _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
 
 
-def load(path: str | Path) -> RigConfig:
-    """Read and check one configuration file.
+def load(path: str | Path, *, identified: bool = False) -> RigConfig:
+    """Read and check one configuration file; identified: nominals are yet to be found, none need be stated.
 
     Relative paths in it start at its folder. Raises ConfigError with every fault of the file; each names its key
     path, or file and line where the file is not TOML.
     """
     file = Path(os.path.abspath(path))  # noqa: PTH100 - resolve() would follow links and change the folder
     data = read_bytes(file)
-    return parse(data, file)
+    return parse(data, file, identified=identified)
 
 
-def parse(data: bytes, file: Path) -> RigConfig:
+def parse(data: bytes, file: Path, *, identified: bool = False) -> RigConfig:
     """Check a configuration's bytes as if they stood in `file`; raises ConfigError with every fault."""
     raw = parse_toml(data, file)
-    draft = Draft(file.parent)
+    draft = Draft(file.parent, identified)
     _read(raw, draft)
     for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources):
         check(draft)

@@ -45,9 +45,24 @@ def _check_mechanics(draft: Draft, model: MechanicsModel) -> None:
             draft.faults.add(f"{path}.name", f'"{GROUND}" is reserved', "it is the fixed node; use another name")
     for entry in elements:
         _check_element(entry, [mass.name for mass in model.mass], draft.faults)
+    for entry in elements:
+        _check_nominal(entry, draft)
     if not any(fault.path.startswith("model.") for fault in draft.faults.found):
         _check_massless(masses, model, draft.faults)
         _check_measured(masses, elements, draft)
+
+
+def _check_nominal(entry: Entry[Element], draft: Draft) -> None:
+    """Note an element without a nominal: where one is needed, and where nothing would find it."""
+    path, element = entry
+    if not readable(element.nominal, element.name) or element.is_known:
+        return
+    if not draft.identified:
+        advice = "give its healthy value, or let `deltak identify CONFIG RECORDING --write` find it"
+        draft.faults.add(f"{path}.nominal", "is missing", advice)
+    elif element.name not in draft.estimated:
+        what = f"is missing, and estimator.estimate leaves {shown(element.name)} out"
+        draft.faults.add(f"{path}.nominal", what, "name it there, or give its value")
 
 
 def _check_element(entry: Entry[Element], masses: list[str], faults: Faults) -> None:
@@ -76,7 +91,7 @@ def reachable(starts: Iterable[str], edges: Iterable[tuple[str, str]]) -> set[st
 
 def _check_massless(masses: list[Entry[Mass]], model: MechanicsModel, faults: Faults) -> None:
     """A node without mass moves as dampers let it: a chain of them must lead to a mass or to ground."""
-    edges = [damper.between for damper in model.damper if damper.nominal > 0]
+    edges = [damper.between for damper in model.damper if damper.nominal > 0 or not damper.is_known]
     on_ground = {node for edge in edges if GROUND in edge for node in edge if node != GROUND}
     held = reachable({mass.name for _, mass in masses if mass.value > 0} | on_ground, edges)
     for path, mass in masses:

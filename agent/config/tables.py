@@ -5,6 +5,7 @@ These check each value by itself. What must hold between values stands in the `r
 
 import hashlib
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -55,7 +56,12 @@ class Element(Table):
 
     name: Name
     between: Nodes = Field(description='two nodes, such as ["ground", "m1"]')
-    nominal: NotNegative
+    nominal: NotNegative = math.nan
+
+    @property
+    def is_known(self) -> bool:
+        """Whether its nominal is stated; `deltak identify` finds one that is not."""
+        return not math.isnan(self.nominal)
 
 
 class MechanicsModel(Table):

@@ -1,0 +1,69 @@
+"""`deltak identify`: what was found of a rig, as sentences, and predicted against measured motion as a picture."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.cli.terminal.errors import USAGE
+from agent.cli.terminal.output import print_faults, print_table, show
+from agent.commissioning.explained import Explained
+from agent.errors import Fault, UsageError
+from agent.text import interval, number, percent, with_sd
+
+Document = Mapping[str, Any]
+DRAWN = 4000
+"""Samples of a picture: more are a band."""
+
+
+def print_identified(document: Document) -> None:
+    """Print values with intervals, what could not be known, what is unexplained, and what a file was given."""
+    columns = ("parameter", "value", "unit", "95 %", "")
+    rows = (
+        (name, with_sd(row["value"], row["sd"]), row["unit"], interval(row["lower"], row["upper"]), row["why"] or "")
+        for name, row in document["parameters"].items()
+    )
+    title = f"{document['rig']}: {document['windows']} windows of {number(document['window_s'], 3)} s"
+    print_table(title, columns, rows, right=columns[1:2])
+    shares = ", ".join(f"{name} {percent(share / 100)}" for name, share in document["unexplained"].items())
+    show(f"share of the motion left unexplained: {shares}")
+    show(f"{number(document['span_s'], 4)} s of recordings in {number(document['seconds'], 3)} s")
+    for change in document["changes"] if document["ok"] else []:
+        before = "nothing" if change["from"] is None else number(change["from"])
+        show(f"{change['parameter']}: {before} -> {number(change['to'])}")
+    if document["ok"]:
+        written = document["written"]
+        show(f"written to {written}" if written else "nothing was written; --write puts these into the file")
+
+
+def report_refusal(document: Document) -> int:
+    """Print on stderr why the graph was refused and return the exit code."""
+    print_faults(Fault(e["path"], e["message"], e["advice"]) for e in document["errors"])
+    return USAGE
+
+
+def draw(document: Document, seen: Explained, path: Path) -> None:
+    """Draw predicted against measured motion. Raises UsageError where matplotlib or a place for the file is missing."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
+    names = list(document["unexplained"])
+    figure = Figure(figsize=(9, 1.2 + 1.8 * len(names)), layout="constrained")
+    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    length = min(len(seen.measured), DRAWN)
+    t = np.arange(length)
+    for column, (name, axis) in enumerate(zip(names, axes, strict=True)):
+        share = percent(document["unexplained"][name] / 100)
+        axis.set_title(f"{name}: {share} unexplained", loc="left")
+        axis.plot(t, seen.measured[:length, column], color="tab:blue", lw=0.8, label="measured")
+        axis.plot(t, seen.predicted[:length, column], color="tab:red", lw=0.8, ls="--", label="predicted")
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].legend(frameon=False)
+    axes[-1].set_xlabel("sample")
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        advice = "name a .png, .svg or .pdf in a folder there is"
+        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error

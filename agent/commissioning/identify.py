@@ -1,0 +1,307 @@
+"""`deltak identify`: the elements of the configured graph from recordings; no nominal is needed, none is trusted.
+
+recordings -> weak form (a start from nothing) -> all windows joined by the estimator's likelihood -> free run -> values
+or a refusal. Equations and limits are in docs/identify.md.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.blocks.friction import mechanics_of
+from agent.blocks.rig_model import RigModel, rig_model
+from agent.blocks.statistical_rig import estimator_settings
+from agent.commissioning.channel_checks import plain_findings
+from agent.commissioning.explained import Explained, explained, windows_of
+from agent.commissioning.nominals import KEYS, with_nominals, write_nominals
+from agent.commissioning.progress import Progress, on_terminal
+from agent.commissioning.readings import Recorded
+from agent.commissioning.recording_summary import read_recording
+from agent.config import MechanicsModel, RigConfig, load
+from agent.errors import ConfigError, Fault, ModelError, RecordingError
+from agent.numerics.identification.pooled import Pooled, pooled
+from agent.numerics.identification.start import hidden, start, still
+from agent.numerics.inference.columns import window_of
+from agent.numerics.inference.tuning import DIGITS, SIGMA_SPREAD_UNSTATED
+from agent.numerics.model.holds import straight
+from agent.numerics.model.mechanics import MassSpringDamper
+from agent.numerics.model.sensors import with_constant
+from agent.numerics.model.uncertain import Constant
+from agent.runtime.assembly.model_check import model_faults
+from agent.text import percent
+from agent.types import FloatArray
+
+PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
+"""Periods of the slowest mode in a window, windows of all recordings where they allow, most samples of a window."""
+SHORTEST = 128
+UNEXPLAINED = 0.02
+"""Share of a motion, its sensor's noise taken off, beyond which the graph is not the machine's."""
+PULLED = 5.0
+"""Standard deviations of its data sheet beyond which a mass or gain that the data ask for is no mass or gain."""
+VAGUE = 0.33
+"""Sd, as a share of the value, above which a parameter is not known."""
+INSEPARABLE = 0.95
+"""Correlation from which two vague parameters are named together."""
+LEAST = 1e-4
+"""Of the largest of its kind: what a start is where noise made it negative."""
+T975 = 1.96
+LOOK_FOR = "look for an element, a force or a mass that the graph lacks, or for a channel that is wrong"
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Everything that was found: the configuration with it, the rig's parameters, windows, and what they explain."""
+
+    config: RigConfig
+    rig: RigModel
+    said: Pooled
+    window: int
+    windows: int
+    seen: Explained
+    constants: tuple[Constant, ...]
+
+
+def identify(
+    *, config: Path, recordings: Sequence[Path], write: bool = False, progress: Progress | None = None
+) -> tuple[dict[str, Any], Explained]:
+    """Identify a rig; return the document of CONTRACT section 8, and predicted against measured motion.
+
+    "ok" is false, with "errors", where the graph is not the machine's; nothing is written then. Raises ConfigError,
+    RecordingError, ModelError, UsageError.
+    """
+    began = time.monotonic()
+    said = progress or on_terminal()
+    rig = load(config, identified=True)
+    try:
+        found, span_s = _identified(rig, recordings, said)
+    except np.linalg.LinAlgError as error:
+        what = "no values of the graph's elements give this motion"
+        raise ModelError.at("model", what, LOOK_FOR) from error
+    finally:
+        said("")
+    document = _document(rig, found) | {"span_s": span_s, "seconds": time.monotonic() - began}
+    if write and document["ok"]:
+        values = {change["parameter"]: change["to"] for change in document["changes"]}
+        write_nominals(config, values)
+        document["written"] = str(config)
+    return document, found.seen
+
+
+def _identified(rig: RigConfig, recordings: Sequence[Path], progress: Progress) -> tuple[_Found, float]:
+    if not isinstance(rig.model, MechanicsModel):
+        advice = "give its parameters' nominals; identify knows masses, springs, dampers and dry friction"
+        raise ConfigError.at("model.kind", '"linear" has no graph to identify', advice)
+    blank = with_nominals(rig, {e.name: 1.0 for e in _elements(rig.model) if e.name in rig.estimator.estimate})
+    _require_motion_sensors(blank)
+    records = _records(blank, recordings, progress)
+    progress("solving the weak form")
+    begun = _begun(blank, records)
+    if rig.model.friction:
+        # the signs of velocities come from a model, which is now a better one
+        records = _records(begun, recordings, progress)
+        begun = _begun(begun, records)
+    if faults := model_faults(begun, rig_model(begun)):
+        raise ModelError(faults)
+    return _joined(begun, records, progress), sum(record.facts["span_s"] for record in records)
+
+
+def _elements(model: MechanicsModel) -> tuple[Any, ...]:
+    return (*model.spring, *model.damper, *model.friction)
+
+
+def _mechanics(config: RigConfig) -> MassSpringDamper:
+    found = mechanics_of(rig_model(config).model)
+    if found is None:
+        raise TypeError("not a mass-spring-damper model")
+    return found
+
+
+def _require_motion_sensors(config: RigConfig) -> None:
+    """Refuse what the weak form cannot begin with: a guess would be no identification."""
+    names, nodes = hidden(_mechanics(config))
+    if names:
+        what = f"{', '.join(names)} cannot be started: no displacement or velocity of {', '.join(nodes)} is measured"
+        raise ModelError.at("channel", what, f"measure the displacement of {', '.join(nodes)}, or state these nominals")
+
+
+def _records(config: RigConfig, recordings: Sequence[Path], progress: Progress) -> list[Recorded]:
+    records = []
+    for path in recordings:
+        progress(f"reading {path.name}")
+        record = read_recording(config, path)
+        if found := plain_findings(config, record.measured):
+            raise RecordingError([Fault(str(path), row["words"], "mend the channel first") for row in found])
+        records.append(record)
+    return records
+
+
+def _noise(config: RigConfig, records: Sequence[Recorded]) -> FloatArray:
+    """Noise of each output (p,), SI: as the high frequencies show it, else as stated, else the digits of a sensor."""
+    stated = np.array([(c.noise_sd or 0.0) * c.si_factor for c in config.outputs])
+    seen = np.median([record.noise for record in records], axis=0)
+    spread = np.max([record.y.std(axis=0) for record in records], axis=0)
+    return np.asarray(np.maximum(np.where(seen > 0, seen, stated), np.maximum(DIGITS * spread, 1e-300)))
+
+
+def _begun(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
+    """Return the configuration with the start of the weak form for nominals. Raises ModelError, RecordingError."""
+    model = _mechanics(config)
+    sigma = _noise(config, records)
+    pieces = [(r.y[a:b], r.u[a:b]) for r in records for a, b in r.pieces if b - a >= SHORTEST]
+    if not pieces:
+        raise RecordingError.at("", f"no {SHORTEST} samples without a gap", "give a longer recording")
+    _require_motion(model, pieces, sigma)
+    found = start(
+        model, pieces, 1.0 / config.rig.sample_rate_hz, sigma,
+        straight=straight(config.estimator.hold) == "first", standing=any(c.bias for c in config.channel),
+    )  # fmt: skip
+    return with_nominals(config, _positive(config, dict(zip(model.parameters, found.tolist(), strict=True))))
+
+
+def _require_motion(
+    model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], sigma: FloatArray
+) -> None:
+    quiet, nodes = still(model, pieces, sigma)
+    if len(nodes) == len(model.structure.masses):
+        raise RecordingError.at("", "nothing moves beyond the noise of its sensor", "record while the machine moves")
+    if quiet:
+        where = f"{', '.join(nodes)} rests" if nodes else "both ends move as one"
+        what = f"{', '.join(quiet)} cannot be known: {where} in all of the recordings"
+        raise ModelError.at("estimator.estimate", what, "record a motion that stretches them, or state their nominals")
+
+
+def _positive(config: RigConfig, values: Mapping[str, float]) -> dict[str, float]:
+    """Return values of which none is negative: a motion that grows by itself starts no estimate."""
+    kinds = {name: config.parameters[name].kind for name in values}
+    largest = {
+        kind: max([v for n, v in values.items() if kinds[n] == kind and v > 0], default=1.0) for kind in kinds.values()
+    }
+    return {name: max(value, LEAST * largest[kinds[name]]) for name, value in values.items()}
+
+
+def _window(config: RigConfig, records: Sequence[Recorded]) -> int:
+    """Return the length of the windows that are joined, samples: some periods of the slowest mode."""
+    model = rig_model(config).model
+    speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
+    slowest = float(np.min(speeds[speeds > 1e-6 * speeds.max()], initial=speeds.max()))
+    lengths = [b - a for record in records for a, b in record.pieces]
+    wanted = max(PERIODS * 2 * pi / slowest * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST)
+    longest = max(lengths)
+    # equal parts of the longest piece: a remainder would be lost
+    return min(longest // max(1, int(longest / wanted)), LONGEST)
+
+
+def _joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) -> _Found:
+    """Estimate by all windows together, and run the result free through them."""
+    window = _window(begun, records)
+    length = window / begun.rig.sample_rate_hz
+    # a polynomial between samples differs from lines by little
+    update = {"window_s": length, "hop_s": length, "method": "window-ml", "hold": straight(begun.estimator.hold)}
+    config = begun.model_copy(update={"estimator": begun.estimator.model_copy(update=update)})
+    settings = estimator_settings(config, np.zeros(len(config.outputs)))
+    columns = len(settings.rig.measured)
+    windows = []
+    for record in records:
+        u = with_constant(record.u, columns)
+        for a, b in windows_of(record, window):
+            windows.append(window_of(record.y[a:b], u[a:b], u[a - 1] if a else None))
+    noise = _noise(config, records)
+    known = np.isfinite(settings.sigma)
+    sigma = np.where(known, settings.sigma, noise)
+    spread = np.where(known, settings.sigma_spread, SIGMA_SPREAD_UNSTATED)
+    said = pooled(settings.rig, windows, sigma, spread, settings.floor, progress)
+    progress("running the model free")
+    rig = rig_model(config)
+    names = [parameter.name for parameter in rig.parameters]
+    found = with_nominals(config, dict(zip(names, said.theta.tolist(), strict=True)))
+    constants = settings.rig.constants
+    seen = explained(_weighed(found, said, constants), said.theta, records, window, noise)
+    return _Found(found, rig, said, window, len(windows), seen, constants)
+
+
+def _weighed(config: RigConfig, said: Pooled, constants: Sequence[Constant]) -> RigConfig:
+    """Return the configuration with masses as the data have them: the values were found together with these."""
+    masses = {mass.name: mass.value for mass in config.model.mass} if isinstance(config.model, MechanicsModel) else {}
+    pairs = [(c.name, eta) for c, eta in zip(constants, said.eta.tolist(), strict=True) if c.kind == "mass"]
+    return with_nominals(config, {name: float(masses[name] * np.exp(eta)) for name, eta in pairs})
+
+
+def _document(rig: RigConfig, found: _Found) -> dict[str, Any]:
+    errors = list(_refusals(rig, found))
+    rows = {p.name: _row(found, i) for i, p in enumerate(found.rig.parameters)}
+    shares = {c.name: 100.0 * s for c, s in zip(rig.outputs, found.seen.share.tolist(), strict=True)}
+    return {
+        "rig": rig.rig.name, "ok": not errors, "parameters": rows, "unexplained_percent": max(shares.values()),
+        "unexplained": shares, "graph": [], "windows": found.windows,
+        "window_s": found.window / rig.rig.sample_rate_hz, "scatter": found.said.scatter,
+        "changes": _changes(rig, rows), "written": None,
+        "errors": [{"path": e.path, "message": e.message, "advice": e.advice} for e in errors],
+    }  # fmt: skip
+
+
+def _refusals(rig: RigConfig, found: _Found) -> list[Fault]:
+    """Return why the graph is not the machine's; empty where it is."""
+    worst = [
+        Fault("model", f"the graph leaves {percent(share)} of the motion of {channel.name} unexplained", LOOK_FOR)
+        for channel, share in zip(rig.outputs, found.seen.beyond.tolist(), strict=True)
+        if not share <= UNEXPLAINED
+    ]
+    if worst:
+        return worst
+    if pulled := _pulled(found):
+        return [Fault("model", f"the graph fits only with {pulled} than configured", LOOK_FOR)]
+    if not found.said.converged:
+        return [Fault("model", "the windows of the recordings agree on no values", LOOK_FOR)]
+    return []
+
+
+def _pulled(found: _Found) -> str:
+    """Return the constant that the data pull beyond its data sheet, in words; nothing where none is."""
+    pairs = [(c, eta) for c, eta in zip(found.constants, found.said.eta.tolist(), strict=True) if c.kind != "delay"]
+    constant, eta = max(pairs, key=lambda pair: abs(pair[1]) / pair[0].sheet, default=(None, 0.0))
+    if constant is None or abs(eta) <= PULLED * constant.sheet:
+        return ""
+    what = constant.name if constant.kind == "mass" else f"the gain of {constant.name}"
+    return f"{what} {percent(np.expm1(eta))} {'more' if eta > 0 else 'less'}"
+
+
+def _row(found: _Found, i: int) -> dict[str, Any]:
+    value, sd = float(found.said.theta[i]), float(found.said.sd[i])
+    why = _why(found, i)
+    return {
+        "value": value, "sd": sd, "sd_repeat": float(found.said.sd_repeat[i]), "lower": value - T975 * sd,
+        "upper": value + T975 * sd, "unit": found.rig.parameters[i].unit, "identifiable": why is None, "why": why,
+    }  # fmt: skip
+
+
+def _why(found: _Found, i: int) -> str | None:
+    """Return why a parameter is not known, and what would show it; None where it is."""
+    parameter, said = found.rig.parameters[i], found.said
+    vague = said.sd > VAGUE * np.abs(said.theta)
+    if parameter.kind in ("bias", "gain") or not vague[i]:
+        return None
+    others = [
+        p.name for j, p in enumerate(found.rig.parameters)
+        if j != i and vague[j] and abs(said.correlation[i, j]) > INSEPARABLE
+    ]  # fmt: skip
+    if others:
+        named = ", ".join(others)
+        return f"inseparable from {named}: record a motion that moves them differently, or state one of them"
+    return "unexcited: its part of the motion is too small; record longer, or with more motion across it"
+
+
+def _changes(rig: RigConfig, rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return what --write puts into the file: values of elements and masses that are known."""
+    known = rig.parameters
+    changes = []
+    for name, row in rows.items():
+        before = known[name].nominal
+        if known[name].kind in KEYS and row["identifiable"]:
+            old = None if np.isnan(before) else before
+            changes.append({"parameter": name, "from": old, "to": float(f"{max(row['value'], 0.0):.6g}")})
+    return changes

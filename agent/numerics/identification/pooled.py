@@ -1,0 +1,142 @@
+"""Windows of one rig, joined: parameters and constants that are the same in all of them, estimated together.
+
+Each window linearised at the same point says of deviations (δ, ξ) of parameters and constants
+
+    cost = (δ - a + Z ξ)ᵀ V⁻¹ (δ - a + Z ξ) + ξᵀ S ξ - 2 gᵀ ξ
+
+with its own initial state and noise eliminated. Costs add up; constants have the prior of their data sheets once, so
+what these leave open is averaged by no number of windows. Gauss-Newton: the point moves until the sum rests.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.numerics.inference.algebra import inverse
+from agent.numerics.inference.columns import Window
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.linearise import eliminated
+from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.model.uncertain import Rig
+from agent.types import FloatArray, IntArray
+
+TAUGHT = 3
+"""Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
+FARTHEST = 10.0
+"""Standard deviations of its data sheet that a constant may move: beyond, it is the graph that does not fit."""
+MOST_STEPS, RESTS_SD = 8, 0.05
+"""Steps, and the step in standard deviations at which they end."""
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """What all windows say together.
+
+    Attributes:
+        theta, sd, sd_repeat: (q,) parameters, their sd, and that of another record of the rig.
+        correlation: (q, q).
+        eta: (c,) logarithms of masses and gains, over what is configured.
+        scatter: how many times more the windows differ than they should, as a variance.
+        taught: what the windows that the noise was learnt from said.
+        converged: it came to rest.
+    """
+
+    theta: FloatArray
+    sd: FloatArray
+    sd_repeat: FloatArray
+    correlation: FloatArray
+    eta: FloatArray
+    scatter: float
+    taught: tuple[Posterior, ...]
+    converged: bool
+
+
+def pooled(
+    rig: Rig, windows: Sequence[Window], sigma: FloatArray, spread: FloatArray, floor: FloatArray, progress: Progress
+) -> Pooled:
+    """Estimate from disjoint windows of one length, begun at the rig's nominal; sigma, spread, floor (p,) of its noise.
+
+    progress: is called with words for how far it is.
+    """
+    learner = Learner(rig, windows[0].length, len(sigma), floor)
+    known = learner.prior(sigma, spread)
+    taught = []
+    for number, window in enumerate(_spread_out(windows)):
+        progress(f"learning the noise: window {number + 1} of {min(TAUGHT, len(windows))}")
+        posterior, known = learner.learn(window, known, believe=True)
+        taught.append(posterior)
+    known = replace(known, eta=np.zeros(len(rig.constants)))
+    farthest = FARTHEST * np.array([constant.sheet for constant in rig.constants])
+    for step in range(MOST_STEPS):
+        progress(f"joining {len(windows)} windows, step {step + 1}")
+        found = _Sum.of(learner, windows, known)
+        unit = np.abs(found.unit)
+        moved = unit * found.step[: rig.q]
+        eta = np.clip(known.eta + found.step[rig.q :], -farthest, farthest)
+        theta = np.maximum(known.theta + _bounded(moved, known.theta), rig.lower)
+        known = replace(known, theta=theta, eta=eta)
+        rests = bool(np.all(np.abs(moved) <= RESTS_SD * unit * np.sqrt(np.diag(found.covariance)[: rig.q])))
+        if rests:
+            break
+    return found.said(known, tuple(taught), rests)
+
+
+def _spread_out(windows: Sequence[Window]) -> list[Window]:
+    chosen = np.unique(np.linspace(0, len(windows) - 1, min(TAUGHT, len(windows))).round().astype(int))
+    return [windows[i] for i in chosen.tolist()]
+
+
+def _bounded(step: FloatArray, theta: FloatArray) -> FloatArray:
+    """Return a step that takes no parameter farther than half its size."""
+    size = np.where(theta != 0, np.abs(theta), np.inf)
+    return np.asarray(step / max(1.0, float(np.max(np.abs(step) / (0.5 * size)))))
+
+
+@dataclass(frozen=True)
+class _Sum:
+    """The windows' costs added up at one point: step and covariance in units of the parameters, then the constants."""
+
+    unit: FloatArray
+    step: FloatArray
+    covariance: FloatArray
+    given: FloatArray
+    scatter: float
+
+    @classmethod
+    def of(cls, learner: Learner, windows: Sequence[Window], known: Knowledge) -> "_Sum":
+        q = learner.rig.q
+        c = len(learner.rig.constants)
+        sheet = np.array([max(constant.sheet, 1e-6) for constant in learner.rig.constants])
+        H, h = np.zeros((q + c, q + c)), np.zeros(q + c)
+        H[q:, q:] = np.diag(sheet**-2.0)
+        h[q:] = -known.eta * sheet**-2.0
+        said = []
+        no_cuts: IntArray = np.zeros(0, dtype=np.int64)
+        for window in windows:
+            at = learner.lineariser.point(window, known, known.theta, no_cuts)
+            S, g, alone, V, Z = eliminated(at)
+            precision = inverse(V)
+            J = np.hstack([np.eye(q), Z])
+            H += J.T @ precision @ J
+            h += J.T @ (precision @ alone)
+            H[q:, q:] += S
+            h[q:] += g
+            said.append((alone, precision, Z))
+        covariance = inverse(H)
+        step = covariance @ h
+        differing = [alone - Z @ step[q:] - step[:q] for alone, _, Z in said]
+        total = sum(float(d @ W @ d) for d, (_, W, _) in zip(differing, said, strict=True))
+        scatter = max(1.0, total / (q * max(len(said) - 1, 1)))
+        return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter)
+
+    def said(self, known: Knowledge, taught: tuple[Posterior, ...], converged: bool) -> Pooled:
+        q = len(self.unit)
+        own = self.scatter * self.given
+        whole = self.covariance[:q, :q] + (self.scatter - 1.0) * self.given
+        sd = np.sqrt(np.diag(whole))
+        return Pooled(
+            known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)), whole / np.outer(sd, sd),
+            known.eta, self.scatter, taught, converged,
+        )  # fmt: skip

@@ -1,0 +1,161 @@
+"""`deltak identify` on the command line: values, refusals, the file that it writes, and what bad input says."""
+
+import csv
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.cli.app import app
+from agent.cli.terminal.errors import guarded
+from agent.commissioning.nominals import edited
+from agent.errors import UsageError
+from tests.statistical.unknown_machines import configuration, machine, recorded
+
+RIG = np.random.default_rng(3)
+ONE = machine(RIG, 2)
+COLUMNS = recorded(ONE, RIG, 1e-3, span_s=20.0)
+TEXT = configuration(ONE, COLUMNS, ONE.masses)
+
+
+def files(folder: Path, columns: dict[str, Any] = COLUMNS, text: str = TEXT) -> list[str]:
+    config, recording = folder / "rig.toml", folder / "run.csv"
+    config.write_text(text, encoding="utf-8")
+    with recording.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(columns)
+        table.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+    return [str(config), str(recording)]
+
+
+def run(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    code = guarded(app, arguments)
+    return code, *capfd.readouterr()
+
+
+@pytest.mark.parametrize("command", ["run", "replay", "check"])
+def test_what_needs_nominals_refuses_and_advises_to_identify(
+    command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    config, recording = files(tmp_path)
+    code, _, err = run([command, config, *([recording] if command == "replay" else [])], capfd)
+    assert code == 2
+    assert "model.spring[0].nominal: is missing; " in err
+    assert "deltak identify" in err
+    assert len(err.splitlines()) == 4
+
+
+def test_identify_writes_nominals_that_replay_then_runs_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    config, recording = files(tmp_path, text=f"# of the shop floor\n{TEXT}")
+    plot = tmp_path / "seen.png"
+    code, out, err = run(["identify", config, recording, "--write", "--plot", str(plot)], capfd)
+    assert code == 0, err
+    assert "share of the motion left unexplained" in out
+    assert "k1: nothing -> " in out
+    assert plot.stat().st_size > 5000
+    text = Path(config).read_text(encoding="utf-8")
+    assert text.startswith("# of the shop floor\n")
+    code, out, err = run(["replay", config, recording, "--json"], capfd)
+    assert code == 0, err
+    for name, true in ONE.truth.items():
+        assert json.loads(out)["estimates"][name]["value"] == pytest.approx(true, rel=0.03)
+
+
+def test_identify_says_json_and_nothing_else_and_changes_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    config, recording = files(tmp_path)
+    code, out, _ = run(["identify", config, recording, recording, "--json"], capfd)
+    document = json.loads(out)
+    assert code == 0
+    assert document["span_s"] == pytest.approx(40.0, rel=0.01)
+    assert document["unexplained_percent"] < 0.1
+    assert set(document["parameters"]) == set(ONE.truth)
+    for name, row in document["parameters"].items():
+        assert row["identifiable"]
+        assert row["lower"] < ONE.truth[name] < row["upper"]
+    assert Path(config).read_text(encoding="utf-8") == TEXT
+
+
+def still() -> dict[str, Any]:
+    noise = np.random.default_rng(0)
+    return {key: v if key[0] in "tf" else 1e-6 * noise.normal(size=len(v)) for key, v in COLUMNS.items()}
+
+
+BAD = {
+    "without motion": (still(), TEXT, "nothing moves beyond the noise of its sensor"),
+    "two alike": (COLUMNS | {"x1": COLUMNS["x2"]}, TEXT, "read the same to the last digit"),
+    "too short": ({k: v[:100] for k, v in COLUMNS.items()}, TEXT, "no 128 samples without a gap"),
+    "accelerometer": (COLUMNS, TEXT.replace('"displacement"\nat = "m2"\nunit = "m"',
+                                            '"acceleration"\nat = "m2"\nunit = "m/s2"'),
+                      "measure the displacement of m2"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", list(BAD))
+def test_bad_input_is_said_in_a_sentence_and_changes_nothing(
+    kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    columns, text, words = BAD[kind]
+    config, recording = files(tmp_path, columns, text)
+    code, _, err = run(["identify", config, recording, "--write"], capfd)
+    assert code == 2
+    assert words in err
+    assert Path(config).read_text(encoding="utf-8") == text
+
+
+def test_spring_that_nothing_stretches_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    rest = np.random.default_rng(1).normal(size=len(COLUMNS["t"]))
+    text = TEXT.replace("mass = [", 'mass = [{ name = "m3", value = 1.0 }, ').replace(
+        "spring = [", 'spring = [{ name = "k9", between = ["ground", "m3"] }, '
+    ) + '\n[[channel]]\nname = "x3"\nquantity = "displacement"\nat = "m3"\nunit = "m"\n'  # fmt: skip
+    config, recording = files(tmp_path, COLUMNS | {"x3": 1e-6 * rest}, text)
+    code, _, err = run(["identify", config, recording], capfd)
+    assert code == 2
+    assert "k9 cannot be known: m3 rests in all of the recordings; record a motion that stretches them" in err
+
+
+def test_file_that_cannot_be_written_is_left_as_it_was(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, recording = files(tmp_path)
+
+    def full(_handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    code, _, err = run(["identify", config, recording, "--write"], capfd)
+    assert code == 2
+    assert "cannot be written: No space left on device; nothing was changed" in err
+    assert Path(config).read_text(encoding="utf-8") == TEXT
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rig.toml", "run.csv"]
+
+
+TABLES = """
+[model]  # the press
+mass = [{ name = "m1", value = 5 }]
+[[model.spring]]
+name = "k1"  # front
+between = ["ground", "m1"]
+nominal = 1_0.5   # guessed
+
+[[model.damper]]
+name = 'B1'
+between = ["ground", "m1"]
+[[channel]]
+name = "x1"
+"""
+
+
+def test_values_go_where_the_names_stand_and_nothing_else_changes() -> None:
+    found = edited(TABLES, {"k1": 25.0, "B1": 5.25}, Path("rig.toml"))
+    assert found == TABLES.replace("1_0.5", "25.0").replace("name = 'B1'\n", "name = 'B1'\nnominal = 5.25\n")
+
+
+def test_text_without_a_place_for_a_value_is_left_alone() -> None:
+    text = '[model]\nmass = [{ value = 5, "name" = "m1" }]\nspring = [{ "name" = "k1", between = ["ground", "m1"] }]\n'
+    with pytest.raises(UsageError, match="enter 25 there yourself"):
+        edited(text, {"k1": 25.0}, Path("rig.toml"))

@@ -14,7 +14,7 @@ import numpy as np
 from agent.blocks.estimation import Method
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status
 
 NUMERICAL = (ArithmeticError, ValueError)

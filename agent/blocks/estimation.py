@@ -11,7 +11,7 @@ from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
 from agent.numerics.preprocessing.marks import Marks
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
 
 ESTIMATION, FAILURE = "estimation", "failure"

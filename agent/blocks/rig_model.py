@@ -10,7 +10,7 @@ from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, Place
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel
 from agent.numerics.model.statespace import AffineModel, Model, affine_model
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
 SENSOR_KINDS = ("bias", "gain")

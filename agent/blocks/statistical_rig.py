@@ -13,7 +13,7 @@ from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import AffineModel, Model, StateSpace
 from agent.numerics.model.uncertain import Constant, Rig, Rubbing
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
 

@@ -26,7 +26,7 @@ from agent.config import MechanicsModel, RigConfig, load
 from agent.errors import ConfigError, Fault, ModelError, RecordingError
 from agent.numerics.identification.pooled import Pooled, pooled
 from agent.numerics.identification.start import hidden, start, still
-from agent.numerics.inference.columns import window_of
+from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.inference.tuning import DIGITS, SIGMA_SPREAD_UNSTATED
 from agent.numerics.model.holds import straight
 from agent.numerics.model.mechanics import MassSpringDamper

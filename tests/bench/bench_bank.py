@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from agent.numerics.model.sensors import Nuisance
-from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.noise import NoiseModel
+from agent.numerics.window.filtering.hops import HopPlan
+from agent.numerics.window.filtering.noise import NoiseModel
 from agent.numerics.window.stream import Stream
 from tests.unit.numerics.window.bank_rigs import BankRig, bank_rig
 

@@ -19,7 +19,7 @@ from agent.config import load
 from agent.numerics.model.observer import poles_gain
 from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.runtime.assembly.methods import make_estimation
 from agent.types import Samples, Status
 from tests.bench import rivals

@@ -3,8 +3,6 @@
 from tests.lint.rooms import circles, floors, modules, rooms
 
 MOST = 15
-CROWDED = {"agent.numerics.inference": 19, "agent.numerics.window": 17}
-"""Floors that are to be parted still; none may grow."""
 
 
 def test_rooms_modules_and_rooms_import_one_another_in_no_circle() -> None:
@@ -12,10 +10,11 @@ def test_rooms_modules_and_rooms_import_one_another_in_no_circle() -> None:
     assert circles(graph) == []
     assert circles(rooms(graph, 2)) == []
     assert circles(rooms(graph, 3)) == []
+    assert circles(rooms(graph, 4)) == []
 
 
 def test_rooms_floors_hold_no_more_files_than_a_reader_keeps_in_mind() -> None:
-    assert {room: files for room, files in floors().items() if files > CROWDED.get(room, MOST)} == {}
+    assert {room: files for room, files in floors().items() if files > MOST} == {}
 
 
 def test_rooms_a_circle_is_found_whole() -> None:

@@ -5,7 +5,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agent.numerics.fitting.fit import Problem, fit_window
-from agent.numerics.inference.columns import window_of
+from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import discretise
 from tests.unit.numerics.rigs import disturbance, measured_model, random_structure, record
 

@@ -11,7 +11,7 @@ from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.paper.seed import read_off
 from agent.numerics.paper.seed_window import SeedSettings
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, Status
 
 ROUNDING_M = 1e-9

@@ -6,7 +6,7 @@ from agent.numerics.estimator.operating_point import OperatingPoint, operating_p
 from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference.posterior import Knowledge, Posterior
-from agent.numerics.inference.sources import Source
+from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.model.riccati import NoSteadyStateError
 from agent.numerics.window.lost import Lost
 from agent.numerics.window.rows import BankRows

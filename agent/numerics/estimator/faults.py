@@ -12,10 +12,10 @@ from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
 from agent.numerics.inference import tuning
 from agent.numerics.inference.channels import ChannelTest, Contest, Fault
-from agent.numerics.inference.columns import Window
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.noise import Noise
 from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import BoolArray, FloatArray, IntArray, Reason
 

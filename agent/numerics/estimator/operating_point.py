@@ -12,11 +12,11 @@ import numpy as np
 from agent.numerics.inference.lines import between
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.posterior import Knowledge, Posterior
-from agent.numerics.inference.sources import Source
+from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import Rig, sampled
-from agent.numerics.window.noise import Coloured, Line, NoiseModel, Push
+from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
 from agent.types import FloatArray
 
 LEAST_SHARE = 0.01

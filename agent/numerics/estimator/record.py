@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.numerics.estimator.doubts import Doubts
-from agent.numerics.inference.columns import Window, window_of
+from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
 from agent.numerics.preprocessing.rows import rows_with

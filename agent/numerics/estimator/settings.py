@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from agent.numerics.model.uncertain import Rig
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray
 
 

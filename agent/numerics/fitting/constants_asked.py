@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from agent.numerics.fitting.fit import Problem, fit_window, sized
 from agent.numerics.fitting.skew import Group, SkewMeter
-from agent.numerics.inference.columns import window_of
+from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
 from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.preprocessing.noise import sensor_noise

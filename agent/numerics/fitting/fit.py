@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.numerics.fitting.work import WORK
-from agent.numerics.inference.algebra import inverse
-from agent.numerics.inference.bins import Bins
-from agent.numerics.inference.columns import Regressor, Window
-from agent.numerics.inference.covariance import Cells, inverse_of
-from agent.numerics.inference.response import Response
+from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.bins import Bins
+from agent.numerics.inference.spectral.columns import Regressor, Window
+from agent.numerics.inference.spectral.covariance import Cells, inverse_of
+from agent.numerics.inference.spectral.response import Response
 from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.model.uncertain import Rig, sampled
 from agent.types import ComplexArray, FloatArray, IntArray

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.inference.algebra import scales
+from agent.numerics.inference.spectral.algebra import scales
 from agent.numerics.model.statespace import Discrete
 from agent.numerics.model.uncertain import Constant, Rig, Sampled, sampled
 from agent.types import FloatArray

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.numerics.fitting.fit import Problem, fit_window, sized
-from agent.numerics.inference.columns import window_of
+from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import Hold, Model, StateSpace
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import FloatArray, IntArray

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.numerics.fitting.constants_asked import STILL
 from agent.numerics.fitting.fit import Problem, fit_window, sized
 from agent.numerics.fitting.scale_asked import factor_of_input, factor_of_output
-from agent.numerics.inference.columns import window_of
+from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import Hold, Model, discretise
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import FloatArray, IntArray

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.inference.algebra import inverse
-from agent.numerics.inference.columns import Window
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import eliminated
 from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.model.uncertain import Rig
 from agent.types import FloatArray, IntArray
 

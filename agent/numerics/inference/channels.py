@@ -17,13 +17,13 @@ from typing import Literal
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.algebra import inverse
-from agent.numerics.inference.bins import unitary
-from agent.numerics.inference.columns import Regressor, Window
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.noise import chance
 from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.bins import unitary
+from agent.numerics.inference.spectral.columns import Regressor, Window
 from agent.numerics.model.uncertain import Rig
 from agent.types import ComplexArray, FloatArray
 

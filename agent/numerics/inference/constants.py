@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.algebra import inverse, log_determinant, root
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant, root
 from agent.numerics.model.uncertain import Constant, Kind
 from agent.types import FloatArray
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.algebra import inverse
-from agent.numerics.inference.bins import unitary
-from agent.numerics.inference.response import Response
+from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.bins import unitary
+from agent.numerics.inference.spectral.response import Response
 from agent.numerics.model.uncertain import Rubbing
 from agent.types import ComplexArray, FloatArray
 

@@ -9,8 +9,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.algebra import inverse, quadratic
-from agent.numerics.inference.columns import Regressor, Window
 from agent.numerics.inference.constants import Constants, hypotheses_of
 from agent.numerics.inference.friction import column, friction
 from agent.numerics.inference.linearise import Linearised, Lineariser, eliminated
@@ -19,7 +17,9 @@ from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, first_nodes, learn, louder
 from agent.numerics.inference.posterior import Knowledge, Line, Posterior
 from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio
-from agent.numerics.inference.sources import sources_of
+from agent.numerics.inference.spectral.algebra import inverse, quadratic
+from agent.numerics.inference.spectral.columns import Regressor, Window
+from agent.numerics.inference.spectral.sources import sources_of
 from agent.numerics.model.uncertain import Rig
 from agent.types import FloatArray
 

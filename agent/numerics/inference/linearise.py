@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.algebra import inverse, refined, scales, shown
-from agent.numerics.inference.bins import Bins
-from agent.numerics.inference.columns import Layout, Regression, Regressor, Window
-from agent.numerics.inference.covariance import Cells, HighPower, inverse_of
-from agent.numerics.inference.ends import Ends
 from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, layout_free
 from agent.numerics.inference.posterior import Knowledge
-from agent.numerics.inference.response import Response
-from agent.numerics.inference.sources import Source, directions
+from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
+from agent.numerics.inference.spectral.bins import Bins
+from agent.numerics.inference.spectral.columns import Layout, Regression, Regressor, Window
+from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of
+from agent.numerics.inference.spectral.ends import Ends
+from agent.numerics.inference.spectral.response import Response
+from agent.numerics.inference.spectral.sources import Source, directions
+from agent.numerics.inference.spectral.tuning import ALL_BINS, MOST_BINS
 from agent.numerics.model.uncertain import Rig, sampled, unit_of
 from agent.types import ComplexArray, FloatArray, IntArray
 
@@ -247,8 +248,8 @@ class Lineariser:
     def _kept(self, window: Window, known: Knowledge) -> int:
         """The fewest bins that cost no parameter more than a share of its sd, constants given and at data sheet."""
         total = self.window // 2 + 1
-        top = min(total, tuning.MOST_BINS)
-        if total < tuning.ALL_BINS:
+        top = min(total, MOST_BINS)
+        if total < ALL_BINS:
             return total
         at = self.point(window, replace(known, kept=top), known.theta, np.zeros(0, dtype=np.int64))
         ladder = np.unique(np.round(np.geomspace(10, top, 24)).astype(np.int64))

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.algebra import inverse, log_determinant
-from agent.numerics.inference.columns import Layout, Regression
-from agent.numerics.inference.covariance import Cells, HighPower, inverse_of, log_determinants
-from agent.numerics.inference.ends import Ends
-from agent.numerics.inference.sources import Source
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant
+from agent.numerics.inference.spectral.columns import Layout, Regression
+from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of, log_determinants
+from agent.numerics.inference.spectral.ends import Ends
+from agent.numerics.inference.spectral.sources import Source
 from agent.types import ComplexArray, FloatArray, IntArray
 
 DROWNED = 1e-7

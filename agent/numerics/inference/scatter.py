@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import expit, gammaln
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.algebra import inverse
+from agent.numerics.inference.spectral.algebra import inverse
 from agent.types import ComplexArray, FloatArray
 
 

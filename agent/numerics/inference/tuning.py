@@ -40,12 +40,6 @@ FIRST_NODE = 0.1
 """First node, as a share of the intensity that equals the white sensor noise where the source is strongest."""
 LOWEST_LOG_WEIGHT = -30.0
 """Floor of carried log-weights: the chance that an intensity jumps anywhere in a window is e^-30."""
-SENSOR_CORNERS = (0.05, 0.01, 0.002)
-"""Corner frequencies of coloured sensor noise, shares of the sampling rate. Needed by: AR(0.95) sensor noise."""
-FORCE_CORNER_OF_SLOWEST = 0.5
-"""Lowest corner of slow unknown forces as a share of the slowest mode's frequency. Needed by: AR(0.99) forces."""
-FORCE_CORNERS = (1.0, 4.0)
-"""Corners of slow unknown forces, in units of the lowest: one alone fits no other. Needed by: AR(0.99) forces."""
 STANDING_WEIGHT = 0.1
 """An interval holds 95 % under each hypothesis of at least this weight. Needed by: both masses +10 %."""
 
@@ -79,12 +73,6 @@ CUTS = (0.125, 0.375, 0.625, 0.875)
 
 INFORMATION_LOSS = 0.01
 """Share of any parameter's sd that may be given up by leaving out columns at high frequencies."""
-MOST_BINS = 2048
-"""Most bins kept with all columns, and most bins above the cut whose residual power is used."""
-HIGH_GROUPS = 16
-"""Groups of bins above the cut: noise is taken as flat within each (a twelfth of a decade)."""
-ALL_BINS = 24
-"""Windows with fewer bins than this keep them all."""
 ROTATION = 40
 """Intensities scanned in a window besides the active ones. Cost only: every one has its turn."""
 ACTIVE_NODES = 5.0

@@ -27,7 +27,7 @@ from agent.numerics.paper.seed import (
     observe,
     structured,
 )
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status
 
 RUN_AWAY = 1e60

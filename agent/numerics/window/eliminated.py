@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.numerics.window.constants import UNSEEN
+from agent.numerics.window.filtering.constants import UNSEEN
+from agent.numerics.window.filtering.summary import Summary
 from agent.numerics.window.jump import Jumps, LostRight
 from agent.numerics.window.lost import Events, Lost
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import Asked, Windowed
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
-from agent.numerics.window.summary import Summary
 from agent.types import FloatArray, IntArray
 
 UNSOLVED = -1

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 
 from agent.numerics.window.eliminated import Solving
+from agent.numerics.window.filtering.summary import Summary
 from agent.numerics.window.lost import Events, Lost, LostColumns, Taps
 from agent.numerics.window.operators import Operators
-from agent.numerics.window.summary import Summary
 from agent.types import FloatArray
 
 Over = Callable[[int, int], FloatArray]

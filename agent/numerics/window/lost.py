@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.window.constants import MOST_EVENTS
-from agent.numerics.window.filters import System
+from agent.numerics.window.filtering.constants import MOST_EVENTS
+from agent.numerics.window.filtering.filters import System
 from agent.numerics.window.operators import Operators
 from agent.types import BoolArray, FloatArray, IntArray
 

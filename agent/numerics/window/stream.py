@@ -5,18 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.window.constants import BATCH, RENEWED, SPARE
-from agent.numerics.window.course import Course
 from agent.numerics.window.eliminated import Scanning, Solving
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.constants import BATCH, RENEWED, SPARE
+from agent.numerics.window.filtering.course import Course
+from agent.numerics.window.filtering.hops import HopPlan
+from agent.numerics.window.filtering.noise import NoiseModel, Push
+from agent.numerics.window.filtering.summary import Kind, Sliding, Summary
 from agent.numerics.window.jump import Jumps
 from agent.numerics.window.losses import Losses
 from agent.numerics.window.lost import Lost, Taps
-from agent.numerics.window.noise import NoiseModel, Push
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import BankRows, Windowed, joined
 from agent.numerics.window.solve import Solved, Starts
-from agent.numerics.window.summary import Kind, Sliding, Summary
 from agent.numerics.window.tail import Tail
 from agent.types import FloatArray, IntArray
 

@@ -8,7 +8,7 @@ import pytest
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.numerics.estimator.budget import Budget
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status
 
 PLAN = HopPlan(window=20, hop=10)

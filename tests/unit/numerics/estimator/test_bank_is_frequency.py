@@ -11,7 +11,7 @@ from agent.numerics.estimator.operating_point import operating_point, taps_of
 from agent.numerics.estimator.reading import Reading, read
 from agent.numerics.estimator.record import Record
 from agent.numerics.inference.posterior import Knowledge, Posterior
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.lost import Lost
 from agent.numerics.window.stream import Stream
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise

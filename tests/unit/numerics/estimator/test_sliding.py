@@ -11,7 +11,7 @@ from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.model.uncertain import Rig
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import Reason, Status
 from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
 from tests.unit.numerics.rigs import Record, noisy, record, sampled

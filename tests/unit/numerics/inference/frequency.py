@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.inference.columns import Window, window_of
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.spectral.columns import Window, window_of
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 
 FloatArray = NDArray[np.float64]

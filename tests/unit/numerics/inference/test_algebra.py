@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.numerics.inference.algebra import inverse, root, shown
+from agent.numerics.inference.spectral.algebra import inverse, root, shown
 
 
 def nearly_singular(rng: np.random.Generator, k: int = 12) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.numerics.inference.channels import ChannelTest, Contest, Kind
-from agent.numerics.inference.columns import Window, window_of
+from agent.numerics.inference.spectral.columns import Window, window_of
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise, DenseWindow
 from tests.unit.numerics.inference.frequency import W, knowledge, learner_of, record
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.numerics.inference.columns import window_of
 from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.uncertain import Rig, Sampled, sampled
 

@@ -7,12 +7,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from agent.numerics.inference.algebra import inverse
-from agent.numerics.inference.columns import Window, window_of
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.noise import NoiseFit
 from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.columns import Window, window_of
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise, DenseWindow
 from tests.unit.numerics.inference.frequency import (
     W,

@@ -17,7 +17,7 @@ from agent.numerics.paper.seed import (
     structured,
 )
 from agent.numerics.paper.seed_window import SeedSettings, fit_passes
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from tests.unit.numerics.paper_rig import GAIN, NOMINAL, PERIOD, euler, free_decay, rig
 
 TRUE = NOMINAL + np.array([25.0, 50.0, 0.0, 0.0])

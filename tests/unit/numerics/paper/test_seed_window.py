@@ -9,7 +9,7 @@ from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.model.observer import Noise, matched_gain, poles_gain
 from agent.numerics.model.statespace import discretise, simulate
 from agent.numerics.paper.seed_window import SeedSettings, SeedWindow, fit_passes, regression, settling
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import Reason, Status
 from tests.unit.numerics.paper_rig import GAIN, NOMINAL, PERIOD, free_decay, rig
 from tests.unit.numerics.rigs import disturbance

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel
 from agent.numerics.model.statespace import Hold, StateSpace, discretise
-from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.noise import NoiseModel, Push
+from agent.numerics.window.filtering.hops import HopPlan
+from agent.numerics.window.filtering.noise import NoiseModel, Push
 from agent.numerics.window.rows import BankRows
 from agent.numerics.window.stream import Stream
 

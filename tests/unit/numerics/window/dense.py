@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.window.noise import NoiseModel, Push
+from agent.numerics.window.filtering.noise import NoiseModel, Push
 
 FloatArray = NDArray[np.float64]
 

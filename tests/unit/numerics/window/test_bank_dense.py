@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.numerics.model.mechanics import Output
-from agent.numerics.window.hops import HopPlan
-from agent.numerics.window.noise import Coloured, Line, NoiseModel, smallest_force
+from agent.numerics.window.filtering.hops import HopPlan
+from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, smallest_force
 from agent.numerics.window.rows import Windowed
 from tests.unit.numerics.window.bank_rigs import BankRig, bank_rig, rows_of
 from tests.unit.numerics.window.dense import dense, mean_and_columns

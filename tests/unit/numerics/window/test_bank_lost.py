@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.numerics.window.hops import HopPlan
+from agent.numerics.window.filtering.hops import HopPlan
+from agent.numerics.window.filtering.noise import NoiseModel
 from agent.numerics.window.lost import Lost, Taps
-from agent.numerics.window.noise import NoiseModel
 from agent.numerics.window.rows import BankRows, Windowed, joined
 from agent.numerics.window.stream import Stream
 from tests.unit.numerics.window.bank_rigs import BankRig

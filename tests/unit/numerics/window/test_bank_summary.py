@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.numerics.window.summary import Sliding, Summary
+from agent.numerics.window.filtering.summary import Sliding, Summary
 
 FloatArray = NDArray[np.float64]
 STEP = 0.3 * np.random.default_rng(0).standard_normal((5, 5))

@@ -6,8 +6,8 @@ free mass's momentum, of variance Σ (w E_j)² v² |P(1)|².
 
 import numpy as np
 
-from agent.numerics.inference.response import Response
-from agent.numerics.inference.sources import Source
+from agent.numerics.inference.spectral.response import Response
+from agent.numerics.inference.spectral.sources import Source
 from agent.types import FloatArray
 
 LEAST_VARIANCE = 1e-300

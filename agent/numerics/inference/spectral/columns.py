@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.numerics.inference.bins import unitary
-from agent.numerics.inference.response import Response, end_states
-from agent.numerics.inference.sources import Source, end_effect
+from agent.numerics.inference.spectral.bins import unitary
+from agent.numerics.inference.spectral.response import Response, end_states
+from agent.numerics.inference.spectral.sources import Source, end_effect
 from agent.numerics.model.uncertain import Rig
 from agent.types import ComplexArray, FloatArray, IntArray
 

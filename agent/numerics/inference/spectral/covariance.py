@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.inference.response import Response
+from agent.numerics.inference.spectral.response import Response
 from agent.types import ComplexArray, FloatArray
 
 

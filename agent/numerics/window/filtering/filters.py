@@ -17,10 +17,10 @@ from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import Predictor
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.window.course import Course, powers_of
-from agent.numerics.window.hops import HopPlan, divide
-from agent.numerics.window.noise import Realisation
-from agent.numerics.window.products import row_products
+from agent.numerics.window.filtering.course import Course, powers_of
+from agent.numerics.window.filtering.hops import HopPlan, divide
+from agent.numerics.window.filtering.noise import Realisation
+from agent.numerics.window.filtering.products import row_products
 from agent.types import FloatArray
 
 

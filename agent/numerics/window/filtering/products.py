@@ -7,7 +7,7 @@ every row takes the same way.
 
 import numpy as np
 
-from agent.numerics.window.constants import ROWS
+from agent.numerics.window.filtering.constants import ROWS
 from agent.types import FloatArray
 
 

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from agent.numerics.inference.bins import Bins
+from agent.numerics.inference.spectral.bins import Bins
 from agent.numerics.model.uncertain import Sampled
 from agent.types import ComplexArray, FloatArray
 

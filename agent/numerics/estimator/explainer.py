@@ -28,7 +28,7 @@ from agent.numerics.inference.spectral.columns import Window, refilled
 from agent.numerics.inference.verdicts import Belief, beliefs
 from agent.types import BoolArray, FloatArray
 
-SAID_WINDOWS = 3
+VERDICT_WINDOWS = 3
 """Windows that must have been learnt from before verdicts are given: the first tell of noise and constants at once."""
 REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
@@ -132,7 +132,7 @@ class Explainer:
         self.known, self._learnt_at = learnt, newest
         self.faults.learnt(window)
         kinds = tuple(c.kind for c in self.settings.rig.constants)
-        if kinds and learnt.noise.windows >= SAID_WINDOWS:
+        if kinds and learnt.noise.windows >= VERDICT_WINDOWS:
             self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
 
     def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:

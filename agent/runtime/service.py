@@ -127,9 +127,9 @@ class Service:
             writer = self._writer_of[name]
             rig.summary.run_id = writer.run_ids.get(name)
             rig.restore(writer.standing.get(name, []), writer.learnt.get(name))
+        release_free_pages()  # takes its time, in which a serial line would overflow
         for connection in self.connections:
             connection.start()
-        release_free_pages()
 
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Compute what has arrived, of each rig a part at once, until it `ended`."""

@@ -10,8 +10,8 @@ from tests.figures import figure
 from tests.statistical.unknown_machines import SPAN_S, written
 
 
-def is_right(folder: Path, seed: int, nominal: str) -> bool:
-    """Tell whether one machine's values are within 3 sd and 2 % of the truth, in a tenth of the data's span."""
+def is_right(folder: Path, seed: int, nominal: str, share_of_span: float) -> bool:
+    """Tell whether one machine's values are within 3 sd and 2 % of the truth, in a share of the data's span."""
     one, config, recording = written(folder, seed, nominal)
     document, _ = identify(config=config, recordings=[recording])
     rows = document["parameters"]
@@ -23,21 +23,21 @@ def is_right(folder: Path, seed: int, nominal: str) -> bool:
         f"{document['unexplained_percent']:.3f} % unexplained, {document['seconds']:.1f} s of {SPAN_S:.0f} s"
     )
     recording.unlink()
-    # beside other work a machine may take three times as long; make soak holds the tenth
-    in_time = document["seconds"] < 0.3 * SPAN_S
+    in_time = document["seconds"] < share_of_span * SPAN_S
     return document["ok"] and max(shares.values()) < 0.02 and max(sds.values()) < 3.0 and in_time
 
 
 @pytest.mark.parametrize("nominal", ["", ", nominal = 1.0"], ids=["no nominals", "all 1"])
 def test_four_unknown_machines_are_identified(tmp_path: Path, nominal: str) -> None:
-    assert sum(is_right(tmp_path, seed, nominal) for seed in range(4)) == 4
+    # beside other work a machine may take three times as long
+    assert sum(is_right(tmp_path, seed, nominal, 0.3) for seed in range(4)) == 4
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("nominal", ["", ", nominal = 1.0"], ids=["no nominals", "all 1"])
 def test_forty_unknown_machines_are_identified(tmp_path: Path, nominal: str) -> None:
-    assert sum(is_right(tmp_path, 100 + seed, nominal) for seed in range(40)) >= 38
+    assert sum(is_right(tmp_path, 100 + seed, nominal, 0.1) for seed in range(40)) >= 38
 
 
 @pytest.mark.parametrize("seed", [0, 5])

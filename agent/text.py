@@ -54,6 +54,22 @@ def iso_time(t_ns: int) -> str:
     return f"{instant:%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
 
 
+def local_time(t_ns: int | None) -> str:
+    """Write an instant to the second in UTC and, where it differs, by the clock on the wall: `... 10:00:00Z (12:00)`."""
+    if t_ns is None:
+        return ""
+    instant = _EPOCH + timedelta(seconds=int(t_ns) // 1_000_000_000)
+    utc = f"{instant:%Y-%m-%d %H:%M:%S}Z"
+    try:
+        local = instant.astimezone()
+    except (OverflowError, ValueError, OSError):  # years that no time zone knows
+        return utc
+    if not local.utcoffset():
+        return utc
+    day = "" if local.date() == instant.date() else f"{local:%Y-%m-%d} "
+    return f"{utc} ({day}{local:%H:%M:%S} here)"
+
+
 def printable(text: str) -> str:
     """Write control characters as code does: what came from a bus or a file may hold orders to a terminal.
 

@@ -197,7 +197,7 @@ class EstimateBatch:
         return len(self.t_ns)
 
 
-AlarmKind = Literal["level", "rate", "forecast", "sensor", "source", "mismatch"]
+AlarmKind = Literal["level", "rate", "forecast", "sensor", "source", "blind", "mismatch"]
 AlarmState = Literal["NORM", "UNACK", "ACKED", "RTNUN", "SHLVD", "DSUPR", "OOSRV"]
 
 
@@ -205,8 +205,9 @@ AlarmState = Literal["NORM", "UNACK", "ACKED", "RTNUN", "SHLVD", "DSUPR", "OOSRV
 class AlarmTransition:
     """One step of one alarm's life (ISA-18.2). A new activation has from_state NORM and to_state UNACK.
 
-    parameter is the parameter's name for kind "level", the source's or channel's name for the others; delta, sd,
-    limit_value and probability are None for kinds without a number.
+    parameter is the parameter's name for kinds "level" and "blind", "model" for "mismatch", the source's or channel's
+    name for the others; delta, sd, limit_value, probability and percent (delta as a share of the reference) are None
+    for kinds without a number. advice is what the configuration says to do.
     """
 
     rig: str
@@ -224,6 +225,8 @@ class AlarmTransition:
     probability: float | None = None
     by: str | None = None
     comment: str | None = None
+    advice: str | None = None
+    percent: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,6 +324,8 @@ class RunInfo:
     learnt_key: str | None = None
     offset_ns: int | None = None
     """Wall clock minus monotonic clock as it started; None where the monotonic clock is none of this boot's."""
+    site: str | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

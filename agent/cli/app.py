@@ -9,13 +9,16 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from agent import __version__
 from agent.cli.group import CommandGroup
 from agent.cli.terminal.signals import done_when_terminated
+
+if TYPE_CHECKING:
+    from agent.alarms.life_cycle import Cause
 
 app = typer.Typer(
     name="deltak",
@@ -227,6 +230,50 @@ def alarms(
     commands_queries.alarms(db, rig, _form(json=json, csv=csv), active=active)
 
 
+Ids = Annotated[list[int], typer.Argument(metavar="ID...", help="Numbers of alarms, as deltak alarms lists them.")]
+By = Annotated[str | None, typer.Option("--by", metavar="WHO", help="Who does it; the user by default.")]
+Comment = Annotated[str | None, typer.Option("--comment", metavar="TEXT", help="Why.")]
+
+
+@app.command()
+def ack(db: Database, ids: Ids, by: By = None, comment: Comment = None, json: Json = False) -> None:
+    """Acknowledge alarms: somebody knows of them."""
+    _operate(db, "acknowledge", ids, (by, comment), json=json)
+
+
+@app.command()
+def shelve(
+    db: Database,
+    ids: Ids,
+    length: Annotated[
+        str | None, typer.Option("--for", metavar="T", help="How long, by elapsed time: 30m, 8h; at most 7d.")
+    ] = None,
+    by: By = None,
+    comment: Comment = None,
+    json: Json = False,
+) -> None:
+    """Silence alarms for a limited time."""
+    _operate(db, "shelve", ids, (by, comment), length, json=json)
+
+
+@app.command()
+def unshelve(db: Database, ids: Ids, by: By = None, comment: Comment = None, json: Json = False) -> None:
+    """End the shelf of alarms; one that stands is acknowledged by that."""
+    _operate(db, "unshelve", ids, (by, comment), json=json)
+
+
+@app.command()
+def oos(db: Database, ids: Ids, by: By = None, comment: Comment = None, json: Json = False) -> None:
+    """Take alarms out of service, until they are returned."""
+    _operate(db, "out of service", ids, (by, comment), json=json)
+
+
+@app.command("return")
+def return_(db: Database, ids: Ids, by: By = None, comment: Comment = None, json: Json = False) -> None:
+    """Return alarms to service; one that stands is to be acknowledged."""
+    _operate(db, "return", ids, (by, comment), json=json)
+
+
 @app.command()
 def records(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False) -> None:
     """List the raw samples that were kept around alarms; deltak replay reads the files."""
@@ -363,6 +410,16 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
         from agent.cli.terminal.errors import guarded
 
         sys.exit(guarded(app, list(sys.argv[1:] if argv is None else argv)))
+
+
+def _operate(
+    db: Path, cause: "Cause", ids: list[int], why: tuple[str | None, str | None], length: str | None = None, *, json: bool
+) -> None:
+    """Have alarms take a step and say what they did."""
+    from agent.cli.operator import commands as body
+
+    document = body.act(db, cause, ids, body.Why(*why), length)
+    _answer(document, body.print_taken, as_json=json)
 
 
 def _answer(document: Mapping[str, Any], table: Callable[[Mapping[str, Any]], None], *, as_json: bool) -> None:

@@ -1,21 +1,24 @@
 """One rig while the agent runs: what arrives for it, its pipeline, its labels, its summary, its sources' alarms."""
 
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from functools import partial
 
+from agent.alarms.life_cycle import CAUSES
+from agent.blocks.alarm_states import AlarmStates
 from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
+from agent.runtime.announcing import announce
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.ledger import Conservation
 from agent.runtime.pending import COMPUTING, Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
-from agent.storage.tables.alarms import AlarmRow
+from agent.storage.tables.alarms import AlarmRow, alarm_of, detected
 from agent.types import AlarmTransition, ClockRecord, HealthEvent, IntArray, Learnt, Record
 from drivers.reconnect import LinkEvent
 
@@ -45,11 +48,14 @@ class RigRuntime:
         self._taken: list[tuple[str, Arrival]] = []
         self.waiting = Waiting()
         self._lateness = Lateness(config.rig.name)
+        self.states = AlarmStates()
+        self._commanded: deque[AlarmTransition] = deque()
 
     def restore(self, standing: Sequence[AlarmRow], learnt: Learnt | None = None) -> None:
         """Go on with the alarms that the run before left standing, and with what it knew of the rig."""
         self.pipeline.adopt(learnt)
-        levels = {row.parameter: {"state": row.state} for row in standing if row.kind == "level"}
+        self.states.restore((row.kind, row.parameter, alarm_of(row)) for row in standing)
+        levels = {row.parameter: {"state": detected(row)} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
         self.pipeline.sensor_alarms.restore(
             [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
@@ -117,8 +123,22 @@ class RigRuntime:
         if self.events is not None:
             self.events.finish()
 
+    def commanded(self, step: AlarmTransition) -> None:
+        """Note what was done to an alarm; from any thread, taken up with the next records or round."""
+        self._commanded.append(step)
+
+    def _take_up(self) -> None:
+        while self._commanded:
+            step = self._commanded.popleft()
+            cause = next((cause for cause in CAUSES if cause == step.cause), None)
+            if cause is not None:
+                self.states.take_up(step, cause)
+            self.summary.take([step])
+            announce(step)
+
     def poll(self) -> None:
-        """End the event record whose time has come, even where no samples come."""
+        """Take up commands and end the event record whose time has come, even where no samples come."""
+        self._take_up()
         if self.events is not None:
             self.events.poll()
 
@@ -202,6 +222,11 @@ class RigRuntime:
         self._emit(self.pipeline.ledger.health(conservation, newest or self._begun_ns, lag))
 
     def _emit(self, records: Sequence[Record]) -> None:
+        self._take_up()
+        records = self.states.step(records)
+        for record in records:
+            if isinstance(record, AlarmTransition):
+                announce(record)
         if records:
             self.summary.take(records)
             self._publish(records)

@@ -23,6 +23,7 @@ from agent.runtime.process.opening import Opening
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.source_faults import source_error
 from agent.runtime.sources import connect
+from agent.types import AlarmTransition
 from drivers.port import DriverConfigError
 
 log = logging.getLogger(__name__)
@@ -41,6 +42,8 @@ class Service:
         self._record(configs, db)
         self._writer_of = {c.rig.name: self.writers[path_of(c, db)] for c in configs}
         self.rigs = {c.rig.name: RigRuntime(c, self._writer_of[c.rig.name].publish) for c in configs}
+        for writer in self.writers.values():
+            writer.on_alarm = self._commanded
         self._event_writers = self._keep_events(configs, db) if kind == "live" else []
         for config in configs:
             self.rigs[config.rig.name].summary.db = str(path_of(config, db))
@@ -54,6 +57,12 @@ class Service:
                 if config is not None:
                     path = path_of(config, db)
                     connection.make_recorder = partial(recorder, config, path, use.source, self.writers[path].publish)
+
+    def _commanded(self, step: AlarmTransition) -> None:
+        """Let the rig know what was done to an alarm; alarms of rigs that others ran in the same file are not ours."""
+        rig = self.rigs.get(step.rig)
+        if rig is not None:
+            rig.commanded(step)
 
     def _keep_events(self, configs: Sequence[RigConfig], db: Path | None) -> list[EventWriter]:
         """See that raw samples around alarms are kept, unless the configuration says that none are."""

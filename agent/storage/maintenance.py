@@ -95,13 +95,13 @@ def repair(path: Path | str) -> Recovery | None:
     if kind is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
     refuse_links(path)
-    if _commanded(path):
+    if is_commanded(path):
         return _recovery(ask(path, "repair")["repaired"])
     check_writable(path)
     try:
         lock = Lock(path)
     except StoreHeldError as held:
-        return _recovery(_ask_holder(path, "repair", held)["repaired"])
+        return _recovery(ask_holder(path, "repair", held)["repaired"])
     try:
         watermarks = Watermarks(lock.handle, private=lock.private)
         words, torn = watermarks.missing(path)
@@ -116,7 +116,7 @@ def _recovery(answer: list[Any] | None) -> Recovery | None:
     return Recovery(Path(answer[0]), *answer[1:]) if answer else None
 
 
-def _commanded(path: Path) -> bool:
+def is_commanded(path: Path) -> bool:
     """Tell whether this user may not write to a database, but there is an agent to be asked."""
     lock = beside(path, ".lock")
     return beside(path, ".sock").exists() and lock.exists() and not os.access(lock, os.W_OK)
@@ -143,23 +143,26 @@ def compact(path: Path | str) -> tuple[int, int]:
     if kind_of(path) is Kind.MISSING:
         raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
     before = path.stat().st_size
-    if _commanded(path):
+    if is_commanded(path):
         answer = ask(path, "compact")
         return answer["bytes_before"], answer["bytes_after"]
     try:
         with Store.open(path) as store:
             store.compact()
     except StoreHeldError as held:
-        answer = _ask_holder(path, "compact", held)
+        answer = ask_holder(path, "compact", held)
         return answer["bytes_before"], answer["bytes_after"]
     return before, path.stat().st_size
 
 
-def _ask_holder(path: Path, command: str, held: StoreHeldError) -> dict[str, Any]:
-    """Have the agent that owns a database do it; what owns it without a socket (a replay ...) cannot be asked."""
+def ask_holder(path: Path, command: str, held: StoreHeldError, **arguments: Any) -> dict[str, Any]:
+    """Have the agent that owns a database do it; what owns it without a socket (a replay ...) cannot be asked.
+
+    arguments: of `ask`.
+    """
     if not beside(path, ".sock").exists():
         raise held
-    return ask(path, command)
+    return ask(path, command, **arguments)
 
 
 def backup(path: Path | str, target: Path | str) -> int:

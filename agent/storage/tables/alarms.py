@@ -4,12 +4,14 @@
 import sqlite3
 from dataclasses import dataclass, replace
 
+from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, after, cause_of
 from agent.storage.database.checksum import Cell
 from agent.storage.database.schema import columns_of
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import AlarmTransition
+from agent.types import AlarmState, AlarmTransition
 
 _CLEAR = frozenset({"NORM", "RTNUN"})
+_STATES: dict[str, AlarmState] = {state: state for state in STATES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +51,31 @@ class AlarmRows:
         self._open = {row.key: row for row in standing}
 
     def apply(self, plan: Plan, step: AlarmTransition, numbers: Numbers) -> None:
-        """Add the event, and the alarm row as it is after it, to a plan."""
+        """Add the event, and the alarm row as it is after it, to a plan.
+
+        What the detector took for the alarm's state may be older than what an operator did since: the row's own counts.
+        """
         row = self._open.pop((step.kind, step.parameter), None)
-        if row is None or step.to_state == "UNACK":  # raised again before it was acknowledged: an activation of its own
+        step = step if row is None else _as_it_is(row, step)
+        if row is None or (step.to_state == "UNACK" and step.from_state != "UNACK"):  # an activation of its own
             row = self._raised(step, numbers)
+            _annotate(plan, row, step, numbers)
         row = _after(row, step)
-        if row.state != "NORM":
-            self._open[row.key] = row
+        self.take_up(row)
         plan.sealed("alarms", *row.cells())
-        event = (step.t_ns, step.from_state, step.to_state, step.cause, step.by, step.comment)
-        plan.sealed("alarm_events", numbers.take("alarm_events"), row.seq, *event)
+        plan.sealed("alarm_events", numbers.take("alarm_events"), row.seq, *event_cells(step))
+
+    def take_up(self, row: AlarmRow) -> None:
+        """Go on with a row as it is now."""
+        if row.state == "NORM":
+            self._open.pop(row.key, None)
+        else:
+            self._open[row.key] = row
+
+    @property
+    def standing(self) -> list[AlarmRow]:
+        """The rows that are not back to normal."""
+        return list(self._open.values())
 
     def _raised(self, step: AlarmTransition, numbers: Numbers) -> AlarmRow:
         figures = (step.delta, step.sd, step.limit_value, step.probability)
@@ -69,9 +86,42 @@ class AlarmRows:
         )  # fmt: skip
 
 
+def alarm_of(row: AlarmRow) -> Alarm:
+    """Return what a row says of its alarm."""
+    return Alarm(_STATES.get(row.state, "UNACK"), row.cleared_ns is None)
+
+
+def detected(row: AlarmRow) -> AlarmState:
+    """Return the state that a detector goes on with, which knows of conditions only."""
+    suppressed: AlarmState = "UNACK" if row.cleared_ns is None else "NORM"
+    return suppressed if row.state in SUPPRESSED else _STATES.get(row.state, suppressed)
+
+
+def event_cells(step: AlarmTransition) -> tuple[Cell, ...]:
+    """Return the columns of table `alarm_events` that a step says."""
+    return step.t_ns, step.from_state, step.to_state, step.cause, step.by, step.comment
+
+
+def _as_it_is(row: AlarmRow, step: AlarmTransition) -> AlarmTransition:
+    """Return what a detector found as a step of the row's own state."""
+    cause = cause_of(step.from_state, step.to_state)
+    state = _STATES.get(row.state)
+    if cause is None or state is None or state == step.from_state:
+        return step
+    to = after(state, cause, stands=cause == "raise")
+    return replace(step, from_state=state, to_state=to or state, cause=cause if state in SUPPRESSED else step.cause)
+
+
+def _annotate(plan: Plan, row: AlarmRow, step: AlarmTransition, numbers: Numbers) -> None:
+    if step.advice is not None or step.percent is not None:
+        plan.sealed("annotations", numbers.take("annotations"), row.seq, step.advice, step.percent)
+
+
 def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
-    """Return the row as a transition leaves it."""
+    """Return the row as a transition leaves it; under a suppressed state its condition comes and goes."""
     row = replace(row, state=step.to_state)
+    if step.to_state in SUPPRESSED and step.to_state == step.from_state:
+        return replace(row, cleared_ns=step.t_ns if step.cause == "clear" else None)
     if step.to_state in _CLEAR and row.cleared_ns is None:
         row = replace(row, cleared_ns=step.t_ns)
     acknowledged = step.to_state == "ACKED" or (step.from_state, step.to_state) == ("RTNUN", "NORM")

@@ -74,6 +74,11 @@ class ClockRows:
         seq = self._anchors[-1][1].seq
         return seq if seq in self._begun else self._run_id
 
+    @property
+    def offset_ns(self) -> int | None:
+        """Wall clock minus monotonic clock, as stamps are made now; None where that is not known."""
+        return self._anchors[-1][1].offset_ns
+
     def _begin(self, plan: Plan, part: _Part, from_ns: int, numbers: Numbers) -> None:
         self._begun.add(part.seq)
         if part.seq != self._run_id:

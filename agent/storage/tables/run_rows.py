@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from agent.storage.tables.ages import jump_words
-from agent.storage.tables.alarms import AlarmRows
+from agent.storage.tables.alarms import AlarmRow, AlarmRows
 from agent.storage.tables.batches import joined_runs, take
 from agent.storage.tables.clocks import ClockRows
 from agent.storage.tables.coverage import Coverage
@@ -72,6 +72,24 @@ class RunRows:
         self._watch(run_id, run_id)
         for record in self._settings.pop(run.rig, ()):
             self._watch(run_id, self._clocks[run_id].apply(record, self._numbers))
+
+    def standing(self, rig: str | None = None, kind: str | None = None) -> list[AlarmRow]:
+        """Return the alarms of open runs that are not back to normal; of one rig and kind of run where named."""
+        return [row for run_id in self._of(rig, kind) for row in self._alarms[run_id].standing]
+
+    def take_up(self, rig: str, kind: str, row: AlarmRow) -> None:
+        """Go on with an alarm as an operator left it."""
+        for run_id in self._of(rig, kind):
+            self._alarms[run_id].take_up(row)
+
+    def clock(self, rig: str, kind: str) -> tuple[int, int | None]:
+        """Return the part that stamps of a rig are of now, and wall clock minus monotonic clock; 0, None for none."""
+        found = [self._clocks[run_id] for run_id in self._of(rig, kind)]
+        return (found[-1].newest, found[-1].offset_ns) if found else (0, None)
+
+    def _of(self, rig: str | None, kind: str | None) -> list[int]:
+        runs = ((run_id, clock.run) for run_id, clock in self._clocks.items())
+        return [run_id for run_id, run in runs if rig in {None, run.rig} and kind in {None, run.kind}]
 
     def settings(self) -> dict[str, list[ClockRecord]]:
         """Return what is known of the clock of each rig's run."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.errors import AgentError, StoreError
+from agent.errors import AgentError, Fault, StoreError
 from agent.storage.database.files import beside
 
 GROUP = "deltak-command"
@@ -154,7 +154,7 @@ class CommandServer:
         try:
             return {"ok": True, **handler(asked)}
         except AgentError as error:
-            return {"ok": False, "error": str(error)}
+            return {"ok": False, "error": str(error), "faults": [[f.path, f.message, f.advice] for f in error.faults]}
         except Exception as error:  # noqa: BLE001 - the asker is told; the agent goes on
             return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
@@ -214,9 +214,14 @@ class _short_name:  # noqa: N801 - used like a function
             os.close(self._folder)
 
 
-def _read_line(peer: socket.socket) -> bytes:
+def _read_line(peer: socket.socket, until: float | None = None) -> bytes:
     line = b""
     while not line.endswith(b"\n") and len(line) <= _LONGEST:
+        if until is not None:
+            left = until - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            peer.settimeout(left)
         more = peer.recv(4096)
         if not more:
             break
@@ -224,10 +229,10 @@ def _read_line(peer: socket.socket) -> bytes:
     return line
 
 
-def _last_line(peer: socket.socket) -> bytes:
-    """Return the answer, without the signs of life before it."""
+def _last_line(peer: socket.socket, until: float | None) -> bytes:
+    """Return the answer, without the signs of life before it; until: by when (monotonic, s), None for however long."""
     while True:
-        line = _read_line(peer)
+        line = _read_line(peer, until)
         if line.strip() or not line:
             return line
 
@@ -236,8 +241,12 @@ def _line(answer: Mapping[str, Any]) -> bytes:
     return json.dumps(answer).encode() + b"\n"
 
 
-def ask(path: Path, command: str, timeout_s: float = _PATIENCE_S, **arguments: Any) -> dict[str, Any]:
+def ask(
+    path: Path, command: str, timeout_s: float = _PATIENCE_S, *, brief: bool = False, **arguments: Any
+) -> dict[str, Any]:
     """Ask the agent that owns a database; returns its answer once what was asked is committed.
+
+    brief: the whole answer must come in timeout_s; otherwise signs of life are enough for longer.
 
     Raises:
         StoreError: no agent listens, it does not answer in time, or it refuses.
@@ -248,9 +257,10 @@ def ask(path: Path, command: str, timeout_s: float = _PATIENCE_S, **arguments: A
             peer.settimeout(timeout_s)
             peer.connect(name)
             peer.sendall(_line({"command": command, **arguments}))
-            answer = json.loads(_last_line(peer))
+            answer = json.loads(_last_line(peer, time.monotonic() + timeout_s if brief else None))
     except TimeoutError as error:
-        raise StoreError.at(str(path), f"its agent did not answer in {timeout_s:g} s", "try again") from error
+        advice = "it may still be done: look, then try again"
+        raise StoreError.at(str(path), f"its agent did not answer in {timeout_s:g} s", advice) from error
     except PermissionError as error:
         advice = f"run as the agent's user, or join the group {GROUP}"
         raise StoreError.at(str(path), "its agent may not be commanded by this user", advice) from error
@@ -258,5 +268,7 @@ def ask(path: Path, command: str, timeout_s: float = _PATIENCE_S, **arguments: A
         advice = "stop the process that holds the database, or try again"
         raise StoreError.at(str(path), f"its agent cannot be asked ({error})", advice) from error
     if not answer.pop("ok", False):
+        if answer.get("faults"):
+            raise StoreError(Fault(*map(str, fault)) for fault in answer["faults"])
         raise StoreError.at(str(path), str(answer.get("error")), "see its log")
     return dict(answer)

@@ -1,23 +1,40 @@
 """The commands that an agent does for others while it owns a database (CONTRACT section 2)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from agent.storage.database.verify import problems
 from agent.storage.recovery.salvage import Recovery
+from agent.storage.tables.shelves import moment
+from agent.storage.write.alarm_commands import Request, carry_out
 from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.jobs import JobQueue
 from agent.storage.write.store import Store
+from agent.types import AlarmTransition
 
 
-def serve(path: Path, jobs: JobQueue) -> CommandServer:
-    """Listen on the database's socket. Raises OSError where no socket can be made."""
+def serve(path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None]) -> CommandServer:
+    """Listen on the database's socket. Raises OSError where no socket can be made.
+
+    notify: called in the writer's thread with each step of an alarm that an operator made, once it is committed.
+    """
 
     def through(act: Any) -> Handler:
         return lambda _: dict(jobs.ask(act))
 
-    server = CommandServer(path, {"compact": through(_compact), "repair": through(_repair)})
+    def alarm(asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        request = Request.read(asked)
+
+        def act(store: Store) -> list[dict[str, Any]]:
+            steps = carry_out(store, request, moment())
+            for found in steps:
+                notify(found.step)
+            return [found.document() for found in steps if found.step.cause == request.cause]
+
+        return {"alarms": jobs.ask(act)}
+
+    server = CommandServer(path, {"compact": through(_compact), "repair": through(_repair), "alarm": alarm})
     server.start()
     return server
 

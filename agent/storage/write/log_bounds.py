@@ -17,6 +17,7 @@ def purge_logs(connection: sqlite3.Connection, kept: int = KEPT) -> None:
     for table, over in _OVER.items():
         condition = _OLD.format(table=table) + over
         if table == "alarms":
-            query = f"DELETE FROM alarm_events WHERE alarm_id IN (SELECT seq FROM alarms WHERE {condition})"
-            connection.execute(query, (kept,))
+            for part in ("alarm_events", "shelves", "annotations"):
+                query = f"DELETE FROM {part} WHERE alarm_id IN (SELECT seq FROM alarms WHERE {condition})"
+                connection.execute(query, (kept,))
         connection.execute(f"DELETE FROM {table} WHERE {condition}", (kept,))

@@ -1,5 +1,6 @@
 """The single writer of the database: what `write` returned from is on the disk, whatever happens next."""
 
+import json
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -40,6 +41,7 @@ from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
 from agent.storage.tables.learnt import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows
+from agent.storage.tables.shelves import Shelf
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
@@ -75,6 +77,8 @@ class Store:
         self._scrubber = Scrubber()
         self._missing: str | None = None
         self._maintaining = False
+        self.shelves: dict[int, Shelf | None] = {}
+        """The shelves of alarms that were asked for, by alarm."""
         self.hurried = False
         """Whether the process is about to end: nothing is purged any more, and of aggregates only the next made."""
         self.recovery: Recovery | None = None
@@ -206,6 +210,9 @@ class Store:
             plan = Plan()
             facts = (run.kind, run.started_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
             plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
+            if run.site or run.labels:
+                labels = json.dumps(dict(run.labels), ensure_ascii=False) if run.labels else None
+                plan.sealed("sites", self.numbers.take("sites"), run_id, run.site, labels)
             self.commit([plan])
             self.adopt_run(run_id, run)
             self._report_recovery(run_id, run)
@@ -234,6 +241,17 @@ class Store:
         """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""
         with self._mutex:
             return standing_alarms(self.connection, rig, kind)
+
+    @property
+    def open_runs(self) -> RunRows:
+        """The runs that are open for writing."""
+        return self._run_rows
+
+    def shelf(self, alarm_id: int, stored: Callable[[], Shelf | None]) -> Shelf | None:
+        """Return the shelf of an alarm as it was made here, else as it is stored."""
+        if alarm_id not in self.shelves:
+            self.shelves[alarm_id] = stored()
+        return self.shelves[alarm_id]
 
     def learnt(self, run: RunInfo) -> Learnt | None:
         """Return what earlier runs of this one's rig, kind and key learnt; None for nothing."""

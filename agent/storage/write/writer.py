@@ -11,6 +11,8 @@ from agent.errors import StoreError
 from agent.storage.database.connect import cause_of, is_damage
 from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.rows import Plan
+from agent.storage.tables.shelves import moment
+from agent.storage.write.alarm_commands import expire_shelves
 from agent.storage.write.backlog import Backlog, Pause, cells_of
 from agent.storage.write.command_socket import CommandServer
 from agent.storage.write.commands import serve
@@ -74,6 +76,8 @@ class StoreWriter:
         self._spilling = False
         self._served = served
         self._server: CommandServer | None = None
+        self.on_alarm: Callable[[AlarmTransition], None] = lambda _: None
+        """Told, in the writer's thread, of each step that an alarm took by an operator or as a shelf ended."""
         self._jobs = JobQueue("its agent", self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
@@ -253,6 +257,8 @@ class StoreWriter:
             while self._waiting():
                 self._write_once()
             if self._store is not None:
+                for ended in expire_shelves(self._store, moment()):
+                    self.on_alarm(ended.step)
                 self._store.maintain(finish=last)
                 self._report_spilling(self._store.spilling)
         except _FAILURE as error:
@@ -312,7 +318,7 @@ class StoreWriter:
 
     def _serve(self, store: Store) -> CommandServer | None:
         try:
-            return serve(store.path, self._jobs)
+            return serve(store.path, self._jobs, lambda step: self.on_alarm(step))
         except OSError as error:
             log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
             return None

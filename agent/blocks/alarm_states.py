@@ -1,0 +1,46 @@
+"""Advisory: the states of a rig's alarms while it runs. Detectors say what the process did, operators what they want.
+
+The store decides each step once more from the row that it holds, so where a command and the process cross, both take the
+same two causes and come to the same state.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from agent.alarms.life_cycle import Alarm, Cause, cause_of
+from agent.types import AlarmTransition, Record
+
+
+class AlarmStates:
+    """The alarms of one rig by kind and parameter; those not named are NORM."""
+
+    def __init__(self) -> None:
+        self._alarms: dict[tuple[str, str], Alarm] = {}
+
+    def restore(self, standing: Iterable[tuple[str, str, Alarm]]) -> None:
+        """Go on with the alarms of an earlier run: kind, parameter, and what it is."""
+        self._alarms = {(kind, parameter): alarm for kind, parameter, alarm in standing}
+
+    def __getitem__(self, key: tuple[str, str]) -> Alarm:
+        return self._alarms.get(key, Alarm())
+
+    def step(self, records: Sequence[Record]) -> list[Record]:
+        """Return records with the steps of alarms as their states have them; what an operator silenced stays silent."""
+        return [self._stepped(r) if isinstance(r, AlarmTransition) else r for r in records]
+
+    def _stepped(self, found: AlarmTransition) -> AlarmTransition:
+        cause = cause_of(found.from_state, found.to_state)
+        if cause is None:
+            return found
+        before, after = self._go(found, cause)
+        return replace(found, from_state=before.state, to_state=after.state)
+
+    def take_up(self, step: AlarmTransition, cause: Cause) -> None:
+        """Take up what was done to an alarm and is stored; what its state refuses by now is left."""
+        self._go(step, cause)
+
+    def _go(self, step: AlarmTransition, cause: Cause) -> tuple[Alarm, Alarm]:
+        before = self[step.kind, step.parameter]
+        after = before.step(cause) or before
+        self._alarms[step.kind, step.parameter] = after
+        return before, after

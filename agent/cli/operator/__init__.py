@@ -1,0 +1,1 @@
+"""What the operator does to alarms, and what the alarm system is like to work with."""

@@ -54,20 +54,24 @@ def iso_time(t_ns: int) -> str:
     return f"{instant:%Y-%m-%dT%H:%M:%S}.{fraction:09d}Z"
 
 
-def local_time(t_ns: int | None) -> str:
-    """Write an instant to the second in UTC and, where it differs, by the clock on the wall: `... 10:00:00Z (12:00)`."""
-    if t_ns is None:
+def local_time(t_ns: int) -> str:
+    """Write an instant in UTC to milliseconds and, where they differ, as clocks on the wall show it here."""
+    return with_local(iso_time(t_ns))
+
+
+def with_local(text: str | None) -> str:
+    """Shorten ISO 8601 in UTC as `short_time` does, beside the time here: `2026-07-01 10:00:00.000Z (12:00:00)`."""
+    if text is None:
         return ""
-    instant = _EPOCH + timedelta(seconds=int(t_ns) // 1_000_000_000)
-    utc = f"{instant:%Y-%m-%d %H:%M:%S}Z"
     try:
+        instant = datetime.fromisoformat(f"{text[:19]}+00:00")
         local = instant.astimezone()
     except (OverflowError, ValueError, OSError):  # years that no time zone knows
-        return utc
+        return short_time(text)
     if not local.utcoffset():
-        return utc
+        return short_time(text)
     day = "" if local.date() == instant.date() else f"{local:%Y-%m-%d} "
-    return f"{utc} ({day}{local:%H:%M:%S} here)"
+    return f"{short_time(text)} ({day}{local:%H:%M:%S})"
 
 
 def printable(text: str) -> str:

@@ -50,6 +50,8 @@ class LevelRule(Protocol):
     def off_delay_s(self) -> float | None: ...
     @property
     def priority(self) -> str: ...
+    @property
+    def advice(self) -> str | None: ...
 
 
 class _Timers:
@@ -254,6 +256,8 @@ class _Judgement:
             sd=sd,
             limit_value=float(self.limit[i]),
             probability=beyond if raising else 1.0 - beyond,
+            advice=rule.advice,
+            percent=_percent(delta, float(self.batch.reference[self.columns[i]])),
         )
 
     def _sentence(self, i: int, delta: float, sd: float, *, raising: bool) -> str:
@@ -263,6 +267,11 @@ class _Judgement:
         unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
         figures = f"{with_sd(abs(delta), sd)} {unit}{place} (limit {number(float(self.limit[i]))})"
         return f"{self.rules[i].parameter} is {'' if raising else 'back within its limit: '}{figures}"
+
+
+def _percent(delta: float, reference: float) -> float | None:
+    """Return a change as a per cent of the reference's size; None of a reference of 0."""
+    return 100.0 * delta / abs(reference) if reference else None
 
 
 def _limit(rule: LevelRule, reference: float) -> float:

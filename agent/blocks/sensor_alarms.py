@@ -23,6 +23,11 @@ class SensorAlarms:
         self._standing: set[str] = set()
         self._restored: set[str] = set()
 
+    @property
+    def any_stand(self) -> bool:
+        """Whether a channel cannot be believed now."""
+        return bool(self._standing)
+
     def restore(self, standing: Sequence[str]) -> None:
         """Go on with the channels whose alarms the run before left standing."""
         self._standing = set(standing)

@@ -217,17 +217,28 @@ def estimates(
 
 
 @app.command()
-def alarms(
-    db: Database,
+def alarms(  # noqa: PLR0913, PLR0917 the signature is the command line
+    db: Annotated[
+        Path | None, typer.Argument(metavar="DB", help="Database file of the agent.", show_default=False)
+    ] = None,
     rig: Rig = None,
     active: Annotated[bool, typer.Option("--active", help="Only those whose condition still stands.")] = False,
+    stats: Annotated[bool, typer.Option("--stats", help="Rates, floods, chattering: the standard's measures.")] = False,
+    since: Since = None,
+    states: Annotated[bool, typer.Option("--states", help="The table of states and causes; needs no DB.")] = False,
     json: Json = False,
     csv: Csv = False,
 ) -> None:
-    """List alarms, one line an activation."""
-    from agent.cli import queries as commands_queries
+    """List alarms, one line an activation; --since goes with --stats."""
+    from agent.cli.operator import alarms as body
 
-    commands_queries.alarms(db, rig, _form(json=json, csv=csv), active=active)
+    form = _form(json=json, csv=csv)
+    if states:
+        body.print_states(as_json=json)
+    elif stats:
+        _answer(body.statistics(_named(db), rig, since), body.print_statistics, as_json=json)
+    else:
+        body.alarms(_named(db), rig, form, active=active)
 
 
 Ids = Annotated[list[int], typer.Argument(metavar="ID...", help="Numbers of alarms, as deltak alarms lists them.")]
@@ -430,6 +441,15 @@ def _answer(document: Mapping[str, Any], table: Callable[[Mapping[str, Any]], No
         print_json(document)
     else:
         table(document)
+
+
+def _named(db: Path | None) -> Path:
+    """Return the database that was named. Raises UsageError for none."""
+    from agent.errors import UsageError
+
+    if db is None:
+        raise UsageError.at("DB", "is missing", "name the database file of the agent")
+    return db
 
 
 def _form(*, json: bool, csv: bool) -> str:

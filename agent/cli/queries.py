@@ -1,4 +1,4 @@
-"""`deltak estimates`, `alarms`, `records` and `verdicts`: rows of the views, as a table, JSON or CSV."""
+"""`deltak estimates`, `records` and `verdicts`: rows of the views, as a table, JSON or CSV."""
 
 import json
 import sys
@@ -18,10 +18,6 @@ ESTIMATE_COLUMNS = (
     "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used", "n_missing", "span_s", "method",
     "sd_repeat",
 )  # fmt: skip
-ALARM_COLUMNS = (
-    "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at", "acked_by",
-    "shelved_until", "delta", "sd", "limit_value", "probability", "message",
-)  # fmt: skip
 RECORD_COLUMNS = (
     "id", "rig", "run_id", "t_ns", "time", "kind", "parameter", "alarm_id", "alarms", "from_ns", "to_ns", "samples",
     "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
@@ -39,35 +35,7 @@ def estimates(
     if form == "table":
         _print_estimate_table(rows)
     else:
-        _print_rows("rows", ESTIMATE_COLUMNS, rows, form, rows.refused)
-
-
-def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
-    """Print the alarms of a file, one row an activation; active: only those whose condition still stands.
-
-    Raises StoreError; UsageError for an unknown rig.
-    """
-    found = queries.alarms(db, rig, active)
-    rows: Sequence[Row] = found
-    if active:
-        rows = _standing(rows, {run["run_id"]: run["kind"] for run in queries.runs(db)})
-    if form == "table":
-        _print_alarm_table(rows)
-    else:
-        _print_rows("alarms", ALARM_COLUMNS, rows, form, found.refused)
-
-
-def _standing(rows: Sequence[Row], kinds: Mapping[int, str]) -> list[Row]:
-    """Return the alarms that stand: of one parameter the newest that runs of one kind (kinds: of each run) left so.
-
-    One replay after another may leave an alarm standing; none of them may hide one of the live machine.
-    """
-    newest = {
-        (row["rig"], row["kind"], row["parameter"], kinds.get(row["run_id"])): row
-        for row in rows
-        if row["cleared_at"] is None
-    }
-    return sorted(newest.values(), key=lambda row: row["id"])
+        print_rows("rows", ESTIMATE_COLUMNS, rows, form, rows.refused)
 
 
 def records(db: Path, rig: str | None, form: str) -> None:
@@ -76,7 +44,7 @@ def records(db: Path, rig: str | None, form: str) -> None:
     if form == "table":
         _print_record_table(rows)
     else:
-        _print_rows("records", RECORD_COLUMNS, rows, form, rows.refused)
+        print_rows("records", RECORD_COLUMNS, rows, form, rows.refused)
 
 
 def verdicts(db: Path, rig: str | None, form: str) -> None:
@@ -85,10 +53,10 @@ def verdicts(db: Path, rig: str | None, form: str) -> None:
     if form == "table":
         _print_verdict_table(rows)
     else:
-        _print_rows("verdicts", VERDICT_COLUMNS, rows, form, rows.refused)
+        print_rows("verdicts", VERDICT_COLUMNS, rows, form, rows.refused)
 
 
-def _print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str, refused: int) -> None:
+def print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str, refused: int) -> None:
     """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing.
 
     refused: how many are not shown because their checksums are wrong; JSON says so, for others a warning does.
@@ -123,20 +91,6 @@ def _estimate_cells(row: Row) -> tuple[str, ...]:
         number(row["delta"], 4),
         verdict(row),
     )
-
-
-def _print_alarm_table(rows: Sequence[Row]) -> None:
-    if not rows:
-        sys.stdout.write("no alarms\n")
-        return
-    columns = ("id", "rig", "priority", "state", "raised", "cleared", "what")
-    cells = (_alarm_cells(row) for row in rows)
-    print_table("", columns, cells)
-
-
-def _alarm_cells(row: Row) -> tuple[str, ...]:
-    raised, cleared = short_time(row["raised_at"]), short_time(row["cleared_at"])
-    return str(row["id"]), row["rig"], row["priority"], row["state"], raised, cleared, row["message"]
 
 
 def _print_record_table(rows: Sequence[Row]) -> None:

@@ -102,7 +102,8 @@ def _print_alarms(run: Document) -> None:
     columns = ("raised", "cleared", "priority", "state", "what")
     rows = (
         [short_time(alarm.get("raised_at")), short_time(alarm.get("cleared_at"))]
-        + [str(alarm.get(key) or "") for key in ("priority", "state", "message")]
+        + [str(alarm.get(key) or "") for key in ("priority", "state")]
+        + [f"{alarm['message']}; {alarm['advice']}" if alarm.get("advice") else str(alarm.get("message") or "")]
         for alarm in alarms
     )
     print_table("alarms", columns, rows)

@@ -176,6 +176,8 @@ class Alarm(Table):
     on_delay_s: NotNegative | None = None
     off_delay_s: NotNegative = 0.0
     priority: Literal["low", "medium", "high", "critical"] = "medium"
+    blind_s: Positive | None = Field(default=None, description="how long without a valid estimate raises an alarm")
+    advice: Text | None = Field(default=None, description="what to do about it, in words")
 
 
 class Source(Table):

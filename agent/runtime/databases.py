@@ -32,7 +32,8 @@ def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWri
     now = wall_ns()
     boot = boot_id()
     offset = now - monotonic_ns()
-    runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset) for c in members]
+    runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset, c.rig.site,
+                    c.rig.labels) for c in members]  # fmt: skip
     keep = _retention(members)
     every_s = min(c.store.every_s for c in members)
     return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)

@@ -14,8 +14,10 @@ import numpy as np
 
 from agent.blocks.acquisition.interface import Acquired, Acquisition, Label, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
+from agent.blocks.blind_alarms import BlindAlarms
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
 from agent.blocks.level_alarms import LevelAlarms
+from agent.blocks.rig_model import hop_plan
 from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.sensor_labels import Labelled
 from agent.config import RigConfig, learnt_key
@@ -61,6 +63,8 @@ class Pipeline:
         self.acquisition: Acquisition = make_acquisition(config, sources, self._steps[len(config.inputs) :])
         self.alarms = LevelAlarms(config.rig.name, config.alarm, config.rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(config.rig.name)
+        window_s = hop_plan(config).window / config.rig.sample_rate_hz
+        self.blind_alarms = BlindAlarms(config.rig.name, config.alarm, config.rig.sample_rate_hz, window_s)
         self.clocks = SourceClocks()
         self.ledger = Ledger(config.rig.name, self.acquisition, self.through, self.clocks)
         self.newest_ns = 0
@@ -156,6 +160,7 @@ class Pipeline:
         if estimated.batch is not None:
             records += self.alarms.step(estimated.batch)
             records += self.sensor_alarms.confirm(estimated.batch)
+            records += self.blind_alarms.step(estimated.batch, explained=self.sensor_alarms.any_stand)
         return records
 
     def _failures(self, estimated: Estimated) -> list[Record]:

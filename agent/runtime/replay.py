@@ -180,7 +180,8 @@ def _table(rig: RigConfig, path: Path) -> Driver:
 def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     if db is None:
         return None
-    run = RunInfo(rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, None, boot_id(), learnt_key(rig))
+    run = RunInfo(rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, None, boot_id(), learnt_key(rig),
+                  site=rig.rig.site, labels=rig.rig.labels)  # fmt: skip
     writer = StoreWriter(lambda: Store.open(db), [run], lossless=True)
     writer.start()
     return writer

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.alarms.life_cycle import cause_of
 from agent.blocks.constants_watch import SOURCE
 from agent.config import RigConfig
 from agent.runtime.limits import MOST_REPORTED
@@ -56,13 +57,15 @@ class RunSummary:
         self._first_ns = int(batch.t_ns[0]) if self._first_ns is None else self._first_ns
 
     def _alarm(self, change: AlarmTransition) -> None:
-        if change.to_state == "UNACK":
+        if change.to_state == "UNACK" and cause_of(change.from_state, change.to_state) == "raise":
             self._alarms.append(self._activation(change))
             del self._alarms[:-MOST_REPORTED]
             return
         for alarm in reversed(self._alarms):
             if (alarm["kind"], alarm["parameter"]) == (change.kind, change.parameter):
                 alarm["state"] = change.to_state
+                if change.cause == "acknowledge":
+                    alarm["acked_at"], alarm["acked_by"] = iso_time(change.t_ns), change.by
                 if change.cause == "clear":
                     alarm["cleared_at"] = iso_time(change.t_ns)
                 return
@@ -73,7 +76,8 @@ class RunSummary:
             "priority": change.priority, "state": change.to_state, "raised_at": iso_time(change.t_ns),
             "raised_ns": change.t_ns, "cleared_at": None, "acked_at": None, "acked_by": None, "shelved_until": None,
             "delta": change.delta, "sd": change.sd, "limit_value": change.limit_value,
-            "probability": change.probability, "message": change.message,
+            "probability": change.probability, "message": change.message, "advice": change.advice,
+            "percent": change.percent, "site": self.config.rig.site, "labels": dict(self.config.rig.labels) or None,
         }  # fmt: skip
 
     @property

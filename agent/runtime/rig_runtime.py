@@ -7,6 +7,7 @@ from functools import partial
 
 from agent.alarms.life_cycle import CAUSES
 from agent.blocks.alarm_states import AlarmStates
+from agent.blocks.blind_alarms import BLIND_KINDS
 from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
@@ -60,6 +61,10 @@ class RigRuntime:
         self.pipeline.sensor_alarms.restore(
             [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
         )
+        self.pipeline.blind_alarms.restore(
+            (kind, row.parameter, row.priority)
+            for row in standing for kind in BLIND_KINDS if row.kind == kind and row.cleared_ns is None
+        )  # fmt: skip
         lost = [row.parameter for row in standing if row.kind == "source" and row.cleared_ns is None]
         self.isolated.restore_failure(lost)
         self._lost |= dict.fromkeys(lost, True)

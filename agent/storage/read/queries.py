@@ -149,6 +149,12 @@ def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows
         return _rows(connection, "v_alarms", f"{condition} ORDER BY id", values)
 
 
+def alarm_events(db: Path | str) -> Rows:
+    """Return rows of v_alarm_events, oldest first."""
+    with reading(db) as connection:
+        return _rows(connection, "v_alarm_events", "1 = 1 ORDER BY id", ())
+
+
 def health(db: Path | str, rig: str | None = None) -> Rows:
     """Return the newest row of v_health of each source; `reasons` is {"rejected": {..}, "dropped": {..}} and faults."""
     with reading(db) as connection:

@@ -31,6 +31,7 @@ class Rule:
     on_delay_s: float | None = 0.0
     off_delay_s: float | None = None
     priority: str = "high"
+    advice: str | None = None
 
 
 def batch(values: Any, status: Any = Status.VALID, sd: Any = 1.0, start: int = 0, **more: Any) -> EstimateBatch:

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from agent.cli.prognosis.trend import trend
+from agent.cli.operator.alarms import ALARM_COLUMNS, alarms
 from agent.cli.queries import (
-    ALARM_COLUMNS,
     ESTIMATE_COLUMNS,
     TABLE_ROWS,
     VERDICT_COLUMNS,
-    alarms,
     estimates,
     verdicts,
 )

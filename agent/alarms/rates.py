@@ -87,7 +87,7 @@ def rates(announced: Iterable[Announced], standing: Mapping[Key, int], from_ns: 
         chattering={key: count for key, count in bursts.items() if count >= CHATTERS},
         stale={key: since for key, since in standing.items() if until_ns - since > DAY_NS},
         frequent=Counter({key: len(own) for key, own in by_key.items()}).most_common(10),
-        priorities=Counter(alarm.priority for alarm in alarms),
+        priorities=dict(Counter(alarm.priority for alarm in alarms)),
     )
 
 

@@ -25,7 +25,7 @@ CONTRACT = {
     "v_latest": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper status reason "
     "held held_age_s window_s n_used n_missing span_s method sd_repeat",
     "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until "
-    "delta sd limit_value probability message",
+    "delta sd limit_value probability message advice percent site labels",
     "v_alarm_events": "id alarm_id t_ns time from_state to_state cause by comment",
     "v_health": "rig source t_ns time received used rejected dropped gaps lag_s drift_ppm drift_sd_ppm skew_s "
     "skew_sd_s",
@@ -60,7 +60,7 @@ def test_views_of_a_new_file_have_exactly_the_promised_columns(path: Path, view:
 def test_tables_are_strict_and_have_a_growing_seq(path: Path) -> None:
     stored(path)
     tables = select(path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'")
-    assert len(tables) == 21
+    assert len(tables) == 24
     for name, sql in tables:
         assert sql.endswith("STRICT"), name
         assert "seq INTEGER PRIMARY KEY" in sql, name

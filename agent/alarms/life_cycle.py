@@ -101,6 +101,8 @@ def cause_of(before: AlarmState, to: AlarmState) -> Cause | None:
     """Return what a detector means by a step that it made of what it knew; None for no step of the process's."""
     if to == "UNACK" and before in {"NORM", "RTNUN"}:
         return "raise"
+    if (before, to) == ("ACKED", "UNACK"):
+        return "re-alarm"
     return "clear" if (before, to) in {("UNACK", "RTNUN"), ("ACKED", "NORM")} else None
 
 

@@ -1,12 +1,12 @@
-"""What an alarm system is like to work with, by the measures of ANSI/ISA-18.2-2016 (clause 3.1, clause 16) and IEC 62682.
+"""What an alarm system is like to work with, by the measures of ANSI/ISA-18.2-2016 and IEC 62682, clauses 3.1 and 16.
 
-    average       alarms announced a day; about 150 are very likely acceptable for one operator, 300 are the most
-    flood         more than 10 alarms in 10 minutes, and on until fewer than 5 come in 10 minutes (also EEMUA 191);
-                  less than 1 % of the time
-    chattering    one alarm announced three times or more within a minute; the aim is none
-    stale         a condition that has stood for more than 24 hours; fewer than 5, each known and with a plan
-    most frequent the ten alarms that come most often make up less than 1 % to 5 % of all
-    priorities    about 80 % low, 15 % medium, 5 % high and critical
+average       alarms announced a day; about 150 are very likely acceptable for one operator, 300 are the most
+flood         more than 10 alarms in 10 minutes, and on until fewer than 5 come in 10 minutes (also EEMUA 191);
+less than 1 % of the time
+chattering    one alarm announced three times or more within a minute; the aim is none
+stale         a condition that has stood for more than 24 hours; fewer than 5, each known and with a plan
+most frequent the ten alarms that come most often make up less than 1 % to 5 % of all
+priorities    about 80 % low, 15 % medium, 5 % high and critical
 """
 
 from collections import Counter, deque
@@ -46,7 +46,7 @@ class Rates:
     """The measures of a stretch of time.
 
     Attributes:
-        days: its length; announced: alarms in it; a_day: on average.
+        days: its length; announced: alarms in it; a_day: on average, None of less than a day.
         most_in_ten_minutes: the greatest number in any 10 minutes.
         floods, flood_percent: how much of the time they took.
         chattering: how often at most each came within a minute, of those that chattered.
@@ -57,7 +57,7 @@ class Rates:
 
     days: float
     announced: int
-    a_day: float
+    a_day: float | None
     most_in_ten_minutes: int
     floods: Sequence[Flood]
     flood_percent: float
@@ -80,7 +80,7 @@ def rates(announced: Iterable[Announced], standing: Mapping[Key, int], from_ns: 
     return Rates(
         days=length / DAY_NS,
         announced=len(alarms),
-        a_day=len(alarms) * DAY_NS / length,
+        a_day=len(alarms) * DAY_NS / length if length >= DAY_NS else None,
         most_in_ten_minutes=most_within(times, TEN_MINUTES_NS),
         floods=floods,
         flood_percent=100.0 * sum(flood.to_ns - flood.from_ns for flood in floods) / length,

@@ -217,7 +217,7 @@ def estimates(
 
 
 @app.command()
-def alarms(  # noqa: PLR0913, PLR0917 the signature is the command line
+def alarms(
     db: Annotated[
         Path | None, typer.Argument(metavar="DB", help="Database file of the agent.", show_default=False)
     ] = None,
@@ -424,7 +424,13 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _operate(
-    db: Path, cause: "Cause", ids: list[int], why: tuple[str | None, str | None], length: str | None = None, *, json: bool
+    db: Path,
+    cause: "Cause",
+    ids: list[int],
+    why: tuple[str | None, str | None],
+    length: str | None = None,
+    *,
+    json: bool,
 ) -> None:
     """Have alarms take a step and say what they did."""
     from agent.cli.operator import commands as body

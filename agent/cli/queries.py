@@ -1,13 +1,12 @@
 """`deltak estimates`, `records` and `verdicts`: rows of the views, as a table, JSON or CSV."""
 
-import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from agent.cli.results import verdict
-from agent.cli.terminal.output import print_csv, print_table
+from agent.cli.terminal.output import print_rows, print_table
 from agent.storage.read import queries
 from agent.text import interval, number, short_time, with_sd
 
@@ -54,20 +53,6 @@ def verdicts(db: Path, rig: str | None, form: str) -> None:
         _print_verdict_table(rows)
     else:
         print_rows("verdicts", VERDICT_COLUMNS, rows, form, rows.refused)
-
-
-def print_rows(key: str, columns: Sequence[str], rows: Iterable[Row], form: str, refused: int) -> None:
-    """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing.
-
-    refused: how many are not shown because their checksums are wrong; JSON says so, for others a warning does.
-    """
-    if form == "csv":
-        print_csv(columns, rows)
-        return
-    sys.stdout.write(f'{{"{key}": [')
-    for i, row in enumerate(rows):
-        sys.stdout.write((",\n" if i else "\n") + json.dumps(dict(row), allow_nan=False, ensure_ascii=False))
-    sys.stdout.write(f'], "refused": {refused}}}\n')
 
 
 def _print_estimate_table(rows: Sequence[Row]) -> None:

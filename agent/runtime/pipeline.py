@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.blocks.acquisition.interface import Acquired, Acquisition, Label, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
-from agent.blocks.blind_alarms import BlindAlarms
+from agent.blocks.advisory.blind_alarms import BlindAlarms
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.rig_model import hop_plan

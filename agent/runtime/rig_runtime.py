@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from agent.alarms.life_cycle import CAUSES
-from agent.blocks.alarm_states import AlarmStates
-from agent.blocks.blind_alarms import BLIND_KINDS
+from agent.blocks.advisory.alarm_states import AlarmStates
+from agent.blocks.advisory.blind_alarms import BLIND_KINDS
+from agent.blocks.advisory.re_alarms import ReAlarms
 from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
@@ -19,7 +20,7 @@ from agent.runtime.pending import COMPUTING, Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
-from agent.storage.tables.alarms import AlarmRow, alarm_of, detected
+from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
 from agent.types import AlarmTransition, ClockRecord, HealthEvent, IntArray, Learnt, Record
 from drivers.reconnect import LinkEvent
 
@@ -50,12 +51,13 @@ class RigRuntime:
         self.waiting = Waiting()
         self._lateness = Lateness(config.rig.name)
         self.states = AlarmStates()
+        self._re_alarms = ReAlarms(config.rig.name, config.alarm)
         self._commanded: deque[AlarmTransition] = deque()
 
     def restore(self, standing: Sequence[AlarmRow], learnt: Learnt | None = None) -> None:
         """Go on with the alarms that the run before left standing, and with what it knew of the rig."""
         self.pipeline.adopt(learnt)
-        self.states.restore((row.kind, row.parameter, alarm_of(row)) for row in standing)
+        self.states.restore((kind_of(row), row.parameter, alarm_of(row)) for row in standing)
         levels = {row.parameter: {"state": detected(row)} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
         self.pipeline.sensor_alarms.restore(
@@ -142,8 +144,11 @@ class RigRuntime:
             announce(step)
 
     def poll(self) -> None:
-        """Take up commands and end the event record whose time has come, even where no samples come."""
+        """Do what is due even where no samples come: commands, alarms that ask again, the end of an event record."""
         self._take_up()
+        again = self._re_alarms.step(self.states.all(), monotonic_ns(), self._wall())
+        if again:
+            self._emit(again)
         if self.events is not None:
             self.events.poll()
 

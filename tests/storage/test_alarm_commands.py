@@ -209,3 +209,11 @@ def test_next_run_goes_on_with_what_was_commanded(writer: StoreWriter, memory: P
     with Store.open(memory / "rig.db") as store:
         store.begin_run(run_info())
         assert {row.parameter: row.state for row in store.open_alarms("press-7")} == {"k1": "ACKED", "k2": "SHLVD"}
+
+
+def test_alarm_that_asks_again_is_the_same_activation(store: Store) -> None:
+    carry_out(store, ask("acknowledge", 1), at(1, 1))
+    write(store, step("ACKED", "UNACK", START + 9, cause="re-alarm"))
+    assert alarms(store) == [(1, "UNACK", None, 1, 1)]
+    carry_out(store, ask("acknowledge", 1, by="tom"), at(2, 2))
+    assert alarms(store) == [(1, "ACKED", "tom", 1, 1)]

@@ -40,7 +40,7 @@ def line(stream: IO[str] | None) -> str:
 
 
 def live(process: "subprocess.Popen[str]", path: Path, delay_s: float) -> tuple[set[int], set[int]]:
-    """Acknowledge the fresh alarms of one life one by one until it is killed; return those answered, and those asked."""
+    """Acknowledge the fresh alarms of one life one by one until it is killed; return those answered, those asked."""
     assert process.stdin is not None
     process.stdin.write(f"{path}\n")
     process.stdin.flush()

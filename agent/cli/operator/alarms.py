@@ -1,4 +1,4 @@
-"""`deltak alarms`: activations with their states and what to do, the table of states, and the measures of the standard."""
+"""`deltak alarms`: activations and what to do, the table of states, the measures of the standard."""
 
 import json
 import sys
@@ -9,8 +9,7 @@ from typing import Any, Final
 
 from agent.alarms.life_cycle import TABLE, legend, rules
 from agent.alarms.rates import ACCEPTABLE_A_DAY, MOST_A_DAY, Announced, Key, Rates, rates
-from agent.cli.queries import print_rows
-from agent.cli.terminal.output import print_json, print_table, show
+from agent.cli.terminal.output import print_json, print_rows, print_table, show
 from agent.errors import UsageError
 from agent.storage.read import queries
 from agent.storage.read.times import parse_time
@@ -139,7 +138,9 @@ def _instant(text: str) -> int:
 
 def _document(found: Rates, first: int, newest: int) -> dict[str, Any]:
     document = asdict(found)
-    document["floods"] = [{"from": iso_time(f.from_ns), "to": iso_time(f.to_ns), "alarms": f.alarms} for f in found.floods]
+    document["floods"] = [
+        {"from": iso_time(flood.from_ns), "to": iso_time(flood.to_ns), "alarms": flood.alarms} for flood in found.floods
+    ]
     document["chattering"] = [{"alarm": " ".join(key), "within_a_minute": n} for key, n in found.chattering.items()]
     document["stale"] = [{"alarm": " ".join(key), "raised_at": iso_time(t)} for key, t in found.stale.items()]
     document["frequent"] = [{"alarm": " ".join(key), "times": n} for key, n in found.frequent]
@@ -158,7 +159,7 @@ def print_statistics(document: Mapping[str, Any]) -> None:
         ("chattering", _listed(found["chattering"], "within_a_minute"), "3 within a minute; none"),
         ("stale", _listed(found["stale"], "raised_at"), "standing for over 24 h; fewer than 5"),
         ("most frequent", _listed(found["frequent"], "times"), "ten make up 5 % at most"),
-        ("by priority", ", ".join(f"{n} {p}" for p, n in found["priorities"].items()) or "-", "80 % low, 15 %, 5 % high"),
+        ("by priority", ", ".join(f"{n} {p}" for p, n in found["priorities"].items()), "80 % low, 15 %, 5 % high"),
     )
     print_table(f"{found['since']} to {found['until']}", ("measure", "found", "ANSI/ISA-18.2-2016, clause 16"), rows)
 

@@ -50,6 +50,20 @@ def print_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None
     writer.writerows([row.get(column) for column in columns] for row in rows)
 
 
+def print_rows(key: str, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], form: str, refused: int) -> None:
+    """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing.
+
+    refused: how many are not shown because their checksums are wrong; JSON says so, for others a warning does.
+    """
+    if form == "csv":
+        print_csv(columns, rows)
+        return
+    sys.stdout.write(f'{{"{key}": [')
+    for i, row in enumerate(rows):
+        sys.stdout.write((",\n" if i else "\n") + json.dumps(dict(row), allow_nan=False, ensure_ascii=False))
+    sys.stdout.write(f'], "refused": {refused}}}\n')
+
+
 class _Shown:
     """A terminal that is written text without orders to it."""
 

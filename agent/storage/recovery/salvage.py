@@ -264,7 +264,7 @@ def _insert_consumers(source: sqlite3.Connection, target: sqlite3.Connection) ->
 
 def _drop_orphans(target: sqlite3.Connection) -> None:
     """Delete rows whose run, series or fit was lost: what they meant cannot be told any more."""
-    for statement in (  # fmt: skip
+    for statement in (
         "DELETE FROM runs WHERE rig_id NOT IN (SELECT seq FROM rigs)",
         "DELETE FROM series WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM hops WHERE run_id NOT IN (SELECT seq FROM runs)",
@@ -278,8 +278,9 @@ def _drop_orphans(target: sqlite3.Connection) -> None:
         "DELETE FROM hypotheses WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM clocks WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM sites WHERE run_id NOT IN (SELECT seq FROM runs)",
-        *(f"DELETE FROM {table} WHERE alarm_id NOT IN (SELECT seq FROM alarms)"  # noqa: S608 - own names
-          for table in ("alarm_events", "shelves", "annotations")),
+        "DELETE FROM alarm_events WHERE alarm_id NOT IN (SELECT seq FROM alarms)",
+        "DELETE FROM shelves WHERE alarm_id NOT IN (SELECT seq FROM alarms)",
+        "DELETE FROM annotations WHERE alarm_id NOT IN (SELECT seq FROM alarms)",
     ):
         target.execute(statement)
 

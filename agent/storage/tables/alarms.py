@@ -3,15 +3,17 @@
 
 import sqlite3
 from dataclasses import dataclass, replace
+from typing import get_args
 
 from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, after, cause_of
 from agent.storage.database.checksum import Cell
 from agent.storage.database.schema import columns_of
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import AlarmState, AlarmTransition
+from agent.types import AlarmKind, AlarmState, AlarmTransition
 
 _CLEAR = frozenset({"NORM", "RTNUN"})
 _STATES: dict[str, AlarmState] = {state: state for state in STATES}
+_KINDS: dict[str, AlarmKind] = {kind: kind for kind in get_args(AlarmKind)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,7 @@ class AlarmRows:
         """
         row = self._open.pop((step.kind, step.parameter), None)
         step = step if row is None else _as_it_is(row, step)
-        if row is None or (step.to_state == "UNACK" and step.from_state != "UNACK"):  # an activation of its own
+        if row is None or (step.to_state == "UNACK" and step.from_state in _CLEAR):  # an activation of its own
             row = self._raised(step, numbers)
             _annotate(plan, row, step, numbers)
         row = _after(row, step)
@@ -84,6 +86,11 @@ class AlarmRows:
             numbers.take("alarms"), self._run_id, step.kind, step.parameter, step.priority, step.to_state, step.t_ns,
             None, None, None, None, delta, sd, limit, probability, step.message,
         )  # fmt: skip
+
+
+def kind_of(row: AlarmRow) -> AlarmKind:
+    """Return a row's kind; of another version's it is taken for a level."""
+    return _KINDS.get(row.kind, "level")
 
 
 def alarm_of(row: AlarmRow) -> Alarm:
@@ -124,6 +131,8 @@ def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
         return replace(row, cleared_ns=step.t_ns if step.cause == "clear" else None)
     if step.to_state in _CLEAR and row.cleared_ns is None:
         row = replace(row, cleared_ns=step.t_ns)
+    if step.to_state == "UNACK":  # to be acknowledged again
+        row = replace(row, acked_ns=None, acked_by=None)
     acknowledged = step.to_state == "ACKED" or (step.from_state, step.to_state) == ("RTNUN", "NORM")
     if acknowledged and row.acked_ns is None:
         row = replace(row, acked_ns=step.t_ns, acked_by=step.by)

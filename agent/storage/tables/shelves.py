@@ -1,7 +1,7 @@
 """Shelved alarms: for how long, by elapsed time. A step of the wall clock neither ends a shelf nor prolongs it.
 
-Within a boot the monotonic clock tells, whether the agent ran or not. Over a boot time passes as it does for the ages of
-rows (`ages`): what ran counts, and what lay between as far as the wall clock is believed.
+Within a boot the monotonic clock tells, whether the agent ran or not. Over a boot time passes as it does for the ages
+of rows (`ages`): what ran counts, and what lay between as far as the wall clock is believed.
 """
 
 import sqlite3

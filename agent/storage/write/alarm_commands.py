@@ -10,7 +10,7 @@ from agent.alarms.life_cycle import COMMANDS, Alarm, Cause
 from agent.errors import Fault, StoreError
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import columns_of
-from agent.storage.tables.alarms import AlarmRow, alarm_of, event_cells
+from agent.storage.tables.alarms import AlarmRow, alarm_of, event_cells, kind_of
 from agent.storage.tables.rows import Plan
 from agent.storage.tables.shelves import Moment, Shelf, left_ns, shelf_of
 from agent.storage.write.store import Store
@@ -50,8 +50,10 @@ class Request:
         ids = asked.get("ids")
         sound = isinstance(ids, list) and 0 < len(ids) <= MOST_ALARMS and all(type(one) is int for one in ids)
         if cause is None or not isinstance(ids, list) or not sound:
-            raise StoreError.at("alarm", "is no command on alarms", f"causes are {', '.join(COMMANDS)}; ids whole numbers")
-        made = cls(cause, tuple(dict.fromkeys(ids)), str(asked.get("by") or ""), asked.get("comment"), asked.get("length_ns"))
+            advice = f"causes are {', '.join(COMMANDS)}; ids whole numbers"
+            raise StoreError.at("alarm", "is no command on alarms", advice)
+        by, comment, length_ns = (asked.get(key) for key in ("by", "comment", "length_ns"))
+        made = cls(cause, tuple(dict.fromkeys(ids)), str(by or ""), comment, length_ns)
         faults = list(made.faults())
         if faults:
             raise StoreError(faults)
@@ -64,7 +66,8 @@ class Request:
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with it by itself."""
-        for path, text in (("--by", self.by), ("--comment", "" if self.comment is None else self.comment)):
+        texts: dict[str, object] = {"--by": self.by, "--comment": "" if self.comment is None else self.comment}
+        for path, text in texts.items():
             if not isinstance(text, str) or len(text) > MOST_TEXT or not _is_unicode(text):
                 yield Fault(path, f"is no text of at most {MOST_TEXT} characters", "shorten it")
         if not self.by:
@@ -236,7 +239,7 @@ def _taken(store: Store, found: Found, request: Request, now: Moment) -> Taken |
         return Fault(f"alarm {row.seq}", *_refusal(row, cause))
     shelf = _shelf(store, found, request.length_ns, now) if request.length_ns is not None else None
     step = AlarmTransition(
-        found.rig, row.kind, row.parameter, row.priority, now.wall_ns, found.alarm.state, alarm.state, cause,  # type: ignore[arg-type]
+        found.rig, kind_of(row), row.parameter, row.priority, now.wall_ns, found.alarm.state, alarm.state, cause,
         f"{row.parameter}: {_DONE[cause]}", by=request.by, comment=request.comment,
     )  # fmt: skip
     return Taken(found, _row_after(row, step, shelf), step, shelf)
@@ -259,7 +262,8 @@ def _refusal(row: AlarmRow, cause: Cause) -> tuple[str, str]:
     if cause == "acknowledge" and known and row.state in {"ACKED", "NORM"}:
         return f"{row.parameter} was acknowledged already, by {row.acked_by} at {iso_time(row.acked_ns or 0)}", advice
     if row.state == "SHLVD" and row.shelved_until_ns is not None:
-        return f"{row.parameter} is shelved until {iso_time(row.shelved_until_ns)}", "unshelve it first: deltak unshelve"
+        until = iso_time(row.shelved_until_ns)
+        return f"{row.parameter} is shelved until {until}", "unshelve it first: deltak unshelve"
     if row.state == "OOSRV":
         return f"{row.parameter} is out of service", "return it first: deltak return"
     words = {"acknowledge": "there is nothing to acknowledge", "unshelve": "it is not shelved",

@@ -318,10 +318,13 @@ class StoreWriter:
 
     def _serve(self, store: Store) -> CommandServer | None:
         try:
-            return serve(store.path, self._jobs, lambda step: self.on_alarm(step))
+            return serve(store.path, self._jobs, self._notify)
         except OSError as error:
             log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
             return None
+
+    def _notify(self, step: AlarmTransition) -> None:
+        self.on_alarm(step)
 
     def _failed(self, error: BaseException) -> None:
         """Note a failure and try to be able to go on next time."""

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from agent.blocks.advisory.blind_alarms import BlindAlarms
 
-from agent.blocks.blind_alarms import BlindAlarms
 from agent.types import AlarmTransition, EstimateBatch, Reason, Status
 from tests.storage.rows import batch
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.cli.prognosis.trend import trend
 from agent.cli.operator.alarms import ALARM_COLUMNS, alarms
+from agent.cli.prognosis.trend import trend
 from agent.cli.queries import (
     ESTIMATE_COLUMNS,
     TABLE_ROWS,

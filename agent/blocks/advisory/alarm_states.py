@@ -1,27 +1,31 @@
 """Advisory: the states of a rig's alarms while it runs. Detectors say what the process did, operators what they want.
 
-The store decides each step once more from the row that it holds, so where a command and the process cross, both take the
-same two causes and come to the same state.
+The store decides each step once more from the row that it holds, so where a command and the process cross, both take
+the same two causes and come to the same state.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from agent.alarms.life_cycle import Alarm, Cause, cause_of
-from agent.types import AlarmTransition, Record
+from agent.types import AlarmKind, AlarmTransition, Record
 
 
 class AlarmStates:
     """The alarms of one rig by kind and parameter; those not named are NORM."""
 
     def __init__(self) -> None:
-        self._alarms: dict[tuple[str, str], Alarm] = {}
+        self._alarms: dict[tuple[AlarmKind, str], Alarm] = {}
 
-    def restore(self, standing: Iterable[tuple[str, str, Alarm]]) -> None:
+    def restore(self, standing: Iterable[tuple[AlarmKind, str, Alarm]]) -> None:
         """Go on with the alarms of an earlier run: kind, parameter, and what it is."""
         self._alarms = {(kind, parameter): alarm for kind, parameter, alarm in standing}
 
-    def __getitem__(self, key: tuple[str, str]) -> Alarm:
+    def all(self) -> list[tuple[AlarmKind, str, Alarm]]:
+        """Return the alarms that ever left NORM: kind, parameter, and what it is."""
+        return [(kind, parameter, alarm) for (kind, parameter), alarm in self._alarms.items()]
+
+    def __getitem__(self, key: tuple[AlarmKind, str]) -> Alarm:
         return self._alarms.get(key, Alarm())
 
     def step(self, records: Sequence[Record]) -> list[Record]:

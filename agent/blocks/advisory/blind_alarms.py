@@ -2,10 +2,9 @@
 
 A parameter with an alarm that got no valid row for its time is blind, whatever its readings say: a fault from the first
 sample on, or one that comes and goes faster than a window, is not silent. Time counts sample indices, from row to row,
-so what a source did not deliver (which has an alarm of its own) is no time. Parameters that go blind for one reason share
-one alarm; the reason `mismatch` is the model's, and its alarm of another kind. A valid row clears, nothing else does.
+so what a source did not deliver (which has an alarm of its own) is no time. Parameters that go blind for one reason
+share one alarm; the reason `mismatch` is the model's, and its alarm of another kind. A valid row clears, nothing else.
 
-An unexcited row is no fault: it is no time either, unless the configuration names a time (`blind_s`).
 """
 
 from collections import Counter

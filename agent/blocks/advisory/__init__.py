@@ -1,0 +1,1 @@
+"""Advisory generation (AG of ISO 13374): states of alarms, alarms of what is not watched, alarms that ask again."""

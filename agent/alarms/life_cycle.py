@@ -99,11 +99,19 @@ class Alarm:
 
 def cause_of(before: AlarmState, to: AlarmState) -> Cause | None:
     """Return what a detector means by a step that it made of what it knew; None for no step of the process's."""
+    if "DSUPR" in {before, to}:
+        return "suppress" if to == "DSUPR" else "unsuppress"
     if to == "UNACK" and before in {"NORM", "RTNUN"}:
         return "raise"
     if (before, to) == ("ACKED", "UNACK"):
         return "re-alarm"
     return "clear" if (before, to) in {("UNACK", "RTNUN"), ("ACKED", "NORM")} else None
+
+
+def is_moot(alarm: Alarm, cause: Cause) -> bool:
+    """Tell whether design has nothing to do with an alarm: only one that stands is silenced, and speaks again."""
+    silences = cause == "suppress" and not alarm.stands
+    return silences or (cause == "unsuppress" and alarm.state != "DSUPR")
 
 
 def legend() -> list[tuple[str, str, str, str]]:

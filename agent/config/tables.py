@@ -177,6 +177,7 @@ class Alarm(Table):
     off_delay_s: NotNegative = 0.0
     priority: Literal["low", "medium", "high", "critical"] = "medium"
     blind_s: Positive | None = Field(default=None, description="how long without a valid estimate raises an alarm")
+    at_rest: Literal["hold", "suppress"] = "hold"
     re_alarm_s: Positive | None = Field(default=None, description="how long after its acknowledgement it asks again")
     advice: Text | None = Field(default=None, description="what to do about it, in words")
 

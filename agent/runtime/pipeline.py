@@ -15,6 +15,7 @@ import numpy as np
 from agent.blocks.acquisition.interface import Acquired, Acquisition, Label, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.advisory.blind_alarms import BlindAlarms
+from agent.blocks.advisory.rest import RestAlarms
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.rig_model import hop_plan
@@ -65,6 +66,7 @@ class Pipeline:
         self.sensor_alarms = SensorAlarms(config.rig.name)
         window_s = hop_plan(config).window / config.rig.sample_rate_hz
         self.blind_alarms = BlindAlarms(config.rig.name, config.alarm, config.rig.sample_rate_hz, window_s)
+        self.rest_alarms = RestAlarms(config.rig.name, config.alarm, config.rig.sample_rate_hz)
         self.clocks = SourceClocks()
         self.ledger = Ledger(config.rig.name, self.acquisition, self.through, self.clocks)
         self.newest_ns = 0
@@ -158,6 +160,7 @@ class Pipeline:
         records += self._learnt(estimated)
         records += self._found(estimated)
         if estimated.batch is not None:
+            records += self.rest_alarms.step(estimated.batch)
             records += self.alarms.step(estimated.batch)
             records += self.sensor_alarms.confirm(estimated.batch)
             records += self.blind_alarms.step(estimated.batch, explained=self.sensor_alarms.any_stand)

@@ -67,6 +67,7 @@ class RigRuntime:
             (kind, row.parameter, row.priority)
             for row in standing for kind in BLIND_KINDS if row.kind == kind and row.cleared_ns is None
         )  # fmt: skip
+        self.pipeline.rest_alarms.restore([row.parameter for row in standing if row.state == "DSUPR"])
         lost = [row.parameter for row in standing if row.kind == "source" and row.cleared_ns is None]
         self.isolated.restore_failure(lost)
         self._lost |= dict.fromkeys(lost, True)

@@ -217,3 +217,15 @@ def test_alarm_that_asks_again_is_the_same_activation(store: Store) -> None:
     assert alarms(store) == [(1, "UNACK", None, 1, 1)]
     carry_out(store, ask("acknowledge", 1, by="tom"), at(2, 2))
     assert alarms(store) == [(1, "ACKED", "tom", 1, 1)]
+
+
+def test_alarm_suppressed_by_design_that_is_over_is_normal_when_it_speaks_again(store: Store) -> None:
+    silence, speak = step("UNACK", "DSUPR", cause="suppress"), step("DSUPR", "UNACK", cause="unsuppress")
+    write(store, silence)
+    assert alarms(store) == [(1, "DSUPR", None, 1, 1)]
+    write(store, speak, silence, step("UNACK", "RTNUN", START + 9, cause="clear"), speak, silence)
+    assert alarms(store) == [(1, "NORM", None, 0, 1)]
+    assert [event[:3] for event in events(store)[1:]] == [
+        ("UNACK", "DSUPR", "suppress"), ("DSUPR", "UNACK", "unsuppress"), ("UNACK", "DSUPR", "suppress"),
+        ("DSUPR", "DSUPR", "clear"), ("DSUPR", "NORM", "unsuppress"),
+    ]  # fmt: skip

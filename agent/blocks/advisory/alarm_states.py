@@ -7,7 +7,7 @@ the same two causes and come to the same state.
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from agent.alarms.life_cycle import Alarm, Cause, cause_of
+from agent.alarms.life_cycle import Alarm, Cause, cause_of, is_moot
 from agent.types import AlarmKind, AlarmTransition, Record
 
 
@@ -30,14 +30,18 @@ class AlarmStates:
 
     def step(self, records: Sequence[Record]) -> list[Record]:
         """Return records with the steps of alarms as their states have them; what an operator silenced stays silent."""
-        return [self._stepped(r) if isinstance(r, AlarmTransition) else r for r in records]
+        return [step for record in records for step in self._stepped(record)]
 
-    def _stepped(self, found: AlarmTransition) -> AlarmTransition:
+    def _stepped(self, found: Record) -> list[Record]:
+        if not isinstance(found, AlarmTransition):
+            return [found]
         cause = cause_of(found.from_state, found.to_state)
         if cause is None:
-            return found
+            return [found]
+        if is_moot(self[found.kind, found.parameter], cause):
+            return []
         before, after = self._go(found, cause)
-        return replace(found, from_state=before.state, to_state=after.state)
+        return [replace(found, from_state=before.state, to_state=after.state)]
 
     def take_up(self, step: AlarmTransition, cause: Cause) -> None:
         """Take up what was done to an alarm and is stored; what its state refuses by now is left."""

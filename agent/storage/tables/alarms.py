@@ -5,7 +5,7 @@ import sqlite3
 from dataclasses import dataclass, replace
 from typing import get_args
 
-from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, after, cause_of
+from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, after, cause_of, is_moot
 from agent.storage.database.checksum import Cell
 from agent.storage.database.schema import columns_of
 from agent.storage.tables.rows import Numbers, Plan
@@ -57,7 +57,10 @@ class AlarmRows:
 
         What the detector took for the alarm's state may be older than what an operator did since: the row's own counts.
         """
-        row = self._open.pop((step.kind, step.parameter), None)
+        row = self._open.get((step.kind, step.parameter))
+        cause = cause_of(step.from_state, step.to_state)
+        if cause is not None and is_moot(Alarm() if row is None else alarm_of(row), cause):
+            return
         step = step if row is None else _as_it_is(row, step)
         if row is None or (step.to_state == "UNACK" and step.from_state in _CLEAR):  # an activation of its own
             row = self._raised(step, numbers)
@@ -113,9 +116,9 @@ def _as_it_is(row: AlarmRow, step: AlarmTransition) -> AlarmTransition:
     """Return what a detector found as a step of the row's own state."""
     cause = cause_of(step.from_state, step.to_state)
     state = _STATES.get(row.state)
-    if cause is None or state is None or state == step.from_state:
+    if cause is None or state is None:
         return step
-    to = after(state, cause, stands=cause == "raise")
+    to = after(state, cause, stands=cause == "raise" or (cause != "clear" and row.cleared_ns is None))
     return replace(step, from_state=state, to_state=to or state, cause=cause if state in SUPPRESSED else step.cause)
 
 
@@ -128,7 +131,7 @@ def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
     """Return the row as a transition leaves it; under a suppressed state its condition comes and goes."""
     row = replace(row, state=step.to_state)
     if step.to_state in SUPPRESSED and step.to_state == step.from_state:
-        return replace(row, cleared_ns=step.t_ns if step.cause == "clear" else None)
+        return replace(row, cleared_ns={"clear": step.t_ns, "raise": None}.get(step.cause, row.cleared_ns))
     if step.to_state in _CLEAR and row.cleared_ns is None:
         row = replace(row, cleared_ns=step.t_ns)
     if step.to_state == "UNACK":  # to be acknowledged again

@@ -8,11 +8,10 @@ Each judged row asks two questions of Student's t with the row's own standard de
 Rows that are not VALID answer neither and pause both timers, so missing data never clears an alarm. Timers count
 sample indices, never a clock: a step of the wall clock changes no alarm.
 
-    NORM --raise--> UNACK --clear--> RTNUN --acknowledge--> NORM
-                     |  ^              |
-         acknowledge |  +--- raise ----+      a raise is a new activation even where the last was not acknowledged
-                     v
-                   ACKED --clear--> NORM
+    NORM, RTNUN --raise--> UNACK --clear--> RTNUN      a raise is an activation of its own, also from RTNUN
+                           ACKED --clear--> NORM       where an earlier run left it so
+
+What operators do meanwhile is not this block's: `advisory/alarm_states.py` takes each step as their commands have it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,7 +25,6 @@ from agent.types import AlarmState, AlarmTransition, BoolArray, EstimateBatch, F
 
 _RAISED: Final[Mapping[AlarmState, AlarmState]] = {"NORM": "UNACK", "RTNUN": "UNACK"}
 _CLEARED: Final[Mapping[AlarmState, AlarmState]] = {"UNACK": "RTNUN", "ACKED": "NORM"}
-_ACKNOWLEDGED: Final[Mapping[AlarmState, AlarmState]] = {"UNACK": "ACKED", "RTNUN": "NORM"}
 
 
 class LevelRule(Protocol):
@@ -121,29 +119,6 @@ class LevelAlarms:
         due_off = self._due_off(judgement, steps, np.logical_or.reduce(due_on))
         changes = sorted((row, i) for i in range(len(columns)) for row in self._changes(i, due_on, due_off))
         return [self._turn(judgement, row, i) for row, i in changes]
-
-    def acknowledge(self, parameter: str, t_ns: int, by: str, comment: str = "") -> list[AlarmTransition]:
-        """Accept a parameter's alarm on somebody's word; empty where there is none to accept. Raises KeyError."""
-        before = self.states[parameter]
-        after = _ACKNOWLEDGED.get(before)
-        if after is None:
-            return []
-        i = list(self.states).index(parameter)
-        self._states[i] = after
-        accepted = AlarmTransition(
-            rig=self._rig,
-            kind="level",
-            parameter=parameter,
-            priority=self._rules[i].priority,
-            t_ns=t_ns,
-            from_state=before,
-            to_state=after,
-            cause="acknowledge",
-            message=f"{parameter}: acknowledged by {by}",
-            by=by,
-            comment=comment,
-        )
-        return [accepted]
 
     def snapshot(self) -> dict[str, Any]:
         """Return the whole state as plain values that JSON carries."""

@@ -53,6 +53,20 @@ def test_ask_tells_of_what_was_refused(server: Path, command: str, arguments: di
     assert caught.value.exit_code == 3
 
 
+def test_brief_command_is_given_up_in_time_though_the_agent_shows_signs_of_life(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command_socket, "_LIFE_SIGN_S", 0.05)
+    release = threading.Event()
+    made = CommandServer(tmp_path / "rig.db", {"wait": lambda _: {"over": release.wait(20)}})
+    made.start()
+    with pytest.raises(StoreError, match=r"did not answer in 0.3 s; it may still be done: look, then try again"):
+        ask(tmp_path / "rig.db", "wait", 0.3, brief=True)
+    release.set()
+    assert ask(tmp_path / "rig.db", "wait", 0.3, brief=True) == {"over": True}
+    made.stop()
+
+
 def test_socket_is_the_owners_and_that_of_the_group_that_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,8 @@ sample on, or one that comes and goes faster than a window, is not silent. Time 
 so what a source did not deliver (which has an alarm of its own) is no time. Parameters that go blind for one reason
 share one alarm; the reason `mismatch` is the model's, and its alarm of another kind. A valid row clears, nothing else.
 
+A row at a standstill is no fault: it is no time either, unless the configuration names a time (`blind_s`). A row that
+is unexcited though the machine moves counts: a model that does not fit widens intervals before anything else.
 """
 
 from collections import Counter
@@ -188,6 +190,7 @@ def _reason(batch: EstimateBatch, row: int, column: int) -> str | None:
 
 def _counts(rule: BlindRule, batch: EstimateBatch, place: tuple[int, int], *, explained: bool) -> bool:
     """Tell whether a row without a valid estimate is time that a parameter is blind."""
-    if batch.status[place] == Status.UNEXCITED:
+    reason = Reason(int(batch.reason[place]))
+    if reason == Reason.STANDSTILL:
         return rule.blind_s is not None
-    return not (explained and Reason(int(batch.reason[place])) in _OF_CHANNELS)
+    return not (explained and reason in _OF_CHANNELS)

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from agent.blocks.advisory.blind_alarms import BlindAlarms
 
+from agent.blocks.advisory.blind_alarms import BlindAlarms
 from agent.types import AlarmTransition, EstimateBatch, Reason, Status
 from tests.storage.rows import batch
 
@@ -77,9 +77,15 @@ def test_fault_that_flickers_faster_than_a_window_is_not_silent() -> None:
     assert "changing" in raised.message
 
 
-def test_rest_is_no_fault_unless_a_time_is_named() -> None:
-    assert alarms().step(rows(0, 3600.0, UNEXCITED)) == []
-    assert said(alarms(Rule(blind_s=60.0)).step(rows(0, 61.0, UNEXCITED))) == [("blind", "k1", "UNACK")]
+def test_standstill_is_no_fault_unless_a_time_is_named() -> None:
+    assert alarms().step(rows(0, 300.0, UNEXCITED, Reason.STANDSTILL)) == []
+    (raised,) = alarms(Rule(blind_s=60.0)).step(rows(0, 61.0, UNEXCITED, Reason.STANDSTILL))
+    assert raised.message.endswith("most often for the reason standstill")
+
+
+def test_motion_that_resolves_nothing_for_a_minute_is_told() -> None:
+    (raised,) = alarms().step(rows(0, 61.0, UNEXCITED))
+    assert raised.message.endswith("most often for the reason unexcited")
 
 
 def test_missing_samples_are_no_time_and_clear_nothing() -> None:

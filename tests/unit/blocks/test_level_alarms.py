@@ -212,21 +212,15 @@ def test_level_alarms_probability_is_that_of_students_t() -> None:
     assert raised.probability == pytest.approx(0.94903, abs=1e-5)  # t = 2, five degrees of freedom: table value
 
 
-def test_level_alarms_acknowledged_then_cleared_is_normal() -> None:
+def test_level_alarms_restored_as_acknowledged_and_cleared_is_normal() -> None:
     alarms = LevelAlarms("press", [Rule()], RATE)
-    alarms.step(batch([45.0] * 6))
-    (accepted,) = alarms.acknowledge("k1", 5, by="eva", comment="seen")
-    assert (accepted.from_state, accepted.to_state, accepted.by, accepted.comment) == ("UNACK", "ACKED", "eva", "seen")
+    alarms.restore({"alarms": {"k1": {"state": "ACKED"}}})
     assert written(alarms.step(batch([25.0] * 2, start=6))) == ["6 ACKED>NORM"]
 
 
-def test_level_alarms_acknowledged_after_clearing_is_normal_and_only_once() -> None:
-    alarms = LevelAlarms("press", [Rule()], RATE)
-    alarms.step(batch([45.0] * 6 + [25.0]))
-    assert [t.to_state for t in alarms.acknowledge("k1", 5, by="eva")] == ["NORM"]
-    assert alarms.acknowledge("k1", 6, by="eva") == []
-    with pytest.raises(KeyError):
-        alarms.acknowledge("k9", 6, by="eva")
+def test_level_alarms_carry_advice_and_the_change_in_per_cent() -> None:
+    (raised,) = LevelAlarms("press", [Rule(advice="check the hub bolts")], RATE).step(batch([45.0] * 6))
+    assert (raised.advice, raised.percent) == ("check the hub bolts", pytest.approx(80.0))
 
 
 def test_level_alarms_reset_forgets_what_stood() -> None:

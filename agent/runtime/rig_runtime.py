@@ -13,7 +13,6 @@ from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
-from agent.runtime.announcing import announce
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.ledger import Conservation
 from agent.runtime.pending import COMPUTING, Lateness, Waiting
@@ -31,8 +30,13 @@ class RigRuntime:
     """One rig while it runs: its pipeline, labels, summary and the alarms of its sources."""
 
     def __init__(
-        self, config: RigConfig, publish: Callable[[Sequence[Record]], None], wall: Callable[[], int] = wall_ns
+        self,
+        config: RigConfig,
+        publish: Callable[[Sequence[Record]], None],
+        wall: Callable[[], int] = wall_ns,
+        announce: Callable[[AlarmTransition], None] = lambda _: None,
     ) -> None:
+        self._announce = announce
         self.config = config
         self._wall = wall
         self._episodes = SourceEvents()
@@ -142,7 +146,7 @@ class RigRuntime:
             if cause is not None:
                 self.states.take_up(step, cause)
             self.summary.take([step])
-            announce(step)
+            self._announce(step)
 
     def poll(self) -> None:
         """Do what is due even where no samples come: commands, alarms that ask again, the end of an event record."""
@@ -237,7 +241,7 @@ class RigRuntime:
         records = self.states.step(records)
         for record in records:
             if isinstance(record, AlarmTransition):
-                announce(record)
+                self._announce(record)
         if records:
             self.summary.take(records)
             self._publish(records)

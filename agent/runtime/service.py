@@ -15,6 +15,7 @@ from agent.errors import ConfigError, Fault
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
+from agent.runtime.announcing import announce
 from agent.runtime.databases import RunKind, path_of, writers_of
 from agent.runtime.limits import ABANDON_S, CLOSE_S, END_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
 from agent.runtime.process.deadline import Deadline
@@ -41,7 +42,8 @@ class Service:
         self.writers = writers_of(configs, db, kind)
         self._record(configs, db)
         self._writer_of = {c.rig.name: self.writers[path_of(c, db)] for c in configs}
-        self.rigs = {c.rig.name: RigRuntime(c, self._writer_of[c.rig.name].publish) for c in configs}
+        said = announce if kind == "live" else lambda _: None
+        self.rigs = {c.rig.name: RigRuntime(c, self._writer_of[c.rig.name].publish, announce=said) for c in configs}
         for writer in self.writers.values():
             writer.on_alarm = self._commanded
         self._event_writers = self._keep_events(configs, db) if kind == "live" else []

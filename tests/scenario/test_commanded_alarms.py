@@ -11,6 +11,7 @@ import pytest
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
 from agent.config import load
+from agent.runtime.announcing import announce
 from agent.runtime.rig_runtime import RigRuntime
 from agent.storage.operations import command_alarms
 from agent.storage.write.alarm_commands import Request
@@ -34,7 +35,7 @@ class Live:
         self.db = db
         self.writer = StoreWriter(lambda: Store.open(db), [info], served=True)
         self.writer.start()
-        self.rig = RigRuntime(config, self.writer.publish)
+        self.rig = RigRuntime(config, self.writer.publish, announce=announce)
         self.writer.on_alarm = self.rig.commanded
         self.rig.restore(self.writer.standing[config.rig.name])
 

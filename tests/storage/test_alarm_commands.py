@@ -96,10 +96,11 @@ def test_alarm_out_of_service_raises_nothing_until_it_is_returned(store: Store) 
     write(store, step("UNACK", "RTNUN", START + 9, cause="clear"))
     carry_out(store, ask("acknowledge", 1), at(1, 1))
     carry_out(store, ask("out of service", 1), at(2, 2))
-    write(store, step("NORM", "UNACK", START + 10, cause="raise"))
+    write(store, step("NORM", "UNACK", START + 10, cause="raise", delta=-20.0, message="k1 fell by 20 N/m"))
     assert alarms(store) == [(1, "OOSRV", "eva", 1, 1)]
     carry_out(store, ask("return", 1), at(3, 3))
     assert alarms(store) == [(1, "UNACK", None, 1, 1)]
+    assert select(store.path, "SELECT delta, message FROM v_alarms") == [(-20.0, "k1 fell by 20 N/m")]
 
 
 def test_older_activation_can_be_acknowledged_but_not_shelved(store: Store) -> None:

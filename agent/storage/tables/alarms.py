@@ -83,11 +83,9 @@ class AlarmRows:
         return list(self._open.values())
 
     def _raised(self, step: AlarmTransition, numbers: Numbers) -> AlarmRow:
-        figures = (step.delta, step.sd, step.limit_value, step.probability)
-        delta, sd, limit, probability = (None if f is None or f - f != 0 else float(f) for f in figures)  # NaN, inf
         return AlarmRow(
             numbers.take("alarms"), self._run_id, step.kind, step.parameter, step.priority, step.to_state, step.t_ns,
-            None, None, None, None, delta, sd, limit, probability, step.message,
+            None, None, None, None, *_figures(step), step.message,
         )  # fmt: skip
 
 
@@ -127,10 +125,20 @@ def _annotate(plan: Plan, row: AlarmRow, step: AlarmTransition, numbers: Numbers
         plan.sealed("annotations", numbers.take("annotations"), row.seq, step.advice, step.percent)
 
 
+def _figures(step: AlarmTransition) -> list[float | None]:
+    """Return delta, sd, limit and probability of a step; None where they are no numbers (NaN, inf)."""
+    figures = (step.delta, step.sd, step.limit_value, step.probability)
+    return [None if f is None or f - f != 0 else float(f) for f in figures]
+
+
 def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
-    """Return the row as a transition leaves it; under a suppressed state its condition comes and goes."""
+    """Return the row as a transition leaves it; a suppressed one keeps its state, but not what its condition does."""
     row = replace(row, state=step.to_state)
     if step.to_state in SUPPRESSED and step.to_state == step.from_state:
+        if step.cause == "raise" and row.cleared_ns is not None:
+            delta, sd, limit, probability = _figures(step)
+            row = replace(row, raised_ns=step.t_ns, delta=delta, sd=sd, limit_value=limit, probability=probability,
+                          message=step.message)  # fmt: skip
         return replace(row, cleared_ns={"clear": step.t_ns, "raise": None}.get(step.cause, row.cleared_ns))
     if step.to_state in _CLEAR and row.cleared_ns is None:
         row = replace(row, cleared_ns=step.t_ns)

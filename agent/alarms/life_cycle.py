@@ -108,7 +108,7 @@ def cause_of(before: AlarmState, to: AlarmState) -> Cause | None:
     return "clear" if (before, to) in {("UNACK", "RTNUN"), ("ACKED", "NORM")} else None
 
 
-def is_moot(alarm: Alarm, cause: Cause) -> bool:
+def is_needless(alarm: Alarm, cause: Cause) -> bool:
     """Tell whether design has nothing to do with an alarm: only one that stands is silenced, and speaks again."""
     silences = cause == "suppress" and not alarm.stands
     return silences or (cause == "unsuppress" and alarm.state != "DSUPR")

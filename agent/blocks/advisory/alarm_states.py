@@ -7,7 +7,7 @@ the same two causes and come to the same state.
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from agent.alarms.life_cycle import Alarm, Cause, cause_of, is_moot
+from agent.alarms.life_cycle import Alarm, Cause, cause_of, is_needless
 from agent.types import AlarmKind, AlarmTransition, Record
 
 
@@ -38,7 +38,7 @@ class AlarmStates:
         cause = cause_of(found.from_state, found.to_state)
         if cause is None:
             return [found]
-        if is_moot(self[found.kind, found.parameter], cause):
+        if is_needless(self[found.kind, found.parameter], cause):
             return []
         before, after = self._go(found, cause)
         return [replace(found, from_state=before.state, to_state=after.state)]

@@ -1,11 +1,12 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Alarm rows: one an activation, updated by the transitions of its life, each of which is kept as an event."""
 
+import math
 import sqlite3
 from dataclasses import dataclass, replace
 from typing import get_args
 
-from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, after, cause_of, is_moot
+from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, after, cause_of, is_needless
 from agent.storage.database.checksum import Cell
 from agent.storage.database.schema import columns_of
 from agent.storage.tables.rows import Numbers, Plan
@@ -59,7 +60,7 @@ class AlarmRows:
         """
         row = self._open.get((step.kind, step.parameter))
         cause = cause_of(step.from_state, step.to_state)
-        if cause is not None and is_moot(Alarm() if row is None else alarm_of(row), cause):
+        if cause is not None and is_needless(Alarm() if row is None else alarm_of(row), cause):
             return
         step = step if row is None else _as_it_is(row, step)
         if row is None or (step.to_state == "UNACK" and step.from_state in _CLEAR):  # an activation of its own
@@ -125,10 +126,13 @@ def _annotate(plan: Plan, row: AlarmRow, step: AlarmTransition, numbers: Numbers
         plan.sealed("annotations", numbers.take("annotations"), row.seq, step.advice, step.percent)
 
 
-def _figures(step: AlarmTransition) -> list[float | None]:
+def _figures(step: AlarmTransition) -> tuple[float | None, float | None, float | None, float | None]:
     """Return delta, sd, limit and probability of a step; None where they are no numbers (NaN, inf)."""
-    figures = (step.delta, step.sd, step.limit_value, step.probability)
-    return [None if f is None or f - f != 0 else float(f) for f in figures]
+    return _finite(step.delta), _finite(step.sd), _finite(step.limit_value), _finite(step.probability)
+
+
+def _finite(figure: float | None) -> float | None:
+    return None if figure is None or not math.isfinite(figure) else float(figure)
 
 
 def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:

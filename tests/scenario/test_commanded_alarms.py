@@ -79,11 +79,11 @@ def test_alarm_acknowledged_while_its_rig_runs_clears_to_normal(live: Live, caps
 def test_alarm_that_clears_as_it_is_acknowledged_ends_alike_on_both_sides(live: Live) -> None:
     """The rig learns of the command after it has decided its own step."""
     live.link(LOST)
-    told: list[Any] = []
-    live.writer.on_alarm = told.append
+    noted: list[Any] = []
+    live.writer.on_alarm = noted.append
     guarded(app, ["ack", str(live.db), "1"])
     live.link(BACK)
-    live.rig.commanded(told[0])
+    live.rig.commanded(noted[0])
     assert live.state == "NORM"
 
 

@@ -77,7 +77,7 @@ class StoreWriter:
         self._served = served
         self._server: CommandServer | None = None
         self.on_alarm: Callable[[AlarmTransition], None] = lambda _: None
-        """Told, in the writer's thread, of each step that an alarm took by an operator or as a shelf ended."""
+        """Called, in the writer's thread, with each step that an alarm took by an operator or as a shelf ended."""
         self._jobs = JobQueue("its agent", self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}

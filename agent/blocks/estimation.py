@@ -65,6 +65,7 @@ class Labels:
         rate_hz: samples a second.
         frictions: how many of the last inputs are shares of a dry friction, -1 or 1 while it slides.
         least: (q,) what is reported of a parameter does not go below; its estimate does, lest noise bias it.
+        reference_sd: see `EstimateBatch`.
     """
 
     rig: str
@@ -72,13 +73,14 @@ class Labels:
     parameters: tuple[str, ...]
     units: tuple[str, ...]
     reference: FloatArray
-    baseline_id: int | None
+    baseline_id: tuple[int | None, ...] | None
     window: int
     longest: int
     hop: int
     rate_hz: float
     frictions: int
     least: FloatArray
+    reference_sd: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +200,7 @@ class Estimation:
             window_s=np.where(rows.window > 0, rows.window, labels.window) / labels.rate_hz,
             n_used=np.maximum(used.astype(np.int64) - lost, 0), n_missing=lost, dof=rows.dof,
             others=tuple(self._other(rows, other, samples, t_ns, lost) for other in rows.others),
+            reference_sd=labels.reference_sd,
         )  # fmt: skip
 
     def _other(self, rows: Outcome, other: Outcome, samples: Samples, t_ns: IntArray, lost: IntArray) -> EstimateBatch:

@@ -201,7 +201,7 @@ def test_level_alarms_raised_carries_figures_and_a_sentence() -> None:
 
 
 def test_level_alarms_cleared_says_so_with_the_baseline_it_was_judged_by() -> None:
-    _, cleared = LevelAlarms("press", [Rule()], RATE).step(batch([50.0] * 5 + [21.8], sd=0.12, baseline_id=7))
+    _, cleared = LevelAlarms("press", [Rule()], RATE).step(batch([50.0] * 5 + [21.8], sd=0.12, baseline_id=(7,)))
     assert cleared.message == "k1 is back within its limit: 3.20 ± 0.12 N/m below its baseline 25 (limit 15)"
     assert (cleared.cause, cleared.limit_value, cleared.probability) == ("clear", 15.0, pytest.approx(1.0))
 

@@ -318,6 +318,79 @@ def export(
     commands_db.export(db, what, rig, to)
 
 
+Place = Annotated[
+    Path, typer.Argument(metavar="DB|CONFIG", help="Database, or the configuration that names it.", show_default=False)
+]
+baseline = typer.Typer(
+    help="What parameters are like on a healthy machine: learn, show, exchange.", no_args_is_help=True,
+    rich_markup_mode=None,
+)  # fmt: skip
+app.add_typer(baseline, name="baseline")
+
+
+@baseline.command("learn")
+def baseline_learn(
+    place: Place,
+    rig: Rig = None,
+    parameter: Annotated[
+        list[str] | None, typer.Option(metavar="P", help="Only this parameter; may be given again.")
+    ] = None,
+    since: Since = None,
+    until: Until = None,
+    hours: Annotated[float, typer.Option(metavar="H", help="Hours with valid rows that are wanted at least.")] = 24.0,
+    json: Json = False,
+) -> None:
+    """Learn references and their spread from the valid rows of a healthy stretch; rows count from them at once."""
+    from agent.cli.commissioning import baseline as commands_baseline
+    from agent.commissioning.baseline import learn as body
+
+    document = body.learn(place, rig, body.Stretch(tuple(parameter or ()), since, until, hours))
+    _answer(document, commands_baseline.print_learnt, as_json=json)
+
+
+@baseline.command("show")
+def baseline_show(place: Place, rig: Rig = None, json: Json = False) -> None:
+    """Show the baselines that rows count from."""
+    from agent.cli.commissioning import baseline as commands_baseline
+
+    _answer(commands_baseline.standing(place, rig), commands_baseline.print_baselines, as_json=json)
+
+
+@baseline.command("list")
+def baseline_list(place: Place, rig: Rig = None, json: Json = False) -> None:
+    """List all baselines, also those that were learnt anew since."""
+    from agent.cli.commissioning import baseline as commands_baseline
+
+    _answer(commands_baseline.every(place, rig), commands_baseline.print_baselines, as_json=json)
+
+
+@baseline.command("export")
+def baseline_export(
+    place: Place,
+    rig: Rig = None,
+    to: Annotated[Path | None, typer.Option(metavar="FILE", help="Write to FILE, not stdout.")] = None,
+) -> None:
+    """Write the baselines that rows count from as JSON."""
+    from agent.cli.commissioning import baseline as commands_baseline
+    from agent.commissioning.baseline.exchange import exported
+
+    commands_baseline.write_export(exported(place, rig), to)
+
+
+@baseline.command("import")
+def baseline_import(
+    place: Place,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="What export wrote.", show_default=False)],
+    rig: Rig = None,
+    json: Json = False,
+) -> None:
+    """Count from the baselines of a file; refused where they are of another graph, parameter or unit."""
+    from agent.cli.commissioning import baseline as commands_baseline
+    from agent.commissioning.baseline.exchange import imported
+
+    _answer(imported(place, rig, file), commands_baseline.print_imported, as_json=json)
+
+
 database = typer.Typer(help="Look after a database file.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(database, name="db")
 

@@ -391,6 +391,35 @@ def baseline_import(
     _answer(imported(place, rig, file), commands_baseline.print_imported, as_json=json)
 
 
+@app.command()
+def limits(  # noqa: PLR0913, PLR0917 the signature is the command line
+    place: Place,
+    rig: Rig = None,
+    per_year: Annotated[
+        float, typer.Option("--per-year", metavar="N", help="False alarms a year at the most, each parameter.")
+    ] = 1.0,
+    write: Annotated[bool, typer.Option("--write", help="Put limits and delays into CONFIG; all else stays.")] = False,
+    config: Annotated[
+        Path | None, typer.Option("--config", metavar="CONFIG", help="With --write and a DB: the file to write to.")
+    ] = None,
+    trial: Annotated[
+        Path | None, typer.Option("--try", metavar="FILE", help="Decide the stored history under FILE's limits.")
+    ] = None,
+    since: Since = None,
+    until: Until = None,
+    json: Json = False,
+) -> None:
+    """Propose limits and delays that a healthy machine seldom crosses, from its baseline; or try others."""
+    from agent.cli.commissioning import limits as commands_limits
+
+    if trial is not None:
+        document = commands_limits.tried(place, rig, trial, (since, until), write=write)
+        _answer(document, commands_limits.print_tried, as_json=json)
+    else:
+        document = commands_limits.proposed(place, rig, per_year, config, write=write)
+        _answer(document, commands_limits.print_limits, as_json=json)
+
+
 database = typer.Typer(help="Look after a database file.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(database, name="db")
 

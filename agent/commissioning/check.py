@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windows, observer_gains, rig_model
 from agent.commissioning.advice import warnings
+from agent.commissioning.baseline.limits import limit_warnings
 from agent.commissioning.evidence import Evidence, Gathered
 from agent.commissioning.prediction import predictions, rows, sampled
 from agent.commissioning.progress import Progress, on_terminal
@@ -130,7 +131,8 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         "box_margin": tried("the range proven stable", lambda: _box(rig)),
         "predicted_sd": rows(predicted, config, rig),
     }
-    warned = [*warnings(config, rig, predicted, recorded), *gathered.warnings, *failed]
+    learnt = limit_warnings(config)
+    warned = [*warnings(config, rig, predicted, recorded), *learnt, *gathered.warnings, *failed]
     return found | {"warnings": [_fault(fault) for fault in warned]}
 
 

@@ -284,9 +284,9 @@ def test_level_rule_takes_any_object_with_the_keys_as_attributes() -> None:
 
 def test_change_from_a_learnt_reference_is_known_as_well_as_two_estimates_of_one_rig_differ() -> None:
     # the masses may be off by 20: against nominal nothing can be said, against the same rig's past it can
-    known = {"sd_repeat": np.full((2, 1), 0.3), "baseline_id": (3,), "reference_sd": (0.4,)}
-    assert LevelAlarms("press", [Rule()], RATE).step(batch([45.0, 45.0], sd=20.0)) == []
-    (raised,) = LevelAlarms("press", [Rule()], RATE).step(batch([45.0, 45.0], sd=20.0, **known))
+    known = {"sd_repeat": np.full((5, 1), 0.3), "baseline_id": (3,), "reference_sd": (0.4,)}
+    assert LevelAlarms("press", [Rule()], RATE).step(batch([45.0] * 5, sd=20.0)) == []
+    (raised,) = LevelAlarms("press", [Rule()], RATE).step(batch([45.0] * 5, sd=20.0, **known))
     assert (raised.delta, raised.sd) == (20.0, pytest.approx(0.5))
     half = known | {"baseline_id": (None,), "reference_sd": (float("nan"),)}
-    assert LevelAlarms("press", [Rule()], RATE).step(batch([45.0, 45.0], sd=20.0, **half)) == []
+    assert LevelAlarms("press", [Rule()], RATE).step(batch([45.0] * 5, sd=20.0, **half)) == []

@@ -420,6 +420,34 @@ def limits(  # noqa: PLR0913, PLR0917 the signature is the command line
         _answer(document, commands_limits.print_limits, as_json=json)
 
 
+@app.command()
+def excite(
+    config: Config,
+    seconds: Annotated[float, typer.Option(metavar="S", help="How long the motion may be.")],
+    to: Annotated[Path, typer.Option(metavar="FILE.csv", help="The file for the operator's own shaker or drive.")],
+    recording: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The recording at hand, to compare with.")
+    ] = None,
+    max_force: Annotated[
+        float | None, typer.Option("--max-force", metavar="F", help="Greatest force, in the force channel's unit.")
+    ] = None,
+    max_stroke: Annotated[
+        float | None, typer.Option("--max-stroke", metavar="X", help="Greatest displacement, in its channel's unit.")
+    ] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="LO HI", help="Frequencies that are allowed, Hz.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Design the motion that teaches most within force, stroke and band; deltak itself never transmits."""
+    from agent.cli.commissioning import excite as commands_excite
+    from agent.commissioning.excitation import excite as body
+
+    bounds = body.Bounds(seconds, max_force, max_stroke, band)
+    document = body.excite(config=config, recording=recording, bounds=bounds, to=to)
+    _answer(document, commands_excite.print_excitation, as_json=json)
+
+
 database = typer.Typer(help="Look after a database file.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(database, name="db")
 

@@ -49,7 +49,7 @@ def check(*, config: Path, recording: Path | None, probe: bool, progress: Progre
     """
     try:
         rig_config = load(config)
-        resolution = _resolution(rig_config)
+        resolution = resolution_of(rig_config)
     except ConfigError as error:
         return {"ok": False, "errors": [_fault(fault) for fault in error.faults], "warnings": []} | _NOTHING
     return _document(rig_config, resolution, Evidence(recording, probe, progress or on_terminal()))
@@ -59,7 +59,7 @@ def _fault(fault: Fault) -> dict[str, str]:
     return {"path": fault.path, "message": fault.message, "advice": fault.advice}
 
 
-def _resolution(config: RigConfig) -> FloatArray:
+def resolution_of(config: RigConfig) -> FloatArray:
     """The wire's smallest step of each output (p,), SI."""
     try:
         steps = wire_steps(config)

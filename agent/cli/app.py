@@ -343,8 +343,10 @@ def baseline_learn(
     """Learn references and their spread from the valid rows of a healthy stretch; rows count from them at once."""
     from agent.cli.commissioning import baseline as commands_baseline
     from agent.commissioning.baseline import learn as body
+    from agent.commissioning.progress import on_terminal
 
-    document = body.learn(place, rig, body.Stretch(tuple(parameter or ()), since, until, hours))
+    stretch = body.Stretch(tuple(parameter or ()), since, until, hours)
+    document = body.learn(place, rig, stretch, on_terminal())
     _answer(document, commands_baseline.print_learnt, as_json=json)
 
 

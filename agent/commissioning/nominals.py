@@ -1,18 +1,16 @@
 """Nominal values in a configuration: put into it, and written into its file with the smallest edit of the text."""
 
-import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, table_around
 from agent.config import MechanicsModel, RigConfig
 from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import UsageError
 
 KEYS = {"mass": "value", "spring": "nominal", "damper": "nominal", "friction": "nominal"}
-NUMBER = r"[-+]?[\w.]+(?:[-+]\d+)?"
 
 
 def with_nominals(config: RigConfig, values: Mapping[str, float]) -> RigConfig:
@@ -62,16 +60,6 @@ def _wanted(raw: dict[str, Any], name: str, value: float) -> dict[str, Any]:
     return raw
 
 
-def reads_as(text: str, wanted: dict[str, Any], file: Path) -> bool:
-    """Tell whether the text of a configuration holds what is wanted."""
-    from agent.errors import ConfigError
-
-    try:
-        return parse_toml(text.encode("utf-8"), file) == wanted
-    except ConfigError:
-        return False
-
-
 def _candidates(text: str, name: str, value: float) -> Iterator[str]:
     """Yield the text with the value put beside each place where the name stands."""
     shown = f"{value:.6g}"
@@ -92,33 +80,3 @@ def _replaced(table: str, shown: str) -> Iterator[str]:
         new, count = re.subn(rf"(?m)(\b{key}[ \t]*=[ \t]*){NUMBER}", rf"\g<1>{shown}", table, count=1)
         if count:
             yield new
-
-
-def table_around(text: str, start: int, end: int) -> tuple[int, int]:
-    """Return where the table that holds a place begins and ends: braces, or the lines up to the next header."""
-    opening = text.rfind("{", 0, start)
-    closing = text.find("}", end)
-    if opening > text.rfind("}", 0, start) and closing >= 0:
-        return opening, closing + 1
-    header = re.search(r"(?m)^[ \t]*\[", text[end:])
-    first = text.rfind("\n[", 0, start) + 1
-    return first, end + header.start() if header else len(text)
-
-
-def replace_file(file: Path, text: str) -> None:
-    """Put a new text in a file's place, whole or not at all."""
-    target = Path(os.path.realpath(file))
-    if not os.access(target, os.W_OK):
-        raise PermissionError(13, "it is read-only")
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    new = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        new.chmod(target.stat().st_mode & 0o7777)
-        new.replace(target)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise

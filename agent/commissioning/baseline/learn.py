@@ -4,7 +4,7 @@ valid rows -> means of equal periods -> robust reference, spread between periods
 are a 24th of what is wanted at least: hours, of a day.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from agent.commissioning.baseline.target import Target, target_of
-from agent.commissioning.progress import Progress, on_terminal
 from agent.errors import Fault, UsageError
 from agent.numerics.reference.spread import periods, spread
 from agent.storage import maintenance
@@ -37,17 +36,19 @@ class Stretch:
     hours: float = HOURS
 
 
-def learn(path: Path, rig: str | None, stretch: Stretch, progress: Progress | None = None) -> dict[str, Any]:
+def learn(
+    path: Path, rig: str | None, stretch: Stretch, progress: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
     """Learn baselines and store them; return what was learnt. Nothing is stored where a part is not ready.
 
+    progress: told how far long work is.
     Raises UsageError with what is still wanted of each parameter; ConfigError, StoreError.
     """
     if not stretch.hours > 0:
         raise UsageError.at("--hours", f"{stretch.hours:g} is no time", "give hours above 0, such as 24")
-    said = progress or on_terminal()
     target = target_of(path, rig)
-    found = list(_history(target, stretch, said))
-    said("")
+    found = list(_history(target, stretch, progress))
+    progress("")
     if faults := [fault for points in found if (fault := _unready(points, stretch.hours))]:
         raise UsageError(faults)
     graph = target.graph(int(min(p.t_ns[0] for p in found)), int(max(p.t_ns[-1] for p in found)))
@@ -57,7 +58,7 @@ def learn(path: Path, rig: str | None, stretch: Stretch, progress: Progress | No
     return {"rig": target.rig, "db": str(target.db), "hours": stretch.hours, "graph": graph, "parameters": rows}
 
 
-def _history(target: Target, stretch: Stretch, progress: Progress) -> Iterable[Points]:
+def _history(target: Target, stretch: Stretch, progress: Callable[[str], None]) -> Iterable[Points]:
     """Yield the valid rows of each parameter asked for; of all, those that have any."""
     known = queries.parameters(target.db, target.rig)
     if unknown := [name for name in stretch.parameters if name not in known]:
@@ -83,7 +84,8 @@ def _unready(points: Points, hours: float) -> Fault | None:
     if have >= LEAST_PERIODS:
         return None
     share = have / LEAST_PERIODS
-    what = f"not yet: {number(share * hours, 3)} of {hours:g} hours with valid rows ({percent(share)})"
+    wanted, unit = (hours, "hours") if hours >= 1.0 else (hours * 3600.0, "s")
+    what = f"not yet: {number(share * wanted, 3)} of {wanted:g} {unit} with valid rows ({percent(share)})"
     return Fault(points.parameter, what, "let the agent run on, or ask for less with --hours")
 
 

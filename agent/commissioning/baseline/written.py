@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from agent.commissioning.nominals import NUMBER, reads_as, replace_file, table_around
+from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, table_around
 from agent.config import parse
 from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, UsageError

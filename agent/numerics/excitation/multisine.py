@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.types import FloatArray, IntArray
 
-ROUNDS = 300
+PASSES = 300
 CLIPPED = 0.85, 0.98
 """Share of the peak at which is clipped, in the first round and the last."""
 
@@ -20,7 +20,7 @@ def multisine(power: FloatArray, line: IntArray, count: int) -> FloatArray:
     phase = schroeder(power)
     best = signal(amplitude, phase, line, count)
     current = best
-    for share in np.linspace(*CLIPPED, ROUNDS):
+    for share in np.linspace(*CLIPPED, PASSES):
         top = share * float(np.abs(current).max())
         found = np.fft.rfft(np.clip(current, -top, top))[line]
         current = signal(amplitude, np.angle(found), line, count)

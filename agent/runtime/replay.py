@@ -184,8 +184,10 @@ def _table(rig: RigConfig, path: Path) -> Driver:
 def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     if db is None:
         return None
-    known = {"boot_id": boot_id(), "learnt_key": learnt_key(rig), "graph": graph_of(rig)}
-    run = RunInfo(rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, **known)
+    run = RunInfo(
+        rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, boot_id=boot_id(), learnt_key=learnt_key(rig),
+        graph=graph_of(rig),
+    )  # fmt: skip
     writer = StoreWriter(lambda: Store.open(db), [run], lossless=True)
     writer.start()
     return writer

@@ -111,7 +111,7 @@ def _confidence(config: RigConfig | None, parameter: str) -> float:
 
 def levels(alarms: Sequence[Alarm]) -> list[Alarm]:
     """Return the alarms on a level."""
-    return [alarm for alarm in alarms if alarm.kind == "level"]
+    return [alarm for alarm in alarms if str(alarm.kind) == "level"]
 
 
 def limit_warnings(config: RigConfig) -> Iterator[Fault]:
@@ -124,7 +124,7 @@ def limit_warnings(config: RigConfig) -> Iterator[Fault]:
         return
     for i, alarm in enumerate(config.alarm):
         one = known.get(alarm.parameter)
-        if one is not None and alarm.kind == "level":
+        if one is not None and alarm in levels([alarm]):
             yield from _crossed(target, one, alarm, f"alarm[{i}]")
 
 

@@ -83,7 +83,7 @@ def _batch(
     rows: Sequence[Row], header: tuple[Any, ...], config: RigConfig, rule: Alarm, baseline: Baseline | None
 ) -> EstimateBatch:
     _, method, unit, reference = header
-    columns = {
+    columns: dict[str, Any] = {
         name: np.array([[np.nan if row[name] is None else row[name]] for row in rows], dtype=np.float64)
         for name in ("value", "sd", "lower", "upper", "sd_repeat", "window_s", "held", "held_age_s")
     }
@@ -109,7 +109,7 @@ def _dof(half: FloatArray, sd: FloatArray) -> FloatArray:
 
     table = np.r_[np.geomspace(1.0, 1000.0, 400), 1e9]
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = (half / sd)[:, 0]
+        ratio = np.asarray(half / sd).ravel()
     return np.asarray(np.interp(ratio, stdtrit(table, 0.975)[::-1], table[::-1]))
 
 
@@ -145,4 +145,4 @@ def _without(some: Sequence[Row], others: Sequence[Row]) -> list[Row]:
 def _same_event(one: Row, other: Row) -> bool:
     last = [2**62 if row["cleared_ns"] is None else row["cleared_ns"] for row in (one, other)]
     apart = max(one["raised_ns"] - last[1], other["raised_ns"] - last[0])
-    return one["parameter"] == other["parameter"] and apart <= NEAR_NS
+    return bool(one["parameter"] == other["parameter"] and apart <= NEAR_NS)

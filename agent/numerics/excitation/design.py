@@ -46,7 +46,8 @@ def responses(discrete: Discrete, omega: FloatArray) -> tuple[ComplexArray, Comp
     from_u = free @ m.B
     G = to_y @ m.B + m.D
     S = np.einsum("fpi,kij,fjm->fkpm", to_y, m.dA, from_u) + np.einsum("fpi,kim->fkpm", to_y, m.dB)
-    return G, S + np.einsum("kpi,fim->fkpm", m.dC, from_u) + m.dD
+    S = S + np.einsum("kpi,fim->fkpm", m.dC, from_u) + m.dD
+    return np.asarray(G, dtype=np.complex128), np.asarray(S, dtype=np.complex128)
 
 
 def line_information(discrete: Discrete, omega: FloatArray, column: int, sigma: FloatArray) -> FloatArray:
@@ -74,7 +75,8 @@ def optimal(information: FloatArray) -> Design:
 
 def excess(information: FloatArray, power: FloatArray) -> float:
     """Return by which share the greatest d of all lines exceeds q: 0 of the best powers."""
-    return float(_d(information, power).max()) / information.shape[1] - 1.0
+    greatest = float(_d(information, power).max())
+    return greatest / int(information.shape[1]) - 1.0
 
 
 def _scaled(information: FloatArray) -> FloatArray:
@@ -104,4 +106,4 @@ def _multiplied(information: FloatArray, power: FloatArray) -> FloatArray:
         if step % CHECK == 0 and d.max() <= q * (1.0 + GAP):
             break
         power = power * d / q
-    return power / power.sum()
+    return np.asarray(power / power.sum())

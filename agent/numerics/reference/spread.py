@@ -51,7 +51,7 @@ class Spread:
 
 def periods(t_s: FloatArray, period_s: float) -> IntArray:
     """Return the number of the period (n,) that each instant lies in, counted from the first instant."""
-    return np.floor((t_s - t_s[0]) / period_s).astype(np.int64)
+    return np.asarray(np.floor((t_s - t_s[0]) / period_s).astype(np.int64))
 
 
 def spread(t_s: FloatArray, value: FloatArray, period_s: float) -> Spread:

@@ -31,8 +31,9 @@ def standing_baselines(connection: sqlite3.Connection, rig: str) -> tuple[Baseli
     found: dict[str, Baseline] = {}
     for *cells, crc in connection.execute(_OF_RIG, (rig,)):
         if row_crc(cells) == crc:
-            number, _, parameter, *rest = cells
-            found[parameter] = Baseline(rig, parameter, *rest, baseline_id=number)
+            number, _, *facts = cells
+            one = Baseline(rig, *facts)
+            found[one.parameter] = replace(one, baseline_id=number)
     return tuple(found.values())
 
 

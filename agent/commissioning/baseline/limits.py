@@ -89,7 +89,7 @@ def healthy_of(target: Target, one: Baseline) -> Healthy | None:
 
 
 def _healthy(config: RigConfig | None, one: Baseline, rows: Sequence[Mapping[str, Any]]) -> Healthy:
-    sd, repeat, window = (np.array([row[name] for row in rows]) for name in ("sd", "sd_repeat", "window_s"))
+    repeat, window = (np.array([row[name] for row in rows]) for name in ("sd_repeat", "window_s"))
     steps = np.diff([row["t_ns"] for row in rows]) / 1e9
     window_s = float(np.median(window))
     ahead = steps[steps > 0]
@@ -98,7 +98,7 @@ def _healthy(config: RigConfig | None, one: Baseline, rows: Sequence[Mapping[str
     if config is not None:
         hop_s, resolve = config.estimator.hop_s, config.estimator.resolve
     row_sd = float(np.hypot(np.median(repeat), one.sd))
-    least = float(np.quantile(sd, ORDINARY)) / resolve
+    least = float(np.quantile(repeat, ORDINARY)) / resolve
     return Healthy(
         one.spread_sd, one.correlation_s, one.n_effective, row_sd, one.within_sd, window_s, min(hop_s, window_s), least
     )

@@ -21,6 +21,8 @@ def print_learnt(document: Document) -> None:
     """Print what was learnt, and what it does not know."""
     rows = document["parameters"]
     print_table(f"{document['rig']}: learnt", COLUMNS, [_cells(name, row) for name, row in rows.items()], right=_RIGHT)
+    for words in document["warnings"]:
+        show(f"warning: {words}")
     if all(row["days_sd"] is None for row in rows.values()):
         show("the spread between days is not known from so few of them: learn again when there are more")
     show("rows count their change from these references from now on; limits that they allow: deltak limits")

@@ -22,6 +22,8 @@ from agent.types import Baseline
 
 LEAST_PERIODS = 24
 """Periods that a baseline needs: the spread of fewer is known to no better than a fifth."""
+DOUBTFUL = 5.0
+"""Independent periods below which what was learnt may be a drift."""
 HOURS = 24.0
 """What is wanted at least by default: a machine's day."""
 
@@ -55,7 +57,19 @@ def learn(
     learnt = [_baseline(points, graph, stretch.hours) for points in found]
     numbers = maintenance.store_baselines(target.db, learnt)
     rows = {one.parameter: row(one, n) for one, n in zip(learnt, numbers, strict=True)}
-    return {"rig": target.rig, "db": str(target.db), "hours": stretch.hours, "graph": graph, "parameters": rows}
+    return {
+        "rig": target.rig, "db": str(target.db), "hours": stretch.hours, "graph": graph, "parameters": rows,
+        "warnings": [words for one in learnt if (words := _doubt(one))],
+    }  # fmt: skip
+
+
+def _doubt(one: Baseline) -> str:
+    """Return why a baseline is little to rely on; empty where it is not."""
+    if one.n_effective >= DOUBTFUL:
+        return ""
+    few = number(one.n_effective, 2)
+    told = f"{one.parameter} moved so slowly that its periods tell no more than {few} independent ones"
+    return f"{told}: it drifts (see deltak trend), or the stretch is too short"
 
 
 def _history(target: Target, stretch: Stretch, progress: Callable[[str], None]) -> Iterable[Points]:

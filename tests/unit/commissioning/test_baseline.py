@@ -89,6 +89,17 @@ def test_relearning_a_part_after_a_repair_touches_that_part_alone(
     assert len(json.loads(deltak(capsys, "baseline", "list", db, "--json")[1])["baselines"]) == 3
 
 
+def test_learn_warns_of_a_stretch_that_is_nothing_but_a_drift(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fine = rows(2 * 1440)
+    drift = np.column_stack([np.linspace(0.0, 5.0, len(fine)), np.zeros(len(fine))])
+    db = stored(tmp_path / "rig.db", replace(fine, value=fine.value + drift))
+    (words,) = learnt(capsys, db)["warnings"]
+    assert words.startswith("k1 moved so slowly")
+    assert "it drifts" in words
+
+
 def test_learn_says_how_much_is_still_wanted_and_stores_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,7 +22,7 @@ def proposed(place: Path, rig: str | None, per_year: float, config: Path | None,
     if write and file is None:
         advice = "give the configuration in place of the database, or beside it with --config"
         raise UsageError.at("--write", "there is no configuration to write to", advice)
-    document = body.limits(file if write and file is not None else place, rig, per_year)
+    document = body.limits(place, rig, per_year, None if own else config)
     if write and file is not None:
         rows = document["parameters"]
         write_limits(file, {name: {key: row[key] for key in WRITTEN} for name, row in rows.items()})

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.commissioning.baseline.target import Target, target_of
+from agent.commissioning.baseline.target import Target, configured, target_of
 from agent.config import Alarm, RigConfig
 from agent.errors import Fault, StoreError, UsageError
 from agent.numerics.reference.limits import Healthy, false_per_year, proposed
@@ -23,14 +23,15 @@ ORDINARY = 0.9
 PER_YEAR = 1.0
 
 
-def limits(place: Path, rig: str | None, per_year: float = PER_YEAR) -> dict[str, Any]:
+def limits(place: Path, rig: str | None, per_year: float = PER_YEAR, config: Path | None = None) -> dict[str, Any]:
     """Return the document of CONTRACT section 8: a limit and an on-delay for each parameter with a baseline.
 
+    config: of the rig, beside a database.
     Raises UsageError where there is none, or no recent row; ConfigError, StoreError.
     """
     if not per_year > 0:
         raise UsageError.at("--per-year", f"{per_year:g} is no number of alarms", "give a number above 0, such as 1")
-    target = target_of(place, rig)
+    target = target_of(place, rig) if config is None else configured(place, config)
     target.graph()
     found = baselines.standing(target.db, target.rig)
     if not found:

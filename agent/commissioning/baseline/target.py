@@ -40,6 +40,12 @@ def target_of(path: Path, rig: str | None) -> Target:
     return Target(path, one_rig(path, rig))
 
 
+def configured(db: Path, config: Path) -> Target:
+    """Return the rig of a configuration in a database, which need not be the one that it names."""
+    known = load(config)
+    return Target(db, one_rig(db, known.rig.name), known)
+
+
 def one_rig(db: Path, rig: str | None) -> str:
     """Return the rig that is meant. Raises StoreError; UsageError for none, several, or one that is not there."""
     known = queries.rigs(db)

@@ -110,7 +110,10 @@ def test_write_beside_a_database_needs_the_configuration(config: Path, capsys: p
     code, _, err = deltak(capsys, "limits", db, "--write")
     assert code == 2
     assert "no configuration to write to" in err
-    assert asked(capsys, "limits", db, "--write", "--config", config)["written"] == str(config)
+    moved = config.with_name("moved.toml")
+    moved.write_text(config.read_text(encoding="utf-8").replace('path = "', 'path = "not-'), encoding="utf-8")
+    assert asked(capsys, "limits", db, "--write", "--config", moved)["written"] == str(moved)
+    assert load(moved).alarm[0].limit == asked(capsys, "limits", db)["parameters"]["k1"]["limit"]
 
 
 PLAIN = '[rig]\nname = "a"\n'

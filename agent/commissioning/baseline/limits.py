@@ -120,7 +120,7 @@ def limit_warnings(config: RigConfig) -> Iterator[Fault]:
     target = Target(config.store.path, config.rig.name, config)
     try:
         known = {one.parameter: one for one in baselines.standing(target.db, target.rig)} if target.db.exists() else {}
-    except StoreError as error:
+    except (StoreError, OSError) as error:
         yield Fault("store.path", f"its baselines cannot be read ({error})", "see deltak db check")
         return
     for i, alarm in enumerate(config.alarm):

@@ -108,9 +108,10 @@ def _dof(half: FloatArray, sd: FloatArray) -> FloatArray:
     from scipy.special import stdtrit
 
     table = np.r_[np.geomspace(1.0, 1000.0, 400), 1e9]
+    quantile = np.asarray(stdtrit(table, 0.975), dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.asarray(half / sd).ravel()
-    return np.asarray(np.interp(ratio, stdtrit(table, 0.975)[::-1], table[::-1]))
+    return np.asarray(np.interp(ratio, quantile[::-1], table[::-1]))
 
 
 def _activations(steps: Iterator[AlarmTransition]) -> list[dict[str, Any]]:

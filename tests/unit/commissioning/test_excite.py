@@ -137,7 +137,7 @@ def test_recording_at_hand_stands_beside_the_design_and_the_advice_compares_them
     config.write_bytes((ROOT / "deploy/examples/modbus.toml").read_bytes())
     two_mass_recording(recording, np.random.default_rng(5), 3)
     to = tmp_path / "shaker.csv"
-    argv = ("excite", config, "--recording", recording, "--seconds", 10, "--to", to)
+    argv = ("excite", config, "--recording", recording, "--seconds", 5, "--to", to)
     code, out, err = deltak(capsys, *argv, "--json")
     assert code == 0, err
     document = json.loads(out)

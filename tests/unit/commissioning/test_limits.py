@@ -11,6 +11,7 @@ import pytest
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
+from agent.commissioning.baseline.limits import limit_warnings
 from agent.commissioning.baseline.written import with_limits
 from agent.commissioning.check import check
 from agent.config import load
@@ -157,15 +158,12 @@ def test_limits_that_would_make_the_file_faulty_are_not_written(
 
 
 def test_check_warns_of_a_limit_under_what_the_spread_allows(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def warned() -> list[str]:
-        found = check(config=config, recording=None, probe=False)["warnings"]
-        return [row["path"] for row in found if "healthy machine" in row["message"]]
-
-    assert warned() == []
+    assert list(limit_warnings(load(config))) == []
     config.write_text(config.read_text(encoding="utf-8").replace("limit = 15.0", "limit = 0.2"), encoding="utf-8")
-    assert warned() == ["alarm[0].limit"]
+    found = check(config=config, recording=None, probe=False)["warnings"]
+    assert [row["path"] for row in found if "healthy machine" in row["message"]] == ["alarm[0].limit"]
     asked(capsys, "limits", config, "--write")
-    assert warned() == []
+    assert list(limit_warnings(load(config))) == []
 
 
 def test_try_says_which_alarms_other_limits_would_have_raised(

@@ -156,7 +156,7 @@ class EstimateBatch:
         method: "window-ml", "seed" ...
         parameters, units: (q,) names and units.
         reference: (q,) what delta is counted from.
-        baseline_id: the baseline that `reference` comes from; None for the nominal.
+        baseline_id: (q,) the baseline that each reference comes from, None for the nominal; None where all are nominal.
         index, t_ns: (N,) the newest sample of each window.
         value, sd, lower, upper: (N, q) estimate, standard deviation, 95 % interval: against the nominal.
         sd_repeat: (N, q) standard deviation against another estimate of the same rig: the constants taken as they are.
@@ -168,6 +168,7 @@ class EstimateBatch:
         dof: (N,) degrees of freedom of the residual variance (for Student's t).
         others: where there are several windows, what each of them says at the same hops; NaN where it is not whole, or
             where it is the one that was chosen.
+        reference_sd: (q,) standard deviation of references that were learnt, NaN of others; None where none was.
     """
 
     rig: str
@@ -175,7 +176,7 @@ class EstimateBatch:
     parameters: tuple[str, ...]
     units: tuple[str, ...]
     reference: FloatArray
-    baseline_id: int | None
+    baseline_id: tuple[int | None, ...] | None
     index: IntArray
     t_ns: IntArray
     value: FloatArray
@@ -192,6 +193,7 @@ class EstimateBatch:
     n_missing: IntArray
     dof: FloatArray
     others: tuple["EstimateBatch", ...] = ()
+    reference_sd: tuple[float, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -326,6 +328,42 @@ class RunInfo:
     """Wall clock minus monotonic clock as it started; None where the monotonic clock is none of this boot's."""
     site: str | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    graph: str | None = None
+    """The graph of its model in words; None where nobody knows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """What a parameter was like while its machine was healthy.
+
+    Attributes:
+        rig, parameter, unit: what it is of; graph: of the model, in words, empty where it is not known.
+        reference, sd: robust centre of the hours' means, and how well it is known, their autocorrelation counted.
+        spread_sd: standard deviation of the hours' means about it.
+        within_sd: of rows about the mean of their hour.
+        days_sd: of the days' means; None from fewer than three days.
+        correlation_s: how long a departure from the reference lasts; n_effective: independent hours there were.
+        covariates: JSON list of what the reference depends on.
+        from_ns, until_ns, n: first and last row learnt from, and how many.
+        baseline_id: its number in the store; None before it is stored.
+    """
+
+    rig: str
+    parameter: str
+    unit: str
+    graph: str
+    reference: float
+    sd: float
+    spread_sd: float
+    within_sd: float
+    days_sd: float | None
+    correlation_s: float
+    n_effective: float
+    covariates: str
+    from_ns: int
+    until_ns: int
+    n: int
+    baseline_id: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,6 +65,8 @@ class Labels:
         rate_hz: samples a second.
         frictions: how many of the last inputs are shares of a dry friction, -1 or 1 while it slides.
         least: (q,) what is reported of a parameter does not go below; its estimate does, lest noise bias it.
+        reference_sd: see `EstimateBatch`.
+        enough: (q,) sd from which on a window tells nothing of a change; a learnt reference asks it of sd_repeat.
     """
 
     rig: str
@@ -72,13 +74,15 @@ class Labels:
     parameters: tuple[str, ...]
     units: tuple[str, ...]
     reference: FloatArray
-    baseline_id: int | None
+    baseline_id: tuple[int | None, ...] | None
     window: int
     longest: int
     hop: int
     rate_hz: float
     frictions: int
     least: FloatArray
+    reference_sd: tuple[float, ...] | None = None
+    enough: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +202,7 @@ class Estimation:
             window_s=np.where(rows.window > 0, rows.window, labels.window) / labels.rate_hz,
             n_used=np.maximum(used.astype(np.int64) - lost, 0), n_missing=lost, dof=rows.dof,
             others=tuple(self._other(rows, other, samples, t_ns, lost) for other in rows.others),
+            reference_sd=labels.reference_sd,
         )  # fmt: skip
 
     def _other(self, rows: Outcome, other: Outcome, samples: Samples, t_ns: IntArray, lost: IntArray) -> EstimateBatch:
@@ -213,7 +218,11 @@ class Estimation:
         )  # fmt: skip
 
     def _mark(self, rows: Outcome, status: CodeArray, reason: CodeArray, window: IntArray) -> None:
-        """Mark rows under dry friction that sticks, and rows of a faulty channel."""
+        """Mark rows that tell enough of a change from a learnt reference, that stick, and of a faulty channel."""
+        if self.labels.reference_sd is not None and self.labels.enough is not None:
+            known = np.isfinite(self.labels.reference_sd) & (rows.sd_repeat <= self.labels.enough)
+            vague = (status == Status.UNEXCITED) & (reason == Reason.NONE)
+            status[known & vague] = Status.VALID
         if self.labels.frictions:
             stuck = self._sticking.count(rows.index, window) > MOST_STUCK * window
             held_fast = stuck[:, None] & (status == Status.VALID)

@@ -195,7 +195,7 @@ class _Judgement:
     def __init__(
         self, batch: EstimateBatch, columns: list[int], up: BoolArray, down: BoolArray, rules: tuple[LevelRule, ...]
     ) -> None:
-        value, sd = batch.value[:, columns], batch.sd[:, columns]
+        value, sd = batch.value[:, columns], _deviation_sd(batch, columns)
         self.batch, self.columns, self.rules = batch, columns, rules
         self.assessed: BoolArray = (batch.status[:, columns] == Status.VALID) & np.isfinite(value) & np.isfinite(sd)
         self.deviations = Deviations(value - batch.reference[columns], sd, batch.dof, up, down)
@@ -237,7 +237,8 @@ class _Judgement:
 
     def _sentence(self, i: int, delta: float, sd: float, *, raising: bool) -> str:
         column = self.columns[i]
-        origin = "nominal" if self.batch.baseline_id is None else "its baseline"
+        learnt = self.batch.baseline_id is not None and self.batch.baseline_id[column] is not None
+        origin = "its baseline" if learnt else "nominal"
         place = f"{'above' if delta > 0 else 'below'} {origin} {number(float(self.batch.reference[column]))}"
         unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
         figures = f"{with_sd(abs(delta), sd)} {unit}{place} (limit {number(float(self.limit[i]))})"
@@ -247,6 +248,19 @@ class _Judgement:
 def _percent(delta: float, reference: float) -> float | None:
     """Return a change as a per cent of the reference's size; None of a reference of 0."""
     return 100.0 * delta / abs(reference) if reference else None
+
+
+def _deviation_sd(batch: EstimateBatch, columns: list[int]) -> FloatArray:
+    """Return the sd (N, r) of each row's deviation from its reference.
+
+    A reference that was learnt is of the same masses and gains as the row, whose sd against it is sd_repeat therefore.
+    """
+    sd = batch.sd[:, columns]
+    if batch.reference_sd is None:
+        return sd
+    learnt = np.array(batch.reference_sd)[columns]
+    repeat = batch.sd_repeat[:, columns]
+    return np.where(np.isfinite(learnt) & np.isfinite(repeat), np.hypot(repeat, learnt), sd)
 
 
 def _limit(rule: LevelRule, reference: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windows, observer_gains, rig_model
 from agent.commissioning.advice import warnings
+from agent.commissioning.baseline.limits import limit_warnings
 from agent.commissioning.evidence import Evidence, Gathered
 from agent.commissioning.prediction import predictions, rows, sampled
 from agent.commissioning.progress import Progress, on_terminal
@@ -48,7 +49,7 @@ def check(*, config: Path, recording: Path | None, probe: bool, progress: Progre
     """
     try:
         rig_config = load(config)
-        resolution = _resolution(rig_config)
+        resolution = resolution_of(rig_config)
     except ConfigError as error:
         return {"ok": False, "errors": [_fault(fault) for fault in error.faults], "warnings": []} | _NOTHING
     return _document(rig_config, resolution, Evidence(recording, probe, progress or on_terminal()))
@@ -58,7 +59,7 @@ def _fault(fault: Fault) -> dict[str, str]:
     return {"path": fault.path, "message": fault.message, "advice": fault.advice}
 
 
-def _resolution(config: RigConfig) -> FloatArray:
+def resolution_of(config: RigConfig) -> FloatArray:
     """The wire's smallest step of each output (p,), SI."""
     try:
         steps = wire_steps(config)
@@ -130,7 +131,8 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         "box_margin": tried("the range proven stable", lambda: _box(rig)),
         "predicted_sd": rows(predicted, config, rig),
     }
-    warned = [*warnings(config, rig, predicted, recorded), *gathered.warnings, *failed]
+    learnt = limit_warnings(config)
+    warned = [*warnings(config, rig, predicted, recorded), *learnt, *gathered.warnings, *failed]
     return found | {"warnings": [_fault(fault) for fault in warned]}
 
 

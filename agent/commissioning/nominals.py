@@ -1,18 +1,16 @@
 """Nominal values in a configuration: put into it, and written into its file with the smallest edit of the text."""
 
-import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, table_around
 from agent.config import MechanicsModel, RigConfig
 from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import UsageError
 
 KEYS = {"mass": "value", "spring": "nominal", "damper": "nominal", "friction": "nominal"}
-_NUMBER = r"[-+]?[\w.]+(?:[-+]\d+)?"
 
 
 def with_nominals(config: RigConfig, values: Mapping[str, float]) -> RigConfig:
@@ -36,7 +34,7 @@ def write_nominals(file: Path, values: Mapping[str, float]) -> None:
     Raises UsageError where the file cannot be written, or its text is not one in which the values can be placed.
     """
     try:
-        _replace(file, edited(read_bytes(file).decode("utf-8"), values, file))
+        replace_file(file, edited(read_bytes(file).decode("utf-8"), values, file))
     except OSError as error:
         words = f"{file} cannot be written: {error.strerror or error}"
         raise UsageError.at("--write", words, "nothing was changed; make it writable, or copy the values") from error
@@ -46,7 +44,7 @@ def edited(text: str, values: Mapping[str, float], file: Path) -> str:
     """Return the text of a configuration with these values in it. Raises UsageError."""
     for name, value in values.items():
         wanted = _wanted(parse_toml(text.encode("utf-8"), file), name, value)
-        found = next((new for new in _candidates(text, name, value) if _reads_as(new, wanted, file)), None)
+        found = next((new for new in _candidates(text, name, value) if reads_as(new, wanted, file)), None)
         if found is None:
             what = f'no place for the value of "{name}" is found in {file}'
             raise UsageError.at("--write", what, f"nothing was changed; enter {value:.6g} there yourself")
@@ -62,21 +60,12 @@ def _wanted(raw: dict[str, Any], name: str, value: float) -> dict[str, Any]:
     return raw
 
 
-def _reads_as(text: str, wanted: dict[str, Any], file: Path) -> bool:
-    from agent.errors import ConfigError
-
-    try:
-        return parse_toml(text.encode("utf-8"), file) == wanted
-    except ConfigError:
-        return False
-
-
 def _candidates(text: str, name: str, value: float) -> Iterator[str]:
     """Yield the text with the value put beside each place where the name stands."""
     shown = f"{value:.6g}"
     shown = shown if re.search(r"[.e]", shown) else f"{shown}.0"
     for place in re.finditer(rf"""\bname[ \t]*=[ \t]*["']{re.escape(name)}["']""", text):
-        start, end = _table(text, place.start(), place.end())
+        start, end = table_around(text, place.start(), place.end())
         table = text[start:end]
         for new in _replaced(table, shown):
             yield text[:start] + new + text[end:]
@@ -88,36 +77,6 @@ def _candidates(text: str, name: str, value: float) -> Iterator[str]:
 def _replaced(table: str, shown: str) -> Iterator[str]:
     """Yield a table's text with the number in the place of each that may be the nominal."""
     for key in ("nominal", "value"):
-        new, count = re.subn(rf"(?m)(\b{key}[ \t]*=[ \t]*){_NUMBER}", rf"\g<1>{shown}", table, count=1)
+        new, count = re.subn(rf"(?m)(\b{key}[ \t]*=[ \t]*){NUMBER}", rf"\g<1>{shown}", table, count=1)
         if count:
             yield new
-
-
-def _table(text: str, start: int, end: int) -> tuple[int, int]:
-    """Return where the table that holds a place begins and ends: braces, or the lines up to the next header."""
-    opening = text.rfind("{", 0, start)
-    closing = text.find("}", end)
-    if opening > text.rfind("}", 0, start) and closing >= 0:
-        return opening, closing + 1
-    header = re.search(r"(?m)^[ \t]*\[", text[end:])
-    first = text.rfind("\n[", 0, start) + 1
-    return first, end + header.start() if header else len(text)
-
-
-def _replace(file: Path, text: str) -> None:
-    """Put a new text in a file's place, whole or not at all."""
-    target = Path(os.path.realpath(file))
-    if not os.access(target, os.W_OK):
-        raise PermissionError(13, "it is read-only")
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    new = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        new.chmod(target.stat().st_mode & 0o7777)
-        new.replace(target)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise

@@ -71,8 +71,8 @@ def predictions(
     """Predict for each window; resolution (p,) is the wire's smallest step of each output, SI."""
     discrete = sampled(config, rig)
     lengths = windows(config)
-    excitation = _recorded(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
-    sigma, noise_words = _noise(config, resolution, excitation, recorded)
+    excitation = recorded_excitation(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
+    sigma, noise_words = expected_noise(config, resolution, excitation, recorded)
     # the excitation is of straight lines, which is near enough for an sd
     statistical = replace(statistical_rig(config), hold=straight(config.estimator.hold))
     words = "; ".join([excitation.words, noise_words, *_constants(statistical)])
@@ -116,7 +116,7 @@ def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int)
         words = "nothing: the model grows beyond all that is measured within a window"
         return Excitation(nothing, lambda _: [], lambda *_: nothing[0], np.ones(discrete.model.p), words)
     u = FORCE_RMS * rng.standard_normal((count, len(config.inputs)))
-    u = _completed(config, discrete, np.zeros(discrete.model.n), u)
+    u = completed(config, discrete, np.zeros(discrete.model.n), u)
     x, y = simulate(discrete, np.zeros(discrete.model.n), u)
     inputs = " and ".join(f"{FORCE_RMS:g} {channel.si_unit} rms" for channel in config.inputs)
     kind = "force" if config.inputs[0].quantity == "force" else "input"
@@ -135,14 +135,14 @@ def _growth(discrete: Discrete, count: int) -> float:
 def _decay(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
     names = rig.model.state_names
     x0 = np.array([0.0 if name.startswith("velocity") else DECAY_FROM for name in names])
-    u = _completed(config, discrete, x0, np.zeros((longest, 0)))
+    u = completed(config, discrete, x0, np.zeros((longest, 0)))
     _, y = simulate(discrete, x0, u)
     unit = "m" if names[-1].startswith("displacement") else "in every state"
     words = f"free decay from {DECAY_FROM:g} {unit}, first window"
     return Excitation(u, lambda _: [0], lambda *_: x0, _rms(y), words)
 
 
-def _completed(config: RigConfig, discrete: Discrete, x0: FloatArray, u: FloatArray) -> FloatArray:
+def completed(config: RigConfig, discrete: Discrete, x0: FloatArray, u: FloatArray) -> FloatArray:
     """Put the signs of dry friction, of the motion without it, and the constant 1 beside inputs (N, m)."""
     friction = friction_inputs(config, np.zeros(discrete.model.p))
     if friction is not None:
@@ -152,7 +152,7 @@ def _completed(config: RigConfig, discrete: Discrete, x0: FloatArray, u: FloatAr
     return with_constant(u, discrete.model.m)
 
 
-def _recorded(discrete: Discrete, recorded: Recorded) -> Excitation:
+def recorded_excitation(discrete: Discrete, recorded: Recorded) -> Excitation:
     """Let the recorded force move the nominal model, in each window from the state that its readings show."""
 
     def starts(window: int) -> list[int]:
@@ -188,7 +188,7 @@ def _spread(first: int, last: int, window: int) -> list[int]:
     return sorted({round(place) for place in np.linspace(first, last, wanted).tolist()})
 
 
-def _noise(
+def expected_noise(
     config: RigConfig, resolution: FloatArray, excitation: Excitation, recorded: Recorded | None
 ) -> tuple[FloatArray, str]:
     """Return sigma (p,) and how it was come by, the same words for all outputs that share a way."""

@@ -123,7 +123,7 @@ class EventKeeper:
         self._moduli: dict[str, int | None] = {}
         self._moment = 0
         self._open: Open | None = None
-        self._baseline_id: int | None = None
+        self._baselines: dict[str, int | None] = {}
         self._begun: deque[float] = deque()
         self._reported_s = float("-inf")
         self.skipped = 0
@@ -158,7 +158,8 @@ class EventKeeper:
         """Begin a record where an alarm was raised, lengthen the one that is open, end it when its time has come."""
         for record in records:
             if isinstance(record, EstimateBatch):
-                self._baseline_id = record.baseline_id
+                learnt = record.baseline_id or ()
+                self._baselines = dict(zip(record.parameters, learnt, strict=bool(learnt)))
             elif isinstance(record, AlarmTransition) and record.to_state == "UNACK":
                 self._raised(record)
         self.poll()
@@ -193,7 +194,7 @@ class EventKeeper:
             return
         record = EventRecord(
             alarm.rig, alarm.t_ns, alarm.kind, alarm.parameter, 1, self._writer.name(alarm.kind, alarm.parameter),
-            "recording", alarm.t_ns, alarm.t_ns, 0, 0, self._baseline_id,
+            "recording", alarm.t_ns, alarm.t_ns, 0, 0, self._baselines.get(alarm.parameter),
         )  # fmt: skip
         until_s = now + self._after_s + PATIENCE_S
         last, last_s = at + LONGEST * self._after, now + LONGEST * self._after_s + PATIENCE_S

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from agent import __version__
+from agent.blocks.graph import graph_of
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig, learnt_key
 from agent.storage.write.retention import Retention
@@ -32,8 +33,12 @@ def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWri
     now = wall_ns()
     boot = boot_id()
     offset = now - monotonic_ns()
-    runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset, c.rig.site,
-                    c.rig.labels) for c in members]  # fmt: skip
+    runs = [
+        RunInfo(
+            c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset, c.rig.site, c.rig.labels,
+            graph_of(c),
+        ) for c in members
+    ]  # fmt: skip
     keep = _retention(members)
     every_s = min(c.store.every_s for c in members)
     return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)

@@ -17,7 +17,9 @@ from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.advisory.blind_alarms import BlindAlarms
 from agent.blocks.advisory.rest import RestAlarms
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
+from agent.blocks.graph import graph_of
 from agent.blocks.level_alarms import LevelAlarms
+from agent.blocks.references import counted_from
 from agent.blocks.rig_model import hop_plan
 from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.sensor_labels import Labelled
@@ -25,7 +27,7 @@ from agent.config import RigConfig, learnt_key
 from agent.runtime.assembly.acquisition_plan import make_acquisition
 from agent.runtime.assembly.stages import make_stages
 from agent.runtime.ledger import Ledger
-from agent.types import Aligned, FloatArray, HealthEvent, IntArray, Learnt, LearntRecord, Record, Samples
+from agent.types import Aligned, Baseline, FloatArray, HealthEvent, IntArray, Learnt, LearntRecord, Record, Samples
 from drivers.port import SampleBlock
 
 Piece = tuple[IntArray, IntArray, FloatArray]
@@ -70,6 +72,8 @@ class Pipeline:
         self.clocks = SourceClocks()
         self.ledger = Ledger(config.rig.name, self.acquisition, self.through, self.clocks)
         self.newest_ns = 0
+        self._nominal = self.stages.estimation.labels
+        self._baselines: tuple[Baseline, ...] = ()
         self.watch: Callable[[Samples], None] | None = None
         self._taken: list[Taken] = []
         self._source_events: list[Record] = []
@@ -78,6 +82,18 @@ class Pipeline:
         """Begin with what an earlier run learnt of the rig, before the first sample."""
         if learnt is not None:
             self.stages.estimation.estimator.adopt(learnt.content)
+
+    def count_from(self, baselines: tuple[Baseline, ...]) -> list[str]:
+        """Count changes from baselines, from the next row on; return why some are not used, in words."""
+        if baselines == self._baselines:
+            return []
+        self._baselines = baselines
+        return self._refer()
+
+    def _refer(self) -> list[str]:
+        found, refused = counted_from(self._nominal, self._baselines, graph_of(self.config))
+        self.stages.estimation.labels = found
+        return refused
 
     def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> list[Record]:
         """Take a block of one source and return what it leads to, in order of time; for label see `take`."""
@@ -125,6 +141,7 @@ class Pipeline:
         self._taken.clear()
         self.acquisition.lose(reason, self.through())
         self.stages = make_stages(self.config, self._steps)
+        self._refer()
         self.sensor_alarms.start_anew()
 
     def through(self) -> Through:

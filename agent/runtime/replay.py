@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent import __version__
+from agent.blocks.graph import graph_of
 from agent.clock import SampleLabels, boot_id, wall_ns
 from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
@@ -58,6 +59,9 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
             stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
             pipeline.adopt(writer.learnt[rig.rig.name])
+            for words in pipeline.count_from(writer.baselines[rig.rig.name]):
+                log.warning("%s", words)
+                summary.advise(words)
         evidence = Evidence(rig.rig.sample_rate_hz)
         for records in _records(pipeline, tracks, evidence):
             summary.take(records)
@@ -180,8 +184,10 @@ def _table(rig: RigConfig, path: Path) -> Driver:
 def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     if db is None:
         return None
-    run = RunInfo(rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, None, boot_id(), learnt_key(rig),
-                  site=rig.rig.site, labels=rig.rig.labels)  # fmt: skip
+    run = RunInfo(
+        rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, boot_id=boot_id(), learnt_key=learnt_key(rig),
+        site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
+    )  # fmt: skip
     writer = StoreWriter(lambda: Store.open(db), [run], lossless=True)
     writer.start()
     return writer

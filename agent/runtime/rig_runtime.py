@@ -20,7 +20,7 @@ from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
 from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
-from agent.types import AlarmTransition, ClockRecord, HealthEvent, IntArray, Learnt, Record
+from agent.types import AlarmTransition, Baseline, ClockRecord, HealthEvent, IntArray, Learnt, Record
 from drivers.reconnect import LinkEvent
 
 log = logging.getLogger(__name__)
@@ -76,6 +76,13 @@ class RigRuntime:
         self.isolated.restore_failure(lost)
         self._lost |= dict.fromkeys(lost, True)
         self._lateness.standing = COMPUTING in lost
+
+    def count_from(self, baselines: tuple[Baseline, ...]) -> None:
+        """Count changes from baselines, from the next row on; those of another graph are not used, and that is said."""
+        for words in self.pipeline.count_from(baselines):
+            message = f"{words}; it is not used: learn it anew"
+            log.warning("%s: %s", self.config.rig.name, message)
+            self._emit([HealthEvent(self.config.rig.name, "baseline", self._wall(), "baseline unused", message)])
 
     def hurry(self) -> None:
         """Do nothing but what every row takes from now on; from any thread."""

@@ -138,6 +138,7 @@ class Service:
             writer = self._writer_of[name]
             rig.summary.run_id = writer.run_ids.get(name)
             rig.restore(writer.standing.get(name, []), writer.learnt.get(name))
+            rig.count_from(writer.baselines.get(name, ()))
         release_free_pages()  # takes its time, in which a serial line would overflow
         for connection in self.connections:
             connection.start()
@@ -145,9 +146,10 @@ class Service:
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Compute what has arrived, of each rig a part at once, until it `ended`."""
         self._take()
-        for rig in self.rigs.values():
+        for name, rig in self.rigs.items():
             if ended():
                 return
+            rig.count_from(self._writer_of[name].baselines.get(name, ()))
             self._deadline.within(rig.work)
         for rig in self.rigs.values():
             rig.poll()

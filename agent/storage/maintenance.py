@@ -5,7 +5,7 @@ import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,7 @@ from agent.storage.recovery.salvage import Recovery, recover
 from agent.storage.write.command_socket import ask
 from agent.storage.write.store import Store
 from agent.storage.write.watermark import Watermarks
+from agent.types import Baseline
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -155,6 +156,22 @@ def compact(path: Path | str) -> tuple[int, int]:
     return before, path.stat().st_size
 
 
+def store_baselines(path: Path | str, baselines: Sequence[Baseline]) -> list[int]:
+    """Store baselines in a file, made if missing; returns their numbers once they are committed.
+
+    An agent that writes to it is asked to, and counts from them at once. Raises StoreError as `Store.open` does.
+    """
+    path = Path(path)
+    fields = [asdict(one) for one in baselines]
+    if is_commanded(path):
+        return list(ask(path, "baseline", baselines=fields)["baseline_ids"])
+    try:
+        with Store.open(path) as store:
+            return [one.baseline_id or 0 for one in store.add_baselines(baselines)]
+    except StoreHeldError as held:
+        return list(ask_holder(path, "baseline", held, baselines=fields)["baseline_ids"])
+
+
 def ask_holder(path: Path, command: str, held: StoreHeldError, **arguments: Any) -> dict[str, Any]:
     """Have the agent that owns a database do it; what owns it without a socket (a replay ...) cannot be asked.
 
@@ -195,7 +212,10 @@ def backup(path: Path | str, target: Path | str) -> int:
     return target.stat().st_size
 
 
-_EXPORTED = ("estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records", "verdicts")
+_EXPORTED = (
+    "estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records", "verdicts",
+    "baselines",
+)  # fmt: skip
 
 
 def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[str], Iterator[Sequence[Any]]]:

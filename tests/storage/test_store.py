@@ -32,6 +32,8 @@ CONTRACT = {
     "v_health_reasons": "rig source t_ns kind reason count",
     "v_runs": "run_id rig kind started_at code_version config_sha256 baseline_id boot_id",
     "v_verdicts": "rig run_id t_ns time hypothesis size sd unit probability",
+    "v_baselines": "baseline_id rig parameter unit reference sd spread_sd within_sd days_sd correlation_s n_effective "
+    "covariates learnt_from learnt_until n newest from_ns until_ns graph",
     "v_meta": "key value",
 }
 
@@ -60,7 +62,7 @@ def test_views_of_a_new_file_have_exactly_the_promised_columns(path: Path, view:
 def test_tables_are_strict_and_have_a_growing_seq(path: Path) -> None:
     stored(path)
     tables = select(path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'")
-    assert len(tables) == 24
+    assert len(tables) == 26
     for name, sql in tables:
         assert sql.endswith("STRICT"), name
         assert "seq INTEGER PRIMARY KEY" in sql, name

@@ -36,6 +36,7 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
         baseline_id=None, window=plan.window, longest=max(plan.window, *longer, 0), hop=plan.hop,
         rate_hz=config.rig.sample_rate_hz, frictions=signals(config) - len(config.inputs),
         least=np.array([0.0 if p.kind in physical and p.nominal != 0 else -np.inf for p in rig.parameters]),
+        enough=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
     )  # fmt: skip
     make = partial(_estimator, config, rig, resolution)
     estimator = ContainedEstimator(make, Budget(plan.window), plan, len(rig.parameters))

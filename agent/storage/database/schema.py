@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, cast
 from agent import __version__
 from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
+from agent.storage.database.views_of_baselines import BASELINES
 from agent.storage.database.views_of_operations import OPERATIONS
 from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -74,11 +75,18 @@ TABLES: dict[str, str] = {
     "t_ns INTEGER NOT NULL, length_ns INTEGER NOT NULL",
     "annotations": "alarm_id INTEGER NOT NULL, advice TEXT, percent REAL",
     "sites": "run_id INTEGER NOT NULL, site TEXT, labels TEXT",
+    "graphs": "run_id INTEGER NOT NULL, graph TEXT NOT NULL",
+    "baselines": "rig_id INTEGER NOT NULL, parameter TEXT NOT NULL, unit TEXT NOT NULL, graph TEXT NOT NULL, "
+    "reference REAL, sd REAL, spread_sd REAL, within_sd REAL, days_sd REAL, correlation_s REAL, n_effective REAL, "
+    "covariates TEXT NOT NULL, from_ns INTEGER NOT NULL, until_ns INTEGER NOT NULL, n INTEGER NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
-_SINCE = {"event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "shelves": 8, "annotations": 8, "sites": 8}
+_SINCE = {
+    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "shelves": 8, "annotations": 8, "sites": 8,
+    "graphs": 9, "baselines": 9,
+}  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
@@ -189,6 +197,16 @@ def _operations(db: "Database") -> None:
     _mark(db.conn, 8)
 
 
+def _baselines(db: "Database") -> None:
+    """Version 9: what parameters are like on a healthy machine, and of which graph each run's rows are."""
+    _create(db.conn, "graphs")
+    _create(db.conn, "baselines")
+    db.conn.execute("CREATE INDEX graphs_by_run ON graphs (run_id)")
+    for statement in BASELINES:
+        db.conn.execute(statement)
+    _mark(db.conn, 9)
+
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
@@ -197,6 +215,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
     "0008_operations": _operations,
+    "0009_baselines": _baselines,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

@@ -28,7 +28,7 @@ _INDEXED = {
     "alarms": ("run_id", "raised_ns"), "alarm_events": ("alarm_id",), "health": ("run_id", "t_ns"),
 }  # fmt: skip
 """Columns that an index holds as well, by table."""
-_WHOLE = ("overlaps", "alarms", "clocks", "annotations", "sites")
+_WHOLE = ("overlaps", "alarms", "clocks", "annotations", "sites", "baselines")
 """Short tables that views look into for a row that may not be there."""
 _AT_ONCE = 20_000
 _FIRST, _LAST = -(2**63), 2**63 - 1

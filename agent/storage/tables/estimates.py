@@ -97,8 +97,9 @@ def _symmetric(
 
 def _series(batch: EstimateBatch, run_id: int, names: Names) -> IntArray:
     references = [None if not np.isfinite(r) else float(r) for r in batch.reference]
-    described = zip(batch.parameters, batch.units, references, strict=True)
-    ids = [names.series((run_id, p, unit, batch.method, ref, batch.baseline_id)) for p, unit, ref in described]
+    learnt = batch.baseline_id or (None,) * len(references)
+    described = zip(batch.parameters, batch.units, references, learnt, strict=True)
+    ids = [names.series((run_id, p, unit, batch.method, ref, number)) for p, unit, ref, number in described]
     return np.tile(np.array(ids, dtype=np.int64), len(batch))
 
 

@@ -1,9 +1,11 @@
 """The commands that an agent does for others while it owns a database (CONTRACT section 2)."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from agent.errors import StoreError
 from agent.storage.database.verify import problems
 from agent.storage.recovery.salvage import Recovery
 from agent.storage.tables.shelves import moment
@@ -11,13 +13,16 @@ from agent.storage.write.alarm_commands import Request, carry_out
 from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.jobs import JobQueue
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition
+from agent.types import AlarmTransition, Baseline
 
 
-def serve(path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None]) -> CommandServer:
+def serve(
+    path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None], on_baselines: Callable[[Store], None]
+) -> CommandServer:
     """Listen on the database's socket. Raises OSError where no socket can be made.
 
     notify: called in the writer's thread with each step of an alarm that an operator made, once it is committed.
+    on_baselines: called there when some were stored.
     """
 
     def through(act: Any) -> Handler:
@@ -34,7 +39,11 @@ def serve(path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None])
 
         return {"alarms": jobs.ask(act)}
 
-    server = CommandServer(path, {"compact": through(_compact), "repair": through(_repair), "alarm": alarm})
+    def baselines(asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        return dict(jobs.ask(partial(_store_baselines, asked["baselines"], on_baselines)))
+
+    commands = {"alarm": alarm, "baseline": baselines, "compact": through(_compact), "repair": through(_repair)}
+    server = CommandServer(path, commands)
     server.start()
     return server
 
@@ -54,3 +63,16 @@ def _repair(store: Store) -> Mapping[str, Any]:
     recovery = store.recovery
     assert isinstance(recovery, Recovery)  # noqa: S101 - recover left it
     return {"repaired": [str(recovery.aside), recovery.cause, recovery.saved, recovery.refused, recovery.unread]}
+
+
+def _store_baselines(
+    asked: list[dict[str, Any]], on_baselines: Callable[[Store], None], store: Store
+) -> Mapping[str, Any]:
+    """Store baselines, given as their fields; what runs takes them up at once."""
+    try:
+        found = [Baseline(**fields) for fields in asked]
+    except TypeError as error:
+        raise StoreError.at(str(store.path), f"no baseline was given ({error})", "use deltak baseline") from error
+    numbered = store.add_baselines(found)
+    on_baselines(store)
+    return {"baseline_ids": [one.baseline_id for one in numbered]}

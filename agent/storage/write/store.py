@@ -38,6 +38,7 @@ from agent.storage.database.schema import insert_sql, upgrade
 from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
+from agent.storage.tables.baselines import add_graph, plan_of, standing_baselines
 from agent.storage.tables.learnt import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows
@@ -45,7 +46,7 @@ from agent.storage.tables.shelves import Shelf
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
-from agent.types import AlarmTransition, ClockRecord, HealthEvent, Learnt, Record, RunInfo
+from agent.types import AlarmTransition, Baseline, ClockRecord, HealthEvent, Learnt, Record, RunInfo
 
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000
@@ -207,12 +208,15 @@ class Store:
         """Record a run and return its number; the alarms that earlier live runs left standing go on in a live run."""
         with self._mutex:
             run_id = self.numbers.take("runs")
+            standing = [one.baseline_id for one in self.baselines(run.rig) if one.baseline_id is not None]
+            run = replace(run, baseline_id=max(standing, default=run.baseline_id))
             plan = Plan()
             facts = (run.kind, run.started_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
             plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
             if run.site or run.labels:
                 labels = json.dumps(dict(run.labels), ensure_ascii=False) if run.labels else None
                 plan.sealed("sites", self.numbers.take("sites"), run_id, run.site, labels)
+            add_graph(plan, run_id, run, self.numbers)
             self.commit([plan])
             self.adopt_run(run_id, run)
             self._report_recovery(run_id, run)
@@ -260,6 +264,18 @@ class Store:
         with self._mutex:
             content = newest_learnt(self.connection, run.rig, run.kind, run.learnt_key)
         return None if content is None else Learnt(run.learnt_key, content)
+
+    def baselines(self, rig: str) -> tuple[Baseline, ...]:
+        """Return the baselines of a rig that stand, one a parameter."""
+        with self._mutex:
+            return standing_baselines(self.connection, rig)
+
+    def add_baselines(self, baselines: Sequence[Baseline]) -> list[Baseline]:
+        """Store baselines, each in the place of its parameter's; return them with their numbers, committed."""
+        with self._mutex:
+            plan, numbered = plan_of(baselines, self.names, self.numbers)
+            self.commit([plan])
+            return numbered
 
     def write(self, run_id: int, records: Sequence[Record]) -> None:
         """Store records of a run; on return they are committed and survive a power cut.

@@ -19,7 +19,7 @@ from agent.storage.write.commands import serve
 from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import JobQueue
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition, ClockRecord, EstimateBatch, HealthEvent, Learnt, Record, RunInfo
+from agent.types import AlarmTransition, Baseline, ClockRecord, EstimateBatch, HealthEvent, Learnt, Record, RunInfo
 
 _DISK = (sqlite3.Error, OSError)
 _FAILURE = (*_DISK, StoreError)
@@ -85,6 +85,8 @@ class StoreWriter:
         """The alarms that earlier live runs left standing, by rig, as they were when this one began."""
         self.learnt: dict[str, Learnt | None] = {}
         """What earlier runs learnt of each rig for the same key, as it was when this one began."""
+        self.baselines: dict[str, tuple[Baseline, ...]] = {}
+        """What each rig's parameters are counted from, as the file says now; another tuple where that changed."""
         self.progress = 0
         """Grows with every round of the thread; a watchdog may read it."""
         self.written = 0
@@ -314,17 +316,22 @@ class StoreWriter:
             if rig not in self.run_ids:
                 self.learnt.setdefault(rig, self._store.learnt(run))
                 self.standing[rig] = self._store.open_alarms(rig) if run.kind == "live" else []
+                self.baselines[rig] = self._store.baselines(rig)
                 self.run_ids[rig] = self._store.begin_run(run)
 
     def _serve(self, store: Store) -> CommandServer | None:
         try:
-            return serve(store.path, self._jobs, self._notify)
+            return serve(store.path, self._jobs, self._notify, self._take_baselines)
         except OSError as error:
             log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
             return None
 
     def _notify(self, step: AlarmTransition) -> None:
         self.on_alarm(step)
+
+    def _take_baselines(self, store: Store) -> None:
+        """Note that baselines were stored."""
+        self.baselines = {rig: store.baselines(rig) for rig in self._runs}
 
     def _failed(self, error: BaseException) -> None:
         """Note a failure and try to be able to go on next time."""

@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -151,3 +152,25 @@ def test_estimation_failure_of_a_call_that_ends_no_row_is_said_at_its_newest_sam
     assert found.batch is None
     assert (found.failures, found.newest_ns) == (((3, "planted"),), START + 3)
     assert found.times([1]) == {1: START + 3}
+
+
+@dataclass
+class Sharp(Told):
+    """Its rows differ from one another by a tenth of what they may be off."""
+
+    def step(self, index: int, *others: Any) -> Outcome:
+        rows = super().step(index, *others)
+        return replace(rows, sd_repeat=0.1 * rows.sd)
+
+
+def test_rows_too_vague_against_nominal_are_valid_against_a_reference_learnt_of_the_same_rig() -> None:
+    vague = dict.fromkeys(range(30, 80), 4.0) | dict.fromkeys(range(80, 90), 40.0)
+    nominal = estimation(Sharp(sd=vague))
+    learnt = estimation(Sharp(sd=vague, changing={69}))
+    learnt.labels = replace(
+        learnt.labels, baseline_id=(7, None), reference_sd=(0.5, float("nan")), enough=np.array([1.0, 1.0])
+    )
+    before, after = (np.concatenate([b.status[:, 0] for b in feed(block, [])]) for block in (nominal, learnt))
+    assert before.tolist() == [Status.WARMING] * 2 + [Status.VALID] + [Status.UNEXCITED] * 6 + [Status.VALID]
+    told = [Status.VALID] * 4 + [Status.INVALID] + [Status.VALID] + [Status.UNEXCITED] + [Status.VALID]
+    assert after.tolist() == [Status.WARMING] * 2 + told

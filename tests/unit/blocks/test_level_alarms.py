@@ -202,7 +202,7 @@ def test_level_alarms_raised_carries_figures_and_a_sentence() -> None:
 
 
 def test_level_alarms_cleared_says_so_with_the_baseline_it_was_judged_by() -> None:
-    _, cleared = LevelAlarms("press", [Rule()], RATE).step(batch([50.0] * 5 + [21.8], sd=0.12, baseline_id=7))
+    _, cleared = LevelAlarms("press", [Rule()], RATE).step(batch([50.0] * 5 + [21.8], sd=0.12, baseline_id=(7,)))
     assert cleared.message == "k1 is back within its limit: 3.20 ± 0.12 N/m below its baseline 25 (limit 15)"
     assert (cleared.cause, cleared.limit_value, cleared.probability) == ("clear", 15.0, pytest.approx(1.0))
 
@@ -275,3 +275,13 @@ def test_level_alarms_parameter_that_is_not_estimated_is_refused() -> None:
 def test_level_rule_takes_any_object_with_the_keys_as_attributes() -> None:
     rule = SimpleNamespace(**{name: getattr(Rule(), name) for name in Rule.__dataclass_fields__})
     assert len(LevelAlarms("press", [rule], RATE).step(batch([45.0] * 6))) == 1
+
+
+def test_change_from_a_learnt_reference_is_known_as_well_as_two_estimates_of_one_rig_differ() -> None:
+    # the masses may be off by 20: against nominal nothing can be said, against the same rig's past it can
+    known = {"sd_repeat": np.full((5, 1), 0.3), "baseline_id": (3,), "reference_sd": (0.4,)}
+    assert LevelAlarms("press", [Rule()], RATE).step(batch([45.0] * 5, sd=20.0)) == []
+    (raised,) = LevelAlarms("press", [Rule()], RATE).step(batch([45.0] * 5, sd=20.0, **known))
+    assert (raised.delta, raised.sd) == (20.0, pytest.approx(0.5))
+    half = known | {"baseline_id": (None,), "reference_sd": (float("nan"),)}
+    assert LevelAlarms("press", [Rule()], RATE).step(batch([45.0] * 5, sd=20.0, **half)) == []

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from agent.blocks.advisory.re_alarms import ReAlarms
-
 from agent.alarms.life_cycle import Alarm
+from agent.blocks.advisory.re_alarms import ReAlarms
 
 S = 10**9
 

@@ -1,0 +1,41 @@
+"""References of a rig's estimates: nominal values, or baselines where they were learnt of the same graph."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+
+from agent.blocks.estimation import Labels
+from agent.types import Baseline
+
+
+def counted_from(labels: Labels, baselines: Sequence[Baseline], graph: str) -> tuple[Labels, list[str]]:
+    """Return labels whose references are baselines where there are any that fit; and why others do not, in words.
+
+    labels: with nominal references. graph: of the rig; a baseline that knows none fits any.
+    """
+    units = dict(zip(labels.parameters, labels.units, strict=True))
+    own = [one for one in baselines if one.parameter in units]
+    refused = [words for one in own if (words := _unfitting(one, units[one.parameter], graph))]
+    fitting = {one.parameter: one for one in own if not _unfitting(one, units[one.parameter], graph)}
+    return _labelled(labels, fitting) if fitting else labels, refused
+
+
+def _labelled(labels: Labels, fitting: Mapping[str, Baseline]) -> Labels:
+    found = [fitting.get(name) for name in labels.parameters]
+    nominal = labels.reference.tolist()
+    return replace(
+        labels,
+        reference=np.array([n if one is None else one.reference for one, n in zip(found, nominal, strict=True)]),
+        baseline_id=tuple(None if one is None else one.baseline_id for one in found),
+        reference_sd=tuple(nan if one is None else one.sd for one in found),
+    )
+
+
+def _unfitting(one: Baseline, unit: str, graph: str) -> str:
+    if one.unit != unit:
+        return f"the baseline of {one.parameter} is in {one.unit}, its estimates are in {unit}"
+    if one.graph and one.graph != graph:
+        return f"the baseline of {one.parameter} is of another graph ({one.graph})"
+    return ""

@@ -1,0 +1,102 @@
+"""`deltak baseline`: what was learnt of a healthy machine, as tables and sentences."""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.cli.terminal.output import print_table, show
+from agent.commissioning.baseline.target import target_of
+from agent.errors import UsageError
+from agent.storage.read import baselines
+from agent.text import iso_time, number, short_time, with_sd
+
+Document = Mapping[str, Any]
+COLUMNS = ("id", "parameter", "reference", "unit", "spread", "between days", "lasts", "rows", "from", "until")
+_RIGHT = {"reference", "spread", "between days", "lasts", "rows"}
+
+
+def print_learnt(document: Document) -> None:
+    """Print what was learnt, and what it does not know."""
+    rows = document["parameters"]
+    print_table(f"{document['rig']}: learnt", COLUMNS, [_cells(name, row) for name, row in rows.items()], right=_RIGHT)
+    for words in document["warnings"]:
+        show(f"warning: {words}")
+    if all(row["days_sd"] is None for row in rows.values()):
+        show("the spread between days is not known from so few of them: learn again when there are more")
+    show("rows count their change from these references from now on; limits that they allow: deltak limits")
+
+
+def standing(path: Path, rig: str | None) -> dict[str, Any]:
+    """Return the baselines that rigs count from. Raises UsageError where there is none."""
+    rows = [row for row in _rows(path, rig) if row["newest"]]
+    if not rows:
+        raise UsageError.at(str(path), "has no baseline", "learn one: deltak baseline learn")
+    return {"baselines": rows}
+
+
+def every(path: Path, rig: str | None) -> dict[str, Any]:
+    """Return all baselines, also those that were learnt anew since."""
+    return {"baselines": _rows(path, rig)}
+
+
+def _rows(path: Path, rig: str | None) -> list[dict[str, Any]]:
+    if path.suffix.lower() != ".toml" and rig is None:
+        return list(baselines.baselines(path))
+    target = target_of(path, rig)
+    return list(baselines.baselines(target.db, target.rig))
+
+
+def print_baselines(document: Document) -> None:
+    """Print baselines, a table a rig."""
+    rows: Sequence[Document] = document["baselines"]
+    if not rows:
+        show("no baselines")
+    for rig in dict.fromkeys(row["rig"] for row in rows):
+        cells = [_cells(row["parameter"], row) for row in rows if row["rig"] == rig]
+        print_table(rig, COLUMNS, cells, right=_RIGHT)
+
+
+def _cells(name: str, row: Document) -> tuple[str, ...]:
+    return (
+        str(row["baseline_id"]),
+        name,
+        with_sd(row["reference"], row["sd"]),
+        row["unit"],
+        number(row["spread_sd"], 3),
+        number(row["days_sd"], 3),
+        lasting(row["correlation_s"]),
+        str(row["n"]),
+        short_time(iso_time(row["from_ns"])),
+        short_time(iso_time(row["until_ns"])),
+    )
+
+
+def lasting(seconds: float | None) -> str:
+    """Write a duration in the unit that suits it: `2.1 h`."""
+    if seconds is None:
+        return "-"
+    for unit, size in (("d", 86_400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+def write_export(document: Document, to: Path | None) -> None:
+    """Write an export to a file, or to stdout. Raises UsageError where the file cannot be written."""
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    if to is None:
+        sys.stdout.write(text)
+        return
+    try:
+        to.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError.at("--to", f"{to}: {error.strerror}", "give a file that you may write to") from error
+    sys.stderr.write(f"{to}: {len(document['baselines'])} baselines\n")
+
+
+def print_imported(document: Document) -> None:
+    """Print which baselines were taken in."""
+    names = ", ".join(document["imported"])
+    show(f"{document['rig']} counts {names} from the references of the file from now on")

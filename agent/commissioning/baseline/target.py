@@ -1,0 +1,58 @@
+"""Which rig of which database a command is about, from what was typed: a database, or a configuration."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.blocks.graph import graph_of
+from agent.config import RigConfig, load
+from agent.errors import UsageError
+from agent.storage.read import baselines, queries
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A rig in a database, and its configuration where that is what was given."""
+
+    db: Path
+    rig: str
+    config: RigConfig | None = None
+
+    def graph(self, first_ns: int | None = None, last_ns: int | None = None) -> str:
+        """Return the graph that its rows of a stretch are of, empty where no run states one. Raises UsageError."""
+        bounds = () if first_ns is None or last_ns is None else (first_ns, last_ns)
+        found = baselines.graphs(self.db, self.rig, *bounds)
+        if len(found) > 1 and bounds:
+            what = f"the rows of {self.rig} are of {len(found)} graphs: {' | '.join(found)}"
+            raise UsageError.at("--since", what, "learn from the time after the model was changed")
+        graph = found[-1] if found else ""
+        own = None if self.config is None else graph_of(self.config)
+        if own is not None and graph and graph != own:
+            what = f"its graph ({own}) is not that of the stored rows ({graph})"
+            raise UsageError.at(str(self.config and self.config.file), what, "learn when the agent has run with it")
+        return graph
+
+
+def target_of(path: Path, rig: str | None) -> Target:
+    """Return what a command is about. Raises ConfigError, StoreError, UsageError."""
+    if path.suffix.lower() == ".toml":
+        config = load(path)
+        return Target(config.store.path, config.rig.name, config)
+    return Target(path, one_rig(path, rig))
+
+
+def configured(db: Path, config: Path) -> Target:
+    """Return the rig of a configuration in a database, which need not be the one that it names."""
+    known = load(config)
+    return Target(db, one_rig(db, known.rig.name), known)
+
+
+def one_rig(db: Path, rig: str | None) -> str:
+    """Return the rig that is meant. Raises StoreError; UsageError for none, several, or one that is not there."""
+    known = queries.rigs(db)
+    if rig is not None and rig in known:
+        return rig
+    if rig is None and len(known) == 1:
+        return known[0]
+    listed = ", ".join(known) or "none yet"
+    what = "the database has several rigs" if rig is None and known else f'the database has no rig "{rig or ""}"'
+    raise UsageError.at("--rig", what, f"rigs are {listed}")

@@ -1,0 +1,1 @@
+"""Designing the motion that teaches most; deltak writes it down and never transmits it."""

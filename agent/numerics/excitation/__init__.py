@@ -1,0 +1,1 @@
+"""Motions that teach most: optimal power over frequencies, and signals of little peak that carry it."""

@@ -1,0 +1,1 @@
+"""What parameters are like on a healthy machine, and what limits that allows."""

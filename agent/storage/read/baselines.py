@@ -1,0 +1,37 @@
+"""Read-only questions about baselines: those of a rig, and of which graph its rows are."""
+
+from pathlib import Path
+
+from agent.storage.database.checksum import row_crc
+from agent.storage.read.proof import proven
+from agent.storage.read.queries import Rows, reading
+from agent.storage.tables.baselines import standing_baselines
+from agent.types import Baseline
+
+_GRAPHS = """SELECT x.seq, x.run_id, x.graph, x.crc FROM graphs x JOIN runs r ON r.seq = x.run_id
+ JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND EXISTS (SELECT 1 FROM hops h WHERE h.run_id = r.seq
+ AND h.span IN (0, 60, 3600) AND h.t_ns BETWEEN ? AND ?) ORDER BY x.seq"""
+_FIRST, _LAST = -(2**63), 2**63 - 1
+
+
+def baselines(db: Path | str, rig: str | None = None) -> Rows:
+    """Return rows of v_baselines, oldest first; rig: None for all. Raises StoreError."""
+    with reading(db) as connection:
+        condition, values = ("rig = ?", (rig,)) if rig is not None else ("1 = 1", ())
+        names, rows = proven(connection, "v_baselines", f"{condition} ORDER BY baseline_id", values)
+        found = Rows(dict(zip(names, cells, strict=True)) for cells in rows)
+        found.refused = connection.refused
+    return found
+
+
+def standing(db: Path | str, rig: str) -> tuple[Baseline, ...]:
+    """Return the baselines that a rig counts from, one a parameter. Raises StoreError."""
+    with reading(db) as connection:
+        return standing_baselines(connection, rig)
+
+
+def graphs(db: Path | str, rig: str, first_ns: int = _FIRST, last_ns: int = _LAST) -> list[str]:
+    """Return the graphs that rows of a rig in a stretch are of, oldest first; runs that state none are passed over."""
+    with reading(db) as connection:
+        rows = connection.execute(_GRAPHS, (rig, first_ns, last_ns)).fetchall()
+    return list(dict.fromkeys(graph for *cells, graph, crc in rows if row_crc((*cells, graph)) == crc))

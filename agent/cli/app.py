@@ -298,6 +298,19 @@ def fleet(
 
 
 @app.command()
+def watch(
+    target: Annotated[
+        Path | None, typer.Argument(metavar="[CONFIG|DB]", help="The only *.db here without.", show_default=False)
+    ] = None,
+    once: Annotated[bool, typer.Option("--once", help="One frame, for scripts and pipes.")] = False,
+) -> None:
+    """Show at a glance, in the terminal: values against their limits, states, alarms, sources; q quits."""
+    from agent.cli.glance import watch as commands_watch
+
+    commands_watch.watch(target, once=once)
+
+
+@app.command()
 def export(
     db: Database,
     what: Annotated[

@@ -96,6 +96,8 @@ def estimates(
     parameter: str | None = None,
     since: str | None = None,
     until: str | None = None,
+    *,
+    most: int | None = None,
 ) -> Rows:
     """Return rows of v_estimates by time (as the wall clock is set now, whatever was stamped), then rig and parameter.
 
@@ -105,15 +107,17 @@ def estimates(
         parameter: None for all.
         since: first time, as typed (see `times.parse_time`); an age counts back from each rig's newest row.
         until: last time, inclusive.
+        most: instants of a rig that may be asked for; None for any number.
 
     Raises:
-        StoreError: the file; UsageError: an unknown rig or parameter, or no time.
+        StoreError: the file; UsageError: an unknown rig or parameter, no time, or more instants than may be.
     """
     with reading(db) as connection:
         found: list[tuple[int, dict[str, Any]]] = []
         for name in _chosen_rigs(connection, rig):
             condition, values = _where(rig=name, parameter=parameter)
             stretches = _stretches(connection, name, since, until)[0]
+            _check_count(connection, stretches, most)
             first_hop = oldest_hop(connection, stretches)
             own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
             for stretch in stretches:
@@ -212,11 +216,12 @@ def parameters(db: Path | str, rig: str | None = None) -> list[str]:
 
 
 def points(
-    db: Path | str, rig: str | None, parameter: str, since: str | None = None, until: str | None = None
-) -> Points:
+    db: Path | str, rig: str | None, parameter: str, since: str | None = None, until: str | None = None,
+    *, most: int = _MOST_POINTS,
+) -> Points:  # fmt: skip
     """Return the valid estimates of one parameter as arrays.
 
-    Long stretches are read from the hourly or minutely rows, so that a year takes milliseconds.
+    Stretches of more than `most` rows are read from the hourly or minutely rows, so that a year takes milliseconds.
 
     Raises:
         StoreError: the file; UsageError: an unknown rig or parameter, a rig needed because there are several, no time.
@@ -225,7 +230,7 @@ def points(
         name = _one_rig(connection, rig)
         _check_parameter(connection, name, parameter)
         stretches, first, last = _stretches(connection, name, since, until)
-        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series_of(connection, parameter))
+        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series_of(connection, parameter), most)
         unit, reference = _unit(connection, name, parameter)
         refused = connection.refused
     return Points(
@@ -235,12 +240,12 @@ def points(
 
 
 def _tiered(
-    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]]
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], most: int
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
     """Return t_ns, value, sd, sd_repeat, span_s from the finest tier that is not too long, then finer rows."""
     bounds = {span: _bounds(connection, stretches, span) for span in (0, 60, 3600)}
     oldest = min((b[0] for b in bounds.values() if b), default=0)
-    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= _MOST_POINTS]
+    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= most]
     start = fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
     tiers: list[Found] = []
     spans = sorted((s for s in bounds if s <= start), reverse=True)
@@ -251,6 +256,15 @@ def _tiered(
             stretches = [stretch.after(reached) for stretch in stretches]
     t_ns, value, sd, sd_repeat = (np.concatenate(column) for column in zip(*tiers, strict=True))
     return t_ns, value, sd, sd_repeat, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
+
+
+def _check_count(connection: sqlite3.Connection, stretches: Sequence[_Stretch], most: int | None) -> None:
+    """Raise UsageError where stretches have more instants than may be asked for."""
+    if most is None:
+        return
+    count = sum(bounds[1] for span in (0, 60, 3600) if (bounds := _bounds(connection, stretches, span)))
+    if count > most:
+        raise UsageError.at("since", f"there are more than {most} instants in that time", "ask for less of it")
 
 
 def _bounds(connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int) -> tuple[int, int] | None:

@@ -312,7 +312,9 @@ def watch(
 
 @app.command()
 def serve(  # noqa: PLR0913, PLR0917 the signature is the command line
-    db: Annotated[list[Path] | None, typer.Option("--db", metavar="DB", help="Database to show; may be repeated.")] = None,
+    db: Annotated[
+        list[Path] | None, typer.Option("--db", metavar="DB", help="Database to show; may be repeated.")
+    ] = None,
     config: Annotated[
         list[Path] | None, typer.Option("--config", metavar="CONFIG", help="Shows its database, limits and model.")
     ] = None,

@@ -17,7 +17,9 @@ def path(memory: Path) -> Path:
         one, two = store.begin_run(run_info()), store.begin_run(run_info("press-8"))
         store.write(one, [batch(20), step("NORM", "UNACK"), ledger()])
         store.write(two, [batch(10, rig="press-8", parameters=("k1", "c9"))])
-        store.write(one, [batch(20, first=20), step("UNACK", "NORM", START + HOP), ledger(START + 10**10, received=3000)])
+        store.write(
+            one, [batch(20, first=20), step("UNACK", "NORM", START + HOP), ledger(START + 10**10, received=3000)]
+        )
     return path
 
 

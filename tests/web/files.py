@@ -18,8 +18,14 @@ sample_rate_hz = 1000.0
 [model]
 kind = "mass-spring-damper"
 mass = [{ name = "m1", value = 5.0 }, { name = "m2", value = 3.0 }]
-spring = [{ name = "k1", between = ["ground", "m1"], nominal = 25.0 }, { name = "k2", between = ["m1", "m2"], nominal = 26.0 }]
-damper = [{ name = "B1", between = ["ground", "m1"], nominal = 27.0 }, { name = "B2", between = ["m1", "m2"], nominal = 28.0 }]
+spring = [
+    { name = "k1", between = ["ground", "m1"], nominal = 25.0 },
+    { name = "k2", between = ["m1", "m2"], nominal = 26.0 },
+]
+damper = [
+    { name = "B1", between = ["ground", "m1"], nominal = 27.0 },
+    { name = "B2", between = ["m1", "m2"], nominal = 28.0 },
+]
 [[channel]]
 name = "force"
 quantity = "force"

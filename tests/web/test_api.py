@@ -108,7 +108,9 @@ def test_etag_answers_304_until_something_is_committed(client: Client, folder: P
     assert len(json.loads(more)["alarms"]) == len(json.loads(body)["alarms"]) + 1
 
 
-@pytest.mark.parametrize("path", ["/", "/static/page.js", "/api/v1/rigs", "/api/v1/nothing", "/nowhere", "/api/v1/events"])
+@pytest.mark.parametrize(
+    "path", ["/", "/static/page.js", "/api/v1/rigs", "/api/v1/nothing", "/nowhere", "/api/v1/events"]
+)
 def test_every_answer_confines_the_page(client: Client, path: str) -> None:
     if path.endswith("events"):
         with client.events() as events:
@@ -173,7 +175,14 @@ def test_acknowledging_reaches_the_agent_with_who_and_why(client: Client, agent:
     assert (status, json.loads(body)["alarms"][0]["to_state"]) == (200, "ACKED")
     assert client.ask("POST", "/api/v1/alarms/rig/1/shelve", {"for": "8h"})[0] == 200
     asked = [{k: line[k] for k in ("command", "cause", "ids", "by", "comment", "length_ns")} for line in agent]
-    first = {"command": "alarm", "cause": "acknowledge", "ids": [1], "by": "anna", "comment": files.EVIL, "length_ns": None}
+    first = {
+        "command": "alarm",
+        "cause": "acknowledge",
+        "ids": [1],
+        "by": "anna",
+        "comment": files.EVIL,
+        "length_ns": None,
+    }
     assert asked == [first, {**first, "cause": "shelve", "comment": None, "length_ns": 8 * 3600 * 10**9}]
 
 
@@ -254,7 +263,11 @@ def test_five_wrong_passwords_a_minute_are_enough(folder: Path) -> None:
 def test_serve_refuses_to_be_open_to_others(
     folder: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str
 ) -> None:
-    for name, content, mode in (("token", "t" * 32, 0o600), ("open-token", "t" * 32, 0o644), ("short-token", "abc", 0o600)):
+    for name, content, mode in (
+        ("token", "t" * 32, 0o600),
+        ("open-token", "t" * 32, 0o644),
+        ("short-token", "abc", 0o600),
+    ):
         (folder / name).write_text(content)
         (folder / name).chmod(mode)
     monkeypatch.chdir(folder)

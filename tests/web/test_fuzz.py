@@ -14,16 +14,35 @@ from tests.conftest import SEED
 from tests.web import files
 from tests.web.server import password_file, serving
 
-NAMES = [*DOCUMENTS, "session", "events", "openapi.json", "alarms/rig/1/ack", "alarms/rig/-1/shelve", "alarms/rig/" + "9" * 30 + "/ack", "", "..", "%00"]
+NAMES = [
+    *DOCUMENTS,
+    "session",
+    "events",
+    "openapi.json",
+    "alarms/rig/1/ack",
+    "alarms/rig/-1/shelve",
+    "alarms/rig/" + "9" * 30 + "/ack",
+    "",
+    "..",
+    "%00",
+]
 KEYS = [*PARAMETERS, "what", "", "%ff", "rig[]"]
-VALUES = ["press-7", "rig", "k1", "1", "0", "-1", "nan", "1e999", "9" * 25, "60s", "9" * 60 + "w", "0.0000001ms", "2026-01-01",
-          "9999-12-31T23:59:59Z", "0001-01-01", "", "%00", "%ff%fe", "'--", "<script>", "a" * 300, "%F0%9F%92%A9", "%ED%A0%80"]  # fmt: skip
-BODIES = [b"", b"{}", b"[]", b"null", b'{"name": 1}', b'{"name": "x", "password": "y"}', b"\xff", b"{" * 5000, b"1e999",
-          b'{"name": "\\ud800", "password": "\\ud800"}', b'{"for": "8h", "comment": "x"}', b" " * 40000]  # fmt: skip
-HEADERS = [b"", b"Last-Event-ID: 1.1\r\n", b"Last-Event-ID: \xff\r\n", b"If-None-Match: *, \"x\r\n", b"Cookie: deltak_session=\xe9\r\n",
-           b"Cookie: deltak_session=x; =; ;\r\n", b"X-CSRF-Token: \xff\r\n", b"Content-Type: application/json\r\n",
-           b"Origin: http://evil.example\r\n", b"Range: bytes=0-1\r\n", b"Transfer-Encoding: chunked\r\n", b"Host: \xff\r\n",
-           b"Content-Length: -1\r\n", b"Expect: 100-continue\r\n"]  # fmt: skip
+VALUES = [
+    "press-7", "rig", "k1", "1", "0", "-1", "nan", "1e999", "9" * 25, "60s", "9" * 60 + "w", "0.0000001ms",
+    "2026-01-01",
+    "9999-12-31T23:59:59Z", "0001-01-01", "", "%00", "%ff%fe", "'--", "<script>", "a" * 300, "%F0%9F%92%A9",
+    "%ED%A0%80",
+]  # fmt: skip
+BODIES = [
+    b"", b"{}", b"[]", b"null", b'{"name": 1}', b'{"name": "x", "password": "y"}', b"\xff", b"{" * 5000, b"1e999",
+    b'{"name": "\\ud800", "password": "\\ud800"}', b'{"for": "8h", "comment": "x"}', b" " * 40000,
+]  # fmt: skip
+HEADERS = [
+    b"", b"Last-Event-ID: 1.1\r\n", b"Last-Event-ID: \xff\r\n", b'If-None-Match: *, "x\r\n', b"X-CSRF-Token: \xff\r\n",
+    b"Cookie: deltak_session=\xe9\r\n", b"Cookie: deltak_session=x; =; ;\r\n", b"Content-Type: application/json\r\n",
+    b"Origin: http://evil.example\r\n", b"Range: bytes=0-1\r\n", b"Transfer-Encoding: chunked\r\n", b"Host: \xff\r\n",
+    b"Content-Length: -1\r\n", b"Expect: 100-continue\r\n",
+]  # fmt: skip
 
 
 def request(rng: random.Random) -> bytes:
@@ -37,7 +56,9 @@ def request(rng: random.Random) -> bytes:
     if body:
         head += b"Content-Type: application/json\r\n" * (rng.random() < 0.8) + b"Content-Length: %d\r\n" % len(body)
     whole = head + b"\r\n" + body
-    return whole if rng.random() < 0.97 else bytes(rng.randrange(256) if rng.random() < 0.02 else byte for byte in whole)
+    return (
+        whole if rng.random() < 0.97 else bytes(rng.randrange(256) if rng.random() < 0.02 else byte for byte in whole)
+    )
 
 
 def status(port: int, sent: bytes) -> int:

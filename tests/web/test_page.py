@@ -4,6 +4,7 @@ import json
 import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,9 @@ def test_alarm_is_acknowledged_by_keyboard_alone(browser: webdriver.Chrome, agen
     until(lambda: focused() == first)  # where one was is where one stays
 
 
-def test_narrow_page_in_both_schemes_has_no_horizontal_scroll_and_no_fault(browser: webdriver.Chrome) -> None:
+def test_narrow_page_in_both_schemes_has_no_horizontal_scroll_and_axe_finds_nothing(browser: webdriver.Chrome) -> None:
+    axe = (resources.files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
+    browser.execute_cdp_cmd("Runtime.evaluate", {"expression": axe})
     for scheme in ("light", "dark"):
         features = [{"name": "prefers-color-scheme", "value": scheme}]
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
@@ -144,6 +147,9 @@ def test_narrow_page_in_both_schemes_has_no_horizontal_scroll_and_no_fault(brows
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", narrow)
         width, seen = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
         assert (width, seen) == (360, 360)
+        found = browser.execute_async_script("axe.run().then(arguments[0])")
+        assert len(found["passes"]) > 20
+        assert [(rule["id"], rule["nodes"][0]["html"]) for rule in found["violations"]] == []
 
 
 def test_browser_asked_no_other_origin_and_found_no_fault(browser: webdriver.Chrome, server: Client) -> None:

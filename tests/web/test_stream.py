@@ -49,10 +49,13 @@ def test_stream_cut_fifty_times_has_no_gap_and_no_double(client: Client, path: P
     with Store.open(path) as store:
         run = store.begin_run(run_info(started_ns=start))
         for cut in range(50):
-            store.write(run, [batch(3, first=3 * cut, start=start), step("NORM", "UNACK", start + cut, parameter=f"p{cut}")])
+            store.write(
+                run, [batch(3, first=3 * cut, start=start), step("NORM", "UNACK", start + cut, parameter=f"p{cut}")]
+            )
             with client.events(since) as events:
                 wanted = 1 + cut % 4  # none of the cuts falls where a commit ends
-                for since, kind, document in events:
+                for identifier, kind, document in events:
+                    since = identifier
                     steps += kind == "alarm"
                     seen += [document["t_ns"]] if kind == "estimates" else []
                     wanted -= kind != "hello"

@@ -33,7 +33,7 @@ class Watched:
         config = self.configs.get(rig)
         alarms = () if config is None else config.alarm
         keys = ("limit", "limit_percent", "side", "priority")
-        return {a.parameter: {key: getattr(a, key) for key in keys} for a in alarms if a.kind == "level"}
+        return {a.parameter: {key: getattr(a, key) for key in keys} for a in alarms if str(a.kind) == "level"}
 
 
 def one(target: Path | None) -> Watched:

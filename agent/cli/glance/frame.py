@@ -40,7 +40,9 @@ def _line(text: str, style: str = "") -> "Text":
 def _rig(rig: Mapping[str, Any]) -> "Iterable[RenderableType]":
     lag = "no rows yet" if rig["lag_s"] is None else f"newest row {_age(rig['lag_s'])} ago"
     yield _line(f"\n{rig['rig']}: {rig['words']}, {lag}", "bold")
-    yield _table(("parameter", "value ± sd", "unit", "", "of limit", "status", "alarm"), map(_parameter, rig["parameters"]))
+    yield _table(
+        ("parameter", "value ± sd", "unit", "", "of limit", "status", "alarm"), map(_parameter, rig["parameters"])
+    )
     if rig["alarms"]:
         yield _table(("alarm", "priority", "state", "raised", "what"), map(_alarm, rig["alarms"]))
     if rig["sources"]:
@@ -60,12 +62,16 @@ def _table(columns: Iterable[str], rows: "Iterable[Iterable[str | Text]]") -> "T
 
 
 def _parameter(row: Row) -> "tuple[str | Text, ...]":
-    value = "-" if row["value"] is None else with_sd(row["value"], float("nan") if row["sd"] is None else row["sd"])
     status = row["status"] + (f": {row['reason']}" if row["reason"] else "")
     used = "" if row["used"] is None else f"{100.0 * row['used']:.0f} %"
     alarm = _line(row["alarm"] or "", _STATE_STYLES.get(row["alarm"], ""))
     style = _STYLES.get(row["status"], "")
-    return row["parameter"], value, row["unit"] or "", _line(bar(row), style), used, _line(status, style), alarm
+    return row["parameter"], _value(row), row["unit"] or "", _line(bar(row), style), used, _line(status, style), alarm
+
+
+def _value(row: Row) -> str:
+    value, sd = (float("nan") if row[key] is None else row[key] for key in ("value", "sd"))
+    return with_sd(value, sd)
 
 
 def bar(row: Row, width: int = _WIDTH) -> str:

@@ -29,22 +29,21 @@ def overview(watched: Iterable[Watched], now_ns: int) -> dict[str, Any]:
 
 
 def _rigs_of(database: Watched, now_ns: int) -> tuple[list[dict[str, Any]], int]:
-    latest, alarms = queries.latest(database.path), queries.alarms(database.path, active=True)
-    sources = recent.sources(database.path)
-    found = [
-        _rig(database, name, *(_of(rows, name) for rows in (latest, alarms, sources)), now_ns)
-        for name in queries.rigs(database.path)
-    ]
-    return found, latest.refused + alarms.refused + sources.refused
+    tables = {
+        "latest": queries.latest(database.path),
+        "alarms": queries.alarms(database.path, active=True),
+        "sources": recent.sources(database.path),
+    }
+    refused = sum(rows.refused for rows in tables.values())
+    found = []
+    for name in queries.rigs(database.path):
+        own = {key: [row for row in rows if row["rig"] == name] for key, rows in tables.items()}
+        found.append(_rig(database, name, own, now_ns))
+    return found, refused
 
 
-def _of(rows: Iterable[Row], rig: str) -> list[Row]:
-    return [row for row in rows if row["rig"] == rig]
-
-
-def _rig(
-    database: Watched, name: str, latest: Sequence[Row], alarms: Sequence[Row], sources: Sequence[Row], now_ns: int
-) -> dict[str, Any]:
+def _rig(database: Watched, name: str, tables: Mapping[str, Sequence[Row]], now_ns: int) -> dict[str, Any]:
+    latest, alarms = tables["latest"], tables["alarms"]
     limits = {**_limits_of_alarms(alarms), **database.limits(name)}
     parameters = [_parameter(row, limits.get(row["parameter"]), alarms) for row in latest]
     newest = max((row["t_ns"] for row in latest), default=None)
@@ -55,7 +54,7 @@ def _rig(
         "lag_s": None if newest is None else (now_ns - newest) / 1e9,
         "parameters": parameters,
         "alarms": sorted(alarms, key=urgency, reverse=True),
-        "sources": [{**row, "stale": (now_ns - row["t_ns"]) / 1e9 > _STALE_S} for row in sources],
+        "sources": [{**row, "stale": (now_ns - row["t_ns"]) / 1e9 > _STALE_S} for row in tables["sources"]],
     }
     return found | {"severity": _severity(found), "words": _words(found)}
 
@@ -64,7 +63,9 @@ def _limits_of_alarms(alarms: Iterable[Row]) -> dict[str, Row]:
     """Return what alarms say of the limits that they stand for, where no configuration does."""
     levels = (row for row in alarms if row["kind"] == "level" and row["limit_value"] is not None)
     nothing = {"limit_percent": None, "side": "both"}
-    return {row["parameter"]: {"limit": abs(row["limit_value"]), "priority": row["priority"], **nothing} for row in levels}
+    return {
+        row["parameter"]: {"limit": abs(row["limit_value"]), "priority": row["priority"], **nothing} for row in levels
+    }
 
 
 def _parameter(row: Row, limit: Row | None, alarms: Iterable[Row]) -> dict[str, Any]:
@@ -96,7 +97,9 @@ def urgency(alarm: Row) -> tuple[int, int, int]:
 def _severity(rig: Mapping[str, Any]) -> list[float]:
     """Return what rigs are ordered by: alarms that nobody has acknowledged, standing ones, lack of data, margins."""
     standing = [a for a in rig["alarms"] if a["state"] in {"UNACK", "ACKED", "RTNUN"}]
-    worst = [max((urgency(a)[1] + 1 for a in standing if a["state"] == state), default=0) for state in ("UNACK", "ACKED")]
+    worst = [
+        max((urgency(a)[1] + 1 for a in standing if a["state"] == state), default=0) for state in ("UNACK", "ACKED")
+    ]
     silent = sum(bool(source["stale"]) for source in rig["sources"])
     doubtful = sum(p["status"] != "valid" for p in rig["parameters"])
     return [*worst, len(standing), silent, doubtful, max((p["used"] or 0.0 for p in rig["parameters"]), default=0.0)]

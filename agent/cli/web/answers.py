@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 _KEPT = 64  # answers
-_LONGEST = 200  # characters of a value that is asked
+_LONGEST_VALUE = 200  # characters of a value that is asked
 _AT_ONCE = 2  # questions to the databases; others wait
 
 Key = tuple[str, tuple[tuple[str, str], ...]]
@@ -55,9 +55,11 @@ class Answers:
         strange = [key for key in request.query_params if key not in DOCUMENTS[name].takes]
         if strange:
             takes = ", ".join(DOCUMENTS[name].takes) or "nothing"
-            return refusal(400, strange[0][:_LONGEST], f"is nothing that {name} can be asked", f"it takes {takes}")
-        if any(len(value) > _LONGEST for value in request.query_params.values()):
-            return refusal(400, name, f"a value has more than {_LONGEST} characters", "shorten it")
+            return refusal(
+                400, strange[0][:_LONGEST_VALUE], f"is nothing that {name} can be asked", f"it takes {takes}"
+            )
+        if any(len(value) > _LONGEST_VALUE for value in request.query_params.values()):
+            return refusal(400, name, f"a value has more than {_LONGEST_VALUE} characters", "shorten it")
         try:
             body = await self._body((name, tuple(sorted(request.query_params.items()))))
         except AgentError as error:

@@ -59,7 +59,9 @@ def application(settings: Settings) -> "ASGIApp":
         with suppress(asyncio.CancelledError):
             await task
 
-    inner = Starlette(routes=_routes(settings, hub, writes), lifespan=living, exception_handlers={404: _absent, 405: _absent})
+    inner = Starlette(
+        routes=_routes(settings, hub, writes), lifespan=living, exception_handlers={404: _absent, 405: _absent}
+    )
     return Guard(_private(inner, writes) if settings.private else inner, settings.hosts)
 
 
@@ -100,7 +102,9 @@ def _static() -> Mapping[str, tuple[bytes, str]]:
     folder = files("agent.cli.web") / "static"
     found = ((file.name, file) for file in folder.iterdir())
     return {
-        name: (file.read_bytes(), kind) for name, file in found if (kind := _TYPES.get(name[name.rfind(".") :])) is not None
+        name: (file.read_bytes(), kind)
+        for name, file in found
+        if (kind := _TYPES.get(name[name.rfind(".") :])) is not None
     }
 
 

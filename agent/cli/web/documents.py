@@ -124,7 +124,8 @@ def _overview(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
 
 
 def _trend(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
-    database, parameter = _one(watched, asked), _needed(asked, "parameter")
+    database = _one(watched, asked)
+    parameter = _needed(asked, "parameter")
     times = asked.get("since"), asked.get("until")
     limit = None if "limit" not in asked else _number("limit", asked["limit"])
     found = dict(trend_document(database.path, parameter, asked.get("rig"), times, limit))
@@ -132,7 +133,8 @@ def _trend(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
 
 
 def _points(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
-    database, parameter = _one(watched, asked), _needed(asked, "parameter")
+    database = _one(watched, asked)
+    parameter = _needed(asked, "parameter")
     most = int(_number("points", asked.get("points", str(_SHOWN_POINTS))))
     if not 1 <= most <= _MOST_POINTS:
         raise UsageError.at("points", f"{most} is not within 1 and {_MOST_POINTS}", "ask for fewer")
@@ -166,7 +168,8 @@ def thinned(table: "np.ndarray[Any, np.dtype[Any]]", most: int) -> list[list[flo
     t_ns = table[:, 0].astype(np.int64)
     value, sd = (table[:, column].astype(np.float64) for column in (1, 2))
     edges = np.unique(np.linspace(0, len(table), min(most, len(table)) + 1).astype(np.int64))
-    starts, sizes = edges[:-1], np.diff(edges)
+    starts = edges[:-1]
+    sizes = np.diff(edges)
     columns = (
         t_ns[starts + sizes // 2], np.add.reduceat(value, starts) / sizes, np.add.reduceat(sd, starts) / sizes,
         np.minimum.reduceat(value, starts), np.maximum.reduceat(value, starts),
@@ -185,40 +188,43 @@ def _number(name: str, text: str) -> float:
 
 
 def _model(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
-    database, rig = _one(watched, asked), _needed(asked, "rig")
+    database = _one(watched, asked)
+    rig = _needed(asked, "rig")
     if rig not in database.configs:
         raise UsageError.at("rig", f"the model of {rig!r} is not known", "start deltak serve with --config FILE")
     return {"rig": rig, "db": database.name, **drawing(database.configs[rig])}
 
 
-_ROWS: Final = ("db", "rig")
-_TIMES: Final = ("since", "until")
+def _latest(database: Watched, asked: Asked) -> Rows:
+    return queries.latest(database.path, asked.get("rig"))
+
+
+def _alarm_events(database: Watched, asked: Asked) -> Rows:
+    return recent.alarm_events(database.path, asked.get("rig"))
+
+
+def _verdicts(database: Watched, asked: Asked) -> Rows:
+    return queries.verdicts(database.path, asked.get("rig"))
+
+
+_RIG: Final = ("db", "rig")
+_PARAMETER: Final = (*_RIG, "parameter", "since", "until")
+_POINTS_OF = "Valid estimates for a chart, out of the tier that the time needs: t_ns, value, sd, lowest, highest."
 DOCUMENTS: Final[Mapping[str, Document]] = {
     "rigs": Document("Databases, their rigs and parameters.", ("db",), _rigs),
     "overview": Document("The state of all rigs, the worst first.", ("db",), _overview, by_clock=True),
-    "latest": Document(
-        "The newest row of each rig and parameter.", _ROWS, _rows_of("rows", lambda db, q: queries.latest(db.path, q.get("rig")))
-    ),
+    "latest": Document("The newest row of each rig and parameter.", _RIG, _rows_of("rows", _latest)),
     "estimates": Document(
-        "Rows of v_estimates; of the last minute without since.", (*_ROWS, "parameter", *_TIMES), _rows_of("rows", _estimates)
+        "Rows of v_estimates; of the last minute without since.", _PARAMETER, _rows_of("rows", _estimates)
     ),
-    "alarms": Document("Rows of v_alarms, oldest first.", (*_ROWS, "active"), _rows_of("alarms", _alarms)),
-    "alarm_events": Document(
-        "Steps of alarms, oldest first.", _ROWS,
-        _rows_of("alarm_events", lambda db, q: recent.alarm_events(db.path, q.get("rig"))),
-    ),
-    "verdicts": Document(
-        "What is believed of the rigs' constants.", _ROWS,
-        _rows_of("verdicts", lambda db, q: queries.verdicts(db.path, q.get("rig"))),
-    ),
-    "health": Document("The newest ledger row of each source, with its rate.", _ROWS, _rows_of("sources", _health)),
-    "trend": Document("Whether a parameter changes, and when it reaches a limit.", (*_ROWS, "parameter", *_TIMES, "limit"), _trend),
-    "points": Document(
-        "Valid estimates for a chart, out of the tier that the time needs: t_ns, value, sd, lowest, highest.",
-        (*_ROWS, "parameter", *_TIMES, "points"), _points,
-    ),
-    "model": Document("Masses, springs and dampers of a rig, to be drawn.", _ROWS, _model),
-}  # fmt: skip
+    "alarms": Document("Rows of v_alarms, oldest first.", (*_RIG, "active"), _rows_of("alarms", _alarms)),
+    "alarm_events": Document("Steps of alarms, oldest first.", _RIG, _rows_of("alarm_events", _alarm_events)),
+    "verdicts": Document("What is believed of the rigs' constants.", _RIG, _rows_of("verdicts", _verdicts)),
+    "health": Document("The newest ledger row of each source, with its rate.", _RIG, _rows_of("sources", _health)),
+    "trend": Document("Whether a parameter changes, and when it reaches a limit.", (*_PARAMETER, "limit"), _trend),
+    "points": Document(_POINTS_OF, (*_PARAMETER, "points"), _points),
+    "model": Document("Masses, springs and dampers of a rig, to be drawn.", _RIG, _model),
+}
 
 
 def made(name: str, watched: tuple[Watched, ...], asked: Asked) -> Any:

@@ -23,7 +23,8 @@ def openapi() -> dict[str, Any]:
 
 def _question(name: str, found: Document) -> Mapping[str, Any]:
     parameters = [
-        {"name": key, "in": "query", "description": PARAMETERS[key], "schema": {"type": "string"}} for key in found.takes
+        {"name": key, "in": "query", "description": PARAMETERS[key], "schema": {"type": "string"}}
+        for key in found.takes
     ]
     answers = {"200": {"description": "The document.", "content": _JSON}, "304": {"description": "As its ETag says."}}
     return _operation(name, found.summary, {**answers, "400": _REFUSED, "409": _REFUSED}, parameters=parameters)
@@ -59,10 +60,12 @@ def _actions() -> Mapping[str, Any]:
         {"name": "X-CSRF-Token", "in": "header", "required": True, "schema": {"type": "string"}},
     ]
     answers = {"200": {"description": "What the agent did.", "content": _JSON}}
-    answers |= {code: _REFUSED for code in ("400", "401", "403", "409")}
+    answers |= dict.fromkeys(("400", "401", "403", "409"), _REFUSED)
     return {
         f"/api/v1/alarms/{{db}}/{{alarm}}/{action}": {
-            "post": _operation(action, f"Ask the agent to {cause}: {{comment, for}}.", answers, parameters=places, requestBody=_body())
+            "post": _operation(
+                action, f"Ask the agent to {cause}: {{comment, for}}.", answers, parameters=places, requestBody=_body()
+            )
         }
         for action, cause in CAUSES.items()
     }

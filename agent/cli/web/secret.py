@@ -13,7 +13,7 @@ from agent.errors import UsageError
 
 _COST = (16384, 8, 1)  # n, r, p: 16 MB and some 50 ms a try
 _SHORTEST = 8
-_LONGEST = 1024
+_MOST_BYTES_OF_SECRET = 1024
 _SHORTEST_TOKEN = 16
 
 
@@ -30,7 +30,7 @@ class Secret:
 
     def is_known_by(self, text: str) -> bool:
         """Tell whether a text is the password or the token; takes as long for a wrong one as for the right one."""
-        said = text.encode("utf-8", "replace")[:_LONGEST]
+        said = text.encode("utf-8", "replace")[:_MOST_BYTES_OF_SECRET]
         if self.password is not None:
             salt, known = self.password
             return hmac.compare_digest(_hash(said, salt), known)
@@ -40,8 +40,8 @@ class Secret:
     def of_password(cls, text: str) -> Self:
         """Return the secret of a new password. Raises UsageError for one that is too short or too long."""
         said = text.encode()
-        if not _SHORTEST <= len(said) <= _LONGEST:
-            raise UsageError.at("password", f"has {len(said)} bytes", f"take {_SHORTEST} to {_LONGEST}")
+        if not _SHORTEST <= len(said) <= _MOST_BYTES_OF_SECRET:
+            raise UsageError.at("password", f"has {len(said)} bytes", f"take {_SHORTEST} to {_MOST_BYTES_OF_SECRET}")
         salt = os.urandom(16)
         return cls(password=(salt, _hash(said, salt)))
 

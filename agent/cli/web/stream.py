@@ -1,4 +1,4 @@
-"""What is committed, to any number of listeners: one reader of each database, cursors that survive a cut and a restart."""
+"""What is committed, to any number of listeners: one reader of each database, cursors that survive a restart."""
 
 import asyncio
 import os
@@ -81,8 +81,8 @@ class _Tail:
     """The newest changes of one database, from the cursor `start` to the cursor `head`."""
 
     path: Path
-    start: Cursor = Cursor()
-    head: Cursor = Cursor()
+    start: Cursor = field(default_factory=Cursor)
+    head: Cursor = field(default_factory=Cursor)
     kept: deque[Change] = field(default_factory=deque)
     seen: Stamp = ()
     file: int = 0

@@ -34,7 +34,7 @@ export class Alarms {
     alarms.sort((a, b) => rank(a).map((r, i) => r - rank(b)[i]).find((d) => d) ?? 0);
     replaceItems(byId("alarm-list"), alarms.map((alarm) => this.item(alarm)));
     const open = alarms.filter((a) => a.state === "UNACK").length;
-    const count = alarms.length ? `${alarms.length} alarms, ${open} not acknowledged` : "no alarms";
+    const count = alarms.length ? `${alarms.length} ${alarms.length === 1 ? "alarm" : "alarms"}, ${open} not acknowledged` : "no alarms";
     if (byId("alarm-count").textContent !== count) byId("alarm-count").textContent = count;
     document.title = open ? `(${open}) deltak` : "deltak";
   }

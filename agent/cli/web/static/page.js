@@ -74,7 +74,7 @@ async function modelOf(rig) {
 
 function showParameters(rig) {
   if (!rig.parameters.some((p) => p.parameter === parameter)) {
-    parameter = [...rig.parameters].sort((a, b) => (b.used ?? 0) - (a.used ?? 0))[0]?.parameter ?? null;
+    parameter = [...rig.parameters].sort((a, b) => (b.alarm ? 1 : 0) - (a.alarm ? 1 : 0) || (b.used ?? 0) - (a.used ?? 0))[0]?.parameter ?? null;
   }
   replaceItems(byId("parameter-list"), rig.parameters.map((p) => item(rig, p)));
   const shown = rig.parameters.find((p) => p.parameter === parameter);

@@ -3,6 +3,7 @@
 import json
 import re
 import sqlite3
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -273,6 +274,12 @@ def test_serve_refuses_to_be_open_to_others(
     monkeypatch.chdir(folder)
     with pytest.raises(UsageError, match=re.escape(words)):
         app(["serve", "--db", "rig.db", "--port", "0", *arguments], standalone_mode=False)
+
+
+def test_serve_without_its_extra_says_how_to_install_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(UsageError, match=r"needs the extra web .*; pip install 'deltak\[web\]'"):
+        app(["serve", "--db", str(folder / "rig.db")], standalone_mode=False)
 
 
 def test_thinned_points_keep_every_spike_and_the_mean() -> None:

@@ -1,5 +1,6 @@
 """What holds for every request and answer: hosts, headers that confine the page, errors that are documents."""
 
+import asyncio
 import logging
 from collections.abc import Iterable, MutableMapping
 from typing import TYPE_CHECKING, Any, Final
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 log = logging.getLogger(__name__)
+_PATIENCE_S = 30.0  # for whoever does not read an answer; a listener that is slow costs its place
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; form-action 'none'; "
     "base-uri 'none'; frame-ancestors 'none'"
@@ -70,7 +72,7 @@ class Guard:
                 begun = True
                 own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
                 message = {**message, "headers": [*message.get("headers", ()), *own]}
-            await send(message)
+            await asyncio.wait_for(send(message), _PATIENCE_S)
 
         if not self._is_host(scope):
             answer = refusal(421, "host", "this server does not go by that name", "see deltak serve --hostname")
@@ -78,6 +80,8 @@ class Guard:
             return
         try:
             await self._inner(scope, receive, send_guarded)
+        except TimeoutError:
+            log.info("an answer was not read within %g s and is given up", _PATIENCE_S)
         except Exception as error:
             log.exception("a request could not be answered: %s", type(error).__name__)
             if begun:

@@ -106,6 +106,7 @@ export class Alarms {
   }
 
   openDialog() {
+    if (byId("sign-dialog").open) return; // somebody is typing
     byId("sign-words").textContent = "";
     byId("sign-dialog").showModal();
     byId("sign-name").focus();

@@ -12,11 +12,12 @@ export class Chart {
     this.plot = null;
     this.turn = 0;
     this.buttons = SPANS.map(([words, span]) => make("button", { type: "button", "aria-pressed": "false", on: { click: () => this.show(span, null) } }, words));
+    this.limits = make("button", { type: "button", "aria-pressed": "true", on: { click: () => this.turnLimits() } }, "limits");
     const move = (words, label, act) => make("button", { type: "button", "aria-label": label, on: { click: act } }, words);
     byId("chart-bar").append(
       ...this.buttons,
       move("◀", "Earlier", () => this.pan(-0.5)), move("▶", "Later", () => this.pan(0.5)),
-      move("+", "Zoom in", () => this.zoom(0.5)), move("−", "Zoom out", () => this.zoom(2)),
+      move("+", "Zoom in", () => this.zoom(0.5)), move("−", "Zoom out", () => this.zoom(2)), this.limits,
     );
     byId("chart").addEventListener("keydown", (event) => this.key(event));
     new ResizeObserver(() => this.plot?.setSize(this.size())).observe(byId("chart"));
@@ -65,6 +66,23 @@ export class Chart {
     const [first, last] = this.bounds();
     const span = Math.min(MOST_S, Math.max(LEAST_S, (last - first) * factor));
     this.show(span, this.end === null ? null : (first + last) / 2 + span / 2);
+  }
+
+  /** Show the limits, or the value alone on a scale of its own. */
+  turnLimits() {
+    this.limits.setAttribute("aria-pressed", String(!this.hasLimits()));
+    if (this.points) this.draw();
+  }
+
+  hasLimits() {
+    return this.limits.getAttribute("aria-pressed") === "true";
+  }
+
+  /** Return the instants of the forecast, where it lies within a few times of what is shown. */
+  ahead() {
+    if (!this.fan || this.end !== null || !this.hasLimits()) return [];
+    const times = [this.fan.from[0] / 1e9, ...this.fan.times].filter(Number.isFinite);
+    return this.span === null || times.at(-1) - times[0] < 3 * this.span ? times : [];
   }
 
   /** Take in that new rows came: what is followed is read anew, but not more often than a pixel needs. */
@@ -142,7 +160,7 @@ export class Chart {
 
   /** Return uPlot's columns: the points, and behind them the forecast's, which have none of the others. */
   columns(colour) {
-    const ahead = this.fan && this.end === null ? [this.fan.from[0] / 1e9, ...this.fan.times].filter(Number.isFinite) : [];
+    const ahead = this.ahead();
     const x = [...this.points.map((p) => p[0] / 1e9), ...ahead];
     const past = (of) => [...this.points.map(of), ...ahead.map(() => null)];
     const flat = (value) => x.map(() => value);
@@ -155,8 +173,8 @@ export class Chart {
       line("highest", colour("quiet"), past((p) => p[4]), { dash: [2, 4] }),
       line("lowest", colour("quiet"), past((p) => p[3]), { dash: [2, 4] }),
     ];
-    if (reference !== null) lines.push(line("reference", colour("quiet"), flat(reference), { dash: [8, 4] }));
-    if (limit && reference !== null) for (const side of [-1, 1]) lines.push(line("limit", colour("bad"), flat(reference + side * limit), { dash: [4, 2] }));
+    if (reference !== null && this.hasLimits()) lines.push(line("reference", colour("quiet"), flat(reference), { dash: [8, 4] }));
+    if (limit && reference !== null && this.hasLimits()) for (const side of [-1, 1]) lines.push(line("limit", colour("bad"), flat(reference + side * limit), { dash: [4, 2] }));
     ahead.slice(1).forEach((end, i) => {
       const [start, value] = [ahead[0], this.fan.from[1]];
       const at = (t) => value + (this.fan.limit - value) * Math.min(1, (t - start) / (end - start));

@@ -1,5 +1,6 @@
 """The terminal at a glance: one frame for pipes, a live one that q ends, nothing of the file held."""
 
+import io
 import os
 import pty
 import select
@@ -10,12 +11,14 @@ import time
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from agent.cli.glance.files import one, several
-from agent.cli.glance.frame import bar
+from agent.cli.glance.frame import bar, frame
 from agent.cli.glance.state import overview
 from agent.errors import UsageError
 from agent.storage.read import queries
+from agent.text import with_sd
 from tests.web import files
 
 
@@ -85,6 +88,18 @@ def output_until(terminal: int, wanted: bytes) -> bytes:
             seen += os.read(terminal, 65536)
     assert wanted in seen
     return seen
+
+
+def test_frame_of_eighty_columns_shows_every_figure_whole(path: Path) -> None:
+    console = Console(width=80, file=io.StringIO(), record=True)
+    found = overview([one(path.with_suffix(".toml"))], time.time_ns())
+    console.print(frame(found, "12:00"))
+    text = console.export_text()
+    assert max(map(len, text.splitlines())) <= 80
+    for row in queries.latest(path):
+        assert f"{with_sd(row['value'], row['sd'])} {row['unit']}" in text
+    assert "UNACK" in text
+    assert text.count("●") == 6
 
 
 def test_live_frames_turn_to_the_next_rig_and_end_with_q(path: Path) -> None:

@@ -1,17 +1,21 @@
 """One frame of the state of rigs, drawn by rich: values with their bars against limits, alarms, sources."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from agent.text import number, printable, short_time, with_sd
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.measure import Measurement
     from rich.table import Table
     from rich.text import Text
 
 Row = Mapping[str, Any]
-_WIDTH = 25
+_WIDTH = 25  # of a bar
+_NARROWEST = 11
+_WRAPPED = ("what", "status", "")
 _BEYOND = 1.25  # how many limits a bar shows to each side
 _STYLES = {"valid": "green", "warming": "cyan", "unexcited": "yellow", "invalid": "red"}
 _STATE_STYLES = {"UNACK": "bold white on red", "ACKED": "red", "RTNUN": "yellow"}
@@ -41,7 +45,7 @@ def _rig(rig: Mapping[str, Any]) -> "Iterable[RenderableType]":
     lag = "no rows yet" if rig["lag_s"] is None else f"newest row {_age(rig['lag_s'])} ago"
     yield _line(f"\n{rig['rig']}: {rig['words']}, {lag}", "bold")
     yield _table(
-        ("parameter", "value ± sd", "unit", "", "of limit", "status", "alarm"), map(_parameter, rig["parameters"])
+        ("parameter", "value ± sd", "", "of limit", "status", "alarm"), map(_parameter, rig["parameters"])
     )
     if rig["alarms"]:
         yield _table(("alarm", "priority", "state", "raised", "what"), map(_alarm, rig["alarms"]))
@@ -49,24 +53,45 @@ def _rig(rig: Mapping[str, Any]) -> "Iterable[RenderableType]":
         yield _table(("source", "samples/s", "lag", "rejected", "dropped", "gaps", ""), map(_source, rig["sources"]))
 
 
-def _table(columns: Iterable[str], rows: "Iterable[Iterable[str | Text]]") -> "Table":
+def _table(columns: Iterable[str], rows: "Iterable[Sequence[RenderableType]]") -> "Table":
+    """Return a table that gives its width to figures: bars get narrow first, then words are wrapped."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    cells = [[_line(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in columns:
-        table.add_column(column, no_wrap=column != "what")
-    for row in rows:
-        table.add_row(*(_line(cell) if isinstance(cell, str) else cell for cell in row))
+    for place, column in enumerate(columns):
+        least = max((getattr(row[place], "cell_len", 0) for row in cells), default=0)
+        words = column in _WRAPPED
+        table.add_column(column, no_wrap=not words, min_width=None if words else max(least, len(column)))
+    for row in cells:
+        table.add_row(*row)
     return table
 
 
-def _parameter(row: Row) -> "tuple[str | Text, ...]":
+def _parameter(row: Row) -> "tuple[RenderableType, ...]":
     status = row["status"] + (f": {row['reason']}" if row["reason"] else "")
     used = "" if row["used"] is None else f"{100.0 * row['used']:.0f} %"
     alarm = _line(row["alarm"] or "", _STATE_STYLES.get(row["alarm"], ""))
     style = _STYLES.get(row["status"], "")
-    return row["parameter"], _value(row), row["unit"] or "", _line(bar(row), style), used, _line(status, style), alarm
+    value = f"{_value(row)} {row['unit'] or ''}".rstrip()
+    return row["parameter"], value, _Bar(row, style), used, _line(status, style), alarm
+
+
+@dataclass(frozen=True, slots=True)
+class _Bar:
+    """A bar as wide as there is room for."""
+
+    row: Row
+    style: str
+
+    def __rich_measure__(self, _console: "Console", options: "ConsoleOptions") -> "Measurement":
+        from rich.measure import Measurement
+
+        return Measurement(_NARROWEST, min(options.max_width, _WIDTH))
+
+    def __rich_console__(self, _console: "Console", options: "ConsoleOptions") -> "Iterator[RenderableType]":
+        yield _line(bar(self.row, min(options.max_width, _WIDTH)), self.style)
 
 
 def _value(row: Row) -> str:
@@ -98,12 +123,12 @@ def _cell(share: float, width: int) -> int:
     return round((min(max(share, -1.0), 1.0) + 1.0) / 2.0 * (width - 1))
 
 
-def _alarm(row: Row) -> "tuple[str | Text, ...]":
+def _alarm(row: Row) -> "tuple[RenderableType, ...]":
     state = _line(row["state"], _STATE_STYLES.get(row["state"], ""))
     return str(row["id"]), row["priority"], state, short_time(row["raised_at"]), row["message"]
 
 
-def _source(row: Row) -> "tuple[str | Text, ...]":
+def _source(row: Row) -> "tuple[RenderableType, ...]":
     silent = _line("silent", "red") if row["stale"] else ""
     counts = (str(row[key]) for key in ("rejected", "dropped", "gaps"))
     lag = "-" if row["lag_s"] is None else f"{row['lag_s']:.3g} s"

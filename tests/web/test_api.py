@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sqlite3
 import sys
 import time
@@ -241,12 +242,35 @@ def test_without_an_agent_an_acknowledgement_is_refused_and_nothing_is_written(c
     assert (folder / "rig.db").read_bytes() == before
 
 
-def test_five_wrong_passwords_a_minute_are_enough(folder: Path) -> None:
-    with serving("--db", folder / "rig.db", "--password-file", folder / "password", "--private") as client:
+def test_behind_a_proxy_wrong_passwords_are_counted_by_who_sent_them_and_reading_may_need_a_session(
+    folder: Path,
+) -> None:
+    options = ("--proxy", "127.0.0.1", "--hostname", "deltak.example.org", "--private")
+    with serving("--db", folder / "rig.db", "--password-file", folder / "password", *options) as client:
+        client.headers = {"Host": "deltak.example.org", "X-Forwarded-For": "192.0.2.1"}
         assert client.ask("GET", "/api/v1/rigs")[0] == 401
         assert client.ask("GET", "/")[0] == 200
         assert [client.sign_in(password="wrong") for _ in range(6)] == [401] * 5 + [429]
         assert client.sign_in() == 429
+        client.headers = {"Host": "deltak.example.org", "X-Forwarded-For": "192.0.2.2", "X-Forwarded-Proto": "https"}
+        body = {"name": "anna", "password": PASSWORD}
+        status, headers, _ = client.ask("POST", "/api/v1/session", body)
+        assert (status, "; secure" in headers["set-cookie"].lower()) == (200, True)
+        client.headers["Cookie"] = headers["set-cookie"].partition(";")[0]
+        assert client.ask("GET", "/api/v1/rigs")[0] == 200
+
+
+def test_database_that_cannot_be_read_hides_no_other(folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "rig.db", tmp_path / "other.db")
+    with serving("--db", folder / "rig.db", "--db", tmp_path / "other.db") as client, client.events() as events:
+        assert next(events)[1] == "hello"
+        assert len(client.get("overview")["rigs"]) == 4
+        (tmp_path / "other.db").write_bytes(b"\0" * 8192)
+        found = client.get("overview")
+        assert {rig["db"] for rig in found["rigs"]} == {"rig"}
+        assert "other.db" in found["errors"][0]
+        files.plant(folder / "rig.db", "c9")
+        assert next(events)[2]["db"] == "rig"
 
 
 @pytest.mark.parametrize(

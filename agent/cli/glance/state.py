@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from agent.cli.glance.files import Watched
+from agent.errors import StoreError
 from agent.storage.read import queries, recent
 
 Row = Mapping[str, Any]
@@ -14,18 +15,26 @@ _STALE_S = 30.0  # a source writes a row of its ledger every 10 s
 
 
 def overview(watched: Iterable[Watched], now_ns: int) -> dict[str, Any]:
-    """Return {"rigs": [...], "refused": rows with wrong checksums}: the rigs of all databases, the worst one first.
+    """Return {"rigs": [...], "refused": rows with wrong checksums, "errors": [...]}: of all databases, the worst first.
 
-    Raises StoreError for a file that cannot be read.
+    One file that cannot be read does not hide the rigs of others. Raises StoreError where none can be.
     """
+    databases = list(watched)
     rigs: list[dict[str, Any]] = []
+    errors: list[StoreError] = []
     refused = 0
-    for database in watched:
-        found, wrong = _rigs_of(database, now_ns)
+    for database in databases:
+        try:
+            found, wrong = _rigs_of(database, now_ns)
+        except StoreError as error:
+            errors.append(error)
+            continue
         rigs += found
         refused += wrong
+    if errors and len(errors) == len(databases):
+        raise errors[0]
     rigs.sort(key=lambda rig: rig["severity"], reverse=True)
-    return {"rigs": rigs, "refused": refused}
+    return {"rigs": rigs, "refused": refused, "errors": [str(error) for error in errors]}
 
 
 def _rigs_of(database: Watched, now_ns: int) -> tuple[list[dict[str, Any]], int]:

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.cli.glance.files import Watched
 from agent.cli.terminal.output import json_ready
 from agent.cli.web.answers import Answers, tagged
-from agent.cli.web.guard import Guard, of_error, refusal
+from agent.cli.web.guard import Guard, refusal
 from agent.cli.web.openapi import openapi
 from agent.cli.web.secret import Secret
 from agent.cli.web.stream import Event, Hub, Position
 from agent.cli.web.writes import Writes
-from agent.errors import AgentError
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -137,10 +136,7 @@ async def _events(request: "Request", hub: Hub, names: list[str]) -> "Response":
     said = request.headers.get("last-event-id") or request.query_params.get("from") or ""
     position = Position.read(said[:1000], len(names)) if said else None
     following = hub.follow(position)
-    try:
-        first = await anext(following)
-    except AgentError as error:
-        return of_error(error)
+    first = await anext(following)
 
     async def lines() -> AsyncIterator[str]:
         hub.listeners += 1

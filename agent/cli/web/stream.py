@@ -144,10 +144,9 @@ class Hub:
     async def follow(self, said: Position | None) -> AsyncIterator[Event]:
         """Yield what is committed after a position, once and in order of each database and kind.
 
-        Without a position, or with one from too long ago, it begins now. Raises StoreError for a file that cannot be
-        read at the start.
+        Without a position, or with one from too long ago, it begins now.
         """
-        now = Position([await run_sync(newest, tail.path) for tail in self._tails])
+        now = Position([await _now(tail) for tail in self._tails])
         resumed = said is not None and _can_resume(said, now)
         position = said if said is not None and resumed else now
         generation = self._generation()
@@ -191,6 +190,14 @@ async def _read(tail: _Tail) -> bool:
     if look is not None:
         tail.take(look)
     return tail.head != before
+
+
+async def _now(tail: _Tail) -> Cursor:
+    """Return the cursor of whoever has read all that there is; of a file that cannot be read, all that was seen."""
+    try:
+        return await run_sync(newest, tail.path)
+    except StoreError:
+        return tail.head
 
 
 def _can_resume(said: Position, now: Position) -> bool:

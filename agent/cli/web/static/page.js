@@ -23,7 +23,8 @@ async function load() {
     if (!rigs.some((rig) => keyOf(rig) === chosen)) chosen = rigs.length ? keyOf(rigs[0]) : null;
     showRigs();
     await showRig();
-    if (byId("notice").dataset.failed) say("");
+    const unread = [...overview.errors, ...(overview.refused ? [`${overview.refused} rows are not shown, their checksums are wrong`] : [])];
+    if (unread.length || byId("notice").dataset.failed) say(unread.join("\n"));
   } catch (error) {
     if (error.status === 401) alarms.openDialog();
     else say(error.message);

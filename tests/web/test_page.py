@@ -18,6 +18,7 @@ from tests import peers
 from tests.web import files
 from tests.web.server import PASSWORD, Client, password_file, serving
 
+pytestmark = pytest.mark.realtime
 PATIENCE_S = 15.0
 
 

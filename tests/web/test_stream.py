@@ -16,6 +16,8 @@ from tests.storage.rows import HOP, batch, run_info, step
 from tests.web import files
 from tests.web.server import Client, serving
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:

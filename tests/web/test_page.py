@@ -97,12 +97,16 @@ def test_text_of_the_database_is_text(browser: webdriver.Chrome) -> None:
     assert browser.find_elements(By.CSS_SELECTOR, "#alarm-list img") == []
 
 
-def test_rigs_stand_worst_first_and_the_model_is_drawn(browser: webdriver.Chrome) -> None:
+def test_rigs_stand_worst_first_and_the_model_is_drawn(browser: webdriver.Chrome, folder: Path) -> None:
     assert [text.split()[0] for text in until(lambda: texts(browser, "#rig-list li"))] == ["press-7", "press-8"]
     picture = until(lambda: browser.find_elements(By.CSS_SELECTOR, "#model svg"))[0]
     assert "k1 alarm, k2 normal, B1 normal, B2 cannot tell" in str(picture.get_attribute("aria-label"))
     assert texts(browser, "#model text") == ["k1", "k2", "B1", "B2", "m1", "m2"]
-    assert until(lambda: texts(browser, "#chart-words"))[0].startswith("100 rows; newest ")
+    (words,) = until(lambda: texts(browser, "#chart-words"))
+    connection = sqlite3.connect(folder / "rig.db")
+    ((newest,),) = connection.execute("SELECT value FROM v_latest WHERE rig = 'press-7' AND parameter = 'k1'")
+    connection.close()
+    assert words.startswith(f"100 rows; newest {newest:.6g} N/m")
 
 
 def test_planted_alarm_appears_within_two_seconds(browser: webdriver.Chrome, folder: Path) -> None:

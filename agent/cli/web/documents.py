@@ -146,6 +146,7 @@ def _points(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
         "db": database.name,
         "n": len(found.t_ns),
         "span_s": sorted(set(found.span_s.tolist())),
+        "newest": _columns(found)[-1].tolist() if len(found.t_ns) else None,
         "points": thinned(_columns(found), most),
         "seconds": time.perf_counter() - started,
     }

@@ -112,7 +112,7 @@ export class Chart {
   }
 
   async forecast() {
-    const { db, rig, parameter, reference, limit, delta } = this.shown;
+    const { db, rig, parameter, reference, limit, delta, t_ns, value } = this.shown;
     if (!limit || reference === null || delta === null) return;
     const crossed = reference + Math.sign(delta || 1) * limit;
     const shown = this.shown;
@@ -120,17 +120,16 @@ export class Chart {
       const found = await ask(`trend?${query({ db, rig, parameter, limit: crossed })}`);
       const times = ["p10_at", "p50_at", "p90_at"].map((key) => Date.parse((found.forecast?.[key] ?? "").slice(0, 23) + "Z") / 1e3);
       if (this.shown.parameter !== shown.parameter || found.forecast?.status !== "ok" || !Number.isFinite(times[0])) return;
-      this.fan = { from: found.points.at(-1), limit: crossed, times };
+      this.fan = { from: [t_ns, value], limit: crossed, times };
       this.draw();
     } catch { /* no forecast is drawn where none can be made; the trend's own words are in the API */ }
   }
 
   say(found) {
     this.buttons.forEach((button, i) => button.setAttribute("aria-pressed", String(this.end === null && SPANS[i][1] === this.span)));
-    const newest = found.points.at(-1);
     const lowest = Math.min(...found.points.map((p) => p[3])), highest = Math.max(...found.points.map((p) => p[4]));
-    byId("chart-words").textContent = newest
-      ? `${found.n} rows; newest ${number(newest[1])} ${found.unit}, from ${number(lowest, 4)} to ${number(highest, 4)}`
+    byId("chart-words").textContent = found.newest
+      ? `${found.n} rows; newest ${number(found.newest[1])} ${found.unit}, from ${number(lowest, 4)} to ${number(highest, 4)}`
       : "no valid rows in that time";
   }
 

@@ -22,7 +22,7 @@ PICTURES = {"page.png": (1280, "light"), "page-phone.png": (360, "dark")}
 
 def wear(folder: Path) -> None:
     """Write two months in which k1 falls towards its limit."""
-    (folder / "rig.toml").write_text(files.CONFIG.replace("limit = 15.0", "limit = 10.5"), encoding="utf-8")
+    (folder / "rig.toml").write_text(files.CONFIG.replace("limit = 15.0", "limit = 14.0"), encoding="utf-8")
     newest = time.time_ns()
     start = newest - HOURS * HOUR_NS
     rng = np.random.default_rng(1)
@@ -63,7 +63,7 @@ def take(folder: Path, target: Path) -> None:
             driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
             time.sleep(1)
             picture = Image.open(io.BytesIO(driver.get_screenshot_as_png()))
-            picture.convert("RGB").quantize(64).save(target / name, optimize=True)
+            picture.convert("RGB").quantize(160).save(target / name, optimize=True)
 
 
 if __name__ == "__main__":

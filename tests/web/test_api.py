@@ -16,6 +16,7 @@ import pytest
 from agent.cli.app import app
 from agent.cli.web.documents import DOCUMENTS, thinned
 from agent.errors import StoreError, UsageError
+from agent.storage.read import queries
 from agent.storage.write.command_socket import CommandServer
 from agent.storage.write.store import Store
 from tests.storage.rows import run_info
@@ -137,6 +138,7 @@ def test_every_answer_confines_the_page(client: Client, path: str) -> None:
         ("/api/v1/alarms?rig=press-9", 400, "rigs are press-7, press-8"),
         ("/api/v1/alarms?db=other", 400, "databases are rig"),
         ("/api/v1/estimates?since=soon", 400, "is no time"),
+        ("/api/v1/points?rig=press-7&parameter=k9", 400, "parameters are k1"),
         ("/api/v1/points?rig=press-7", 400, "is needed"),
         ("/api/v1/points?rig=press-7&parameter=k1&points=0", 400, "not within 1"),
         ("/api/v1/model?rig=press-8", 400, "--config"),
@@ -258,6 +260,23 @@ def test_behind_a_proxy_wrong_passwords_are_counted_by_who_sent_them_and_reading
         assert (status, "; secure" in headers["set-cookie"].lower()) == (200, True)
         client.headers["Cookie"] = headers["set-cookie"].partition(";")[0]
         assert client.ask("GET", "/api/v1/rigs")[0] == 200
+
+
+def test_rows_that_are_too_many_for_one_answer_are_refused(folder: Path) -> None:
+    assert len(queries.estimates(folder / "rig.db", "press-8", most=100)) == 200
+    with pytest.raises(UsageError, match="more than 99 instants in that time; ask for less"):
+        queries.estimates(folder / "rig.db", "press-8", most=99)
+
+
+def test_points_are_the_valid_rows_of_sql(client: Client, folder: Path) -> None:
+    points = client.get("points?rig=press-7&parameter=B2&points=1000")
+    query = "SELECT t_ns, value, sd FROM v_estimates WHERE rig = 'press-7' AND parameter = 'B2' AND status = 'valid'"
+    connection = sqlite3.connect(folder / "rig.db")
+    said = connection.execute(f"{query} ORDER BY t_ns").fetchall()
+    connection.close()
+    assert len(said) == 99
+    assert [tuple(point[:3]) for point in points["points"]] == said
+    assert tuple(points["newest"]) == said[-1]
 
 
 def test_database_that_cannot_be_read_hides_no_other(folder: Path, tmp_path: Path) -> None:

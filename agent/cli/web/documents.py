@@ -140,7 +140,7 @@ def _points(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
         raise UsageError.at("points", f"{most} is not within 1 and {_MOST_POINTS}", "ask for fewer")
     times = asked.get("since"), asked.get("until")
     started = time.perf_counter()
-    found = queries.points(database.path, asked.get("rig"), parameter, *times, most=_MOST_POINTS)
+    found = queries.points(database.path, asked.get("rig"), parameter, *times)
     return {
         **{key: getattr(found, key) for key in ("rig", "parameter", "unit", "reference", "refused")},
         "db": database.name,

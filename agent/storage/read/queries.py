@@ -133,6 +133,17 @@ def estimates(
     return rows
 
 
+def _check_count(connection: sqlite3.Connection, stretches: Sequence[_Stretch], most: int | None) -> None:
+    """Raise UsageError where stretches have more instants than may be asked for; None: any number may."""
+    if most is None:
+        return
+    rows = "FROM hops h WHERE h.run_id = ? AND h.span IN (0, 60, 3600) AND h.t_ns BETWEEN ? AND ? LIMIT ?"
+    query = f"SELECT count(*) FROM (SELECT 1 {rows})"
+    asked = ((part, first, last, most + 1) for part, _, first, last in stretches)
+    if sum(connection.execute(query, cells).fetchone()[0] for cells in asked) > most:
+        raise UsageError.at("since", f"there are more than {most} instants in that time", "ask for less of it")
+
+
 def latest(db: Path | str, rig: str | None = None) -> Rows:
     """Return the newest row of each rig and parameter."""
     with reading(db) as connection:
@@ -216,12 +227,11 @@ def parameters(db: Path | str, rig: str | None = None) -> list[str]:
 
 
 def points(
-    db: Path | str, rig: str | None, parameter: str, since: str | None = None, until: str | None = None,
-    *, most: int = _MOST_POINTS,
-) -> Points:  # fmt: skip
+    db: Path | str, rig: str | None, parameter: str, since: str | None = None, until: str | None = None
+) -> Points:
     """Return the valid estimates of one parameter as arrays.
 
-    Stretches of more than `most` rows are read from the hourly or minutely rows, so that a year takes milliseconds.
+    Long stretches are read from the hourly or minutely rows, so that a year takes milliseconds.
 
     Raises:
         StoreError: the file; UsageError: an unknown rig or parameter, a rig needed because there are several, no time.
@@ -230,7 +240,7 @@ def points(
         name = _one_rig(connection, rig)
         _check_parameter(connection, name, parameter)
         stretches, first, last = _stretches(connection, name, since, until)
-        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series_of(connection, parameter), most)
+        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series_of(connection, parameter))
         unit, reference = _unit(connection, name, parameter)
         refused = connection.refused
     return Points(
@@ -240,12 +250,12 @@ def points(
 
 
 def _tiered(
-    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], most: int
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]]
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
     """Return t_ns, value, sd, sd_repeat, span_s from the finest tier that is not too long, then finer rows."""
     bounds = {span: _bounds(connection, stretches, span) for span in (0, 60, 3600)}
     oldest = min((b[0] for b in bounds.values() if b), default=0)
-    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= most]
+    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= _MOST_POINTS]
     start = fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
     tiers: list[Found] = []
     spans = sorted((s for s in bounds if s <= start), reverse=True)
@@ -256,15 +266,6 @@ def _tiered(
             stretches = [stretch.after(reached) for stretch in stretches]
     t_ns, value, sd, sd_repeat = (np.concatenate(column) for column in zip(*tiers, strict=True))
     return t_ns, value, sd, sd_repeat, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
-
-
-def _check_count(connection: sqlite3.Connection, stretches: Sequence[_Stretch], most: int | None) -> None:
-    """Raise UsageError where stretches have more instants than may be asked for."""
-    if most is None:
-        return
-    count = sum(bounds[1] for span in (0, 60, 3600) if (bounds := _bounds(connection, stretches, span)))
-    if count > most:
-        raise UsageError.at("since", f"there are more than {most} instants in that time", "ask for less of it")
 
 
 def _bounds(connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int) -> tuple[int, int] | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.cli.web.stream import Position
+from agent.cli.web.stream import Position, is_settled, stamp
 from agent.storage.read.recent import Cursor
 from agent.storage.write.store import Store
 from tests.storage.rows import HOP, batch, run_info, step
@@ -78,6 +78,16 @@ def test_position_that_cannot_be_resumed_begins_anew(client: Client) -> None:
             identifier, kind, _ = next(events)
         assert kind == "reset"
         assert Position.read(identifier, 1) is not None
+
+
+def test_stamp_is_settled_once_a_later_commit_must_change_it(path: Path) -> None:
+    os.utime(path)
+    assert not is_settled(stamp(path))
+    hour_ago = time.time() - 3600
+    for file in (path, path.with_name("rig.db-wal")):
+        if file.exists():
+            os.utime(file, (hour_ago, hour_ago))
+    assert is_settled(stamp(path))
 
 
 def test_position_is_read_as_it_is_written() -> None:

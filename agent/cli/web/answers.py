@@ -12,7 +12,7 @@ from anyio.to_thread import run_sync
 from agent.cli.glance.files import Watched
 from agent.cli.web.documents import DOCUMENTS, made
 from agent.cli.web.guard import of_error, refusal
-from agent.cli.web.stream import stamp
+from agent.cli.web.stream import is_settled, stamp
 from agent.clock import monotonic_ns
 from agent.errors import AgentError
 
@@ -80,8 +80,10 @@ class Answers:
 
     def _state(self, name: str) -> Any:
         """Return what changes when an answer does: the files, and for some the second."""
-        second = monotonic_ns() // 1_000_000_000 if DOCUMENTS[name].by_clock else 0
-        return (second, *(stamp(database.path) for database in self.watched))
+        stamps = [stamp(database.path) for database in self.watched]
+        if not all(map(is_settled, stamps)):
+            return monotonic_ns()  # another one each time
+        return monotonic_ns() // 1_000_000_000 if DOCUMENTS[name].by_clock else 0, *stamps
 
     def _made(self, key: Key) -> bytes:
         name, asked = key

@@ -10,6 +10,7 @@ from typing import Self
 
 from anyio.to_thread import run_sync
 
+from agent.clock import wall_ns
 from agent.errors import StoreError
 from agent.storage.database.files import beside
 from agent.storage.read.recent import Change, Cursor, changes, newest
@@ -20,6 +21,7 @@ _RECENT = 2000  # changes kept for those who follow
 _POLL_S = 0.2
 _ALIVE_S = 15.0
 _PAGE = 200
+_COARSE_NS = 100_000_000
 
 Stamp = tuple[int, ...]
 
@@ -58,6 +60,11 @@ def stamp(path: Path) -> Stamp:
     return (*_stat(path), *_stat(beside(path, "-wal")))
 
 
+def is_settled(seen: Stamp) -> bool:
+    """Tell whether any later commit changes a stamp: the log may keep its size, and the clock of files is coarse."""
+    return wall_ns() - max(seen[2], seen[5]) > _COARSE_NS
+
+
 def _stat(path: Path) -> Stamp:
     try:
         seen = os.stat(path)  # noqa: PTH116 - asked five times a second
@@ -68,8 +75,9 @@ def _stat(path: Path) -> Stamp:
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """What was found in a file: its stamp before, the changes, the cursor after them, whether the file is another."""
+    """What was found: the file, its stamp if settled, changes, the cursor after them, whether the file is another."""
 
+    file: int
     stamp: Stamp
     page: Sequence[Change]
     head: Cursor
@@ -93,15 +101,16 @@ class _Tail:
         now = stamp(self.path)
         if now == self.seen:
             return None
+        known = now if is_settled(now) else ()
         if now[0] != self.file:  # another file in its place, as after a repair
-            return _Look(now, [], newest(self.path), anew=True)
-        return _Look(now, *changes(self.path, self.head, _PAGE))
+            return _Look(now[0], known, [], newest(self.path), anew=True)
+        return _Look(now[0], known, *changes(self.path, self.head, _PAGE))
 
     def take(self, look: "_Look") -> None:
         """Take in what was read; in the thread of those who listen, so that none of them sees a part of it."""
         if look.anew:
             self.generation += bool(self.file)
-            self.file = look.stamp[0]
+            self.file = look.file
             self.start = self.head = look.head
             self.kept.clear()
             return

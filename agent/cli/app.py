@@ -356,6 +356,56 @@ def fleet(
 
 
 @app.command()
+def watch(
+    target: Annotated[
+        Path | None, typer.Argument(metavar="[CONFIG|DB]", help="The only *.db here without.", show_default=False)
+    ] = None,
+    once: Annotated[bool, typer.Option("--once", help="One frame, for scripts and pipes.")] = False,
+) -> None:
+    """Show at a glance, in the terminal: values against their limits, states, alarms, sources; q quits."""
+    from agent.cli.glance import watch as commands_watch
+
+    commands_watch.watch(target, once=once)
+
+
+@app.command()
+def serve(  # noqa: PLR0913, PLR0917 the signature is the command line
+    db: Annotated[
+        list[Path] | None, typer.Option("--db", metavar="DB", help="Database to show; may be repeated.")
+    ] = None,
+    config: Annotated[
+        list[Path] | None, typer.Option("--config", metavar="CONFIG", help="Shows its database, limits and model.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for a free one.")] = 8765,
+    password_file: Annotated[
+        Path | None, typer.Option("--password-file", metavar="FILE", help="Hash of the password for acknowledging.")
+    ] = None,
+    token_file: Annotated[
+        Path | None, typer.Option("--token-file", metavar="FILE", help="A token instead of a password.")
+    ] = None,
+    private: Annotated[bool, typer.Option("--private", help="Reading needs the password too.")] = False,
+    hostname: Annotated[
+        list[str] | None, typer.Option("--hostname", metavar="NAME", help="A name that the server goes by.")
+    ] = None,
+    proxy: Annotated[
+        str | None, typer.Option("--proxy", metavar="ADDRESS", help="The reverse proxy whose headers are believed.")
+    ] = None,
+    new_password: Annotated[
+        Path | None, typer.Option("--new-password", metavar="FILE", help="Ask for a password, write its hash, stop.")
+    ] = None,
+) -> None:
+    """Show the page and answer the HTTP API; a process of its own that only reads the databases."""
+    from agent.cli.web import serve as commands_serve
+
+    if new_password is not None:
+        commands_serve.new_password(new_password)
+        return
+    options = commands_serve.Options(host, port, password_file, token_file, private, hostname or (), proxy)
+    commands_serve.serve(db or [], config or [], options)
+
+
+@app.command()
 def export(
     db: Database,
     what: Annotated[

@@ -55,6 +55,13 @@ def trend(
     _print(document, form)
 
 
+def document(
+    db: Path, parameter: str, rig: str | None, times: tuple[str | None, str | None], limit: float | None
+) -> dict[str, Any]:
+    """Return the document of one history of a database, as --json prints it. Raises StoreError, UsageError."""
+    return _asked(db, parameter, rig, times, limit, Ahead())
+
+
 def _limit_of(limit: float | None, reference: float | None) -> float | None:
     """Return the limit as a value of the parameter. Raises UsageError where it is no number."""
     if limit is not None and not math.isfinite(limit):

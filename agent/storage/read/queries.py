@@ -96,6 +96,8 @@ def estimates(
     parameter: str | None = None,
     since: str | None = None,
     until: str | None = None,
+    *,
+    most: int | None = None,
 ) -> Rows:
     """Return rows of v_estimates by time (as the wall clock is set now, whatever was stamped), then rig and parameter.
 
@@ -105,15 +107,17 @@ def estimates(
         parameter: None for all.
         since: first time, as typed (see `times.parse_time`); an age counts back from each rig's newest row.
         until: last time, inclusive.
+        most: instants of a rig that may be asked for; None for any number.
 
     Raises:
-        StoreError: the file; UsageError: an unknown rig or parameter, or no time.
+        StoreError: the file; UsageError: an unknown rig or parameter, no time, or more instants than may be.
     """
     with reading(db) as connection:
         found: list[tuple[int, dict[str, Any]]] = []
         for name in _chosen_rigs(connection, rig):
             condition, values = _where(rig=name, parameter=parameter)
             stretches = _stretches(connection, name, since, until)[0]
+            _check_count(connection, stretches, most)
             first_hop = oldest_hop(connection, stretches)
             own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
             for stretch in stretches:
@@ -127,6 +131,17 @@ def estimates(
         rows = Rows(row for _, row in found)
         rows.refused = connection.refused
     return rows
+
+
+def _check_count(connection: sqlite3.Connection, stretches: Sequence[_Stretch], most: int | None) -> None:
+    """Raise UsageError where stretches have more instants than may be asked for; None: any number may."""
+    if most is None:
+        return
+    rows = "FROM hops h WHERE h.run_id = ? AND h.span IN (0, 60, 3600) AND h.t_ns BETWEEN ? AND ? LIMIT ?"
+    query = f"SELECT count(*) FROM (SELECT 1 {rows})"
+    asked = ((part, first, last, most + 1) for part, _, first, last in stretches)
+    if sum(connection.execute(query, cells).fetchone()[0] for cells in asked) > most:
+        raise UsageError.at("since", f"there are more than {most} instants in that time", "ask for less of it")
 
 
 def latest(db: Path | str, rig: str | None = None) -> Rows:

@@ -1,0 +1,109 @@
+"""The password or token that opens a session: kept in a file, a password as its scrypt hash (RFC 7914)."""
+
+import base64
+import hashlib
+import hmac
+import os
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from agent.errors import UsageError
+
+_COST = (16384, 8, 1)  # n, r, p: 16 MB and some 50 ms a try
+_SHORTEST = 8
+_MOST_BYTES_OF_SECRET = 1024
+_SHORTEST_TOKEN = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Secret:
+    """What somebody must know who is to acknowledge; exactly one of the two.
+
+    Attributes:
+        password: salt and hash, both bytes; token: as it is.
+    """
+
+    password: tuple[bytes, bytes] | None = None
+    token: bytes | None = None
+
+    def is_known_by(self, text: str) -> bool:
+        """Tell whether a text is the password or the token; takes as long for a wrong one as for the right one."""
+        said = text.encode("utf-8", "replace")[:_MOST_BYTES_OF_SECRET]
+        if self.password is not None:
+            salt, known = self.password
+            return hmac.compare_digest(_hash(said, salt), known)
+        return self.token is not None and hmac.compare_digest(said, self.token)
+
+    @classmethod
+    def of_password(cls, text: str) -> Self:
+        """Return the secret of a new password. Raises UsageError for one that is too short or too long."""
+        said = text.encode()
+        if not _SHORTEST <= len(said) <= _MOST_BYTES_OF_SECRET:
+            raise UsageError.at("password", f"has {len(said)} bytes", f"take {_SHORTEST} to {_MOST_BYTES_OF_SECRET}")
+        salt = os.urandom(16)
+        return cls(password=(salt, _hash(said, salt)))
+
+    def line(self) -> str:
+        """Return a password's hash as a file holds it."""
+        parts = [base64.b64encode(part).decode() for part in self.password or ()]
+        return ":".join(["scrypt", *map(str, _COST), *parts])
+
+
+def from_files(password: Path | None, token: Path | None) -> Secret | None:
+    """Return the secret that a file holds; None without one. Raises UsageError for a file that cannot be used."""
+    if password is not None and token is not None:
+        raise UsageError.at("--token-file", "cannot go with --password-file", "give one of them")
+    if password is not None:
+        return _password(password)
+    return None if token is None else _token(token)
+
+
+def write_password(path: Path, text: str) -> None:
+    """Write a password's hash to a file that only its owner can read. Raises UsageError where that cannot be."""
+    line = Secret.of_password(text).line()
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
+        with os.fdopen(handle, "w", encoding="ascii") as file:
+            os.fchmod(file.fileno(), 0o600)
+            file.write(f"{line}\n")
+    except OSError as error:
+        raise UsageError.at(str(path), f"cannot be written ({error})", "name a file that can be written") from error
+
+
+def _hash(text: bytes, salt: bytes) -> bytes:
+    n, r, p = _COST
+    return hashlib.scrypt(text, salt=salt, n=n, r=r, p=p, maxmem=64 * 1024 * 1024)
+
+
+def _content(path: Path) -> str:
+    try:
+        with path.open(encoding="utf-8") as file:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            content = file.read(4096).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError.at(str(path), f"cannot be read ({error})", "name a file with a password or a token") from error
+    if mode & 0o077:
+        raise UsageError.at(str(path), f"may be used by others (mode {mode:04o})", f"chmod 600 {path}")
+    return content
+
+
+def _password(path: Path) -> Secret:
+    parts = _content(path).split(":")
+    advice = f"make it with `deltak serve --new-password {path}`"
+    if parts[:4] != ["scrypt", *map(str, _COST)] or len(parts) != 6:
+        raise UsageError.at(str(path), "holds no hash of a password", advice)
+    try:
+        salt, known = (base64.b64decode(part, validate=True) for part in parts[4:])
+    except ValueError as error:
+        raise UsageError.at(str(path), f"holds no hash of a password ({error})", advice) from error
+    return Secret(password=(salt, known))
+
+
+def _token(path: Path) -> Secret:
+    content = _content(path)
+    if len(content) < _SHORTEST_TOKEN:
+        what = f"holds a token of {len(content)} characters"
+        raise UsageError.at(str(path), what, f"take at least {_SHORTEST_TOKEN}, such as `openssl rand -hex 32`")
+    return Secret(token=content.encode())

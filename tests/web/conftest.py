@@ -1,0 +1,3 @@
+from tests.storage.conftest import memory
+
+__all__ = ["memory"]

@@ -192,7 +192,9 @@ def backup(path: Path | str, target: Path | str) -> int:
     return target.stat().st_size
 
 
-_EXPORTED = ("estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records", "verdicts")
+_EXPORTED = (
+    "estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records", "verdicts", "forecast",
+)  # fmt: skip
 
 
 def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[str], Iterator[Sequence[Any]]]:

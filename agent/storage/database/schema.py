@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, cast
 from agent import __version__
 from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
+from agent.storage.database.views_of_forecasts import FORECASTS
 from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -69,11 +70,15 @@ TABLES: dict[str, str] = {
     "hypotheses": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, hypothesis TEXT NOT NULL, size REAL, sd REAL, "
     "unit TEXT NOT NULL, probability REAL",
     "clocks": "run_id INTEGER NOT NULL, part_of INTEGER NOT NULL, offset_ns INTEGER, from_ns INTEGER NOT NULL",
+    "forecasts": "run_id INTEGER NOT NULL, parameter TEXT NOT NULL, made_ns INTEGER NOT NULL, level REAL, "
+    "limit_value REAL, status TEXT NOT NULL, p10_ns INTEGER, p50_ns INTEGER, p90_ns INTEGER, chance REAL, "
+    "horizon_s REAL, family TEXT NOT NULL, draws TEXT NOT NULL, cause TEXT NOT NULL, scored_ns INTEGER, "
+    "crossed_ns INTEGER, crps REAL, held INTEGER",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
-_SINCE = {"event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6}
+_SINCE = {"event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7}
 """The version that brought a table, of those that version 1 did not have."""
 
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
@@ -175,6 +180,13 @@ def _repeat_and_verdicts(db: "Database") -> None:
     _mark(db.conn, 6)
 
 
+def _forecasts(db: "Database") -> None:
+    """Version 7: forecasts that the agent made, and what became of them."""
+    _create(db.conn, "forecasts")
+    db.conn.execute(FORECASTS)
+    _mark(db.conn, 7)
+
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
@@ -182,6 +194,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0004_calibrations": _calibrations,
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
+    "0007_forecasts": _forecasts,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

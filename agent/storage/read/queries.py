@@ -182,6 +182,16 @@ def verdicts(db: Path | str, rig: str | None = None) -> Rows:
         return _rows(connection, "v_verdicts", f"{condition} ORDER BY t_ns, run_id", values)
 
 
+def forecasts(db: Path | str, rig: str | None = None, parameter: str | None = None, *, waiting: bool = False) -> Rows:
+    """Return rows of v_forecast, oldest first; waiting: only those that are not scored yet."""
+    with reading(db) as connection:
+        _chosen_rigs(connection, rig)
+        condition, values = _where(rig=rig, parameter=parameter)
+        if waiting:
+            condition += " AND scored_at IS NULL"
+        return _rows(connection, "v_forecast", f"{condition} ORDER BY id", values)
+
+
 def event_records(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_event_records, oldest first."""
     with reading(db) as connection:

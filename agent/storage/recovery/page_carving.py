@@ -17,7 +17,7 @@ _LEAF = 0x0D
 _WAL_HEADER, _FRAME_HEADER = 32, 24
 _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health", "events",
-    "event_records", "learnt", "hypotheses",
+    "event_records", "learnt", "hypotheses", "forecasts",
 )  # fmt: skip
 _CARVED_AT_ONCE = 10_000
 _Key = tuple[int, bool]

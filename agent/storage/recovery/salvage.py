@@ -276,6 +276,7 @@ def _drop_orphans(target: sqlite3.Connection) -> None:
         "DELETE FROM event_records WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM learnt WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM hypotheses WHERE run_id NOT IN (SELECT seq FROM runs)",
+        "DELETE FROM forecasts WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM clocks WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM alarm_events WHERE alarm_id NOT IN (SELECT seq FROM alarms)",
     ):

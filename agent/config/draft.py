@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from agent.config.forecast import Forecast
 from agent.config.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
@@ -39,6 +40,7 @@ class Draft:
     sources: list[Entry[Source]] = field(default_factory=list)
     store: Store = field(default_factory=Store)
     columns: Columns = field(default_factory=Columns)
+    forecast: Forecast = field(default_factory=Forecast)
 
     @property
     def rate_hz(self) -> float | None:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from agent.config.draft import Draft
 from agent.config.fields import shown
+from agent.config.forecast import Forecast, check_forecast
 from agent.config.messages import join, listing, nearest
 from agent.config.parse import Faults, read_list, read_table
 from agent.config.rules_channels import check_channels
@@ -30,11 +31,11 @@ from agent.config.tables import (
 from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, Fault
 
-TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns")
+TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast")
 RESERVED: Final = ("agent", "http", "mqtt", "metrics", "notify", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
-    ("alarm", "kind"): ("rate", "forecast", "sensor", "source", "mismatch"),
+    ("alarm", "kind"): ("sensor", "source", "mismatch"),
 }
 _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
     "mass-spring-damper": MechanicsModel,
@@ -59,7 +60,7 @@ def parse(data: bytes, file: Path, *, identified: bool = False) -> RigConfig:
     raw = parse_toml(data, file)
     draft = Draft(file.parent, identified)
     _read(raw, draft)
-    for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources):
+    for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast):
         check(draft)
     if draft.faults.found:
         raise ConfigError(_ordered(draft.faults.found))
@@ -124,6 +125,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.sources = read_sources(raw.get("source", []), faults)
     draft.store = read_table(Store, raw.get("store", {}), "store", faults)
     _read_columns(raw.get("columns", {}), draft)
+    draft.forecast = read_table(Forecast, raw.get("forecast", {}), "forecast", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -203,6 +205,7 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         source=tuple(entry.table for entry in draft.sources),
         store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),
         columns=draft.columns,
+        forecast=draft.forecast.beside(draft.folder),
         file=file,
         sha256=sha256,
     )

@@ -179,16 +179,39 @@ def most_samples(outputs: int, unknowns: int) -> int:
 
 def check_alarms(draft: Draft) -> None:
     """Note the faults of alarms."""
-    kinds = Counter[tuple[str, str]]()
+    known = set[tuple[str, str]]()
     for path, alarm in draft.alarms:
+        _check_kind(path, alarm, draft)
         _check_limit(path, alarm, draft)
+        _check_within(path, alarm, draft)
         if not readable(alarm.parameter, alarm.kind):
             continue
         _check_parameter(path, alarm, draft)
-        kinds[alarm.parameter, alarm.kind] += 1
-        if kinds[alarm.parameter, alarm.kind] > 1:
-            what = f"{shown(alarm.parameter)} has a {alarm.kind} alarm already"
-            draft.faults.add(f"{path}.parameter", what, "one a parameter and kind")
+        for kind in alarm.kinds or ("level",):
+            if (alarm.parameter, kind) in known:
+                what = f"{shown(alarm.parameter)} has a {kind} alarm already"
+                draft.faults.add(f"{path}.parameter", what, "one a parameter and kind")
+            known.add((alarm.parameter, kind))
+
+
+_NEEDED = {"forecast": "within", "rate": "rate_per_day"}
+
+
+def _check_kind(path: str, alarm: Alarm, draft: Draft) -> None:
+    """Note a kind without what it is raised by."""
+    key = _NEEDED.get(alarm.kind)
+    if key is not None and key not in alarm.model_fields_set:
+        example = {"within": '"30d"', "rate_per_day": "0.5"}[key]
+        draft.faults.add(f"{path}.{key}", f'is missing: kind = "{alarm.kind}" needs it', f"write {key} = {example}")
+
+
+def _check_within(path: str, alarm: Alarm, draft: Draft) -> None:
+    """Note a time within which nothing can be forecast."""
+    given = [key for key in ("limit", "limit_percent") if key in alarm.model_fields_set]
+    if alarm.within is not None and math.isinf(alarm.within):
+        draft.faults.add(f"{path}.within", '"forever" is no time', 'write "30d"')
+    if alarm.within is not None and not given:
+        draft.faults.add(f"{path}.within", "goes with a limit that is to be reached", "give limit or limit_percent")
 
 
 def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
@@ -205,6 +228,9 @@ def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
 
 def _check_limit(path: str, alarm: Alarm, draft: Draft) -> None:
     given = [key for key in ("limit", "limit_percent") if key in alarm.model_fields_set]
+    drift_only = not given and "rate_per_day" in alarm.model_fields_set
+    if drift_only or "within" in alarm.model_fields_set and not given:
+        return
     if len(given) != 1:
         what = "has both limit and limit_percent" if given else "has no limit"
         draft.faults.add(path, what, "give exactly one of limit and limit_percent")

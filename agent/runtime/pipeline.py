@@ -59,7 +59,7 @@ class Pipeline:
         # first, since it says in words what the others would stumble over
         self.stages = make_stages(config, self._steps)
         self.acquisition: Acquisition = make_acquisition(config, sources, self._steps[len(config.inputs) :])
-        self.alarms = LevelAlarms(config.rig.name, config.alarm, config.rig.sample_rate_hz)
+        self.alarms = LevelAlarms(config.rig.name, config.limits, config.rig.sample_rate_hz)
         self.sensor_alarms = SensorAlarms(config.rig.name)
         self.clocks = SourceClocks()
         self.ledger = Ledger(config.rig.name, self.acquisition, self.through, self.clocks)

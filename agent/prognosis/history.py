@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
+DAY_NS = 86_400_000_000_000
 NEIGHBOURS = 5
 """Rows on each side that a row is compared with."""
 OUTLIER = 5.0
@@ -40,6 +41,20 @@ class History:
 
     def __getitem__(self, rows: "slice | NDArray[np.intp]") -> "History":
         return History(self.t[rows], self.value[rows], self.sd[rows])
+
+
+def disjoint(t_ns: IntArray, span_s: FloatArray) -> NDArray[np.intp]:
+    """Return the rows, newest kept, whose spans (t − span, t] share nothing; t_ns (n,) in the order of time."""
+    starts = t_ns - np.round(span_s * 1e9).astype(np.int64)
+    if len(t_ns) < 2 or bool((t_ns[:-1] <= starts[1:]).all()):
+        return np.arange(len(t_ns))
+    before = (np.searchsorted(t_ns, starts, side="right") - 1).tolist()
+    chain = []
+    row = len(t_ns) - 1
+    while row >= 0:
+        chain.append(row)
+        row = min(before[row], row - 1)  # a row without a span still precedes itself
+    return np.array(chain[::-1], dtype=np.intp)
 
 
 def sound(history: History) -> History:

@@ -4,7 +4,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.prognosis.histories import (
+from agent.cli.prognosis.words import ahead
+from agent.cli.terminal.output import print_table, show
+from agent.errors import UsageError
+from agent.prognosis.change import Change, change
+from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.histories import (
     forecast_document,
     history_of,
     horizon_days,
@@ -12,11 +17,6 @@ from agent.cli.prognosis.histories import (
     window_s,
     write_prior,
 )
-from agent.cli.prognosis.words import ahead
-from agent.cli.terminal.output import print_table, show
-from agent.errors import UsageError
-from agent.prognosis.change import Change, change
-from agent.prognosis.steps import find_steps, without
 from agent.storage.read import queries
 from agent.text import number, short_time
 

@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from agent.cli.prognosis.histories import forecast_document, history_of, horizon_days, like_machines, window_s
 from agent.cli.prognosis.picture import draw
 from agent.cli.prognosis.words import drift, finding, forecast_words, unit_of, verdict
 from agent.cli.terminal.output import print_csv, print_json, print_table, show
 from agent.errors import UsageError
-from agent.numerics.trend import DAY_NS, Trend, fit_trend
 from agent.prognosis.change import Change, change
+from agent.prognosis.history import DAY_NS, disjoint
 from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.histories import forecast_document, history_of, horizon_days, like_machines, window_s
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
 from agent.text import iso_time, number, short_time, with_sd
-from agent.types import FloatArray
 
 Document = Mapping[str, Any]
 _BARS = "▁▂▃▄▅▆▇█"
@@ -87,11 +86,9 @@ def _print(document: dict[str, Any], form: str) -> None:
 
 
 def _document(points: queries.Points, window: float, limit: float | None, ahead: Ahead) -> dict[str, Any]:
-    found = fit_trend(points.t_ns, points.value, _stated(points), np.maximum(points.span_s, window))
     history = history_of(points, window)
     steps = find_steps(history)
     asked = change(without(history, steps))
-    found = _changed(found, asked, points)
     instants = points.t_ns.tolist()
     oldest, newest = (instants[0], instants[-1]) if instants else (0, 0)
     like = like_machines(ahead.like, points.parameter, limit)
@@ -100,13 +97,12 @@ def _document(points: queries.Points, window: float, limit: float | None, ahead:
         "parameter": points.parameter,
         "unit": points.unit,
         "n": len(instants),
-        "n_disjoint": found.n_disjoint,
+        "n_disjoint": len(disjoint(points.t_ns, np.maximum(points.span_s, window))),
         "refused": points.refused,
         "since": iso_time(oldest) if instants else None,
         "until": iso_time(newest) if instants else None,
         "span_s": (newest - oldest) / 1e9,
-        **{key: getattr(found, key) for key in Trend.__dataclass_fields__ if key != "n_disjoint"},
-        **_shape(asked),
+        **(_alone(points) if asked is None else _shape(asked, points)),
         "changes": [_step(step.t, step.size, step.sd, newest) for step in steps],
         "limit": limit,
         "forecast": forecast_document(history, newest, limit, horizon_days(ahead.horizon), like),
@@ -115,34 +111,29 @@ def _document(points: queries.Points, window: float, limit: float | None, ahead:
     return document | {"words": verdict(document)}
 
 
-def _stated(points: queries.Points) -> FloatArray:
-    """Return the rows' own sd, and for those without one what their scatter allows; never zero."""
-    known = points.sd_repeat[points.sd_repeat > 0.0]
-    spread = float(np.std(points.value)) if len(points.value) else 0.0
-    least = float(np.median(known)) if len(known) else spread
-    return np.where(points.sd_repeat > 0.0, points.sd_repeat, least or 1e-9)
+def _alone(points: queries.Points) -> dict[str, Any]:
+    """Return what rows too few for a line say: the newest of them, and no slope."""
+    newest = {"value": float(points.value[-1]), "sd": float(points.sd[-1])} if len(points.value) else {}
+    return {**dict.fromkeys(_FIGURES), **newest, "trend": False}
 
 
-def _changed(line: Trend, asked: Change | None, points: queries.Points) -> Trend:
-    """Return the trend with what the test apart from its shape says, where there are rows enough for it.
+_FIGURES = (
+    "value", "sd", "slope_per_day", "slope_sd", "slope_lower", "slope_upper", "trend", "newest_slope_per_day",
+    "newest_slope_sd", "curvature_per_day2", "curvature_sd",
+)  # fmt: skip
+
+
+def _shape(asked: Change, points: queries.Points) -> dict[str, Any]:
+    """Return level, slope and curvature.
 
     What the constants leave open is the same in every point: of the level, not of the slope.
     """
-    if asked is not None:
-        line = replace(
-            line, value=asked.level, sd=asked.level_sd, slope_per_day=asked.slope, slope_sd=asked.slope_sd,
-            slope_lower=asked.slope_lower, slope_upper=asked.slope_upper, trend=asked.trend,
-        )  # fmt: skip
-    return line if line.sd is None else replace(line, sd=math.hypot(line.sd, _common(points)))
-
-
-def _shape(asked: Change | None) -> dict[str, float | None]:
-    return {
-        "newest_slope_per_day": None if asked is None else asked.newest,
-        "newest_slope_sd": None if asked is None else asked.newest_sd,
-        "curvature_per_day2": None if asked is None else asked.curvature,
-        "curvature_sd": None if asked is None else asked.curvature_sd,
-    }
+    curved = math.isfinite(asked.curvature_sd)
+    curvature = (asked.curvature, asked.curvature_sd) if curved else (None, None)
+    slopes = (asked.slope, asked.slope_sd, asked.slope_lower, asked.slope_upper)
+    sd = math.hypot(asked.level_sd, _common(points))
+    figures = (asked.level, sd, *slopes, asked.trend, asked.newest, asked.newest_sd, *curvature)
+    return dict(zip(_FIGURES, figures, strict=True))
 
 
 def _step(t: float, size: float, sd: float, newest_ns: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Histories for the commands: of a parameter in a database or of a table, and what is said of them as a document."""
+"""Histories of a parameter in a database or of a table, what like machines teach, and a forecast as a document."""
 
 import json
 import math
@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from agent.errors import UsageError
-from agent.numerics.trend import DAY_NS, disjoint
 from agent.prognosis.forecast import Forecast, forecast, learn_from
-from agent.prognosis.history import History, blocks, sound
+from agent.prognosis.history import DAY_NS, History, blocks, disjoint, sound
 from agent.prognosis.learnt import Learnt
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
@@ -51,8 +50,12 @@ def horizon_days(text: str | None) -> float | None:
     return found / DAY_NS
 
 
-def like_machines(paths: Sequence[Path], parameter: str | None, limit: float | None) -> Learnt | None:
+def like_machines(
+    paths: Sequence[Path], parameter: str | None, limit: float | None, key: str = "--like"
+) -> Learnt | None:
     """Return what like machines teach: a prior file alone, or tables and databases with that parameter.
+
+    key: what named them, for the words of errors.
 
     Raises UsageError where they teach nothing, StoreError for a database.
     """
@@ -64,7 +67,7 @@ def like_machines(paths: Sequence[Path], parameter: str | None, limit: float | N
     try:
         return learn_from(histories, limit)
     except ValueError as error:
-        raise UsageError.at("--like", str(error), "name files with longer histories") from error
+        raise UsageError.at(key, str(error), "name files with longer histories") from error
 
 
 def _histories(path: Path, parameter: str | None) -> list[History]:

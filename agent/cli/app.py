@@ -302,7 +302,7 @@ def export(
     db: Database,
     what: Annotated[
         str,
-        typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health, runs, event_records, verdicts, forecast."),
+        typer.Argument(metavar="WHAT", help="estimates, alarms, alarm_events, health, runs, forecast ..."),
     ] = "estimates",
     rig: Rig = None,
     to: Annotated[

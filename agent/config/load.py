@@ -41,6 +41,9 @@ _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
     "mass-spring-damper": MechanicsModel,
     "linear": LinearModel,
 }
+_RULES: Final = (
+    check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast,
+)  # fmt: skip
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
 
 
@@ -60,7 +63,7 @@ def parse(data: bytes, file: Path, *, identified: bool = False) -> RigConfig:
     raw = parse_toml(data, file)
     draft = Draft(file.parent, identified)
     _read(raw, draft)
-    for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast):
+    for check in _RULES:
         check(draft)
     if draft.faults.found:
         raise ConfigError(_ordered(draft.faults.found))

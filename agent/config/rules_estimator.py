@@ -228,8 +228,8 @@ def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
 
 def _check_limit(path: str, alarm: Alarm, draft: Draft) -> None:
     given = [key for key in ("limit", "limit_percent") if key in alarm.model_fields_set]
-    drift_only = not given and "rate_per_day" in alarm.model_fields_set
-    if drift_only or "within" in alarm.model_fields_set and not given:
+    says_otherwise = not alarm.model_fields_set.isdisjoint({"rate_per_day", "within"})
+    if says_otherwise and not given:
         return
     if len(given) != 1:
         what = "has both limit and limit_percent" if given else "has no limit"

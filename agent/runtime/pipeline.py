@@ -16,6 +16,8 @@ from agent.blocks.acquisition.interface import Acquired, Acquisition, Label, Thr
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
 from agent.blocks.level_alarms import LevelAlarms
+from agent.blocks.outlook import Outlook
+from agent.blocks.prognosis_alarms import PrognosisAlarms
 from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.sensor_labels import Labelled
 from agent.config import RigConfig, learnt_key
@@ -60,6 +62,7 @@ class Pipeline:
         self.stages = make_stages(config, self._steps)
         self.acquisition: Acquisition = make_acquisition(config, sources, self._steps[len(config.inputs) :])
         self.alarms = LevelAlarms(config.rig.name, config.limits, config.rig.sample_rate_hz)
+        self.prognosis_alarms = PrognosisAlarms(config.rig.name, config.alarm)
         self.sensor_alarms = SensorAlarms(config.rig.name)
         self.clocks = SourceClocks()
         self.ledger = Ledger(config.rig.name, self.acquisition, self.through, self.clocks)
@@ -103,6 +106,10 @@ class Pipeline:
             else:
                 records += self._estimated(quality.step(index, t_ns, v, anew=anew))
         return records + events
+
+    def foreseen(self, outlooks: Sequence[Outlook]) -> list[Record]:
+        """Return the alarms that outlooks on parameters lead to; they are made beside the samples, not of them."""
+        return [change for outlook in outlooks for change in self.prognosis_alarms.step(outlook)]
 
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""

@@ -10,6 +10,8 @@ from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
 from agent.runtime.containment import IsolatedPipeline
+from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
+from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.ledger import Conservation
 from agent.runtime.pending import COMPUTING, Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
@@ -40,6 +42,8 @@ class RigRuntime:
         self._sampled_ns = 0
         self._publish = publish
         self.events: EventKeeper | None = None
+        self.forecasts: ForecastThread | None = None
+        self._due = Schedule(config.forecast.every)
         self._lost: dict[str, bool] = {}
         self._begun_ns = 0
         self._taken: list[tuple[str, Arrival]] = []
@@ -51,6 +55,7 @@ class RigRuntime:
         self.pipeline.adopt(learnt)
         levels = {row.parameter: {"state": row.state} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
+        self.pipeline.prognosis_alarms.restore(standing)
         self.pipeline.sensor_alarms.restore(
             [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
         )
@@ -121,6 +126,16 @@ class RigRuntime:
         """End the event record whose time has come, even where no samples come."""
         if self.events is not None:
             self.events.poll()
+        if self.forecasts is not None:
+            self._foresee(self.forecasts)
+
+    def _foresee(self, forecasts: ForecastThread) -> None:
+        """Ask for the forecasts that are due, and publish those that were made."""
+        if self._due.due(monotonic_ns()):
+            for parameter in dict.fromkeys(alarm.parameter for alarm in self.config.alarm):
+                forecasts.ask(self.config.rig.name, parameter, DUE)
+        for made in forecasts.fetch(self.config.rig.name):
+            self._emit([*made.records, *self.pipeline.foreseen(made.outlooks)])
 
     def _assess(self, source: str, arrival: Arrival, now_ns: int) -> None:
         """Tell what was counted about a source, once an episode."""
@@ -207,3 +222,6 @@ class RigRuntime:
             self._publish(records)
         if self.events is not None:
             self.events.see(records)
+        if self.forecasts is not None:
+            for _, parameter in self._due.alarmed(records, monotonic_ns()):
+                self.forecasts.ask(self.config.rig.name, parameter, ALARM)

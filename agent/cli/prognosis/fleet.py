@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.prognosis.words import ahead
 from agent.cli.terminal.output import print_table, show
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
@@ -18,7 +17,7 @@ from agent.runtime.forecasts.histories import (
     write_prior,
 )
 from agent.storage.read import queries
-from agent.text import number, short_time
+from agent.text import ahead, number, short_time
 
 Document = Mapping[str, Any]
 _YEAR = 365.25

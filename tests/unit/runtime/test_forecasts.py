@@ -1,0 +1,205 @@
+"""Forecasts that the agent makes: stored, scored once, blind to later rows, and no danger to anybody."""
+
+import json
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scoringrules
+
+from agent.config import RigConfig
+from agent.config.forecast import Forecast as Asked
+from agent.runtime.forecasts.making import Forecaster, Made
+from agent.runtime.forecasts.schedule import Schedule
+from agent.runtime.forecasts.thread import ForecastThread
+from agent.storage.read import queries
+from agent.storage.write.store import Store
+from agent.types import EstimateBatch, ForecastRecord, ForecastScore, HealthEvent, Record
+from tests.storage.rows import START, batch, run_info, step
+from tests.unit.config.config_texts import PRESS, read, with_fake_driver
+
+DAY_NS = 86_400 * 10**9
+FALL = 40
+"""Days until k1 has fallen from 25 to 25 - 5."""
+
+
+@pytest.fixture(autouse=True)
+def _fake_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_fake_driver(monkeypatch)
+
+
+@pytest.fixture
+def rig() -> RigConfig:
+    text = PRESS.replace("limit = 15.0", "limit = 5.0").replace("deadband = 1.5", "deadband = 0.5")
+    return read(text).model_copy(update={"forecast": Asked(every=86_400.0)})
+
+
+def falling(first: int, days: int) -> EstimateBatch:
+    """A row a day of k1, which falls by 5 in FALL days, and of the others, which stay."""
+    day = np.arange(first, first + days)
+    rng = np.random.default_rng(7)
+    noise = 0.05 * rng.standard_normal((200, 4))[day]
+    value = np.array([25.0, 100.0, 5.0, 5.0]) - np.outer(day, [5.0 / FALL, 0.0, 0.0, 0.0]) + noise
+    sd = np.full(value.shape, 0.05)
+    return batch(
+        days, first=first, hop_ns=DAY_NS, value=value, sd=sd, sd_repeat=sd, parameters=("k1", "k2", "B1", "B2"),
+        reference=np.array([25.0, 100.0, 5.0, 5.0]),
+    )  # fmt: skip
+
+
+def store(path: Path, *records: Record) -> Path:
+    with Store.open(path) as opened:
+        opened.write(opened.begin_run(run_info()), list(records))
+    return path
+
+
+def made(rig: RigConfig, path: Path, until_day: int | None = None) -> ForecastRecord:
+    until = None if until_day is None else START + until_day * DAY_NS
+    (record,) = (r for r in Forecaster(rig, path).make("due", ("k1",), until).records if isinstance(r, ForecastRecord))
+    return record
+
+
+def test_forecast_is_of_the_limit_that_the_parameter_moves_to(rig: RigConfig, tmp_path: Path) -> None:
+    record = made(rig, store(tmp_path / "a.db", falling(0, 30)))
+    assert (record.rig, record.parameter, record.limit, record.status) == ("press-7", "k1", 20.0, "ok")
+    assert record.t_ns == START + 29 * DAY_NS
+    assert record.p10_ns is not None
+    assert record.p90_ns is not None
+    assert record.p10_ns < START + FALL * DAY_NS < record.p90_ns
+    draws = json.loads(record.draws)
+    assert len(draws) == 40
+    assert draws == sorted(draws)
+    assert sum(json.loads(record.family).values()) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_forecast_is_the_same_to_the_last_bit_whether_later_rows_exist_or_not(rig: RigConfig, tmp_path: Path) -> None:
+    short = store(tmp_path / "short.db", falling(0, 20))
+    whole = store(tmp_path / "whole.db", falling(0, 38))
+    assert made(rig, whole, 19) == made(rig, short)
+    assert made(rig, whole) != made(rig, short)
+
+
+def test_forecast_is_scored_once_as_scoringrules_does(rig: RigConfig, tmp_path: Path) -> None:
+    path = tmp_path / "a.db"
+    with Store.open(path) as opened:
+        run = opened.begin_run(run_info())
+        opened.write(run, [falling(0, 30)])
+        opened.write(run, list(Forecaster(rig, path).make("due", ("k1",)).records))
+        opened.write(run, [falling(30, 15)])
+        found = Forecaster(rig, path).make("due", ("k1",))
+        opened.write(run, list(found.records))
+        again = Forecaster(rig, path).make("due", ("k1",))
+    assert sum(isinstance(r, ForecastScore) for r in found.records) == 1
+    assert not any(isinstance(r, ForecastScore) and r.number == 1 for r in again.records)
+    row = queries.forecasts(path)[0]
+    came = (row["crossed_ns"] - row["made_at_ns"]) / 1e9
+    assert came == pytest.approx((FALL - 29) * 86_400.0, abs=86_400.0)
+    oracle = float(scoringrules.crps_ensemble(came, np.array(json.loads(row["draws"])), estimator="nrg"))
+    assert row["crps"] == pytest.approx(oracle, rel=1e-9)
+    assert row["held"] == int(row["p10_ns"] <= row["crossed_ns"] <= row["p90_ns"])
+    assert queries.forecasts(path)[1]["status"] == "crossed"
+
+
+def test_forecast_of_what_never_comes_is_scored_when_its_time_has_long_passed(rig: RigConfig, tmp_path: Path) -> None:
+    path = tmp_path / "a.db"
+    stays = replace(falling(30, 90), value=falling(30, 90).value + np.outer(np.arange(30, 120) - 29.0, [0.125, 0, 0, 0]))
+    with Store.open(path) as opened:
+        run = opened.begin_run(run_info())
+        opened.write(run, [falling(0, 30)])
+        opened.write(run, list(Forecaster(rig, path).make("due", ("k1",)).records))
+        opened.write(run, [stays])
+        opened.write(run, list(Forecaster(rig, path).make("due", ("k1",)).records))
+    row = queries.forecasts(path)[0]
+    assert (row["crossed_at"], row["held"]) == (None, 0)
+    until = (row["scored_ns"] - row["made_at_ns"]) / 1e9
+    draws = np.minimum(json.loads(row["draws"]), until)
+    assert row["crps"] == pytest.approx(float(scoringrules.crps_ensemble(until, draws, estimator="nrg")), rel=1e-9)
+
+
+def test_history_of_a_moment_is_too_short_without_a_look(rig: RigConfig, tmp_path: Path) -> None:
+    moment = replace(falling(0, 30), t_ns=START + np.arange(30) * 50_000_000)
+    record = made(rig, store(tmp_path / "a.db", moment))
+    assert (record.status, record.p50_ns, record.chance, record.draws) == ("too short", None, None, "[]")
+
+
+def test_side_and_horizon_of_the_configuration_are_kept(rig: RigConfig, tmp_path: Path) -> None:
+    alarm = rig.alarm[0].model_copy(update={"side": "high"})
+    asked = rig.model_copy(update={"alarm": (alarm,), "forecast": Asked(every=60.0, horizon=5 * 86_400.0)})
+    record = made(asked, store(tmp_path / "a.db", falling(0, 30)))
+    assert (record.limit, record.status, record.horizon_s) == (30.0, "beyond", 5 * 86_400.0)
+
+
+def test_parameter_without_rows_has_no_forecast(rig: RigConfig, tmp_path: Path) -> None:
+    path = tmp_path / "a.db"
+    with Store.open(path) as opened:
+        opened.begin_run(run_info())
+    assert Forecaster(rig, path).make("due", ("k1",)) == Made()
+
+
+@pytest.mark.parametrize("wrong", ["no file", "like"])
+def test_failure_is_one_event_and_nothing_else(rig: RigConfig, tmp_path: Path, wrong: str) -> None:
+    path = tmp_path / "a.db"
+    if wrong == "like":
+        store(path, falling(0, 30))
+        (tmp_path / "prior.json").write_text("[]")
+        asked = Asked(every=60.0, like=(tmp_path / "prior.json",))
+        rig = rig.model_copy(update={"forecast": asked})
+    forecaster = Forecaster(rig, path)
+    (event,) = forecaster.make("due", ("k1",)).records
+    assert isinstance(event, HealthEvent)
+    assert (event.source, event.cause) == ("forecast", "failure")
+    assert event.message.startswith("no forecast of k1: ")
+    assert forecaster.make("due", ("k1",)) == Made()
+
+
+def test_schedule_is_due_once_a_period_and_bounded_after_a_gap() -> None:
+    schedule = Schedule(10.0)
+    assert schedule.due(0) == []
+    assert schedule.due(9_999_999_999) == []
+    assert schedule.due(31_000_000_000) == [10 * 10**9, 20 * 10**9, 30 * 10**9]
+    assert len(schedule.due(10**15)) == 100
+    assert Schedule(float("inf")).due(10**18) == []
+
+
+def test_schedule_asks_at_level_alarms_and_not_at_each_of_a_chattering_one() -> None:
+    schedule = Schedule(60.0)
+    assert schedule.alarmed([step("NORM", "UNACK"), step("NORM", "UNACK", kind="sensor")]) == [(START, "k1")]
+    assert schedule.alarmed([step("UNACK", "RTNUN", START + 10**8)]) == []
+    assert schedule.alarmed([step("RTNUN", "UNACK", START + 10**9)]) == [(START + 10**9, "k1")]
+
+
+class Slow:
+    """A forecaster that waits until it may go on."""
+
+    def __init__(self) -> None:
+        self.begun, self.free = threading.Event(), threading.Event()
+        self.asked: list[tuple[str, Sequence[str]]] = []
+
+    def make(self, cause: str, parameters: Sequence[str], until_ns: int | None = None) -> Made:
+        self.asked.append((cause, parameters))
+        self.begun.set()
+        self.free.wait(10.0)
+        return Made()
+
+
+def test_thread_makes_what_is_asked_once_and_is_not_waited_for() -> None:
+    slow: Any = Slow()
+    thread = ForecastThread({"press": slow}, settle_s=0.0)
+    thread.start()
+    thread.ask("press", "k1", "due")
+    assert slow.begun.wait(5.0)
+    for _ in range(3):
+        thread.ask("press", "k2", "alarm")
+    assert thread.fetch("press") == []
+    begun = time.monotonic()
+    thread.stop()
+    assert time.monotonic() - begun < 0.2
+    slow.free.set()
+    thread._thread.join(5.0)
+    assert slow.asked == [("due", ("k1",))]
+    assert thread.fetch("press") == [Made()]

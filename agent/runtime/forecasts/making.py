@@ -103,8 +103,11 @@ class Forecaster:
         if rule is not None:
             way = rule.limit if rule.limit is not None else abs(reference) * (rule.limit_percent or 0.0) / 100.0
             level = asked.level if asked is not None else float(points.value[-1])
-            limit = reference + _side(rule, asked, level - reference) * way
+            side = _side(rule, asked, level - reference)
+            limit = reference + side * way
             made = self._forecast(history, points.parameter, limit, long_enough=long_enough)
+            if made.status == "too short" and side * (level - limit) >= 0.0:
+                made = Forecast("crossed", horizon=made.horizon, chance=1.0)
             records.append(_record(cause, points, made, level, limit, history.span))
         outlook = Outlook(
             points.parameter, points.unit, int(points.t_ns[-1]), float(points.value[-1]), float(points.sd[-1]),

@@ -16,6 +16,7 @@ from agent.runtime.forecasts.histories import (
     window_s,
     write_prior,
 )
+from agent.runtime.forecasts.record import record_of
 from agent.storage.read import queries
 from agent.text import ahead, number, short_time
 
@@ -43,6 +44,9 @@ def databases(files: Sequence[Path]) -> list[Path]:
 
 def _rows(path: Path, parameter: str | None, horizon: float | None, limit_percent: float) -> list[dict[str, Any]]:
     limits = {(a["rig"], a["parameter"]): a["limit_value"] for a in queries.alarms(path) if a["kind"] == "level"}
+    past: dict[tuple[str, str], list[Document]] = {}
+    for made in queries.forecasts(path):
+        past.setdefault((made["rig"], made["parameter"]), []).append(made)
     windows: dict[str, float] = {}
     found = []
     for rig in queries.rigs(path):
@@ -50,7 +54,8 @@ def _rows(path: Path, parameter: str | None, horizon: float | None, limit_percen
             if parameter in {None, name}:
                 windows.setdefault(name, window_s(path, name))
                 points = queries.points(path, rig, name)
-                found.append(_row(points, windows[name], limits.get((rig, name)), horizon, limit_percent))
+                row = _row(points, windows[name], limits.get((rig, name)), horizon, limit_percent)
+                found.append(row | {"record": record_of(past.get((rig, name), []))})
     return found
 
 
@@ -61,7 +66,6 @@ def _row(
     row: dict[str, Any] = {
         "rig": points.rig, "parameter": points.parameter, "slope_percent_per_year": None, "trend": False,
         "limit": None, "status": "no trend", "p50_s": None, "p50_at": None, "chance": None,
-        "record": {"made": 0, "held": 0, "crps": None},
     }  # fmt: skip
     history = history_of(points, window)
     asked = change(without(history, find_steps(history)))
@@ -94,12 +98,18 @@ def print_fleet(found: Document) -> None:
         (
             row["rig"], row["parameter"], number(row["slope_percent_per_year"], 3), number(row["limit"], 4),
             row["status"] if row["p50_s"] is None else f"in {ahead(row['p50_s'])}", short_time(row["p50_at"]),
-            "-" if row["chance"] is None else f"{100.0 * row['chance']:.0f} %",
+            "-" if row["chance"] is None else f"{100.0 * row['chance']:.0f} %", _held(row["record"]),
         )
         for row in found["rows"]
     ]  # fmt: skip
-    titles = ("rig", "parameter", "% a year", "limit", "reached", "P50", "chance")
-    print_table(f"chance within {ahead(found['within_s'])}", titles, rows, right=("% a year", "limit", "chance"))
+    titles = ("rig", "parameter", "% a year", "limit", "reached", "P50", "chance", "held")
+    numbers = ("% a year", "limit", "chance", "held")
+    print_table(f"chance within {ahead(found['within_s'])}", titles, rows, right=numbers)
+
+
+def _held(record: Document) -> str:
+    """Say how many of the forecasts made there came as they said."""
+    return f"{record['held']} of {record['made']}" if record["made"] else "-"
 
 
 def learn_prior(files: Sequence[Path], parameter: str | None, limit: float | None, to: Path | None) -> dict[str, Any]:

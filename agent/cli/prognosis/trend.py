@@ -1,7 +1,7 @@
 """`deltak trend`: whether a parameter changes and when it reaches a limit, as sentences, JSON, CSV or a picture."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.cli.prognosis.picture import draw
-from agent.cli.prognosis.words import drift, finding, forecast_words, unit_of, verdict
+from agent.cli.prognosis.words import drift, finding, forecast_words, record_words, unit_of, verdict
 from agent.cli.terminal.output import print_csv, print_json, print_table, show
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
@@ -48,9 +48,9 @@ def trend(
         _print_all(db, rig, times, form)
         return
     ahead = ahead or Ahead()
-    document = _asked(db, parameter, rig, times, _limit_of(limit, ahead.reference), ahead)
+    document, past = _asked(db, parameter, rig, times, _limit_of(limit, ahead.reference), ahead)
     if plot is not None:
-        draw(document, plot)
+        draw(document, plot, past)
     _print(document, form)
 
 
@@ -64,15 +64,15 @@ def _limit_of(limit: float | None, reference: float | None) -> float | None:
 def _asked(
     db: Path, parameter: str | None, rig: str | None, times: tuple[str | None, str | None], limit: float | None,
     ahead: Ahead,
-) -> dict[str, Any]:  # fmt: skip
-    """Return what is said of one history, of a database or a table."""
+) -> tuple[dict[str, Any], Sequence[Document]]:  # fmt: skip
+    """Return what is said of one history, of a database or a table, and the forecasts that the agent made of it."""
     if parameter is not None and not is_table(db):
-        return _document(queries.points(db, rig, parameter, *times), window_s(db, parameter), limit, ahead) | {
-            "backward": 0
-        }
+        points = queries.points(db, rig, parameter, *times)
+        past = queries.forecasts(db, points.rig, parameter)
+        return _document(points, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
     points, backward = table_points(db, *times)
     points = replace(points, parameter=parameter or points.parameter)
-    return _document(points, 0.0, limit, ahead) | {"backward": backward}
+    return _document(points, 0.0, limit, ahead) | {"backward": backward}, ()
 
 
 def _print(document: dict[str, Any], form: str) -> None:
@@ -85,7 +85,9 @@ def _print(document: dict[str, Any], form: str) -> None:
         show(_sentences(document))
 
 
-def _document(points: queries.Points, window: float, limit: float | None, ahead: Ahead) -> dict[str, Any]:
+def _document(
+    points: queries.Points, window: float, limit: float | None, ahead: Ahead, past: Sequence[Document] = ()
+) -> dict[str, Any]:
     history = history_of(points, window)
     steps = find_steps(history)
     asked = change(without(history, steps))
@@ -103,9 +105,11 @@ def _document(points: queries.Points, window: float, limit: float | None, ahead:
         "until": iso_time(newest) if instants else None,
         "span_s": (newest - oldest) / 1e9,
         **(_alone(points) if asked is None else _shape(asked, points)),
+        "references": list(points.references),
+        "clock_steps": points.clock_steps,
         "changes": [_step(step.t, step.size, step.sd, newest) for step in steps],
         "limit": limit,
-        "forecast": forecast_document(history, newest, limit, horizon_days(ahead.horizon), like),
+        "forecast": forecast_document(history, newest, limit, horizon_days(ahead.horizon), like, past),
         "points": list(zip(instants, points.value.tolist(), points.sd.tolist(), strict=True)),
     }
     return document | {"words": verdict(document)}
@@ -158,14 +162,27 @@ def _sentences(found: Document) -> str:
     )
     if found["backward"]:
         lines.append(f"{found['backward']} rows stand before an earlier one, as after a step of a clock; put in order")
+    lines += _remarks(found)
     if found["slope_lower"] is None:
         lines.append("too few rows to tell a drift")
     else:
         lines.append(f"line there: {with_sd(found['value'], found['sd'])} {unit}; {drift(found)}: {finding(found)}")
     if found["limit"] is not None:
         lines.append(f"limit {number(found['limit'])} {unit}: {_distance(found, newest)}".replace("  ", " "))
-        lines.append(forecast_words(found))
+        lines += [forecast_words(found), *record_words(found["forecast"])]
     return "\n".join(lines)
+
+
+def _remarks(found: Document) -> list[str]:
+    """Say what in the history a reader might take for a change of the machine."""
+    remarks = []
+    if len(found["references"]) > 1:
+        numbers = ", then ".join(number(reference) for reference in found["references"])
+        remarks.append(f"rows of {len(found['references'])} references ({numbers}): their values are compared")
+    if found["clock_steps"] > 0:
+        times = "once" if found["clock_steps"] == 1 else f"{found['clock_steps']} times"
+        remarks.append(f"the wall clock was set otherwise {times}: instants follow it as it is set now")
+    return remarks
 
 
 def _distance(found: Document, newest: float) -> str:

@@ -82,6 +82,17 @@ def forecast_words(found: Document) -> str:
     return reasons[status] + chance
 
 
+def record_words(forecast: Document) -> list[str]:
+    """Say how good earlier forecasts of the parameter were; nothing where none was made."""
+    record = forecast["record"]
+    if record["made"]:
+        crps = "" if record["crps"] is None else f"; CRPS {ahead(record['crps'])}"
+        return [f"of {record['made']} made here, {record['held']} held within the 80 % band{crps}"]
+    if record["waiting"]:
+        return [f"{record['waiting']} made here wait for their time to be scored"]
+    return []
+
+
 def _likes(forecast: Document) -> str:
     like = forecast["like"]
     return "" if like is None else f" (with {like['histories']} like machines)"

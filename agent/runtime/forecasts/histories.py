@@ -13,6 +13,7 @@ from agent.errors import UsageError
 from agent.prognosis.forecast import Forecast, forecast, learn_from
 from agent.prognosis.history import DAY_NS, History, blocks, disjoint, sound
 from agent.prognosis.learnt import Learnt
+from agent.runtime.forecasts.record import Row, record_of
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
 from agent.storage.read.times import age_ns
@@ -102,9 +103,10 @@ def read_prior(path: Path) -> Learnt:
 
 
 def forecast_document(
-    history: History, newest_ns: int, limit: float | None, horizon: float | None, like: Learnt | None
-) -> dict[str, Any] | None:
-    """Return a forecast as it stands in JSON; None without a limit or a row."""
+    history: History, newest_ns: int, limit: float | None, horizon: float | None, like: Learnt | None,
+    past: Sequence[Row] = (),
+) -> dict[str, Any] | None:  # fmt: skip
+    """Return a forecast as it stands in JSON, beside those made in the past; None without a limit or a row."""
     if limit is None or not len(history):
         return None
     found = forecast(history, limit, horizon, like)
@@ -117,7 +119,7 @@ def forecast_document(
         "horizon_s": found.horizon * 86_400.0,
         "family": _family(found),
         "like": None if like is None else {"histories": like.n},
-        "record": {"made": 0, "held": 0, "crps": None},
+        "record": record_of(past),
     }
 
 

@@ -43,6 +43,8 @@ class Points:
         since_ns, until_ns: the stretch asked for; None where open.
         reference: what delta is counted from at the newest point; None without one.
         refused: rows that are left out because their checksums are wrong.
+        references: what deltas were counted from over the stretch, oldest first.
+        clock_steps: how often the wall clock was set otherwise meanwhile.
     """
 
     rig: str
@@ -57,6 +59,8 @@ class Points:
     until_ns: int | None
     reference: float | None
     refused: int
+    references: tuple[float, ...] = ()
+    clock_steps: int = 0
 
 
 def tell_refused(db: Path | str, count: int) -> None:
@@ -235,12 +239,14 @@ def points(
         name = _one_rig(connection, rig)
         _check_parameter(connection, name, parameter)
         stretches, first, last = _stretches(connection, name, since, until)
-        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series_of(connection, parameter))
+        series = series_of(connection, parameter)
+        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series)
+        references = _references(connection, [n for s in stretches for n in series.get(s.part, ())])
         unit, reference = _unit(connection, name, parameter)
         refused = connection.refused
     return Points(
         name, parameter, unit, t_ns, value, sd, sd_repeat, span_s, None if since is None else first,
-        None if until is None else last, reference, refused,
+        None if until is None else last, reference, refused, references, max(0, len({s.shift for s in stretches}) - 1),
     )  # fmt: skip
 
 
@@ -298,6 +304,13 @@ def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | No
     unit, reference, seq = row
     connection.refuse(len(differing(connection, "series", (), {(seq,)})))
     return str(unit), None if reference is None else float(reference)
+
+
+def _references(connection: sqlite3.Connection, series: Sequence[int]) -> tuple[float, ...]:
+    """Return the different references of some series, oldest first."""
+    query = f"SELECT reference FROM series WHERE seq IN ({', '.join(map(str, series))}) ORDER BY seq"
+    known = (reference for (reference,) in connection.execute(query) if reference is not None)
+    return tuple(dict.fromkeys(known))
 
 
 def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:

@@ -1,4 +1,4 @@
-"""Alarms of kind forecast and rate: raised by what a history leads to, cleared with hysteresis, unmoved by too little."""
+"""Alarms of kind forecast and rate: raised by what a history leads to, cleared with hysteresis."""
 
 from dataclasses import dataclass, replace
 

@@ -107,7 +107,8 @@ def test_forecast_is_scored_once_as_scoringrules_does(rig: RigConfig, tmp_path: 
 
 def test_forecast_of_what_never_comes_is_scored_when_its_time_has_long_passed(rig: RigConfig, tmp_path: Path) -> None:
     path = tmp_path / "a.db"
-    stays = replace(falling(30, 90), value=falling(30, 90).value + np.outer(np.arange(30, 120) - 29.0, [0.125, 0, 0, 0]))
+    falls = falling(30, 90)
+    stays = replace(falls, value=falls.value + np.outer(np.arange(30, 120) - 29.0, [0.125, 0, 0, 0]))
     with Store.open(path) as opened:
         run = opened.begin_run(run_info())
         opened.write(run, [falling(0, 30)])

@@ -6,11 +6,10 @@ from itertools import pairwise
 import numpy as np
 
 from agent.prognosis.family import Scale, bent, onward
-from agent.prognosis.posterior import Particles
+from agent.prognosis.posterior import FULL, Particles
 from agent.prognosis.prior import Student
 from agent.types import FloatArray
 
-PATHS = 4000
 STEPS = 120
 FARTHEST = 20.0
 """How many spans of the history ahead paths are followed."""
@@ -29,9 +28,10 @@ class _Course:
 
 
 def first_passages(
-    found: list[Particles], scale: Scale, newest: float, later: Student, rng: np.random.Generator
-) -> FloatArray:
-    """Return (PATHS,) times to the first passage, in spans of the history; inf where a path never gets there.
+    found: list[Particles], scale: Scale, newest: float, later: Student, rng: np.random.Generator,
+    count: int = FULL.paths,
+) -> FloatArray:  # fmt: skip
+    """Return (count,) times to the first passage, in spans of the history; inf where a path never gets there.
 
     Each path starts from a particle, drawn by its weight, with level and rate drawn from its Gaussian. newest: scaled
     level up to which the history shows the law; later: how much κ differs beyond.
@@ -39,8 +39,8 @@ def first_passages(
     evidence = np.array([p.log_evidence for p in found])
     share = np.exp(evidence - evidence.max())
     share /= share.sum()
-    counts = np.floor(share * PATHS + 1e-9).astype(int)
-    counts[int(np.argmax(share))] += PATHS - counts.sum()
+    counts = np.floor(share * count + 1e-9).astype(int)
+    counts[int(np.argmax(share))] += count - counts.sum()
     drawn = zip(found, counts.tolist(), strict=True)
     return np.concatenate([_paths(member, scale, newest, later, n, rng) for member, n in drawn if n])
 

@@ -7,13 +7,13 @@ from typing import Any
 from agent.cli.terminal.output import print_table, show
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
+from agent.prognosis.posterior import BRIEF
 from agent.prognosis.steps import find_steps, without
 from agent.runtime.forecasts.histories import (
     forecast_document,
     history_of,
     horizon_days,
     like_machines,
-    window_s,
     write_prior,
 )
 from agent.runtime.forecasts.record import record_of
@@ -22,6 +22,8 @@ from agent.text import ahead, number, short_time
 
 Document = Mapping[str, Any]
 _YEAR = 365.25
+MOST_ROWS = 1500
+"""Of one part that are read: evenly spread hours are enough for a slope."""
 
 
 def fleet(files: Sequence[Path], within: str, parameter: str | None, limit_percent: float) -> dict[str, Any]:
@@ -47,14 +49,13 @@ def _rows(path: Path, parameter: str | None, horizon: float | None, limit_percen
     past: dict[tuple[str, str], list[Document]] = {}
     for made in queries.forecasts(path):
         past.setdefault((made["rig"], made["parameter"]), []).append(made)
-    windows: dict[str, float] = {}
+    window = queries.longest_window(path)
     found = []
     for rig in queries.rigs(path):
-        for name in queries.parameters(path, rig):
+        for points in queries.all_points(path, rig, MOST_ROWS):
+            name = points.parameter
             if parameter in {None, name}:
-                windows.setdefault(name, window_s(path, name))
-                points = queries.points(path, rig, name)
-                row = _row(points, windows[name], limits.get((rig, name)), horizon, limit_percent)
+                row = _row(points, window, limits.get((rig, name)), horizon, limit_percent)
                 found.append(row | {"record": record_of(past.get((rig, name), []))})
     return found
 
@@ -78,7 +79,7 @@ def _row(
     if reference:
         row["slope_percent_per_year"] = 100.0 * _YEAR * asked.newest / abs(reference)
     row["trend"] = True
-    found = forecast_document(history, int(points.t_ns[-1]), limit, horizon, None) or {}
+    found = forecast_document(history, int(points.t_ns[-1]), limit, horizon, None, effort=BRIEF) or {}
     return row | {name: found[name] for name in ("status", "p50_s", "p50_at", "chance") if name in found}
 
 

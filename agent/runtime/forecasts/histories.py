@@ -13,6 +13,7 @@ from agent.errors import UsageError
 from agent.prognosis.forecast import Forecast, forecast, learn_from
 from agent.prognosis.history import DAY_NS, History, blocks, disjoint, sound
 from agent.prognosis.learnt import Learnt
+from agent.prognosis.posterior import FULL, Effort
 from agent.runtime.forecasts.record import Row, record_of
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
@@ -104,12 +105,12 @@ def read_prior(path: Path) -> Learnt:
 
 def forecast_document(
     history: History, newest_ns: int, limit: float | None, horizon: float | None, like: Learnt | None,
-    past: Sequence[Row] = (),
+    past: Sequence[Row] = (), effort: Effort = FULL,
 ) -> dict[str, Any] | None:  # fmt: skip
     """Return a forecast as it stands in JSON, beside those made in the past; None without a limit or a row."""
     if limit is None or not len(history):
         return None
-    found = forecast(history, limit, horizon, like)
+    found = forecast(history, limit, horizon, like, effort)
     ahead = {name: _seconds(getattr(found, name)) for name in ("p10", "p50", "p90")}
     return {
         "status": found.status,

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agent.config.forecast import Forecast
 from agent.config.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
     Channel,
     Columns,
     Estimator,
+    Forecast,
     LinearModel,
     MechanicsModel,
     Model,

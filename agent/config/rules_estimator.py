@@ -1,4 +1,4 @@
-"""What must hold in [estimator] and [[alarm]]."""
+"""What must hold in [estimator], [[alarm]] and [forecast]."""
 
 import math
 from collections import Counter
@@ -12,6 +12,8 @@ from agent.config.tables import Alarm, MechanicsModel, Observer
 
 MOST_GB = 1.0
 """What the linearised samples of a window may take."""
+LEAST_EVERY_S = 1.0
+"""Between two forecasts of a parameter."""
 COPIES = 6
 """How often they are in memory meanwhile, as measured on a million samples of two masses."""
 
@@ -247,3 +249,18 @@ def _check_deadband(path: str, alarm: Alarm, draft: Draft) -> None:
     if alarm.limit is not None and alarm.deadband is not None and alarm.deadband >= alarm.limit:
         what = f"{alarm.deadband:g} leaves nothing of the limit {alarm.limit:g}: the alarm would never clear"
         draft.faults.add(path, what, "give less than the limit")
+
+
+def check_forecast(draft: Draft) -> None:
+    """Note the faults of [forecast] that its values do not show by themselves."""
+    asked = draft.forecast
+    if readable(asked.every) and asked.every < LEAST_EVERY_S:
+        what = f"{asked.every:g} s is too often: a forecast takes a tenth of a second, and more on a small gateway"
+        draft.faults.add("forecast.every", what, 'give "10s" or more')
+    if asked.horizon is not None and math.isinf(asked.horizon):
+        draft.faults.add("forecast.horizon", '"forever" is no horizon', 'write "90d", or leave it out')
+    for i, path in enumerate(asked.like or ()):
+        if not (draft.folder / path).exists():
+            what = f"there is no file {shown(str(draft.folder / path))}"
+            advice = "name databases, tables, or a prior by deltak fleet learn"
+            draft.faults.add(f"forecast.like[{i}]", what, advice)

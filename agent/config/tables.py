@@ -27,7 +27,6 @@ from agent.config.fields import (
     Text,
     Window,
 )
-from agent.config.forecast import Forecast
 from agent.config.units import Quantity, base_length, conversion, element_units
 
 GROUND = "ground"
@@ -261,6 +260,22 @@ class Columns(Table):
 
     names: dict[str, str] = Field(default_factory=dict)
     delimiter: str | None = None
+
+
+class Forecast(Table):
+    """When forecasts are made and how far ahead; like names histories of like machines, or a prior learnt of them.
+
+    every: from one forecast of a parameter to the next; infinite makes them at alarms only. horizon: what the chance is
+    of; None for as long again as the history is.
+    """
+
+    every: Duration = 3600.0
+    horizon: Duration | None = None
+    like: Annotated[tuple[FilePath, ...], Strict(False)] = ()
+
+    def beside(self, folder: Path) -> "Forecast":
+        """Return the same with paths that start at a folder."""
+        return self.model_copy(update={"like": tuple(folder / path for path in self.like)})
 
 
 class Parameter(NamedTuple):

@@ -134,7 +134,7 @@ class RigRuntime:
         if self._due.due(monotonic_ns()):
             for parameter in dict.fromkeys(alarm.parameter for alarm in self.config.alarm):
                 forecasts.ask(self.config.rig.name, parameter, DUE)
-        for made in forecasts.fetch(self.config.rig.name):
+        for made in forecasts.take(self.config.rig.name):
             self._emit([*made.records, *self.pipeline.foreseen(made.outlooks)])
 
     def _assess(self, source: str, arrival: Arrival, now_ns: int) -> None:
@@ -223,5 +223,5 @@ class RigRuntime:
         if self.events is not None:
             self.events.see(records)
         if self.forecasts is not None:
-            for _, parameter in self._due.alarmed(records, monotonic_ns()):
+            for _, parameter in self._due.at_alarms(records, monotonic_ns()):
                 self.forecasts.ask(self.config.rig.name, parameter, ALARM)

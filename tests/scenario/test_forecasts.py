@@ -16,12 +16,12 @@ def test_agent_stores_forecasts_while_it_runs_and_ends_at_once(tmp_path: Path) -
     text = example("modbus", tmp_path).read_text() + '\n[forecast]\nevery = "1s"\n'
     db = tmp_path / "rig.db"
     query = "SELECT count(*) FROM v_forecast WHERE rig = 'two-mass-rig' AND cause = 'due'"
-    with simulator(tmp_path, text, "--scenario", "steady") as device:
-        with agent(device.config, options=["--db", str(db)]) as running:
-            wait_until(lambda: db.exists() and rows(db, query)[0][0] >= 2, "two forecasts")
-            begun = time.monotonic()
-            assert running.end(signal.SIGTERM) == 0, running.err
-            assert time.monotonic() - begun < 4.0
+    options = ["--db", str(db)]
+    with simulator(tmp_path, text, "--scenario", "steady") as device, agent(device.config, options=options) as running:
+        wait_until(lambda: db.exists() and rows(db, query)[0][0] >= 2, "two forecasts")
+        begun = time.monotonic()
+        assert running.end(signal.SIGTERM) == 0, running.err
+        assert time.monotonic() - begun < 4.0
     ((used, received),) = rows(db, "SELECT max(used), max(received) FROM v_health")
     assert used == received
     assert rows(db, "SELECT count(*) FROM v_events WHERE source = 'forecast'") == [(0,)]

@@ -106,9 +106,8 @@ def test_forecasts_outlive_a_torn_file(path: Path) -> None:
 
 def test_oldest_forecasts_go_beyond_a_number(path: Path) -> None:
     write(path, batch(5), *(forecast(START + i) for i in range(9)))
-    with Store.open(path) as store:
-        with store.transaction() as connection:
-            purge_logs(connection, kept=4)
+    with Store.open(path) as store, store.transaction() as connection:
+        purge_logs(connection, kept=4)
     assert [row["id"] for row in queries.forecasts(path)] == [6, 7, 8, 9]
 
 

@@ -25,7 +25,7 @@ from agent.types import ForecastRecord, HealthEvent, Record
 
 SOURCE, FAILURE = "forecast", "failure"
 """What events of forecasts that could not be made are called."""
-BRIEF = 60.0
+MOMENT = 60.0
 """A history shorter than this part of the time between forecasts is too short, whatever it looks like."""
 _LAST_NS = 2**63 - 1
 
@@ -95,7 +95,7 @@ class Forecaster:
     def _look(self, cause: str, points: queries.Points) -> tuple[Outlook, list[ForecastRecord]]:
         window = self._window_s if self._window_s is not None else window_s(self._db, points.parameter)
         history = history_of(points, window)
-        long_enough = history.span * 86_400.0 * BRIEF >= self._asked.every
+        long_enough = history.span * 86_400.0 * MOMENT >= self._asked.every
         asked = change(without(history, find_steps(history))) if long_enough else None
         reference = points.reference if points.reference is not None else float(points.value[0])
         rule, way, made = self._limits.get(points.parameter), None, None

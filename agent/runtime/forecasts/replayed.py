@@ -27,7 +27,7 @@ class ReplayedForecasts:
         if not self._forecaster.parameters:
             return []
         found: list[tuple[int, str, tuple[str, ...]]] = []
-        found += [(at, ALARM, (parameter,)) for at, parameter in self._schedule.alarmed(records)]
+        found += [(at, ALARM, (parameter,)) for at, parameter in self._schedule.at_alarms(records)]
         for batch in records:
             if isinstance(batch, EstimateBatch) and len(batch):
                 self._schedule.due(int(batch.t_ns[0]))

@@ -31,7 +31,7 @@ class Schedule:
         first, self._due_ns = self._due_ns, self._due_ns + count * self._every_ns
         return [first + i * self._every_ns for i in range(max(0, count - _MOST), count)]
 
-    def alarmed(self, records: Iterable[Record], now_ns: int | None = None) -> list[tuple[int, str]]:
+    def at_alarms(self, records: Iterable[Record], now_ns: int | None = None) -> list[tuple[int, str]]:
         """Return when level alarms changed, and of which parameters; not those that changed a moment ago as well."""
         found = []
         for record in records:

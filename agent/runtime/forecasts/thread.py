@@ -43,7 +43,7 @@ class ForecastThread:
             self._asked.setdefault((rig, parameter), (cause, time.monotonic() + self._settle_s))
             self._condition.notify_all()
 
-    def fetch(self, rig: str) -> list[Made]:
+    def take(self, rig: str) -> list[Made]:
         """Return what was made of a rig since the last call; never waits."""
         if not self._made[rig]:
             return []

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import scoringrules
 
+from agent.config import Forecast as Asked
 from agent.config import RigConfig
-from agent.config.forecast import Forecast as Asked
 from agent.runtime.forecasts.making import Forecaster, Made
 from agent.runtime.forecasts.schedule import Schedule
 from agent.runtime.forecasts.thread import ForecastThread
@@ -169,9 +169,9 @@ def test_schedule_is_due_once_a_period_and_bounded_after_a_gap() -> None:
 
 def test_schedule_asks_at_level_alarms_and_not_at_each_of_a_chattering_one() -> None:
     schedule = Schedule(60.0)
-    assert schedule.alarmed([step("NORM", "UNACK"), step("NORM", "UNACK", kind="sensor")]) == [(START, "k1")]
-    assert schedule.alarmed([step("UNACK", "RTNUN", START + 10**8)]) == []
-    assert schedule.alarmed([step("RTNUN", "UNACK", START + 10**9)]) == [(START + 10**9, "k1")]
+    assert schedule.at_alarms([step("NORM", "UNACK"), step("NORM", "UNACK", kind="sensor")]) == [(START, "k1")]
+    assert schedule.at_alarms([step("UNACK", "RTNUN", START + 10**8)]) == []
+    assert schedule.at_alarms([step("RTNUN", "UNACK", START + 10**9)]) == [(START + 10**9, "k1")]
 
 
 class Slow:
@@ -196,11 +196,11 @@ def test_thread_makes_what_is_asked_once_and_is_not_waited_for() -> None:
     assert slow.begun.wait(5.0)
     for _ in range(3):
         thread.ask("press", "k2", "alarm")
-    assert thread.fetch("press") == []
+    assert thread.take("press") == []
     begun = time.monotonic()
     thread.stop()
     assert time.monotonic() - begun < 0.2
     slow.free.set()
     thread._thread.join(5.0)
     assert slow.asked == [("due", ("k1",))]
-    assert thread.fetch("press") == [Made()]
+    assert thread.take("press") == [Made()]

@@ -74,7 +74,7 @@ def forecast(
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
     found = posterior(readings, scale, prior, rng, effort)
-    passages = np.sort(first_passages(found, scale, newest, prior.later, rng, effort.paths)) * thin.span
+    passages = np.sort(first_passages(found, scale, newest, prior.later, rng, effort)) * thin.span
     passages = np.maximum(passages - float(history.t[-1] - thin.t[-1]), 0.0)  # a mean is older than its newest row
     return _stated(passages, horizon, thin.span, _weights(found), lambda: _steady(history))
 

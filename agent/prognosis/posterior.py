@@ -24,16 +24,17 @@ COMMON = ("walk", "wander", "scatter")
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much a forecast may cost: means of the history, particles of each member in each round, rounds, paths."""
+    """What a forecast may cost: means of the history, particles of each member in each round, rounds, paths, steps."""
 
     means: int
     particles: int
     rounds: int
     paths: int
+    steps: int
 
 
-FULL = Effort(160, 800, 6, 4000)
-BRIEF = Effort(60, 200, 4, 600)
+FULL = Effort(160, 800, 6, 4000, 120)
+BRIEF = Effort(48, 160, 3, 600, 60)
 """For tables of many parts: a tenth of the cost, and bands up to twice as wide."""
 
 

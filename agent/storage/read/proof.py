@@ -172,6 +172,19 @@ class Found(NamedTuple):
     sd_repeat: FloatArray
     series: IntArray
 
+    def at(self, rows: "NDArray[np.bool_] | NDArray[np.intp]") -> "Found":
+        """Return the rows that a mask or an array of places names."""
+        return Found(self.t_ns[rows], self.value[rows], self.sd[rows], self.sd_repeat[rows], self.series[rows])
+
+
+def joined(parts: Sequence[Found]) -> Found:
+    """Return the rows of parts one after the other."""
+    t_ns, series = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_ns", "series"))
+    value, sd, repeat = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("value", "sd", "sd_repeat")
+    )
+    return Found(t_ns, value, sd, repeat, series)
+
 
 NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
 _VALID = int(Status.VALID) << 8

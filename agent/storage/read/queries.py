@@ -14,7 +14,17 @@ import numpy as np
 from agent.errors import Fault, UsageError
 from agent.storage.database.connect import Reader, connect_reader, damaged, unreadable
 from agent.storage.read.complete import oldest_hop, prove_count, prove_newest
-from agent.storage.read.proof import NOTHING, Found, differing, prove_parts, proven, row_of, series_of, sound_points
+from agent.storage.read.proof import (
+    NOTHING,
+    Found,
+    differing,
+    joined,
+    prove_parts,
+    proven,
+    row_of,
+    series_of,
+    sound_points,
+)
 from agent.storage.read.times import age_ns, parse_time
 from agent.storage.tables.ages import newest_of, parts_of, shifts
 from agent.types import FloatArray, IntArray
@@ -275,9 +285,10 @@ def _points(
     for name in names:
         own = [number for numbers in series[name].values() for number in numbers]
         mine = np.isin(rows.series, own)
+        one = rows.at(mine)
         unit, reference = _unit(connection, rig, name)
         found.append(Points(
-            rig, name, unit, rows.t_ns[mine], rows.value[mine], rows.sd[mine], rows.sd_repeat[mine], spans[mine],
+            rig, name, unit, one.t_ns, one.value, one.sd, one.sd_repeat, spans[mine],
             None if since is None else first, None if until is None else last, reference, connection.refused,
             _references(connection, own), max(0, len({s.shift for s in stretches}) - 1),
         ))  # fmt: skip
@@ -295,13 +306,13 @@ def _tiered(
     tiers: list[Found] = []
     spans = sorted((s for s in bounds if s <= start), reverse=True)
     for span in spans:
-        each = -(-bounds[span][1] // most) if span == 3600 and bounds[span] else 1
+        _, count = bounds[span] or (0, 0)
+        each = max(1, -(-count // most)) if span == 3600 else 1
         tiers.append(_tier_points(connection, stretches, series, span, each))
         if len(tiers[-1].t_ns):
             reached = int(tiers[-1].t_ns[-1]) + span * 500_000_000 + (span == 0)
             stretches = [stretch.after(reached) for stretch in stretches]
-    rows = Found(*(np.concatenate(column) for column in zip(*tiers, strict=True)))
-    return rows, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
+    return joined(tiers), np.repeat(spans, [len(tier.t_ns) for tier in tiers])
 
 
 def _bounds(
@@ -325,9 +336,8 @@ def _tier_points(
     for part, shift, first, last in stretches:
         points = sound_points(connection, part, series.get(part, ()), span, first, last, each)
         found.append(points._replace(t_ns=points.t_ns + shift))
-    rows = Found(*(np.concatenate(column) for column in zip(*found, strict=True)))
-    order = np.argsort(rows.t_ns, kind="stable")
-    return Found(*(column[order] for column in rows))
+    rows = joined(found)
+    return rows.at(np.argsort(rows.t_ns, kind="stable"))
 
 
 def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | None]:

@@ -13,6 +13,7 @@ from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
 from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.ledger import Conservation
+from agent.runtime.limits import FIRST_FORECAST_S
 from agent.runtime.pending import COMPUTING, Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
@@ -43,7 +44,7 @@ class RigRuntime:
         self._publish = publish
         self.events: EventKeeper | None = None
         self.forecasts: ForecastThread | None = None
-        self._due = Schedule(config.forecast.every)
+        self._due = Schedule(config.forecast.every, FIRST_FORECAST_S)
         self._lost: dict[str, bool] = {}
         self._begun_ns = 0
         self._taken: list[tuple[str, Arrival]] = []

@@ -13,9 +13,13 @@ _SPARE = 60
 
 
 class Schedule:
-    """Instants of one clock, ns: of samples in a replay, monotonic while the agent runs. every_s may be infinite."""
+    """Instants of one clock, ns: of samples in a replay, monotonic while the agent runs.
 
-    def __init__(self, every_s: float) -> None:
+    every_s: may be infinite. first_s: until the first, where that is sooner: an agent that is often started forecasts too.
+    """
+
+    def __init__(self, every_s: float, first_s: float = math.inf) -> None:
+        self._first_ns = round(min(every_s, first_s) * 1e9) if not math.isinf(every_s) else 0
         self._every_ns = None if math.isinf(every_s) else round(every_s * 1e9)
         self._apart_ns = 60_000_000_000 if self._every_ns is None else self._every_ns // _SPARE
         self._due_ns: int | None = None
@@ -26,7 +30,7 @@ class Schedule:
         if self._every_ns is None:
             return []
         if self._due_ns is None:
-            self._due_ns = now_ns + self._every_ns
+            self._due_ns = now_ns + self._first_ns
         count = max(0, (now_ns - self._due_ns) // self._every_ns + 1)
         first, self._due_ns = self._due_ns, self._due_ns + count * self._every_ns
         return [first + i * self._every_ns for i in range(max(0, count - _MOST), count)]

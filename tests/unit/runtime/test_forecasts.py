@@ -165,6 +165,9 @@ def test_schedule_is_due_once_a_period_and_bounded_after_a_gap() -> None:
     assert schedule.due(31_000_000_000) == [10 * 10**9, 20 * 10**9, 30 * 10**9]
     assert len(schedule.due(10**15)) == 100
     assert Schedule(float("inf")).due(10**18) == []
+    started = Schedule(3600.0, 600.0)
+    assert started.due(0) == []
+    assert started.due(4300 * 10**9) == [600 * 10**9, 4200 * 10**9]
 
 
 def test_schedule_asks_at_level_alarms_and_not_at_each_of_a_chattering_one() -> None:

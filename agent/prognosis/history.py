@@ -101,15 +101,29 @@ def blocks(history: History, most: int) -> History:
     return History(t, value, sd)
 
 
+def monotone(value: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the isotonic regression of values (n,): the nearest that never falls (pool adjacent violators).
+
+    scipy.optimize has one as well, and takes 16 MB of a gateway's memory with it.
+    """
+    pools: list[tuple[float, float, int]] = []
+    for mean, mass in zip(value.tolist(), weight.tolist(), strict=True):
+        pool = (mean, mass, 1)
+        while pools and pools[-1][0] > pool[0]:
+            before, more, count = pools.pop()
+            total = more + pool[1]
+            pool = ((before * more + pool[0] * pool[1]) / total, total, count + pool[2])
+        pools.append(pool)
+    return np.repeat([mean for mean, _, _ in pools], [count for _, _, count in pools])
+
+
 def smoothed(history: History) -> FloatArray:
     """Return levels without noise: the better of the two monotone fits, then means of five neighbours."""
-    from scipy.optimize import isotonic_regression
-
     least = 0.1 * float(np.median(history.sd))
     weight = 1.0 / np.maximum(history.sd / least, 1.0) ** 2 if least > 0.0 else np.ones(len(history))
-    fits = [isotonic_regression(history.value, weights=weight, increasing=up).x for up in (False, True)]
+    fits = [-monotone(-history.value, weight), monotone(history.value, weight)]
     errors = [float(weight @ (fit - history.value) ** 2) for fit in fits]
-    best = np.asarray(fits[int(np.argmin(errors))], dtype=np.float64)
+    best = fits[int(np.argmin(errors))]
     if len(best) < NEIGHBOURS:
         return best
     padded = np.pad(best, NEIGHBOURS // 2, mode="reflect", reflect_type="odd")

@@ -13,8 +13,8 @@ from agent.prognosis.filter import State, Walk, run_filter
 from agent.prognosis.prior import Prior
 from agent.types import FloatArray
 
-WIDE = 1600
-"""Particles that one filter takes along: more cost in proportion, fewer cost nearly as much."""
+WIDE = 960
+"""Particles that one filter takes along: fewer cost nearly as much; more take memory that a gateway may not have."""
 WITHIN = -40.0, 25.0
 """Logarithms that a proposal may reach; beyond, numbers overflow."""
 RUN_IN = 50.0

@@ -15,7 +15,7 @@ _SPARE = 60
 class Schedule:
     """Instants of one clock, ns: of samples in a replay, monotonic while the agent runs.
 
-    every_s: may be infinite. first_s: until the first, where that is sooner: an agent that is often started forecasts too.
+    every_s: may be infinite. first_s: until the first, where that is sooner, so that short runs forecast too.
     """
 
     def __init__(self, every_s: float, first_s: float = math.inf) -> None:

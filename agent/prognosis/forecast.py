@@ -75,8 +75,11 @@ def forecast(
         readings = replace(readings, way=like.way)
     found = posterior(readings, scale, prior, rng, effort)
     passages = np.sort(first_passages(found, scale, newest, prior.later, rng, effort)) * thin.span
+    family = _weights(found)
+    if passages[len(passages) // 2] == 0.0:
+        return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
     passages = np.maximum(passages - float(history.t[-1] - thin.t[-1]), 0.0)  # a mean is older than its newest row
-    return _stated(passages, horizon, thin.span, _weights(found), lambda: _steady(history))
+    return _stated(passages, horizon, history.span, family, lambda: _steady(history))
 
 
 def _steady(history: History) -> bool:
@@ -102,8 +105,6 @@ def _stated(
     """Return what draws of the first passage allow to be said; steady: whether nothing changes."""
     p10, p50, p90 = (float(passages[int(q * len(passages))]) for q in (0.1, 0.5, 0.9))
     chance = float(np.mean(passages <= min(horizon, FARTHEST * span)))
-    if p50 == 0.0:
-        return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
     if not _is_wide(p10, p90, span):
         status: Status = "beyond" if p50 > horizon > span else "ok"
         return Forecast(status, p10, p50, p90, horizon, chance, family, passages)

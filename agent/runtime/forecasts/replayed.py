@@ -30,7 +30,6 @@ class ReplayedForecasts:
         found += [(at, ALARM, (parameter,)) for at, parameter in self._schedule.at_alarms(records)]
         for batch in records:
             if isinstance(batch, EstimateBatch) and len(batch):
-                self._schedule.due(int(batch.t_ns[0]))
-                passed = self._schedule.due(int(batch.t_ns[-1]))
+                passed = [at for end in (0, -1) for at in self._schedule.due(int(batch.t_ns[end]))]
                 found += [(at, DUE, self._forecaster.parameters) for at in passed]
         return sorted(found)

@@ -135,3 +135,11 @@ def test_brief_forecast_says_what_the_whole_one_says(rng: np.random.Generator) -
         assert brief.status == whole.status == "ok"
         assert brief.p50 == pytest.approx(whole.p50, rel=0.05)
         assert 0.6 < width(brief) / width(whole) < 3.0  # of half as many means
+
+
+def test_forecast_without_a_horizon_is_not_beyond_it(rng: np.random.Generator) -> None:
+    t = np.linspace(0.0, 100.0, 1000)  # thinned to means, whose span is less
+    found = forecast(History(t, 25.0 - 0.05 * t + 0.02 * rng.standard_normal(1000), np.full(1000, 0.02)), 14.9)
+    assert found.p50 is not None
+    assert found.p50 > 100.0
+    assert found.status == "ok"

@@ -12,13 +12,16 @@ import numpy as np
 import pytest
 import scoringrules
 
+from agent.blocks.prognosis_alarms import PrognosisAlarms
 from agent.config import Forecast as Asked
 from agent.config import RigConfig
 from agent.runtime.forecasts.making import Forecaster, Made
+from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.forecasts.schedule import Schedule
 from agent.runtime.forecasts.thread import ForecastThread
 from agent.storage.read import queries
 from agent.storage.write.store import Store
+from agent.storage.write.writer import StoreWriter
 from agent.types import EstimateBatch, ForecastRecord, ForecastScore, HealthEvent, Record
 from tests.storage.rows import START, batch, run_info, step
 from tests.unit.config.config_texts import PRESS, read, with_fake_driver
@@ -207,3 +210,31 @@ def test_thread_makes_what_is_asked_once_and_is_not_waited_for() -> None:
     thread._thread.join(5.0)
     assert slow.asked == [("due", ("k1",))]
     assert thread.take("press") == [Made()]
+
+
+def test_life_of_a_part_is_forecast_alarmed_and_scored(rig: RigConfig, tmp_path: Path) -> None:
+    """A part that falls for FALL days, seen day by day: the alarm comes before the limit, and the record is kept."""
+    alarm = rig.alarm[0].model_copy(update={"within": 12 * 86_400.0})
+    rig = rig.model_copy(update={"alarm": (alarm,), "forecast": Asked(every=6 * 86_400.0)})
+    path = tmp_path / "life.db"
+    writer = StoreWriter(lambda: Store.open(path), [run_info(kind="replay")], lossless=True)
+    writer.start()
+    forecasts = ReplayedForecasts(Forecaster(rig, path), rig.forecast.every, lambda: writer.flush(60.0))
+    alarms = PrognosisAlarms("press-7", rig.alarm)
+    for first in range(0, 54, 3):
+        rows = falling(first, 3)
+        writer.publish([rows])
+        for found in forecasts.step([rows]):
+            changes = [change for outlook in found.outlooks for change in alarms.step(outlook)]
+            writer.publish([*found.records, *changes])
+    writer.stop()
+    made_at = [(row["made_at_ns"] - START) // DAY_NS for row in queries.forecasts(path)]
+    assert made_at == [6, 12, 18, 24, 30, 36, 42, 48]
+    (raised,) = queries.alarms(path)
+    assert (raised["kind"], raised["parameter"], raised["state"]) == ("forecast", "k1", "UNACK")
+    assert "2026-01-25" <= raised["raised_at"] < "2026-02-06"
+    scored = [row for row in queries.forecasts(path) if row["held"] is not None]
+    assert {row["crossed_at"][:10] for row in scored} <= {"2026-02-09", "2026-02-10", "2026-02-11"}
+    assert len(scored) >= 4
+    assert sum(row["held"] for row in scored) >= len(scored) - 1
+    assert [row["status"] for row in queries.forecasts(path)][-2:] == ["crossed", "crossed"]

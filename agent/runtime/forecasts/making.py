@@ -52,7 +52,7 @@ class Forecaster:
         self.parameters = tuple(dict.fromkeys(alarm.parameter for alarm in config.alarm))
         self._window_s = max(config.estimator.windows_s, default=None)
         self._like: dict[tuple[str, float], Learnt | None] = {}
-        self._told: str | None = None
+        self._reported: dict[str, str] = {}
 
     def make(self, cause: str, parameters: Sequence[str], until_ns: int | None = None) -> Made:
         """Return the forecasts of parameters, and the scores of earlier ones that are due.
@@ -70,14 +70,14 @@ class Forecaster:
             # a forecast is never worth a rig: whatever fails is reported once and tried again when the next is due
             words = f"no forecast of {parameter}: {error}"
             log.debug("%s: %s", self.rig, words, exc_info=not isinstance(error, AgentError))
-            return self._failed(words, until_ns)
-        self._told = None
+            return self._failed(parameter, words, until_ns)
+        self._reported.pop(parameter, None)
         return made
 
-    def _failed(self, words: str, until_ns: int | None) -> Made:
-        if words == self._told:
+    def _failed(self, parameter: str, words: str, until_ns: int | None) -> Made:
+        if words == self._reported.get(parameter):
             return Made()
-        self._told = words
+        self._reported[parameter] = words
         log.warning("%s: %s", self.rig, words)
         return Made((HealthEvent(self.rig, SOURCE, wall_ns() if until_ns is None else until_ns, FAILURE, words),))
 

@@ -1,4 +1,4 @@
-"""A thread of its own for forecasts, of the lowest priority: the agent asks, and fetches what was made later.
+"""A thread of its own for forecasts, of low priority: the agent asks, and fetches what was made later.
 
 It reads the databases through connections that can only read, and hands nothing to the store by itself. Whoever ends
 the agent need not wait for it: what it is at is thrown away.
@@ -14,7 +14,9 @@ from agent.runtime.forecasts.making import Forecaster, Made
 
 SETTLE_S = 2.0
 """How long after it was asked a forecast is begun, so that the rows that led to it are stored."""
-_LOWEST = 19
+_NICER = 5
+"""Less priority than the agent's other threads, in steps of nice(2). At the lowest this thread would be put aside
+while it holds the interpreter's lock, and a thread that reads a bus would wait for it."""
 _MOST_WAITING = 64
 """What was made and not fetched; the oldest goes."""
 
@@ -82,8 +84,9 @@ class ForecastThread:
 
 
 def _lower_priority() -> None:
-    """Let every other thread of the machine go first; on Linux priorities are of threads."""
+    """Let the other threads go first; on Linux priorities are of threads."""
     try:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOWEST)
+        own = threading.get_native_id()
+        os.setpriority(os.PRIO_PROCESS, own, min(19, os.getpriority(os.PRIO_PROCESS, own) + _NICER))
     except (AttributeError, OSError):
         return  # a system without it: the work is short

@@ -1,6 +1,7 @@
 """Forecasts that the agent makes: stored, scored once, blind to later rows, and no danger to anybody."""
 
 import json
+import os
 import threading
 import time
 from collections.abc import Sequence
@@ -189,6 +190,7 @@ class Slow:
 
     def make(self, cause: str, parameters: Sequence[str], until_ns: int | None = None) -> Made:
         self.asked.append((cause, parameters))
+        self.priority = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
         self.begun.set()
         self.free.wait(10.0)
         return Made()
@@ -200,6 +202,7 @@ def test_thread_makes_what_is_asked_once_and_is_not_waited_for() -> None:
     thread.start()
     thread.ask("press", "k1", "due")
     assert slow.begun.wait(5.0)
+    assert slow.priority > os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
     for _ in range(3):
         thread.ask("press", "k2", "alarm")
     assert thread.take("press") == []

@@ -35,7 +35,7 @@ class Effort:
 
 FULL = Effort(160, 800, 6, 4000, 120)
 BRIEF = Effort(48, 160, 3, 600, 60)
-"""For tables of many parts: a tenth of the cost, and bands up to twice as wide."""
+"""For tables of many parts: a tenth of the cost, and rougher; which part to look at, not when to change it."""
 
 
 @dataclass(frozen=True, slots=True)

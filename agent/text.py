@@ -5,6 +5,11 @@ from datetime import UTC, datetime, timedelta
 
 _ORDERS = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if code not in (0x09, 0x0A)}
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_DAY = 86_400.0
+_AHEAD = (
+    (2 * 365.25 * _DAY, 365.25 * _DAY, "years"), (2 * _DAY, _DAY, "days"), (7200.0, 3600.0, "hours"),
+    (120.0, 60.0, "minutes"), (0.0, 1.0, "seconds"),
+)  # fmt: skip
 
 
 def with_sd(value: float, sd: float) -> str:
@@ -89,3 +94,11 @@ def short_time(text: str | None) -> str:
 
 def _fixed(value: float, decimals: int) -> str:
     return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"
+
+
+def ahead(seconds: float) -> str:
+    """Write a length of time in the unit that suits it."""
+    for least, unit, word in _AHEAD:
+        if seconds >= least:
+            return f"{number(seconds / unit, 3)} {word}"
+    return f"{number(seconds, 3)} seconds"

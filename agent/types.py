@@ -422,4 +422,60 @@ class Verdict:
     probability: float
 
 
-Record = EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict | ClockRecord
+@dataclass(frozen=True, slots=True)
+class ForecastRecord:
+    """A forecast of when a parameter first reaches a limit, as the agent made it.
+
+    Attributes:
+        t_ns: when it was made: the instant of the newest row that it rests on.
+        level, limit: the parameter then, and the value to be reached, in its unit.
+        status: as in `agent.prognosis.forecast`.
+        p10_ns, p50_ns, p90_ns: quantiles of the passage; None where nothing can be said.
+        chance: of the passage within horizon_s; None where nothing can be said.
+        family: JSON, the laws and their weights.
+        draws: JSON, draws of the passage that are equally probable, s after t_ns.
+        cause: "due" or "alarm".
+    """
+
+    rig: str
+    parameter: str
+    t_ns: int
+    level: float
+    limit: float
+    status: str
+    p10_ns: int | None
+    p50_ns: int | None
+    p90_ns: int | None
+    chance: float | None
+    horizon_s: float
+    family: str
+    draws: str
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class ForecastScore:
+    """What became of a stored forecast.
+
+    Attributes:
+        number: its row; made_ns and parameter say again which it is.
+        t_ns: when it was scored.
+        crossed_ns: when the limit was reached; None where it was not.
+        crps: continuous ranked probability score, s; None where the forecast had no draws.
+        held: whether the passage came between P10 and P90; None where it had none.
+    """
+
+    rig: str
+    parameter: str
+    number: int
+    made_ns: int
+    t_ns: int
+    crossed_ns: int | None
+    crps: float | None
+    held: bool | None
+
+
+Record = (
+    EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict | ClockRecord
+    | ForecastRecord | ForecastScore
+)  # fmt: skip

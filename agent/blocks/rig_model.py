@@ -66,7 +66,7 @@ def _nuisance(config: RigConfig, parameter: Parameter) -> Nuisance:
 
 
 def _limit(config: RigConfig, parameter: Parameter) -> float:
-    for alarm in config.alarm:
+    for alarm in config.limits:
         if alarm.parameter == parameter.name:
             percent = alarm.limit_percent
             return alarm.limit if alarm.limit is not None else abs(parameter.nominal) * (percent or 10.0) / 100

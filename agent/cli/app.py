@@ -412,7 +412,7 @@ def export(
         str,
         typer.Argument(
             metavar="WHAT",
-            help="estimates, alarms, alarm_events, health, runs, event_records, verdicts, baselines.",
+            help="estimates, alarms, alarm_events, health, runs, event_records, verdicts, baselines, forecast.",
         ),
     ] = "estimates",
     rig: Rig = None,

@@ -11,7 +11,9 @@ from agent.storage import maintenance
 Document = dict[str, Any]
 FORMS = ("", ".csv", ".parquet")
 """Ends of names that can be written; without one it is CSV."""
-EXPORTS = ("estimates", "alarms", "alarm_events", "health", "runs", "event_records", "verdicts", "baselines")
+EXPORTS = (
+    "estimates", "alarms", "alarm_events", "health", "runs", "event_records", "verdicts", "baselines", "forecast",
+)  # fmt: skip
 
 
 def check(db: Path, *, as_json: bool) -> None:

@@ -9,6 +9,7 @@ from agent.config.tables import (
     Channel,
     Columns,
     Estimator,
+    Forecast,
     LinearModel,
     MechanicsModel,
     Model,
@@ -39,6 +40,7 @@ class Draft:
     sources: list[Entry[Source]] = field(default_factory=list)
     store: Store = field(default_factory=Store)
     columns: Columns = field(default_factory=Columns)
+    forecast: Forecast = field(default_factory=Forecast)
 
     @property
     def rate_hz(self) -> float | None:

@@ -12,7 +12,7 @@ from agent.config.messages import join, listing, nearest
 from agent.config.parse import Faults, read_list, read_table
 from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
-from agent.config.rules_estimator import check_alarms, check_estimator
+from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model
 from agent.config.rules_sources import check_sources, read_sources
 from agent.config.secrets import check_no_plain_secrets
@@ -21,6 +21,7 @@ from agent.config.tables import (
     Channel,
     Columns,
     Estimator,
+    Forecast,
     LinearModel,
     MechanicsModel,
     Rig,
@@ -30,16 +31,19 @@ from agent.config.tables import (
 from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, Fault
 
-TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns")
+TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast")
 RESERVED: Final = ("agent", "http", "mqtt", "metrics", "notify", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
-    ("alarm", "kind"): ("rate", "forecast", "sensor", "source", "mismatch"),
+    ("alarm", "kind"): ("sensor", "source", "mismatch"),
 }
 _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
     "mass-spring-damper": MechanicsModel,
     "linear": LinearModel,
 }
+_RULES: Final = (
+    check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast,
+)  # fmt: skip
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
 
 
@@ -59,7 +63,7 @@ def parse(data: bytes, file: Path, *, identified: bool = False) -> RigConfig:
     raw = parse_toml(data, file)
     draft = Draft(file.parent, identified)
     _read(raw, draft)
-    for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources):
+    for check in _RULES:
         check(draft)
     if draft.faults.found:
         raise ConfigError(_ordered(draft.faults.found))
@@ -124,6 +128,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.sources = read_sources(raw.get("source", []), faults)
     draft.store = read_table(Store, raw.get("store", {}), "store", faults)
     _read_columns(raw.get("columns", {}), draft)
+    draft.forecast = read_table(Forecast, raw.get("forecast", {}), "forecast", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -203,6 +208,7 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         source=tuple(entry.table for entry in draft.sources),
         store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),
         columns=draft.columns,
+        forecast=draft.forecast.beside(draft.folder),
         file=file,
         sha256=sha256,
     )

@@ -1,4 +1,4 @@
-"""What must hold in [estimator] and [[alarm]]."""
+"""What must hold in [estimator], [[alarm]] and [forecast]."""
 
 import math
 from collections import Counter
@@ -12,6 +12,8 @@ from agent.config.tables import Alarm, MechanicsModel, Observer
 
 MOST_GB = 1.0
 """What the linearised samples of a window may take."""
+LEAST_EVERY_S = 1.0
+"""Between two forecasts of a parameter."""
 COPIES = 6
 """How often they are in memory meanwhile, as measured on a million samples of two masses."""
 
@@ -179,16 +181,39 @@ def most_samples(outputs: int, unknowns: int) -> int:
 
 def check_alarms(draft: Draft) -> None:
     """Note the faults of alarms."""
-    kinds = Counter[tuple[str, str]]()
+    known = set[tuple[str, str]]()
     for path, alarm in draft.alarms:
+        _check_kind(path, alarm, draft)
         _check_limit(path, alarm, draft)
+        _check_within(path, alarm, draft)
         if not readable(alarm.parameter, alarm.kind):
             continue
         _check_parameter(path, alarm, draft)
-        kinds[alarm.parameter, alarm.kind] += 1
-        if kinds[alarm.parameter, alarm.kind] > 1:
-            what = f"{shown(alarm.parameter)} has a {alarm.kind} alarm already"
-            draft.faults.add(f"{path}.parameter", what, "one a parameter and kind")
+        for kind in alarm.kinds or ("level",):
+            if (alarm.parameter, kind) in known:
+                what = f"{shown(alarm.parameter)} has a {kind} alarm already"
+                draft.faults.add(f"{path}.parameter", what, "one a parameter and kind")
+            known.add((alarm.parameter, kind))
+
+
+_NEEDED = {"forecast": "within", "rate": "rate_per_day"}
+
+
+def _check_kind(path: str, alarm: Alarm, draft: Draft) -> None:
+    """Note a kind without what it is raised by."""
+    key = _NEEDED.get(alarm.kind)
+    if key is not None and key not in alarm.model_fields_set:
+        example = {"within": '"30d"', "rate_per_day": "0.5"}[key]
+        draft.faults.add(f"{path}.{key}", f'is missing: kind = "{alarm.kind}" needs it', f"write {key} = {example}")
+
+
+def _check_within(path: str, alarm: Alarm, draft: Draft) -> None:
+    """Note a time within which nothing can be forecast."""
+    given = [key for key in ("limit", "limit_percent") if key in alarm.model_fields_set]
+    if alarm.within is not None and math.isinf(alarm.within):
+        draft.faults.add(f"{path}.within", '"forever" is no time', 'write "30d"')
+    if alarm.within is not None and not given:
+        draft.faults.add(f"{path}.within", "goes with a limit that is to be reached", "give limit or limit_percent")
 
 
 def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
@@ -205,6 +230,9 @@ def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
 
 def _check_limit(path: str, alarm: Alarm, draft: Draft) -> None:
     given = [key for key in ("limit", "limit_percent") if key in alarm.model_fields_set]
+    says_otherwise = not alarm.model_fields_set.isdisjoint({"rate_per_day", "within"})
+    if says_otherwise and not given:
+        return
     if len(given) != 1:
         what = "has both limit and limit_percent" if given else "has no limit"
         draft.faults.add(path, what, "give exactly one of limit and limit_percent")
@@ -221,3 +249,18 @@ def _check_deadband(path: str, alarm: Alarm, draft: Draft) -> None:
     if alarm.limit is not None and alarm.deadband is not None and alarm.deadband >= alarm.limit:
         what = f"{alarm.deadband:g} leaves nothing of the limit {alarm.limit:g}: the alarm would never clear"
         draft.faults.add(path, what, "give less than the limit")
+
+
+def check_forecast(draft: Draft) -> None:
+    """Note the faults of [forecast] that its values do not show by themselves."""
+    asked = draft.forecast
+    if readable(asked.every) and asked.every < LEAST_EVERY_S:
+        what = f"{asked.every:g} s is too often: a forecast takes a tenth of a second, and more on a small gateway"
+        draft.faults.add("forecast.every", what, 'give "10s" or more')
+    if asked.horizon is not None and math.isinf(asked.horizon):
+        draft.faults.add("forecast.horizon", '"forever" is no horizon', 'write "90d", or leave it out')
+    for i, path in enumerate(asked.like or ()):
+        if not (draft.folder / path).exists():
+            what = f"there is no file {shown(str(draft.folder / path))}"
+            advice = "name databases, tables, or a prior by deltak fleet learn"
+            draft.faults.add(f"forecast.like[{i}]", what, advice)

@@ -160,14 +160,17 @@ class Estimator(Table):
 
 
 class Alarm(Table):
-    """A limit on the change of one parameter; deadband and on_delay_s are None where only the alarm can know them.
+    """A limit on one parameter; deadband and on_delay_s are None where only the alarm can know them.
+
+    A limit on the change raises alarms of kind level. within raises one of kind forecast where a forecast has the limit
+    reached sooner, rate_per_day one of kind rate where the drift is faster; kind leaves of these only one.
 
     The deadband of a limit_percent is 0.1 of the limit that the reference gives; the on-delay of several windows is
     the window in use.
     """
 
     parameter: Name
-    kind: Literal["level"] = "level"
+    kind: Literal["level", "forecast", "rate"] = "level"
     limit: Positive | None = None
     limit_percent: Positive | None = None
     side: Literal["both", "low", "high"] = "both"
@@ -180,6 +183,20 @@ class Alarm(Table):
     at_rest: Literal["hold", "suppress"] = "hold"
     re_alarm_s: Positive | None = Field(default=None, description="how long after its acknowledgement it asks again")
     advice: Text | None = Field(default=None, description="what to do about it, in words")
+    within: Duration | None = None
+    rate_per_day: Positive | None = Field(default=None, description="the parameter's unit a day, such as 0.5")
+
+    @property
+    def has_limit(self) -> bool:
+        """Whether it limits the change of the parameter."""
+        return self.limit is not None or self.limit_percent is not None
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of alarms that it raises."""
+        asked = {"level": self.has_limit, "forecast": self.within is not None, "rate": self.rate_per_day is not None}
+        only = self.kind if "kind" in self.model_fields_set else None
+        return tuple(kind for kind, wanted in asked.items() if wanted and only in {None, kind})
 
 
 class Source(Table):
@@ -249,6 +266,22 @@ class Columns(Table):
     delimiter: str | None = None
 
 
+class Forecast(Table):
+    """When forecasts are made and how far ahead; like names histories of like machines, or a prior learnt of them.
+
+    every: from one forecast of a parameter to the next; infinite makes them at alarms only. horizon: what the chance is
+    of; None for as long again as the history is.
+    """
+
+    every: Duration = 3600.0
+    horizon: Duration | None = None
+    like: Annotated[tuple[FilePath, ...], Strict(False)] = ()
+
+    def beside(self, folder: Path) -> "Forecast":
+        """Return the same with paths that start at a folder."""
+        return self.model_copy(update={"like": tuple(folder / path for path in self.like)})
+
+
 class Parameter(NamedTuple):
     """Something that can be estimated."""
 
@@ -269,6 +302,7 @@ class RigConfig(Table):
     source: tuple[Source, ...] = ()
     store: Store
     columns: Columns = Columns()
+    forecast: Forecast = Forecast()
     file: Path
     sha256: str
 
@@ -276,6 +310,11 @@ class RigConfig(Table):
     def folder(self) -> Path:
         """Where relative paths of the file start."""
         return self.file.parent
+
+    @property
+    def limits(self) -> tuple[Alarm, ...]:
+        """The alarms that limit the change of a parameter, in the file's order."""
+        return tuple(alarm for alarm in self.alarm if "level" in alarm.kinds)
 
     @property
     def inputs(self) -> tuple[Channel, ...]:

@@ -19,7 +19,9 @@ MEANS = 32
 ASKED = 0.01
 """Of each of the two questions, so that a history without a trend says "trend" less than once in twenty."""
 FEWEST = 6
-"""Rows below which nothing is said."""
+"""Rows below which only a line is asked for: neither its curvature nor its newest half can be told."""
+LINE = 3
+"""Rows below which there is no line with an interval."""
 YEAR = 365.25
 SEASONAL = 0.7
 """Years of history from which on a yearly season is thought of."""
@@ -37,10 +39,12 @@ STRENGTHS = (None, 0.3, 1.0, 3.0)
 class Change:
     """Level, slope and curvature at the newest row, and whether anything changes.
 
+    Of fewer than FEWEST rows the newest slope is the whole line's, and the curvature 0 with an infinite sd.
+
     Attributes:
         level, level_sd: at the newest row.
         slope, slope_sd, slope_lower, slope_upper: of the line through the whole span, and its 95 % interval.
-        newest, newest_sd: slope of the newest half.
+        newest, newest_sd: slope of the newest half. rates: its density.
         curvature, curvature_sd: second derivative.
         p_whole, p_half: how probable as much change is without any, over the whole span and over its newest half.
         trend: whether either is below ASKED.
@@ -58,10 +62,26 @@ class Change:
     curvature_sd: float
     p_whole: float
     p_half: float
+    rates: "Rates"
 
     @property
     def trend(self) -> bool:
         return min(self.p_whole, self.p_half) < ASKED
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """A slope as a mixture of Gaussians: means, standard deviations and weights (K,)."""
+
+    mean: FloatArray
+    sd: FloatArray
+    weight: FloatArray
+
+    def above(self, rate: float) -> float:
+        """Return the probability of a slope above a rate."""
+        from scipy.special import ndtr
+
+        return float(self.weight @ ndtr((self.mean - rate) / self.sd))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +117,11 @@ class _Mixture:
             ends.append(middle)
         return ends[0], ends[1]
 
+    def rates(self, row: FloatArray, per: float) -> Rates:
+        """Return the density of a linear function of β, times a factor."""
+        sd = np.sqrt(np.einsum("kij,i,j->k", self.cov, row, row))
+        return Rates(per * (self.mean @ row), per * np.maximum(sd, 1e-300), self.weight)
+
     def improbable(self, columns: list[int]) -> float:
         """Return how probable coefficients as far from zero are where they are zero (Wald), over the mixture."""
         from scipy.special import chdtrc
@@ -108,9 +133,9 @@ class _Mixture:
 
 
 def change(history: History, most: int = MEANS) -> Change | None:
-    """Return the change of a history whose t is in days; None where it has fewer than six rows or no span."""
+    """Return the change of a history whose t is in days; None where it has fewer than three rows or no span."""
     thin = blocks(sound(history), most)
-    if len(thin) < FEWEST or thin.span <= 0.0:
+    if len(thin) < LINE or thin.span <= 0.0:
         return None
     t = (thin.t - thin.t[-1]) / thin.span
     size = max(float(np.ptp(thin.value)), float(thin.sd.max()), 1e-300)
@@ -121,6 +146,8 @@ def change(history: History, most: int = MEANS) -> Change | None:
     one = np.ones_like(t)
     late = (t >= -0.5).astype(np.float64)
     whole = _reml(np.column_stack([one, t]), y, scatter)
+    if len(thin) < FEWEST:
+        return _line(whole, float(thin.value[-1]), size, thin.span)
     bent = _reml(np.column_stack([one, t, 0.5 * t * t]), y, scatter)
     half = _reml(np.column_stack([1.0 - late, (1.0 - late) * t, late, late * t]), y, scatter)
     return _answer(whole, bent, half, float(thin.value[-1]), size, thin.span)
@@ -196,15 +223,28 @@ def _weighed(gram: FloatArray, p: int, strength: float | None) -> tuple[FloatArr
     return beta[:, :p], cov[:, :p, :p], log_weight - (0.0 if strength is None else np.log(6.0))
 
 
+def _line(whole: _Mixture, origin: float, size: float, span: float) -> Change:
+    """Return what a line alone says."""
+    level, level_sd = whole.moments(np.array([1.0, 0.0]))
+    row, per = np.array([0.0, 1.0]), size / span
+    slope, slope_sd = (per * moment for moment in whole.moments(row))
+    lower, upper = (per * end for end in whole.interval(row, 0.95))
+    p = whole.improbable([1])
+    return Change(
+        origin + size * level, size * level_sd, slope, slope_sd, lower, upper, slope, slope_sd, 0.0, np.inf, p, 1.0,
+        whole.rates(row, per),
+    )  # fmt: skip
+
+
 def _answer(whole: _Mixture, bent: _Mixture, half: _Mixture, origin: float, size: float, span: float) -> Change:
     level, level_sd = whole.moments(np.array([1.0, 0.0]))
     slope, slope_sd = whole.moments(np.array([0.0, 1.0]))
     lower, upper = whole.interval(np.array([0.0, 1.0]), 0.95)
     curvature, curvature_sd = bent.moments(np.array([0.0, 0.0, 1.0]))
-    newest, newest_sd = half.moments(np.array([0.0, 0.0, 0.0, 1.0]))
-    per = size / span
+    recent, per = np.array([0.0, 0.0, 0.0, 1.0]), size / span
+    newest, newest_sd = half.moments(recent)
     return Change(
         origin + size * level, size * level_sd, per * slope, per * slope_sd, per * lower, per * upper,
         per * newest, per * newest_sd, per / span * curvature, per / span * curvature_sd,
-        bent.improbable([1, 2]), half.improbable([3]),
+        bent.improbable([1, 2]), half.improbable([3]), half.rates(recent, per),
     )  # fmt: skip

@@ -4,7 +4,7 @@ The band holds what the estimates' sd leaves open, what a history leaves open of
 is. It is of the first passage of the parameter itself, not of the crossing of a mean line.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -15,13 +15,11 @@ from agent.prognosis.family import MEMBERS, Scale, scale_of
 from agent.prognosis.history import History, blocks, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
 from agent.prognosis.passage import FARTHEST, first_passages
-from agent.prognosis.posterior import Particles, Readings, posterior
+from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior
 from agent.prognosis.prior import Prior, Student
 from agent.prognosis.steps import find_steps, without
 from agent.types import FloatArray
 
-BLOCKS = 160
-"""Means that a history is thinned to."""
 SPANS = 3.0
 """P90 − P10 in spans of the history from which on a history is too short to say."""
 RATIO = 4.0
@@ -52,15 +50,18 @@ class Forecast:
     passages: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
-def forecast(history: History, limit: float, horizon: float | None = None, like: Learnt | None = None) -> Forecast:
+def forecast(
+    history: History, limit: float, horizon: float | None = None, like: Learnt | None = None, effort: Effort = FULL
+) -> Forecast:
     """Forecast the first passage of a limit.
 
     history: rows until now, t in days. horizon: days ahead that the chance is of; None for as long again as the history
-    is. like: what was learnt of like machines. Nothing but the arguments enters: later rows cannot.
+    is. like: what was learnt of like machines. effort: what it may
+    cost. Nothing but the arguments enters: later rows cannot.
     """
     horizon = history.span if horizon is None else horizon
     history = without(history, find_steps(history))
-    thin = blocks(sound(history), BLOCKS)
+    thin = blocks(sound(history), effort.means)
     if len(thin) < FEWEST or thin.span <= 0.0:
         return Forecast("too short", horizon=horizon)
     readings, scale = readings_of(thin, limit)
@@ -72,9 +73,13 @@ def forecast(history: History, limit: float, horizon: float | None = None, like:
     if like is not None:
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
-    found = posterior(readings, scale, prior, rng)
-    passages = np.sort(first_passages(found, scale, newest, prior.later, rng)) * thin.span
-    return _stated(passages, horizon, thin.span, _weights(found), steady=_steady(history))
+    found = posterior(readings, scale, prior, rng, effort)
+    passages = np.sort(first_passages(found, scale, newest, prior.later, rng, effort)) * thin.span
+    family = _weights(found)
+    if passages[len(passages) // 2] == 0.0:
+        return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
+    passages = np.maximum(passages - float(history.t[-1] - thin.t[-1]), 0.0)  # a mean is older than its newest row
+    return _stated(passages, horizon, history.span, family, lambda: _steady(history))
 
 
 def _steady(history: History) -> bool:
@@ -94,17 +99,17 @@ def _weights(found: list[Particles]) -> dict[str, float]:
     return dict(zip((p.member for p in found), (weight / weight.sum()).tolist(), strict=True))
 
 
-def _stated(passages: FloatArray, horizon: float, span: float, family: dict[str, float], *, steady: bool) -> Forecast:
-    """Return what draws of the first passage allow to be said."""
+def _stated(
+    passages: FloatArray, horizon: float, span: float, family: dict[str, float], steady: Callable[[], bool]
+) -> Forecast:
+    """Return what draws of the first passage allow to be said; steady: whether nothing changes."""
     p10, p50, p90 = (float(passages[int(q * len(passages))]) for q in (0.1, 0.5, 0.9))
     chance = float(np.mean(passages <= min(horizon, FARTHEST * span)))
-    if p50 == 0.0:
-        return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
     if not _is_wide(p10, p90, span):
         status: Status = "beyond" if p50 > horizon > span else "ok"
         return Forecast(status, p10, p50, p90, horizon, chance, family, passages)
     why: Status = "beyond" if np.isinf(p10) else "too short"
-    return Forecast("no trend" if steady else why, None, None, None, horizon, chance, family, passages)
+    return Forecast("no trend" if steady() else why, None, None, None, horizon, chance, family, passages)
 
 
 def _is_wide(p10: float, p90: float, span: float) -> bool:
@@ -153,7 +158,7 @@ def learn_from(histories: Sequence[History], limit: float | None = None) -> Lear
 
 
 def _specimen(history: History, limit: float | None) -> Specimen | None:
-    thin = blocks(sound(_life(history, limit)), BLOCKS)
+    thin = blocks(sound(_life(history, limit)), FULL.means)
     if len(thin) < FEWEST or 0.0 in {thin.span, float(np.ptp(thin.value))}:
         return None
     end = float(smoothed(thin)[-1]) if limit is None else limit

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
+DAY_NS = 86_400_000_000_000
 NEIGHBOURS = 5
 """Rows on each side that a row is compared with."""
 OUTLIER = 5.0
@@ -40,6 +41,20 @@ class History:
 
     def __getitem__(self, rows: "slice | NDArray[np.intp]") -> "History":
         return History(self.t[rows], self.value[rows], self.sd[rows])
+
+
+def disjoint(t_ns: IntArray, span_s: FloatArray) -> NDArray[np.intp]:
+    """Return the rows, newest kept, whose spans (t − span, t] share nothing; t_ns (n,) in the order of time."""
+    starts = t_ns - np.round(span_s * 1e9).astype(np.int64)
+    if len(t_ns) < 2 or bool((t_ns[:-1] <= starts[1:]).all()):
+        return np.arange(len(t_ns))
+    before = (np.searchsorted(t_ns, starts, side="right") - 1).tolist()
+    chain = []
+    row = len(t_ns) - 1
+    while row >= 0:
+        chain.append(row)
+        row = min(before[row], row - 1)  # a row without a span still precedes itself
+    return np.array(chain[::-1], dtype=np.intp)
 
 
 def sound(history: History) -> History:
@@ -86,15 +101,29 @@ def blocks(history: History, most: int) -> History:
     return History(t, value, sd)
 
 
+def monotone(value: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the isotonic regression of values (n,): the nearest that never falls (pool adjacent violators).
+
+    scipy.optimize has one as well, and takes 16 MB of a gateway's memory with it.
+    """
+    pools: list[tuple[float, float, int]] = []
+    for mean, mass in zip(value.tolist(), weight.tolist(), strict=True):
+        pool = (mean, mass, 1)
+        while pools and pools[-1][0] > pool[0]:
+            before, more, count = pools.pop()
+            total = more + pool[1]
+            pool = ((before * more + pool[0] * pool[1]) / total, total, count + pool[2])
+        pools.append(pool)
+    return np.repeat([mean for mean, _, _ in pools], [count for _, _, count in pools])
+
+
 def smoothed(history: History) -> FloatArray:
     """Return levels without noise: the better of the two monotone fits, then means of five neighbours."""
-    from scipy.optimize import isotonic_regression
-
     least = 0.1 * float(np.median(history.sd))
     weight = 1.0 / np.maximum(history.sd / least, 1.0) ** 2 if least > 0.0 else np.ones(len(history))
-    fits = [isotonic_regression(history.value, weights=weight, increasing=up).x for up in (False, True)]
+    fits = [-monotone(-history.value, weight), monotone(history.value, weight)]
     errors = [float(weight @ (fit - history.value) ** 2) for fit in fits]
-    best = np.asarray(fits[int(np.argmin(errors))], dtype=np.float64)
+    best = fits[int(np.argmin(errors))]
     if len(best) < NEIGHBOURS:
         return best
     padded = np.pad(best, NEIGHBOURS // 2, mode="reflect", reflect_type="odd")

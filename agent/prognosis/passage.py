@@ -6,12 +6,10 @@ from itertools import pairwise
 import numpy as np
 
 from agent.prognosis.family import Scale, bent, onward
-from agent.prognosis.posterior import Particles
+from agent.prognosis.posterior import FULL, Effort, Particles
 from agent.prognosis.prior import Student
 from agent.types import FloatArray
 
-PATHS = 4000
-STEPS = 120
 FARTHEST = 20.0
 """How many spans of the history ahead paths are followed."""
 
@@ -29,9 +27,10 @@ class _Course:
 
 
 def first_passages(
-    found: list[Particles], scale: Scale, newest: float, later: Student, rng: np.random.Generator
-) -> FloatArray:
-    """Return (PATHS,) times to the first passage, in spans of the history; inf where a path never gets there.
+    found: list[Particles], scale: Scale, newest: float, later: Student, rng: np.random.Generator,
+    effort: Effort = FULL,
+) -> FloatArray:  # fmt: skip
+    """Return (effort.paths,) times to the first passage, in spans of the history; inf where a path never gets there.
 
     Each path starts from a particle, drawn by its weight, with level and rate drawn from its Gaussian. newest: scaled
     level up to which the history shows the law; later: how much κ differs beyond.
@@ -39,18 +38,18 @@ def first_passages(
     evidence = np.array([p.log_evidence for p in found])
     share = np.exp(evidence - evidence.max())
     share /= share.sum()
-    counts = np.floor(share * PATHS + 1e-9).astype(int)
-    counts[int(np.argmax(share))] += PATHS - counts.sum()
+    counts = np.floor(share * effort.paths + 1e-9).astype(int)
+    counts[int(np.argmax(share))] += effort.paths - counts.sum()
     drawn = zip(found, counts.tolist(), strict=True)
-    return np.concatenate([_paths(member, scale, newest, later, n, rng) for member, n in drawn if n])
+    return np.concatenate([_paths(member, scale, newest, later, n, effort.steps, rng) for member, n in drawn if n])
 
 
 def _paths(
-    found: Particles, scale: Scale, newest: float, later: Student, n: int, rng: np.random.Generator
+    found: Particles, scale: Scale, newest: float, later: Student, n: int, steps: int, rng: np.random.Generator
 ) -> FloatArray:
     weight = np.exp(found.log_weight)
-    steps = (rng.uniform() + np.arange(n)) / n
-    index = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), steps), len(weight) - 1)
+    places = (rng.uniform() + np.arange(n)) / n
+    index = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), places), len(weight) - 1)
     index = index[rng.permutation(n)]
     s = found.state
     bend = found.column("bend", 0.0)[index]
@@ -65,14 +64,20 @@ def _paths(
     u = s.u[index] + lean * (b - s.b[index]) + np.sqrt(rest) * normal[1]
     course = _Course(np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]))
     q, w = np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index])
-    return _simulated(np.sign(scale.limit) * (limit - u), np.sign(scale.limit) * b, q, w, course, rng)
+    return _simulated(np.sign(scale.limit) * (limit - u), np.sign(scale.limit) * b, q, w, course, steps, rng)
 
 
 def _simulated(
-    gap: FloatArray, b: FloatArray, q: FloatArray, w: FloatArray, course: _Course, rng: np.random.Generator
+    gap: FloatArray,
+    b: FloatArray,
+    q: FloatArray,
+    w: FloatArray,
+    course: _Course,
+    steps: int,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Follow paths until their gap to the limit is closed, with Brownian bridges between the steps."""
-    edges = np.r_[0.0, np.geomspace(1e-4, FARTHEST, STEPS)]
+    edges = np.r_[0.0, np.geomspace(1e-4, FARTHEST, steps)]
     reached = np.where(gap <= 0.0, 0.0, np.inf)
     for begin, end in pairwise(edges.tolist()):
         dt = end - begin

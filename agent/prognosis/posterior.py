@@ -13,14 +13,29 @@ from agent.prognosis.filter import State, Walk, run_filter
 from agent.prognosis.prior import Prior
 from agent.types import FloatArray
 
-PARTICLES = 800
-"""Of each member in each round."""
-ROUNDS = 6
+WIDE = 960
+"""Particles that one filter takes along: fewer cost nearly as much; more take memory that a gateway may not have."""
 WITHIN = -40.0, 25.0
 """Logarithms that a proposal may reach; beyond, numbers overflow."""
 RUN_IN = 50.0
 """How freely the rate wanders while a part runs in, in usual rates over a span."""
 COMMON = ("walk", "wander", "scatter")
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """What a forecast may cost: means of the history, particles of each member in each round, rounds, paths, steps."""
+
+    means: int
+    particles: int
+    rounds: int
+    paths: int
+    steps: int
+
+
+FULL = Effort(160, 800, 6, 4000, 120)
+BRIEF = Effort(48, 160, 3, 600, 60)
+"""For tables of many parts: a tenth of the cost, and rougher; which part to look at, not when to change it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,25 +80,69 @@ class Particles:
         return np.full(len(self.theta), default)
 
 
-def posterior(readings: Readings, scale: Scale, prior: Prior, rng: np.random.Generator) -> list[Particles]:
+@dataclass(frozen=True, slots=True)
+class _Swarm:
+    """Particles of one member in one round: theta (N, d), their log density when drawn, and after it their weights."""
+
+    member: str
+    names: tuple[str, ...]
+    theta: FloatArray
+    proposal: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighed:
+    """A swarm that was held against the readings."""
+
+    swarm: _Swarm
+    log_weight: FloatArray
+    state: State
+
+
+def posterior(
+    readings: Readings, scale: Scale, prior: Prior, rng: np.random.Generator, effort: Effort = FULL
+) -> list[Particles]:
     """Return the particles of every member of the family that the prior allows."""
-    return [_member(readings, scale, prior, rng, name) for name in MEMBERS if prior.members.get(name, 0.0) > 0.0]
+    members = [name for name in MEMBERS if prior.members.get(name, 0.0) > 0.0]
+    swarms = [_first(prior, rng, name, effort.particles) for name in members]
+    for round_ in range(effort.rounds):
+        weighed = _weigh(readings, scale, prior, swarms)
+        if round_ + 1 < effort.rounds:
+            swarms = [_next(one, prior, rng) for one in weighed]
+    return [_particles(one, prior) for one in weighed]
 
 
-def _member(readings: Readings, scale: Scale, prior: Prior, rng: np.random.Generator, member: str) -> Particles:
+def _first(prior: Prior, rng: np.random.Generator, member: str, count: int) -> _Swarm:
     names = (*COMMON, *(("life",) if "life" in prior.of else ()), *SHAPES[member])
-    theta = prior.draw(rng, names, PARTICLES)
-    proposal = prior.log_density(names, theta)
-    for _ in range(ROUNDS):
-        target = prior.log_density(names, theta)
-        state, likelihood = filtered(readings, scale, member, names, theta)
-        log_weight = np.where(np.isfinite(likelihood), likelihood + target - proposal, -np.inf)
-        last = (theta, log_weight, state)
-        theta, proposal = _proposed(theta, log_weight, prior, names, rng)
-    theta, log_weight, state = last
+    theta = prior.draw(rng, names, count)
+    return _Swarm(member, names, theta, prior.log_density(names, theta))
+
+
+def _next(found: _Weighed, prior: Prior, rng: np.random.Generator) -> _Swarm:
+    swarm = found.swarm
+    return _Swarm(
+        swarm.member, swarm.names, *_proposed(swarm.theta, found.log_weight, prior, swarm.names, rng)
+    )  # fmt: skip
+
+
+def _weigh(readings: Readings, scale: Scale, prior: Prior, swarms: list[_Swarm]) -> list[_Weighed]:
+    """Return swarms with their weights; as many go through one filter as are as quick as one."""
+    width = max(1, WIDE // max(1, len(swarms[0].theta))) if swarms else 1
+    weighed = []
+    for first in range(0, len(swarms), width):
+        group = swarms[first : first + width]
+        for swarm, (state, likelihood) in zip(group, filtered(readings, scale, group), strict=True):
+            target = prior.log_density(swarm.names, swarm.theta)
+            log_weight = np.where(np.isfinite(likelihood), likelihood + target - swarm.proposal, -np.inf)
+            weighed.append(_Weighed(swarm, log_weight, state))
+    return weighed
+
+
+def _particles(found: _Weighed, prior: Prior) -> Particles:
+    swarm, log_weight = found.swarm, found.log_weight
     top = float(log_weight.max())
-    evidence = top + float(np.log(np.mean(np.exp(log_weight - top)))) + float(np.log(prior.members[member]))
-    return Particles(member, names, theta, log_weight - top, state, evidence)
+    evidence = top + float(np.log(np.mean(np.exp(log_weight - top)))) + float(np.log(prior.members[swarm.member]))
+    return Particles(swarm.member, swarm.names, swarm.theta, log_weight - top, found.state, evidence)
 
 
 def _proposed(
@@ -127,19 +186,48 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
     return weight
 
 
-def filtered(
-    readings: Readings, scale: Scale, member: str, names: tuple[str, ...], theta: FloatArray
-) -> tuple[State, FloatArray]:
-    """Return states at the newest reading and log likelihoods of particles (N, d)."""
-    column = {name: np.clip(theta[:, index], *WITHIN) for index, name in enumerate(names)}
-    bend = column.get("bend", np.zeros(len(theta)))
+def filtered(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> list[tuple[State, FloatArray]]:
+    """Return states at the newest reading and log likelihoods of the particles of each swarm, from one filter."""
+    columns = [_columns(readings, scale, swarm) for swarm in swarms]
+    seen = [_seen(readings, scale, column) for column in columns]
+    walks = [_walk(readings, s.member, c, s.theta) for s, c in zip(swarms, columns, strict=True)]
+    starts = [_start(readings, u[0], c) for (u, _, _), c in zip(seen, columns, strict=True)]
+    u, variance = (np.concatenate([one[k] for one in seen], axis=1) for k in range(2))
+    state, likelihood = run_filter(u, variance, _beside(walks), _joined(starts))
+    ends = np.cumsum([len(swarm.theta) for swarm in swarms])[:-1]
+    parts = [np.split(getattr(state, name), ends) for name in _STATE]
+    states = [State(*cells) for cells in zip(*parts, strict=True)]
+    slopes = (np.log(slope).sum(axis=0) for _, _, slope in seen)
+    return [(s, one + more) for s, one, more in zip(states, np.split(likelihood, ends), slopes, strict=True)]
+
+
+_STATE = ("u", "b", "uu", "ub", "bb")
+
+
+def _joined(states: list[State]) -> State:
+    return State(*(np.concatenate([getattr(state, name) for state in states]) for name in _STATE))
+
+
+def _beside(walks: list[Walk]) -> Walk:
+    names = ("h", "level", "rate", "cross")
+    return Walk(*(np.concatenate([getattr(walk, name) for walk in walks], axis=1) for name in names))
+
+
+def _columns(readings: Readings, scale: Scale, swarm: _Swarm) -> dict[str, FloatArray]:
+    """Return the parameters of a swarm by name, (N,) each."""
+    column = {name: np.clip(swarm.theta[:, index], *WITHIN) for index, name in enumerate(swarm.names)}
     if "life" in column:
+        bend = column.get("bend", np.zeros(len(swarm.theta)))
         column["rate"] = np.log(life_way(bend, readings.way, scale)) - column["life"]
+    return column
+
+
+def _seen(readings: Readings, scale: Scale, column: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return readings and their variances in the scale in which each particle's law is a line, and its slope."""
+    bend = column.get("bend", np.zeros(len(column["walk"])))
     u, slope = bent(readings.smooth[:, None], bend, scale)
     u = u + slope * (readings.z - readings.smooth)[:, None]
-    variance = slope**2 * (readings.sd[:, None] ** 2 + np.exp(2.0 * column["scatter"]))
-    state, likelihood = run_filter(u, variance, _walk(readings, member, column, theta), _start(readings, u[0], column))
-    return state, likelihood + np.log(slope).sum(axis=0)
+    return u, slope**2 * (readings.sd[:, None] ** 2 + np.exp(2.0 * column["scatter"])), slope
 
 
 def _walk(readings: Readings, member: str, column: dict[str, FloatArray], theta: FloatArray) -> Walk:

@@ -31,6 +31,13 @@ LONGEST = 4
 PATIENCE_S = 2.0
 """A record ends this long after its time even if no samples come."""
 _HOUR_S = 3600.0
+_OF_YEARS = frozenset({"forecast", "rate"})
+"""Kinds of alarms that no moment leads to: the samples around them say nothing."""
+
+
+def _begins(alarm: AlarmTransition) -> bool:
+    """Tell whether the samples around a step of an alarm are kept."""
+    return alarm.to_state == "UNACK" and alarm.kind not in _OF_YEARS
 
 
 class Writer(Protocol):
@@ -160,7 +167,7 @@ class EventKeeper:
             if isinstance(record, EstimateBatch):
                 learnt = record.baseline_id or ()
                 self._baselines = dict(zip(record.parameters, learnt, strict=bool(learnt)))
-            elif isinstance(record, AlarmTransition) and record.to_state == "UNACK":
+            elif isinstance(record, AlarmTransition) and _begins(record):
                 self._raised(record)
         self.poll()
 

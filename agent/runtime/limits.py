@@ -18,6 +18,9 @@ ROUND_S = 0.05, 0.25
 HEALTH_PERIOD_NS = 10_000_000_000
 """From one ledger to the next, ns: of the clock while it runs, of samples in a replay."""
 
+FIRST_FORECAST_S = 600.0
+"""After a start parameters are forecast once so soon, where the time between forecasts is longer."""
+
 # ------------------------------------------------------------------ faults and delays
 PAUSE_NS = 1_000_000_000, 60_000_000_000
 """Shortest and longest pause after a fault in a rig's numerics, ns."""

@@ -19,6 +19,8 @@ from agent.blocks.advisory.rest import RestAlarms
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
 from agent.blocks.graph import graph_of
 from agent.blocks.level_alarms import LevelAlarms
+from agent.blocks.outlook import Outlook
+from agent.blocks.prognosis_alarms import PrognosisAlarms
 from agent.blocks.references import counted_from
 from agent.blocks.rig_model import hop_plan
 from agent.blocks.sensor_alarms import SensorAlarms
@@ -64,7 +66,8 @@ class Pipeline:
         # first, since it says in words what the others would stumble over
         self.stages = make_stages(config, self._steps)
         self.acquisition: Acquisition = make_acquisition(config, sources, self._steps[len(config.inputs) :])
-        self.alarms = LevelAlarms(config.rig.name, config.alarm, config.rig.sample_rate_hz)
+        self.alarms = LevelAlarms(config.rig.name, config.limits, config.rig.sample_rate_hz)
+        self.prognosis_alarms = PrognosisAlarms(config.rig.name, config.alarm)
         self.sensor_alarms = SensorAlarms(config.rig.name)
         window_s = hop_plan(config).window / config.rig.sample_rate_hz
         self.blind_alarms = BlindAlarms(config.rig.name, config.alarm, config.rig.sample_rate_hz, window_s)
@@ -125,6 +128,10 @@ class Pipeline:
             else:
                 records += self._estimated(quality.step(index, t_ns, v, anew=anew))
         return records + events
+
+    def foreseen(self, outlooks: Sequence[Outlook]) -> list[Record]:
+        """Return the alarms that outlooks on parameters lead to; they are made beside the samples, not of them."""
+        return [change for outlook in outlooks for change in self.prognosis_alarms.step(outlook)]
 
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""

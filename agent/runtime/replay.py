@@ -17,6 +17,8 @@ from agent.clock import SampleLabels, boot_id, wall_ns
 from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
+from agent.runtime.forecasts.making import Forecaster
+from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.ledger import Conservation
 from agent.runtime.limits import HEALTH_PERIOD_NS
 from agent.runtime.pipeline import Pipeline, resolutions
@@ -63,16 +65,39 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
                 log.warning("%s", words)
                 summary.advise(words)
         evidence = Evidence(rig.rig.sample_rate_hz)
+        kept = None if writer is None or db is None else _Kept(writer, _forecasts(rig, db, writer), pipeline)
         for records in _records(pipeline, tracks, evidence):
             summary.take(records)
             evidence.see(records)
-            if writer is not None:
-                writer.publish(records)
+            if kept is not None:
+                summary.take(kept.keep(records))
         faults = assess(rig, str(recordings[0]), evidence, *_whole_counts(pipeline, tracks, evidence))
     for fault in faults:
         log.warning("%s", fault)
         summary.advise(str(fault))
     return summary.document(time.monotonic() - started)
+
+
+class _Kept(NamedTuple):
+    """Where records go: the store, and the forecasts that are made of what it holds."""
+
+    writer: StoreWriter
+    forecasts: ReplayedForecasts
+    pipeline: Pipeline
+
+    def keep(self, records: list[Record]) -> list[Record]:
+        """Store records and the forecasts that are due; return the alarms of these."""
+        self.writer.publish(records)
+        found: list[Record] = []
+        for made in self.forecasts.step(records):
+            alarms = self.pipeline.foreseen(made.outlooks)
+            self.writer.publish([*made.records, *alarms])
+            found += alarms
+        return found
+
+
+def _forecasts(rig: RigConfig, db: Path, writer: StoreWriter) -> ReplayedForecasts:
+    return ReplayedForecasts(Forecaster(rig, db), rig.forecast.every, lambda: writer.flush(600.0))
 
 
 def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:

@@ -3,6 +3,7 @@
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 from agent.alarms.life_cycle import CAUSES
@@ -14,7 +15,10 @@ from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
 from agent.runtime.containment import IsolatedPipeline
+from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
+from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.ledger import Conservation
+from agent.runtime.limits import FIRST_FORECAST_S
 from agent.runtime.pending import COMPUTING, Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
@@ -49,6 +53,8 @@ class RigRuntime:
         self._sampled_ns = 0
         self._publish = publish
         self.events: EventKeeper | None = None
+        self.forecasts: ForecastThread | None = None
+        self._due = Schedule(config.forecast.every, FIRST_FORECAST_S)
         self._lost: dict[str, bool] = {}
         self._begun_ns = 0
         self._taken: list[tuple[str, Arrival]] = []
@@ -64,6 +70,7 @@ class RigRuntime:
         self.states.restore((kind_of(row), row.parameter, alarm_of(row)) for row in standing)
         levels = {row.parameter: {"state": detected(row)} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
+        self.pipeline.prognosis_alarms.restore([replace(row, state=detected(row)) for row in standing])
         self.pipeline.sensor_alarms.restore(
             [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]
         )
@@ -163,6 +170,16 @@ class RigRuntime:
             self._emit(again)
         if self.events is not None:
             self.events.poll()
+        if self.forecasts is not None:
+            self._foresee(self.forecasts)
+
+    def _foresee(self, forecasts: ForecastThread) -> None:
+        """Ask for the forecasts that are due, and publish those that were made."""
+        if self._due.due(monotonic_ns()):
+            for parameter in dict.fromkeys(alarm.parameter for alarm in self.config.alarm):
+                forecasts.ask(self.config.rig.name, parameter, DUE)
+        for made in forecasts.take(self.config.rig.name):
+            self._emit([*made.records, *self.pipeline.foreseen(made.outlooks)])
 
     def _assess(self, source: str, arrival: Arrival, now_ns: int) -> None:
         """Tell what was counted about a source, once an episode."""
@@ -254,3 +271,6 @@ class RigRuntime:
             self._publish(records)
         if self.events is not None:
             self.events.see(records)
+        if self.forecasts is not None:
+            for _, parameter in self._due.at_alarms(records, monotonic_ns()):
+                self.forecasts.ask(self.config.rig.name, parameter, ALARM)

@@ -17,6 +17,8 @@ from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
 from agent.runtime.announcing import announce
 from agent.runtime.databases import RunKind, path_of, writers_of
+from agent.runtime.forecasts.making import Forecaster
+from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.limits import ABANDON_S, CLOSE_S, END_S, FINISH_S, HEALTH_PERIOD_NS, HURRY_S, IDLE_S, ROUND_S
 from agent.runtime.process.deadline import Deadline
 from agent.runtime.process.memory import keep_heap_small, release_free_pages
@@ -47,6 +49,7 @@ class Service:
         for writer in self.writers.values():
             writer.on_alarm = self._commanded
         self._event_writers = self._keep_events(configs, db) if kind == "live" else []
+        self._forecasts = self._foresee(configs if kind == "live" else (), db)
         for config in configs:
             self.rigs[config.rig.name].summary.db = str(path_of(config, db))
 
@@ -77,6 +80,14 @@ class Service:
                 found.append(event_writer(config, path, publish))
                 rig.events = EventKeeper(config, found[-1], publish)
         return found
+
+    def _foresee(self, configs: Sequence[RigConfig], db: Path | None) -> ForecastThread:
+        """See that forecasts are made of the rigs that have alarms."""
+        forecasters = {c.rig.name: Forecaster(c, path_of(c, db)) for c in configs if c.alarm}
+        thread = ForecastThread(forecasters)
+        for name in forecasters:
+            self.rigs[name].forecasts = thread
+        return thread
 
     def stop(self) -> None:
         """Ask `run` to return; from another thread than `run`'s."""
@@ -139,6 +150,7 @@ class Service:
             rig.summary.run_id = writer.run_ids.get(name)
             rig.restore(writer.standing.get(name, []), writer.learnt.get(name))
             rig.count_from(writer.baselines.get(name, ()))
+        self._forecasts.start()
         release_free_pages()  # takes its time, in which a serial line would overflow
         for connection in self.connections:
             connection.start()
@@ -198,6 +210,7 @@ class Service:
 
     def _finish(self) -> None:
         begun = monotonic_ns()
+        self._forecasts.stop()
         for writer in self.writers.values():
             writer.hurry()
         for connection in self.connections:

@@ -158,6 +158,12 @@ def test_alarm_that_clears_or_is_acknowledged_makes_no_record(rig: Rig) -> None:
     assert rig.pen.jobs == []
 
 
+def test_alarm_that_years_lead_to_makes_no_record(rig: Rig) -> None:
+    rig.feed(100)
+    rig.keeper.see([alarm(50, kind="forecast"), alarm(50, kind="rate")])
+    assert rig.pen.jobs == []
+
+
 def test_alarm_of_a_source_is_placed_at_the_newest_sample(rig: Rig) -> None:
     rig.feed(1000)
     rig.keeper.see([alarm(0, kind="source", parameter="can", t_ns=123)])

@@ -31,9 +31,9 @@ class Watched:
     def limits(self, rig: str) -> Limits:
         """Return the limits on the levels of a rig's parameters; none without its configuration."""
         config = self.configs.get(rig)
-        alarms = () if config is None else config.alarm
+        alarms = () if config is None else config.limits
         keys = ("limit", "limit_percent", "side", "priority")
-        return {a.parameter: {key: getattr(a, key) for key in keys} for a in alarms if str(a.kind) == "level"}
+        return {a.parameter: {key: getattr(a, key) for key in keys} for a in alarms}
 
 
 def one(target: Path | None) -> Watched:

@@ -4,24 +4,26 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.prognosis.histories import (
+from agent.cli.terminal.output import print_table, show
+from agent.errors import UsageError
+from agent.prognosis.change import Change, change
+from agent.prognosis.posterior import BRIEF
+from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.histories import (
     forecast_document,
     history_of,
     horizon_days,
     like_machines,
-    window_s,
     write_prior,
 )
-from agent.cli.prognosis.words import ahead
-from agent.cli.terminal.output import print_table, show
-from agent.errors import UsageError
-from agent.prognosis.change import Change, change
-from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.record import record_of
 from agent.storage.read import queries
-from agent.text import number, short_time
+from agent.text import ahead, number, short_time
 
 Document = Mapping[str, Any]
 _YEAR = 365.25
+MOST_ROWS = 1500
+"""Of one part that are read: evenly spread hours are enough for a slope."""
 
 
 def fleet(files: Sequence[Path], within: str, parameter: str | None, limit_percent: float) -> dict[str, Any]:
@@ -44,14 +46,17 @@ def databases(files: Sequence[Path]) -> list[Path]:
 
 def _rows(path: Path, parameter: str | None, horizon: float | None, limit_percent: float) -> list[dict[str, Any]]:
     limits = {(a["rig"], a["parameter"]): a["limit_value"] for a in queries.alarms(path) if a["kind"] == "level"}
-    windows: dict[str, float] = {}
+    past: dict[tuple[str, str], list[Document]] = {}
+    for made in queries.forecasts(path):
+        past.setdefault((made["rig"], made["parameter"]), []).append(made)
+    window = queries.longest_window(path)
     found = []
     for rig in queries.rigs(path):
-        for name in queries.parameters(path, rig):
+        for points in queries.all_points(path, rig, MOST_ROWS):
+            name = points.parameter
             if parameter in {None, name}:
-                windows.setdefault(name, window_s(path, name))
-                points = queries.points(path, rig, name)
-                found.append(_row(points, windows[name], limits.get((rig, name)), horizon, limit_percent))
+                row = _row(points, window, limits.get((rig, name)), horizon, limit_percent)
+                found.append(row | {"record": record_of(past.get((rig, name), []))})
     return found
 
 
@@ -62,7 +67,6 @@ def _row(
     row: dict[str, Any] = {
         "rig": points.rig, "parameter": points.parameter, "slope_percent_per_year": None, "trend": False,
         "limit": None, "status": "no trend", "p50_s": None, "p50_at": None, "chance": None,
-        "record": {"made": 0, "held": 0, "crps": None},
     }  # fmt: skip
     history = history_of(points, window)
     asked = change(without(history, find_steps(history)))
@@ -75,7 +79,7 @@ def _row(
     if reference:
         row["slope_percent_per_year"] = 100.0 * _YEAR * asked.newest / abs(reference)
     row["trend"] = True
-    found = forecast_document(history, int(points.t_ns[-1]), limit, horizon, None) or {}
+    found = forecast_document(history, int(points.t_ns[-1]), limit, horizon, None, effort=BRIEF) or {}
     return row | {name: found[name] for name in ("status", "p50_s", "p50_at", "chance") if name in found}
 
 
@@ -95,12 +99,18 @@ def print_fleet(found: Document) -> None:
         (
             row["rig"], row["parameter"], number(row["slope_percent_per_year"], 3), number(row["limit"], 4),
             row["status"] if row["p50_s"] is None else f"in {ahead(row['p50_s'])}", short_time(row["p50_at"]),
-            "-" if row["chance"] is None else f"{100.0 * row['chance']:.0f} %",
+            "-" if row["chance"] is None else f"{100.0 * row['chance']:.0f} %", _held(row["record"]),
         )
         for row in found["rows"]
     ]  # fmt: skip
-    titles = ("rig", "parameter", "% a year", "limit", "reached", "P50", "chance")
-    print_table(f"chance within {ahead(found['within_s'])}", titles, rows, right=("% a year", "limit", "chance"))
+    titles = ("rig", "parameter", "% a year", "limit", "reached", "P50", "chance", "held")
+    numbers = ("% a year", "limit", "chance", "held")
+    print_table(f"chance within {ahead(found['within_s'])}", titles, rows, right=numbers)
+
+
+def _held(record: Document) -> str:
+    """Say how many of the forecasts made there came as they said."""
+    return f"{record['held']} of {record['made']}" if record["made"] else "-"
 
 
 def learn_prior(files: Sequence[Path], parameter: str | None, limit: float | None, to: Path | None) -> dict[str, Any]:

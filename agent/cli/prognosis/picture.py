@@ -1,6 +1,6 @@
 """The picture of a trend: history, line or curve, steps, limit and forecast."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,11 @@ from agent.errors import UsageError
 from agent.text import short_time
 
 Document = Mapping[str, Any]
+MOST_PAST = 100
 
 
-def draw(found: Document, path: Path) -> None:
-    """Draw a trend. Raises UsageError where matplotlib or the place for the file is missing."""
+def draw(found: Document, path: Path, past: Sequence[Document] = ()) -> None:
+    """Draw a trend, and past forecasts faintly. Raises UsageError where matplotlib or the file's place is missing."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -25,6 +26,8 @@ def draw(found: Document, path: Path) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     if found["n"]:
         _draw_points(axes, found)
+        _draw_past(axes, found, past)
+        axes.legend(frameon=False)
     try:
         figure.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
@@ -47,7 +50,17 @@ def _draw_points(axes: Any, found: Document) -> None:
         axes.axhline(found["limit"], color="black", ls="--", lw=1, label="limit")
     if found["forecast"] is not None and found["forecast"]["p50_s"] is not None:
         _draw_forecast(axes, found, value[-1], seconds)
-    axes.legend(frameon=False)
+
+
+def _draw_past(axes: Any, found: Document, past: Sequence[Document]) -> None:
+    """Draw at most MOST_PAST forecasts of the past, from where they began to their medians at the limit."""
+    seconds, _ = time_unit(found["span_s"])
+    newest = found["points"][-1][0]
+    shown = [row for row in past if row["p50_ns"] is not None]
+    for number, row in enumerate(shown[:: max(1, -(-len(shown) // MOST_PAST))]):
+        t = [(row[name] - newest) / (seconds * 1e9) for name in ("made_at_ns", "p50_ns")]
+        label = None if number else "past forecasts"
+        axes.plot(t, [row["level"], row["limit_value"]], color="tab:purple", alpha=0.2, lw=0.8, label=label)
 
 
 def _draw_forecast(axes: Any, found: Document, newest: float, seconds: int) -> None:

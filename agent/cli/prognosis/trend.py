@@ -1,25 +1,24 @@
 """`deltak trend`: whether a parameter changes and when it reaches a limit, as sentences, JSON, CSV or a picture."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agent.cli.prognosis.histories import forecast_document, history_of, horizon_days, like_machines, window_s
 from agent.cli.prognosis.picture import draw
-from agent.cli.prognosis.words import drift, finding, forecast_words, unit_of, verdict
+from agent.cli.prognosis.words import drift, finding, forecast_words, record_words, unit_of, verdict
 from agent.cli.terminal.output import print_csv, print_json, print_table, show
 from agent.errors import UsageError
-from agent.numerics.trend import DAY_NS, Trend, fit_trend
 from agent.prognosis.change import Change, change
+from agent.prognosis.history import DAY_NS, disjoint
 from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.histories import forecast_document, history_of, horizon_days, like_machines, window_s
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
 from agent.text import iso_time, number, short_time, with_sd
-from agent.types import FloatArray
 
 Document = Mapping[str, Any]
 _BARS = "▁▂▃▄▅▆▇█"
@@ -49,9 +48,9 @@ def trend(
         _print_all(db, rig, times, form)
         return
     ahead = ahead or Ahead()
-    document = _asked(db, parameter, rig, times, _limit_of(limit, ahead.reference), ahead)
+    document, past = _asked(db, parameter, rig, times, _limit_of(limit, ahead.reference), ahead)
     if plot is not None:
-        draw(document, plot)
+        draw(document, plot, past)
     _print(document, form)
 
 
@@ -59,7 +58,7 @@ def document(
     db: Path, parameter: str, rig: str | None, times: tuple[str | None, str | None], limit: float | None
 ) -> dict[str, Any]:
     """Return the document of one history of a database, as --json prints it. Raises StoreError, UsageError."""
-    return _asked(db, parameter, rig, times, limit, Ahead())
+    return _asked(db, parameter, rig, times, limit, Ahead())[0]
 
 
 def _limit_of(limit: float | None, reference: float | None) -> float | None:
@@ -72,15 +71,15 @@ def _limit_of(limit: float | None, reference: float | None) -> float | None:
 def _asked(
     db: Path, parameter: str | None, rig: str | None, times: tuple[str | None, str | None], limit: float | None,
     ahead: Ahead,
-) -> dict[str, Any]:  # fmt: skip
-    """Return what is said of one history, of a database or a table."""
+) -> tuple[dict[str, Any], Sequence[Document]]:  # fmt: skip
+    """Return what is said of one history, of a database or a table, and the forecasts that the agent made of it."""
     if parameter is not None and not is_table(db):
-        return _document(queries.points(db, rig, parameter, *times), window_s(db, parameter), limit, ahead) | {
-            "backward": 0
-        }
+        points = queries.points(db, rig, parameter, *times)
+        past = queries.forecasts(db, points.rig, parameter)
+        return _document(points, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
     points, backward = table_points(db, *times)
     points = replace(points, parameter=parameter or points.parameter)
-    return _document(points, 0.0, limit, ahead) | {"backward": backward}
+    return _document(points, 0.0, limit, ahead) | {"backward": backward}, ()
 
 
 def _print(document: dict[str, Any], form: str) -> None:
@@ -93,12 +92,12 @@ def _print(document: dict[str, Any], form: str) -> None:
         show(_sentences(document))
 
 
-def _document(points: queries.Points, window: float, limit: float | None, ahead: Ahead) -> dict[str, Any]:
-    found = fit_trend(points.t_ns, points.value, _stated(points), np.maximum(points.span_s, window))
+def _document(
+    points: queries.Points, window: float, limit: float | None, ahead: Ahead, past: Sequence[Document] = ()
+) -> dict[str, Any]:
     history = history_of(points, window)
     steps = find_steps(history)
     asked = change(without(history, steps))
-    found = _changed(found, asked, points)
     instants = points.t_ns.tolist()
     oldest, newest = (instants[0], instants[-1]) if instants else (0, 0)
     like = like_machines(ahead.like, points.parameter, limit)
@@ -107,49 +106,45 @@ def _document(points: queries.Points, window: float, limit: float | None, ahead:
         "parameter": points.parameter,
         "unit": points.unit,
         "n": len(instants),
-        "n_disjoint": found.n_disjoint,
+        "n_disjoint": len(disjoint(points.t_ns, np.maximum(points.span_s, window))),
         "refused": points.refused,
         "since": iso_time(oldest) if instants else None,
         "until": iso_time(newest) if instants else None,
         "span_s": (newest - oldest) / 1e9,
-        **{key: getattr(found, key) for key in Trend.__dataclass_fields__ if key != "n_disjoint"},
-        **_shape(asked),
+        **(_alone(points) if asked is None else _shape(asked, points)),
+        "references": list(points.references),
+        "clock_steps": points.clock_steps,
         "changes": [_step(step.t, step.size, step.sd, newest) for step in steps],
         "limit": limit,
-        "forecast": forecast_document(history, newest, limit, horizon_days(ahead.horizon), like),
+        "forecast": forecast_document(history, newest, limit, horizon_days(ahead.horizon), like, past),
         "points": list(zip(instants, points.value.tolist(), points.sd.tolist(), strict=True)),
     }
     return document | {"words": verdict(document)}
 
 
-def _stated(points: queries.Points) -> FloatArray:
-    """Return the rows' own sd, and for those without one what their scatter allows; never zero."""
-    known = points.sd_repeat[points.sd_repeat > 0.0]
-    spread = float(np.std(points.value)) if len(points.value) else 0.0
-    least = float(np.median(known)) if len(known) else spread
-    return np.where(points.sd_repeat > 0.0, points.sd_repeat, least or 1e-9)
+def _alone(points: queries.Points) -> dict[str, Any]:
+    """Return what rows too few for a line say: the newest of them, and no slope."""
+    newest = {"value": float(points.value[-1]), "sd": float(points.sd[-1])} if len(points.value) else {}
+    return {**dict.fromkeys(_FIGURES), **newest, "trend": False}
 
 
-def _changed(line: Trend, asked: Change | None, points: queries.Points) -> Trend:
-    """Return the trend with what the test apart from its shape says, where there are rows enough for it.
+_FIGURES = (
+    "value", "sd", "slope_per_day", "slope_sd", "slope_lower", "slope_upper", "trend", "newest_slope_per_day",
+    "newest_slope_sd", "curvature_per_day2", "curvature_sd",
+)  # fmt: skip
+
+
+def _shape(asked: Change, points: queries.Points) -> dict[str, Any]:
+    """Return level, slope and curvature.
 
     What the constants leave open is the same in every point: of the level, not of the slope.
     """
-    if asked is not None:
-        line = replace(
-            line, value=asked.level, sd=asked.level_sd, slope_per_day=asked.slope, slope_sd=asked.slope_sd,
-            slope_lower=asked.slope_lower, slope_upper=asked.slope_upper, trend=asked.trend,
-        )  # fmt: skip
-    return line if line.sd is None else replace(line, sd=math.hypot(line.sd, _common(points)))
-
-
-def _shape(asked: Change | None) -> dict[str, float | None]:
-    return {
-        "newest_slope_per_day": None if asked is None else asked.newest,
-        "newest_slope_sd": None if asked is None else asked.newest_sd,
-        "curvature_per_day2": None if asked is None else asked.curvature,
-        "curvature_sd": None if asked is None else asked.curvature_sd,
-    }
+    curved = math.isfinite(asked.curvature_sd)
+    curvature = (asked.curvature, asked.curvature_sd) if curved else (None, None)
+    slopes = (asked.slope, asked.slope_sd, asked.slope_lower, asked.slope_upper)
+    sd = math.hypot(asked.level_sd, _common(points))
+    figures = (asked.level, sd, *slopes, asked.trend, asked.newest, asked.newest_sd, *curvature)
+    return dict(zip(_FIGURES, figures, strict=True))
 
 
 def _step(t: float, size: float, sd: float, newest_ns: int) -> dict[str, Any]:
@@ -174,14 +169,27 @@ def _sentences(found: Document) -> str:
     )
     if found["backward"]:
         lines.append(f"{found['backward']} rows stand before an earlier one, as after a step of a clock; put in order")
+    lines += _remarks(found)
     if found["slope_lower"] is None:
         lines.append("too few rows to tell a drift")
     else:
         lines.append(f"line there: {with_sd(found['value'], found['sd'])} {unit}; {drift(found)}: {finding(found)}")
     if found["limit"] is not None:
         lines.append(f"limit {number(found['limit'])} {unit}: {_distance(found, newest)}".replace("  ", " "))
-        lines.append(forecast_words(found))
+        lines += [forecast_words(found), *record_words(found["forecast"])]
     return "\n".join(lines)
+
+
+def _remarks(found: Document) -> list[str]:
+    """Say what in the history a reader might take for a change of the machine."""
+    remarks = []
+    if len(found["references"]) > 1:
+        numbers = ", then ".join(number(reference) for reference in found["references"])
+        remarks.append(f"rows of {len(found['references'])} references ({numbers}): their values are compared")
+    if found["clock_steps"] > 0:
+        times = "once" if found["clock_steps"] == 1 else f"{found['clock_steps']} times"
+        remarks.append(f"the wall clock was set otherwise {times}: instants follow it as it is set now")
+    return remarks
 
 
 def _distance(found: Document, newest: float) -> str:

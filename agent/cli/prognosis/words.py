@@ -3,12 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-from agent.text import interval, number, percent, short_time, with_sd
+from agent.text import ahead, interval, number, percent, short_time, with_sd
 
 Document = Mapping[str, Any]
 _DAY = 86_400.0
-_AHEAD = ((2 * 365.25 * _DAY, 365.25 * _DAY, "years"), (2 * _DAY, _DAY, "days"), (7200.0, 3600.0, "hours"),
-          (120.0, 60.0, "minutes"), (0.0, 1.0, "seconds"))  # fmt: skip
 
 
 def time_unit(seconds: float) -> tuple[int, str]:
@@ -84,6 +82,17 @@ def forecast_words(found: Document) -> str:
     return reasons[status] + chance
 
 
+def record_words(forecast: Document) -> list[str]:
+    """Say how good earlier forecasts of the parameter were; nothing where none was made."""
+    record = forecast["record"]
+    if record["made"]:
+        crps = "" if record["crps"] is None else f"; CRPS {ahead(record['crps'])}"
+        return [f"of {record['made']} made here, {record['held']} held within the 80 % band{crps}"]
+    if record["waiting"]:
+        return [f"{record['waiting']} made here wait for their time to be scored"]
+    return []
+
+
 def _likes(forecast: Document) -> str:
     like = forecast["like"]
     return "" if like is None else f" (with {like['histories']} like machines)"
@@ -96,11 +105,3 @@ def _band(forecast: Document) -> str:
 
 def _share(forecast: Document) -> str:
     return f"{100.0 * forecast['chance']:.0f} %"
-
-
-def ahead(seconds: float) -> str:
-    """Write a length of time in the unit that suits it."""
-    for least, unit, word in _AHEAD:
-        if seconds >= least:
-            return f"{number(seconds / unit, 3)} {word}"
-    return f"{number(seconds, 3)} seconds"

@@ -106,13 +106,8 @@ def _healthy(config: RigConfig | None, one: Baseline, rows: Sequence[Mapping[str
 
 
 def _confidence(config: RigConfig | None, parameter: str) -> float:
-    known = {alarm.parameter: alarm.confidence for alarm in levels(config.alarm)} if config is not None else {}
+    known = {alarm.parameter: alarm.confidence for alarm in config.limits} if config is not None else {}
     return known.get(parameter, 0.95)
-
-
-def levels(alarms: Sequence[Alarm]) -> list[Alarm]:
-    """Return the alarms on a level."""
-    return [alarm for alarm in alarms if str(alarm.kind) == "level"]
 
 
 def limit_warnings(config: RigConfig) -> Iterator[Fault]:
@@ -125,7 +120,7 @@ def limit_warnings(config: RigConfig) -> Iterator[Fault]:
         return
     for i, alarm in enumerate(config.alarm):
         one = known.get(alarm.parameter)
-        if one is not None and alarm in levels([alarm]):
+        if one is not None and alarm in config.limits:
             yield from _crossed(target, one, alarm, f"alarm[{i}]")
 
 

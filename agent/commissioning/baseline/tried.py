@@ -13,7 +13,6 @@ import numpy as np
 
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.rig_model import estimated
-from agent.commissioning.baseline.limits import levels
 from agent.commissioning.baseline.target import target_of
 from agent.config import Alarm, RigConfig, load
 from agent.errors import UsageError
@@ -34,7 +33,7 @@ def tried(place: Path, rig: str | None, file: Path, since: str | None, until: st
     """
     config = load(file)
     target = target_of(place, rig)
-    rules = levels(config.alarm)
+    rules = list(config.limits)
     there = queries.parameters(target.db, target.rig)
     unknown = [rule.parameter for rule in rules if rule.parameter not in there]
     rules = [rule for rule in rules if rule.parameter in there]

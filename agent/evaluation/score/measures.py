@@ -176,7 +176,7 @@ class Assessment:
 
     def alarms(self) -> dict[str, Any]:
         """Return how every excursion of a parameter beyond its limit was met, and which alarms had none."""
-        excursions = [found for rule in self._config.alarm for found in self._excursions(rule.parameter)]
+        excursions = [found for rule in self._config.limits for found in self._excursions(rule.parameter)]
         raised = self._raised("level")
         numbers = self._raised_at(raised)
         met: set[int] = set()
@@ -199,7 +199,7 @@ class Assessment:
         """Return the stretches in which a parameter's true value is beyond its limit."""
         values = self.truth.parameters[parameter]
         reference = self._config.parameters[parameter].nominal
-        (rule,) = [rule for rule in self._config.alarm if rule.parameter == parameter]
+        (rule,) = [rule for rule in self._config.limits if rule.parameter == parameter]
         limit = rule.limit if rule.limit is not None else abs(reference) * (rule.limit_percent or 0.0) / 100.0
         delta = values - reference
         delta = {"low": -delta, "high": delta}.get(rule.side, np.abs(delta))

@@ -18,6 +18,7 @@ from agent import __version__
 from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
 from agent.storage.database.views_of_baselines import BASELINES
+from agent.storage.database.views_of_forecasts import FORECASTS
 from agent.storage.database.views_of_operations import OPERATIONS
 from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
 
@@ -79,13 +80,17 @@ TABLES: dict[str, str] = {
     "baselines": "rig_id INTEGER NOT NULL, parameter TEXT NOT NULL, unit TEXT NOT NULL, graph TEXT NOT NULL, "
     "reference REAL, sd REAL, spread_sd REAL, within_sd REAL, days_sd REAL, correlation_s REAL, n_effective REAL, "
     "covariates TEXT NOT NULL, from_ns INTEGER NOT NULL, until_ns INTEGER NOT NULL, n INTEGER NOT NULL",
+    "forecasts": "run_id INTEGER NOT NULL, parameter TEXT NOT NULL, made_ns INTEGER NOT NULL, level REAL, "
+    "limit_value REAL, status TEXT NOT NULL, p10_ns INTEGER, p50_ns INTEGER, p90_ns INTEGER, chance REAL, "
+    "horizon_s REAL, family TEXT NOT NULL, draws TEXT NOT NULL, cause TEXT NOT NULL, scored_ns INTEGER, "
+    "crossed_ns INTEGER, crps REAL, held INTEGER",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
 _SINCE = {
-    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "shelves": 8, "annotations": 8, "sites": 8,
-    "graphs": 9, "baselines": 9,
+    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 8, "annotations": 8,
+    "sites": 8, "graphs": 9, "baselines": 9,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
@@ -188,6 +193,13 @@ def _repeat_and_verdicts(db: "Database") -> None:
     _mark(db.conn, 6)
 
 
+def _forecasts(db: "Database") -> None:
+    """Version 7: forecasts that the agent made, and what became of them."""
+    _create(db.conn, "forecasts")
+    db.conn.execute(FORECASTS)
+    _mark(db.conn, 7)
+
+
 def _operations(db: "Database") -> None:
     """Version 8: shelves by elapsed time; advice, per cent and site beside each alarm."""
     for table in ("shelves", "annotations", "sites"):
@@ -214,6 +226,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0004_calibrations": _calibrations,
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
+    "0007_forecasts": _forecasts,
     "0008_operations": _operations,
     "0009_baselines": _baselines,
 }

@@ -164,20 +164,34 @@ def differing(reader: sqlite3.Connection, table: str, columns: Sequence[str], se
 
 
 class Found(NamedTuple):
-    """Valid estimates: (n,) stamp ns (of an aggregate, the middle of what it covers), value, sd, sd_repeat."""
+    """Valid estimates: (n,) stamp ns (of an aggregate, the middle of what it covers), value, sd, sd_repeat, series."""
 
     t_ns: IntArray
     value: FloatArray
     sd: FloatArray
     sd_repeat: FloatArray
+    series: IntArray
+
+    def at(self, rows: "NDArray[np.bool_] | NDArray[np.intp]") -> "Found":
+        """Return the rows that a mask or an array of places names."""
+        return Found(self.t_ns[rows], self.value[rows], self.sd[rows], self.sd_repeat[rows], self.series[rows])
 
 
-NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0))
+def joined(parts: Sequence[Found]) -> Found:
+    """Return the rows of parts one after the other."""
+    t_ns, series = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_ns", "series"))
+    value, sd, repeat = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("value", "sd", "sd_repeat")
+    )
+    return Found(t_ns, value, sd, repeat, series)
+
+
+NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
 _VALID = int(Status.VALID) << 8
 _SAID = [name for name in columns_of("estimates") if name != "verdict_id"]
 _POINTS = f"""SELECT h.seq, h.t_ns, h.crc, {", ".join(f"e.{name}" for name in _SAID)} FROM hops h
  CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 CROSS JOIN fits f ON f.seq = e.fit_id
- WHERE h.run_id = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND e.series_id IN ({{}})
+ WHERE h.run_id = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND h.t_ns / ? % ? = 0 AND e.series_id IN ({{}})
  AND e.verdict_id = {_VALID} AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o
  WHERE o.run_id = h.run_id AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"""
 
@@ -190,7 +204,9 @@ def series_of(reader: Reader, parameter: str) -> dict[int, list[int]]:
     return found
 
 
-def sound_points(reader: Reader, run: int, series: Sequence[int], span: int, first: int, last: int) -> Found:
+def sound_points(
+    reader: Reader, run: int, series: Sequence[int], span: int, first: int, last: int, each: int = 1
+) -> Found:
     """Return the valid estimates of some series, of one tier, that prove themselves.
 
     Args:
@@ -200,23 +216,27 @@ def sound_points(reader: Reader, run: int, series: Sequence[int], span: int, fir
         span: of the tier, s.
         first: the first stamp, ns.
         last: the last one, ns.
+        each: of an aggregate, only periods whose number is a multiple of it.
     """
     prove_whole(reader, "overlaps")
     query = _POINTS.format(", ".join(map(str, series)))
-    rows = reader.execute(query, (run, span, first, last)).fetchall() if series else []
+    period_ns = max(span, 1) * 1_000_000_000
+    rows = reader.execute(query, (run, span, first, last, period_ns, each)).fetchall() if series else []
     if not rows:
         return NOTHING
     columns = list(zip(*rows, strict=True))
     right = _right(reader, run, span, columns) & _first_ones(columns[3])
-    said = (1, *(3 + _SAID.index(name) for name in ("value", "sd", "repeat")))
-    stamps, values, sds, repeats = (columns[place] for place in said)
+    said = (1, *(3 + _SAID.index(name) for name in ("value", "sd", "repeat", "series_id")))
+    stamps, values, sds, repeats, numbers = (columns[place] for place in said)
     if not right.all():
         reader.refuse(int((~right).sum()))
-        stamps, values, sds, repeats = (tuple(compress(column, right)) for column in (stamps, values, sds, repeats))
+        kept = (tuple(compress(column, right)) for column in (stamps, values, sds, repeats, numbers))
+        stamps, values, sds, repeats, numbers = kept
     middle = np.array(stamps, dtype=np.int64) + span * 500_000_000
     sd = np.array(sds, dtype=np.float64)
     share = 1e-4 * np.array(repeats, dtype=np.float64)
-    return Found(middle, np.array(values, dtype=np.float64), sd, np.where(np.isnan(share), sd, sd * share))
+    sd_repeat = np.where(np.isnan(share), sd, sd * share)
+    return Found(middle, np.array(values, dtype=np.float64), sd, sd_repeat, np.array(numbers, dtype=np.int64))
 
 
 def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDArray[np.bool_]:

@@ -14,7 +14,17 @@ import numpy as np
 from agent.errors import Fault, UsageError
 from agent.storage.database.connect import Reader, connect_reader, damaged, unreadable
 from agent.storage.read.complete import oldest_hop, prove_count, prove_newest
-from agent.storage.read.proof import NOTHING, Found, differing, prove_parts, proven, row_of, series_of, sound_points
+from agent.storage.read.proof import (
+    NOTHING,
+    Found,
+    differing,
+    joined,
+    prove_parts,
+    proven,
+    row_of,
+    series_of,
+    sound_points,
+)
 from agent.storage.read.times import age_ns, parse_time
 from agent.storage.tables.ages import newest_of, parts_of, shifts
 from agent.types import FloatArray, IntArray
@@ -22,6 +32,7 @@ from agent.types import FloatArray, IntArray
 log = logging.getLogger(__name__)
 _FIRST, _LAST = -(2**63), 2**63 - 1
 _MOST_POINTS = 50_000  # more points than this and a trend reads a coarser tier
+_ALL = 2**40
 
 
 class Rows(list[dict[str, Any]]):
@@ -43,6 +54,8 @@ class Points:
         since_ns, until_ns: the stretch asked for; None where open.
         reference: what delta is counted from at the newest point; None without one.
         refused: rows that are left out because their checksums are wrong.
+        references: what deltas were counted from over the stretch, oldest first.
+        clock_steps: how often the wall clock was set otherwise meanwhile.
     """
 
     rig: str
@@ -57,6 +70,8 @@ class Points:
     until_ns: int | None
     reference: float | None
     refused: int
+    references: tuple[float, ...] = ()
+    clock_steps: int = 0
 
 
 def tell_refused(db: Path | str, count: int) -> None:
@@ -203,6 +218,16 @@ def verdicts(db: Path | str, rig: str | None = None) -> Rows:
         return _rows(connection, "v_verdicts", f"{condition} ORDER BY t_ns, run_id", values)
 
 
+def forecasts(db: Path | str, rig: str | None = None, parameter: str | None = None, *, waiting: bool = False) -> Rows:
+    """Return rows of v_forecast, oldest first; waiting: only those that are not scored yet."""
+    with reading(db) as connection:
+        _chosen_rigs(connection, rig)
+        condition, values = _where(rig=rig, parameter=parameter)
+        if waiting:
+            condition += " AND scored_at IS NULL"
+        return _rows(connection, "v_forecast", f"{condition} ORDER BY id", values)
+
+
 def event_records(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_event_records, oldest first."""
     with reading(db) as connection:
@@ -233,11 +258,13 @@ def parameters(db: Path | str, rig: str | None = None) -> list[str]:
 
 
 def points(
-    db: Path | str, rig: str | None, parameter: str, since: str | None = None, until: str | None = None
-) -> Points:
+    db: Path | str, rig: str | None, parameter: str, since: str | None = None, until: str | None = None,
+    most: int = _MOST_POINTS,
+) -> Points:  # fmt: skip
     """Return the valid estimates of one parameter as arrays.
 
-    Long stretches are read from the hourly or minutely rows, so that a year takes milliseconds.
+    Stretches of more than `most` rows are read from the hourly or minutely rows, so that a year takes milliseconds;
+    where there are too many hours, every second, third ... is.
 
     Raises:
         StoreError: the file; UsageError: an unknown rig or parameter, a rig needed because there are several, no time.
@@ -245,57 +272,93 @@ def points(
     with reading(db) as connection:
         name = _one_rig(connection, rig)
         _check_parameter(connection, name, parameter)
-        stretches, first, last = _stretches(connection, name, since, until)
-        t_ns, value, sd, sd_repeat, span_s = _tiered(connection, stretches, series_of(connection, parameter))
-        unit, reference = _unit(connection, name, parameter)
-        refused = connection.refused
-    return Points(
-        name, parameter, unit, t_ns, value, sd, sd_repeat, span_s, None if since is None else first,
-        None if until is None else last, reference, refused,
-    )  # fmt: skip
+        return _points(connection, name, (parameter,), since, until, most)[0]
+
+
+def all_points(db: Path | str, rig: str, most: int = _MOST_POINTS) -> list[Points]:
+    """Return the same of every parameter of a rig, whose rows are read together; StoreError, UsageError as `points`."""
+    with reading(db) as connection:
+        name = _one_rig(connection, rig)
+        return _points(connection, name, _parameters(connection, name), None, None, most)
+
+
+def longest_window(db: Path | str) -> float:
+    """Return the longest window, s, that estimates of a database rest on; quicker than to look which those are."""
+    query = "SELECT seq, window_s FROM fits WHERE chosen = 1 AND window_s IS NOT NULL ORDER BY window_s DESC LIMIT 1"
+    with reading(db) as connection:
+        found = connection.execute(query).fetchone()
+        connection.refuse(0 if found is None else len(differing(connection, "fits", (), {found[:1]})))
+    return 0.0 if found is None else float(found[1])
+
+
+def _points(
+    connection: Reader, rig: str, names: Sequence[str], since: str | None, until: str | None, most: int
+) -> list[Points]:
+    stretches, first, last = _stretches(connection, rig, since, until)
+    parts = {stretch.part for stretch in stretches}
+    series = {name: {p: n for p, n in series_of(connection, name).items() if p in parts} for name in names}
+    together: dict[int, list[int]] = {}
+    for runs_of_one in series.values():
+        for part, numbers in runs_of_one.items():
+            together.setdefault(part, []).extend(numbers)
+    rows, spans = _tiered(connection, stretches, together, most)
+    found = []
+    for name in names:
+        own = [number for numbers in series[name].values() for number in numbers]
+        mine = np.isin(rows.series, own)
+        one = rows.at(mine)
+        unit, reference = _unit(connection, rig, name)
+        found.append(Points(
+            rig, name, unit, one.t_ns, one.value, one.sd, one.sd_repeat, spans[mine],
+            None if since is None else first, None if until is None else last, reference, connection.refused,
+            _references(connection, own), max(0, len({s.shift for s in stretches}) - 1),
+        ))  # fmt: skip
+    return found
 
 
 def _tiered(
-    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]]
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
-    """Return t_ns, value, sd, sd_repeat, span_s from the finest tier that is not too long, then finer rows."""
-    bounds = {span: _bounds(connection, stretches, span) for span in (0, 60, 3600)}
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], most: int
+) -> tuple[Found, IntArray]:
+    """Return rows from the finest tier that is not too long, then finer ones, and what each covers, s."""
+    bounds = {span: _bounds(connection, stretches, span, most if span < 3600 else _ALL) for span in (0, 60, 3600)}
     oldest = min((b[0] for b in bounds.values() if b), default=0)
-    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= _MOST_POINTS]
+    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= most]
     start = fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
     tiers: list[Found] = []
     spans = sorted((s for s in bounds if s <= start), reverse=True)
     for span in spans:
-        tiers.append(_tier_points(connection, stretches, series, span))
+        _, count = bounds[span] or (0, 0)
+        each = max(1, -(-count // most)) if span == 3600 else 1
+        tiers.append(_tier_points(connection, stretches, series, span, each))
         if len(tiers[-1].t_ns):
             reached = int(tiers[-1].t_ns[-1]) + span * 500_000_000 + (span == 0)
             stretches = [stretch.after(reached) for stretch in stretches]
-    t_ns, value, sd, sd_repeat = (np.concatenate(column) for column in zip(*tiers, strict=True))
-    return t_ns, value, sd, sd_repeat, np.repeat(spans, [len(tier.t_ns) for tier in tiers])
+    return joined(tiers), np.repeat(spans, [len(tier.t_ns) for tier in tiers])
 
 
-def _bounds(connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int) -> tuple[int, int] | None:
+def _bounds(
+    connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int, most: int
+) -> tuple[int, int] | None:
     """Return the oldest instant of a tier in stretches and how many it has there, counted no further than matters."""
     part = "FROM hops h WHERE h.run_id = ?1 AND h.span = ?2 AND h.t_ns BETWEEN ?3 AND ?4"
     query = f"SELECT (SELECT h.t_ns {part} ORDER BY h.t_ns LIMIT 1), (SELECT count(*) FROM (SELECT 1 {part} LIMIT ?5))"
     found = []
     for stretch, shift, first, last in stretches:
-        oldest, count = connection.execute(query, (stretch, span, first, last, _MOST_POINTS + 1)).fetchone()
+        oldest, count = connection.execute(query, (stretch, span, first, last, most + 1)).fetchone()
         found += [(oldest + shift, count)] if count else []
     return (min(t for t, _ in found), sum(n for _, n in found)) if found else None
 
 
 def _tier_points(
-    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], span: int
+    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], span: int, each: int
 ) -> Found:
     """Return the points of a tier in the order of true time."""
     found = [NOTHING]
     for part, shift, first, last in stretches:
-        points = sound_points(connection, part, series.get(part, ()), span, first, last)
+        points = sound_points(connection, part, series.get(part, ()), span, first, last, each)
         found.append(points._replace(t_ns=points.t_ns + shift))
-    t_ns, value, sd, sd_repeat = (np.concatenate(column) for column in zip(*found, strict=True))
-    order = np.argsort(t_ns, kind="stable")
-    return Found(t_ns[order], value[order], sd[order], sd_repeat[order])
+    rows = joined(found)
+    return rows.at(np.argsort(rows.t_ns, kind="stable"))
 
 
 def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | None]:
@@ -309,6 +372,13 @@ def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | No
     unit, reference, seq = row
     connection.refuse(len(differing(connection, "series", (), {(seq,)})))
     return str(unit), None if reference is None else float(reference)
+
+
+def _references(connection: sqlite3.Connection, series: Sequence[int]) -> tuple[float, ...]:
+    """Return the different references of some series, oldest first."""
+    query = f"SELECT reference FROM series WHERE seq IN ({', '.join(map(str, series))}) ORDER BY seq"
+    known = (reference for (reference,) in connection.execute(query) if reference is not None)
+    return tuple(dict.fromkeys(known))
 
 
 def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:

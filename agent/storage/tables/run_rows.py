@@ -13,6 +13,7 @@ from agent.storage.tables.clocks import ClockRows
 from agent.storage.tables.coverage import Coverage
 from agent.storage.tables.estimates import add_estimates
 from agent.storage.tables.event_records import EventRecordRows
+from agent.storage.tables.forecasts import add_forecast, add_score
 from agent.storage.tables.learnt import LearntRows
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.status import HealthRows, add_event, add_verdict
@@ -21,6 +22,8 @@ from agent.types import (
     ClockRecord,
     EstimateBatch,
     EventRecord,
+    ForecastRecord,
+    ForecastScore,
     Health,
     HealthEvent,
     LearntRecord,
@@ -139,6 +142,10 @@ class RunRows:
             add_verdict(plan, record, run_id, self._numbers)
         elif isinstance(record, LearntRecord):
             self._learnt.apply(plan, record, run_id, self._numbers)
+        elif isinstance(record, ForecastRecord):
+            add_forecast(plan, record, run_id, self._numbers)
+        elif isinstance(record, ForecastScore):
+            add_score(plan, record, self._connection())
         elif isinstance(record, EventRecord):
             self._records.apply(plan, record, run_id, self._numbers, self._connection())
 

@@ -15,7 +15,9 @@ import pytest
 from agent.cli.prognosis.fleet import fleet, learn_prior
 from agent.cli.prognosis.trend import Ahead, trend
 from agent.errors import UsageError
+from agent.storage.read import queries
 from agent.storage.write.store import Store
+from agent.types import ForecastRecord, ForecastScore
 from tests.storage.rows import batch, run_info
 
 DAY = 86_400
@@ -191,3 +193,71 @@ def test_trend_without_a_parameter_lists_all(machines: Path, said: Said) -> None
     assert "falls" in lines[0]
     rows = json.loads(said(trend, machines / "press-2.db", None, None, OPEN, None, "json", None))["rows"]
     assert rows[0]["parameter"] == "k1"
+
+
+@pytest.fixture
+def scored(tmp_path: Path) -> Path:
+    """A database with four forecasts: two held, one did not, one waits."""
+    rng, day, begin = np.random.default_rng(5), 86_400 * 10**9, 1_700_000_000 * 10**9
+    value = np.tile(falling(rng)[:, None], (1, 4))
+    rows = replace(batch(120, start=begin, hop_ns=day), value=value, sd=np.full((120, 4), 0.05))
+    past: list[Any] = [
+        ForecastRecord(
+            "press-7", "k1", begin + (i + 20) * day, 24.0, 22.0, "ok",
+            *(begin + (i + p) * day for p in (40, 50, 60)), 0.5, 1e6, "{}", "[1.0, 2.0]", "due",
+        )
+        for i in range(4)
+    ]  # fmt: skip
+    crossed = begin + 52 * day
+    scores = [
+        ForecastScore("press-7", "k1", i + 1, past[i].t_ns, crossed, crossed, 86_400.0 * (i + 1), i < 2)
+        for i in range(3)
+    ]  # fmt: skip
+    path = tmp_path / "past.db"
+    with Store.open(path) as store:
+        run = store.begin_run(run_info())
+        store.write(run, [rows, *past])
+        store.write(run, scores)
+    return path
+
+
+def test_trend_shows_the_record_of_past_forecasts(scored: Path, said: Said, tmp_path: Path) -> None:
+    picture = tmp_path / "k1.png"
+    text = said(trend, scored, "k1", None, OPEN, 18.0, "table", picture)
+    assert "of 3 made here, 2 held within the 80 % band; CRPS 2 days" in text
+    assert picture.stat().st_size > 10_000
+    record = json.loads(said(trend, scored, "k1", None, OPEN, 18.0, "json", None))["forecast"]["record"]
+    assert record["made"] == 3
+    assert record["held"] == 2
+    assert record["crps"] == pytest.approx(2 * 86_400.0)
+    assert record["waiting"] == 1
+    assert record["bias_s"] == pytest.approx(-1.0 * 86_400.0)
+    assert record["alpha_lambda"] == 1.0
+    assert record["horizon_s"] == pytest.approx(32 * 86_400.0)
+
+
+def test_trend_without_past_forecasts_says_nothing_of_them(scored: Path, said: Said) -> None:
+    assert "made here" not in said(trend, scored, "k2", None, OPEN, 18.0, "table", None)
+
+
+def test_fleet_shows_which_forecasts_held(scored: Path) -> None:
+    rows = {row["parameter"]: row["record"] for row in fleet([scored], "90d", None, 20.0)["rows"]}
+    assert (rows["k1"]["made"], rows["k1"]["held"], rows["k2"]["made"]) == (3, 2, 0)
+
+
+def test_trend_over_rows_of_two_references_and_a_set_clock_says_so(
+    tmp_path: Path, rng: np.random.Generator, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, day = tmp_path / "two.db", 86_400 * 10**9
+    value = np.tile(falling(rng)[:, None], (1, 4))
+    with Store.open(path) as store:
+        run = store.begin_run(run_info())
+        for first, reference in ((0, 25.0), (60, 24.5)):
+            rows = {"value": value[first : first + 60], "sd": np.full((60, 4), 0.05)}
+            store.write(run, [batch(60, first=first, hop_ns=day, reference=np.full(4, reference), **rows)])
+    points = queries.points(path, None, "k1")
+    monkeypatch.setattr(queries, "points", lambda *_: replace(points, clock_steps=2))
+    text = said(trend, path, "k1", None, OPEN, None, "table", None)
+    assert "rows of 2 references (25, then 24.5): their values are compared" in text
+    assert "the wall clock was set otherwise 2 times: instants follow it as it is set now" in text
+    assert "a trend: falls" in text  # what is counted from elsewhere moves no value

@@ -6,6 +6,7 @@ from scipy.stats import kstest
 
 from agent.prognosis.forecast import Forecast, forecast, learn_from
 from agent.prognosis.history import History
+from agent.prognosis.posterior import BRIEF, FULL
 from agent.prognosis.scores import pit
 from tests.figures import figure
 from tests.unit.prognosis.histories import LIMIT, bent, straight
@@ -118,3 +119,27 @@ def test_like_machines_narrow_a_short_history_and_lose_to_a_long_one(rng: np.ran
 def test_learn_from_nothing_that_moves_says_so() -> None:
     with pytest.raises(ValueError, match="none of the histories"):
         learn_from([History(np.arange(4.0), np.ones(4), np.ones(4))])
+
+
+@pytest.mark.parametrize("rows", [100, 4000])
+def test_forecast_counts_from_the_newest_row_however_many_there_are(rng: np.random.Generator, rows: int) -> None:
+    t = np.linspace(0.0, 100.0, rows)
+    found = forecast(History(t, 25.0 - 0.05 * t + 1e-3 * rng.standard_normal(rows), np.full(rows, 1e-3)), 19.0)
+    assert found.p50 == pytest.approx(20.0, abs=0.15)
+
+
+def test_brief_forecast_says_what_the_whole_one_says(rng: np.random.Generator) -> None:
+    for _ in range(2):
+        history = bent(rng, 400, noise=0.05)
+        whole, brief = (forecast(history, -20.0, effort=effort) for effort in (FULL, BRIEF))
+        assert brief.status == whole.status == "ok"
+        assert brief.p50 == pytest.approx(whole.p50, rel=0.05)
+        assert 0.6 < width(brief) / width(whole) < 3.0  # of half as many means
+
+
+def test_forecast_without_a_horizon_is_not_beyond_it(rng: np.random.Generator) -> None:
+    t = np.linspace(0.0, 100.0, 1000)  # thinned to means, whose span is less
+    found = forecast(History(t, 25.0 - 0.05 * t + 0.02 * rng.standard_normal(1000), np.full(1000, 0.02)), 14.9)
+    assert found.p50 is not None
+    assert found.p50 > 100.0
+    assert found.status == "ok"

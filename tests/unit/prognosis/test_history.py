@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import isotonic_regression
 
-from agent.prognosis.history import History, blocks, smoothed, sound
+from agent.prognosis.history import History, blocks, monotone, smoothed, sound
 from agent.prognosis.steps import find_steps, without
 from tests.unit.prognosis.histories import bent
 
@@ -52,3 +53,10 @@ def test_no_steps_are_found_where_there_are_none(rng: np.random.Generator, kind:
     }
     found = [find_steps(History(np.arange(200.0), made[kind](), np.full(200, 0.05))) for _ in range(50)]
     assert sum(map(bool, found)) <= 3
+
+
+def test_monotone_fit_is_that_of_scipy(rng: np.random.Generator) -> None:
+    for n in (1, 2, 17, 160):
+        value, weight = np.round(rng.standard_normal(n), 1), rng.uniform(0.1, 3.0, n)
+        oracle = isotonic_regression(value, weights=weight).x
+        assert monotone(value, weight) == pytest.approx(oracle, abs=1e-12)

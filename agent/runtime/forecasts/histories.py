@@ -1,4 +1,4 @@
-"""Histories for the commands: of a parameter in a database or of a table, and what is said of them as a document."""
+"""Histories of a parameter in a database or of a table, what like machines teach, and a forecast as a document."""
 
 import json
 import math
@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from agent.errors import UsageError
-from agent.numerics.trend import DAY_NS, disjoint
 from agent.prognosis.forecast import Forecast, forecast, learn_from
-from agent.prognosis.history import History, blocks, sound
+from agent.prognosis.history import DAY_NS, History, blocks, disjoint, sound
 from agent.prognosis.learnt import Learnt
+from agent.prognosis.posterior import FULL, Effort
+from agent.runtime.forecasts.record import Row, record_of
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
 from agent.storage.read.times import age_ns
@@ -51,8 +52,12 @@ def horizon_days(text: str | None) -> float | None:
     return found / DAY_NS
 
 
-def like_machines(paths: Sequence[Path], parameter: str | None, limit: float | None) -> Learnt | None:
+def like_machines(
+    paths: Sequence[Path], parameter: str | None, limit: float | None, key: str = "--like"
+) -> Learnt | None:
     """Return what like machines teach: a prior file alone, or tables and databases with that parameter.
+
+    key: what named them, for the words of errors.
 
     Raises UsageError where they teach nothing, StoreError for a database.
     """
@@ -64,7 +69,7 @@ def like_machines(paths: Sequence[Path], parameter: str | None, limit: float | N
     try:
         return learn_from(histories, limit)
     except ValueError as error:
-        raise UsageError.at("--like", str(error), "name files with longer histories") from error
+        raise UsageError.at(key, str(error), "name files with longer histories") from error
 
 
 def _histories(path: Path, parameter: str | None) -> list[History]:
@@ -99,12 +104,13 @@ def read_prior(path: Path) -> Learnt:
 
 
 def forecast_document(
-    history: History, newest_ns: int, limit: float | None, horizon: float | None, like: Learnt | None
-) -> dict[str, Any] | None:
-    """Return a forecast as it stands in JSON; None without a limit or a row."""
+    history: History, newest_ns: int, limit: float | None, horizon: float | None, like: Learnt | None,
+    past: Sequence[Row] = (), effort: Effort = FULL,
+) -> dict[str, Any] | None:  # fmt: skip
+    """Return a forecast as it stands in JSON, beside those made in the past; None without a limit or a row."""
     if limit is None or not len(history):
         return None
-    found = forecast(history, limit, horizon, like)
+    found = forecast(history, limit, horizon, like, effort)
     ahead = {name: _seconds(getattr(found, name)) for name in ("p10", "p50", "p90")}
     return {
         "status": found.status,
@@ -114,7 +120,7 @@ def forecast_document(
         "horizon_s": found.horizon * 86_400.0,
         "family": _family(found),
         "like": None if like is None else {"histories": like.n},
-        "record": {"made": 0, "held": 0, "crps": None},
+        "record": record_of(past),
     }
 
 

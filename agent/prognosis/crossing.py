@@ -1,0 +1,39 @@
+"""What became of a forecast: whether and when the limit was reached, and how good the forecast was."""
+
+import numpy as np
+
+from agent.prognosis.scores import crps
+from agent.types import BoolArray, FloatArray
+
+NEXT = 5
+"""Rows of which a row that lies beyond a limit is the first."""
+NEEDED = 3
+"""Of these, so many must lie beyond it: one outlier is no passage."""
+DRAWS = 40
+"""Equally probable draws that stand for a forecast's thousands."""
+DIGITS = 6
+
+
+def beyond(value: FloatArray, limit: float, way: float) -> BoolArray:
+    """Tell of each row (n,) whether it lies beyond a limit and most of the next ones do too.
+
+    way: limit less the level that the forecast began with; its sign is the side.
+    """
+    past = (value - limit) * np.sign(way) >= 0.0
+    count = np.convolve(past[::-1], np.ones(NEXT), mode="full")[: len(past)][::-1]
+    return np.asarray(past & (count >= NEEDED))
+
+
+def representative(passages: FloatArray, farthest: float) -> list[float]:
+    """Return equally probable draws for sorted ones (n,), in their unit; what never comes is `farthest`."""
+    if not len(passages):
+        return []
+    places = ((np.arange(DRAWS) + 0.5) / DRAWS * len(passages)).astype(np.int64)
+    return [float(f"{draw:.{DIGITS}g}") for draw in np.minimum(passages[places], farthest)]
+
+
+def score(draws: FloatArray, came: float, *, censored: bool) -> float | None:
+    """Return the CRPS of draws (n,); censored: nothing came until then, and what draws say of later counts as then."""
+    if not len(draws):
+        return None
+    return crps(np.minimum(draws, came) if censored else draws, came)

@@ -1,0 +1,155 @@
+"""The forecasts of one rig: made of what its database holds, without anything that came later."""
+
+import json
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.blocks.outlook import Outlook
+from agent.clock import wall_ns
+from agent.config import Alarm, RigConfig
+from agent.errors import AgentError
+from agent.prognosis.change import Change, change
+from agent.prognosis.crossing import representative
+from agent.prognosis.forecast import Forecast, forecast
+from agent.prognosis.history import DAY_NS, History
+from agent.prognosis.learnt import Learnt
+from agent.prognosis.passage import FARTHEST
+from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.histories import history_of, like_machines, window_s
+from agent.runtime.forecasts.scoring import scores_of
+from agent.storage.read import queries
+from agent.text import iso_time
+from agent.types import ForecastRecord, HealthEvent, Record
+
+SOURCE, FAILURE = "forecast", "failure"
+"""What events of forecasts that could not be made are called."""
+MOMENT = 60.0
+"""A history shorter than this part of the time between forecasts is too short, whatever it looks like."""
+_LAST_NS = 2**63 - 1
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What one look at a rig led to: records for the store, outlooks for its alarms."""
+
+    records: tuple[Record, ...] = ()
+    outlooks: tuple[Outlook, ...] = ()
+
+
+class Forecaster:
+    """Makes and scores the forecasts of one rig; whatever fails in it becomes an event.
+
+    config: the rig's. db: its database, which is only read.
+    """
+
+    def __init__(self, config: RigConfig, db: Path) -> None:
+        self.rig, self._db, self._asked = config.rig.name, db, config.forecast
+        self._limits = {alarm.parameter: alarm for alarm in config.alarm if alarm.has_limit}
+        self.parameters = tuple(dict.fromkeys(alarm.parameter for alarm in config.alarm))
+        self._window_s = max(config.estimator.windows_s, default=None)
+        self._like: dict[tuple[str, float], Learnt | None] = {}
+        self._reported: dict[str, str] = {}
+
+    def make(self, cause: str, parameters: Sequence[str], until_ns: int | None = None) -> Made:
+        """Return the forecasts of parameters, and the scores of earlier ones that are due.
+
+        until_ns: the newest instant that may be looked at; None for all.
+        """
+        found = [self._kept(cause, parameter, until_ns) for parameter in parameters]
+        records = tuple(record for made in found for record in made.records)
+        return Made(records, tuple(outlook for made in found for outlook in made.outlooks))
+
+    def _kept(self, cause: str, parameter: str, until_ns: int | None) -> Made:
+        try:
+            made = self._made(cause, parameter, until_ns)
+        except Exception as error:
+            # a forecast is never worth a rig: whatever fails is reported once and tried again when the next is due
+            words = f"no forecast of {parameter}: {error}"
+            log.debug("%s: %s", self.rig, words, exc_info=not isinstance(error, AgentError))
+            return self._failed(parameter, words, until_ns)
+        self._reported.pop(parameter, None)
+        return made
+
+    def _failed(self, parameter: str, words: str, until_ns: int | None) -> Made:
+        if words == self._reported.get(parameter):
+            return Made()
+        self._reported[parameter] = words
+        log.warning("%s: %s", self.rig, words)
+        return Made((HealthEvent(self.rig, SOURCE, wall_ns() if until_ns is None else until_ns, FAILURE, words),))
+
+    def _made(self, cause: str, parameter: str, until_ns: int | None) -> Made:
+        if parameter not in queries.parameters(self._db, self.rig):
+            return Made()  # no row yet
+        points = queries.points(self._db, self.rig, parameter, until=None if until_ns is None else iso_time(until_ns))
+        if not len(points.t_ns):
+            return Made()
+        waiting = queries.forecasts(self._db, self.rig, parameter, waiting=True)
+        scores = scores_of(waiting, points.t_ns, points.value)
+        outlook, record = self._look(cause, points)
+        return Made((*scores, *record), (outlook,))
+
+    def _look(self, cause: str, points: queries.Points) -> tuple[Outlook, list[ForecastRecord]]:
+        window = self._window_s if self._window_s is not None else window_s(self._db, points.parameter)
+        history = history_of(points, window)
+        long_enough = history.span * 86_400.0 * MOMENT >= self._asked.every
+        asked = change(without(history, find_steps(history))) if long_enough else None
+        reference = points.reference if points.reference is not None else float(points.value[0])
+        rule, way, made = self._limits.get(points.parameter), None, None
+        records = []
+        if rule is not None:
+            way = rule.limit if rule.limit is not None else abs(reference) * (rule.limit_percent or 0.0) / 100.0
+            level = asked.level if asked is not None else float(points.value[-1])
+            side = _side(rule, asked, level - reference)
+            limit = reference + side * way
+            made = self._forecast(history, points.parameter, limit, long_enough=long_enough)
+            if made.status == "too short" and side * (level - limit) >= 0.0:
+                made = Forecast("crossed", horizon=made.horizon, chance=1.0)
+            records.append(_record(cause, points, made, level, limit, history.span))
+        outlook = Outlook(
+            points.parameter, points.unit, int(points.t_ns[-1]), float(points.value[-1]), float(points.sd[-1]),
+            reference, way, made, asked,
+        )  # fmt: skip
+        return outlook, records
+
+    def _forecast(self, history: History, parameter: str, limit: float, *, long_enough: bool) -> Forecast:
+        horizon = None if self._asked.horizon is None else self._asked.horizon / 86_400.0
+        if not long_enough:
+            return Forecast("too short", horizon=history.span if horizon is None else horizon)
+        return forecast(history, limit, horizon, self._learnt(parameter, limit))
+
+    def _learnt(self, parameter: str, limit: float) -> Learnt | None:
+        """Return what like machines teach of a limit, looked at once."""
+        key = (parameter, limit)
+        if key not in self._like:
+            self._like.clear()
+            self._like[key] = like_machines(self._asked.like, parameter, limit, "forecast.like")
+        return self._like[key]
+
+
+def _side(rule: Alarm, asked: Change | None, delta: float) -> float:
+    """Return the side on which the limit lies that matters: the one asked for, else that to which it moves."""
+    if rule.side != "both":
+        return -1.0 if rule.side == "low" else 1.0
+    moves = delta if asked is None else asked.newest
+    return 1.0 if moves > 0.0 else -1.0
+
+
+def _record(
+    cause: str, points: queries.Points, made: Forecast, level: float, limit: float, span: float
+) -> ForecastRecord:
+    """Return a forecast as it is stored; what lies past the last instant there is becomes that one."""
+    newest = int(points.t_ns[-1])
+
+    def instant(days: float | None) -> int | None:
+        return None if days is None else min(newest + round(days * DAY_NS), _LAST_NS)
+
+    draws = [float(f"{days * 86_400.0:.6g}") for days in representative(made.passages, FARTHEST * span)]
+    return ForecastRecord(
+        points.rig, points.parameter, newest, level, limit, made.status, instant(made.p10), instant(made.p50),
+        instant(made.p90), made.chance, made.horizon * 86_400.0,
+        json.dumps({name: round(weight, 4) for name, weight in made.family.items()}), json.dumps(draws), cause,
+    )  # fmt: skip

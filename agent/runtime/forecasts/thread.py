@@ -1,0 +1,92 @@
+"""A thread of its own for forecasts, of low priority: the agent asks, and fetches what was made later.
+
+It reads the databases through connections that can only read, and hands nothing to the store by itself. Whoever ends
+the agent need not wait for it: what it is at is thrown away.
+"""
+
+import os
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Mapping
+
+from agent.runtime.forecasts.making import Forecaster, Made
+
+SETTLE_S = 2.0
+"""How long after it was asked a forecast is begun, so that the rows that led to it are stored."""
+_NICER = 5
+"""Less priority than the agent's other threads, in steps of nice(2). At the lowest this thread would be put aside
+while it holds the interpreter's lock, and a thread that reads a bus would wait for it."""
+_MOST_WAITING = 64
+"""What was made and not fetched; the oldest goes."""
+
+
+class ForecastThread:
+    """Makes what is asked for, one parameter after the other; asking again for what waits changes nothing."""
+
+    def __init__(self, forecasters: Mapping[str, Forecaster], settle_s: float = SETTLE_S) -> None:
+        self._forecasters, self._settle_s = forecasters, settle_s
+        self._condition = threading.Condition()
+        self._asked: OrderedDict[tuple[str, str], tuple[str, float]] = OrderedDict()
+        self._made: dict[str, list[Made]] = {rig: [] for rig in forecasters}
+        self._ended = False
+        self._thread = threading.Thread(target=self._work, name="forecasts", daemon=True)
+        self.progress = 0
+        """Grows with every forecast; a watchdog may read it."""
+
+    def start(self) -> None:
+        """Begin to work, where there is anything to look at."""
+        if self._forecasters:
+            self._thread.start()
+
+    def ask(self, rig: str, parameter: str, cause: str) -> None:
+        """Have a parameter looked at, a moment later; never waits."""
+        with self._condition:
+            self._asked.setdefault((rig, parameter), (cause, time.monotonic() + self._settle_s))
+            self._condition.notify_all()
+
+    def take(self, rig: str) -> list[Made]:
+        """Return what was made of a rig since the last call; never waits."""
+        if not self._made[rig]:
+            return []
+        with self._condition:
+            made, self._made[rig] = self._made[rig], []
+        return made
+
+    def stop(self) -> None:
+        """Begin nothing any more; what is being made is not waited for."""
+        with self._condition:
+            self._ended = True
+            self._condition.notify_all()
+
+    def _work(self) -> None:
+        _lower_priority()
+        while (job := self._next()) is not None:
+            rig, parameter, cause = job
+            made = self._forecasters[rig].make(cause, (parameter,))
+            with self._condition:
+                self.progress += 1
+                self._made[rig] = [*self._made[rig], made][-_MOST_WAITING:]
+
+    def _next(self) -> tuple[str, str, str] | None:
+        """Wait for the next that is due and return its rig, parameter and cause; None at the end."""
+        with self._condition:
+            while not self._ended:
+                wait_s = None
+                if self._asked:
+                    (rig, parameter), (cause, at) = next(iter(self._asked.items()))
+                    wait_s = at - time.monotonic()
+                    if wait_s <= 0.0:
+                        del self._asked[rig, parameter]
+                        return rig, parameter, cause
+                self._condition.wait(wait_s)
+        return None
+
+
+def _lower_priority() -> None:
+    """Let the other threads go first; on Linux priorities are of threads."""
+    try:
+        own = threading.get_native_id()
+        os.setpriority(os.PRIO_PROCESS, own, min(19, os.getpriority(os.PRIO_PROCESS, own) + _NICER))
+    except (AttributeError, OSError):
+        return  # a system without it: the work is short

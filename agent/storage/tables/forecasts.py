@@ -1,0 +1,32 @@
+# ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
+"""Rows of forecasts: added as they are made, changed once, when they are scored."""
+
+import sqlite3
+
+from agent.storage.database.schema import columns_of
+from agent.storage.tables.rows import Numbers, Plan
+from agent.types import ForecastRecord, ForecastScore
+
+_NAMES = columns_of("forecasts")[:-1]
+_ROW = f"SELECT {', '.join(_NAMES)} FROM forecasts WHERE seq = ?"
+_SCORE = ("scored_ns", "crossed_ns", "crps", "held")
+
+
+def add_forecast(plan: Plan, record: ForecastRecord, run_id: int, numbers: Numbers) -> None:
+    """Add a forecast that is not scored yet."""
+    made = (record.parameter, record.t_ns, record.level, record.limit, record.status)
+    when = (record.p10_ns, record.p50_ns, record.p90_ns, record.chance, record.horizon_s)
+    rest = (record.family, record.draws, record.cause, *(None for _ in _SCORE))
+    plan.sealed("forecasts", numbers.take("forecasts"), run_id, *made, *when, *rest)
+
+
+def add_score(plan: Plan, score: ForecastScore, connection: sqlite3.Connection) -> None:
+    """Add what became of a forecast to its row; one that is scored already, or is gone, stays as it is."""
+    found = connection.execute(_ROW, (score.number,)).fetchone()
+    row = {} if found is None else dict(zip(_NAMES, found, strict=True))
+    same = (row.get("parameter"), row.get("made_ns")) == (score.parameter, score.made_ns)
+    if not same or row["scored_ns"] is not None:
+        return
+    held = None if score.held is None else int(score.held)
+    row.update(zip(_SCORE, (score.t_ns, score.crossed_ns, score.crps, held), strict=True))
+    plan.sealed("forecasts", *row.values())

@@ -18,7 +18,7 @@ from agent.numerics.model.holds import straight
 from agent.numerics.model.margins import condition_3, condition_8, worst_perturbation_norm
 from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
 from agent.numerics.model.observer import Noise
-from agent.numerics.model.statespace import Discrete, discretise
+from agent.numerics.model.statespace import Discrete, discretise, modes
 from agent.runtime.assembly.model_check import hidden_states, model_faults
 from agent.runtime.assembly.number_checks import attempted
 from agent.runtime.source_faults import source_error
@@ -85,12 +85,12 @@ def _document(config: RigConfig, resolution: FloatArray, evidence: Evidence) -> 
 
 def _structure(config: RigConfig, rig: RigModel) -> dict[str, Any]:
     observable = not hidden_states(rig.model)
-    return {"observable": observable, "poles": poles(rig), "bytes_per_rig_year": _bytes(config, rig)}
+    return {"observable": observable, "poles": poles(config, rig), "bytes_per_rig_year": _bytes(config, rig)}
 
 
-def poles(rig: RigModel) -> list[dict[str, float | None]]:
+def poles(config: RigConfig, rig: RigModel) -> list[dict[str, float | None]]:
     """Return the continuous-time poles of the nominal model, slowest first."""
-    found = np.linalg.eigvals(rig.model.continuous(rig.model.nominal).A)
+    found = modes(rig.model.continuous(rig.model.nominal), 1.0 / config.rig.sample_rate_hz)
     return [
         {
             "re": float(pole.real), "im": float(pole.imag), "freq_hz": abs(pole) / (2 * pi),

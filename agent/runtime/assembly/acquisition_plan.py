@@ -19,6 +19,7 @@ from agent.config.tables import Channel, Source
 from agent.numerics.fitting.skew import Group, SkewMeter
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
+from agent.numerics.model.statespace import modes
 from agent.types import FloatArray
 
 Maps = Mapping[str, Mapping[str, str]]
@@ -143,7 +144,7 @@ def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: Flo
 def stretch_samples(config: RigConfig) -> tuple[int, int]:
     """Return how long a stretch that tells a skew is at first, as the shortest window, and at most, half a period."""
     model, rate = rig_model(config).model, config.rig.sample_rate_hz
-    speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
+    speeds = np.abs(modes(model.continuous(model.nominal), 1.0 / rate))
     slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))
     unknowns = len(model.state_names) + len(model.parameters) + 1
     least = max(hop_plan(config).window, 20 * unknowns // max(len(config.outputs), 1))

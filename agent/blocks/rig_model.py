@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.config import RigConfig
-from agent.config.tables import LinearModel, MechanicsModel, Parameter
+from agent.config.linear import LinearModel
+from agent.config.tables import MechanicsModel, Parameter
 from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel

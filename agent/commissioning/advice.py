@@ -10,7 +10,7 @@ from agent.commissioning.limits import FEW_A_PERIOD, FEWER_A_PERIOD, LIVELY, MAR
 from agent.commissioning.prediction import Prediction, sampled, windows
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
-from agent.config.units import near_miss
+from agent.config.reading.units import near_miss
 from agent.errors import Fault
 from agent.numerics.model.statespace import modes
 from agent.runtime.sources import source_hints, unordered_sources

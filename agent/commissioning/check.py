@@ -12,6 +12,7 @@ from agent.commissioning.advice import warnings
 from agent.commissioning.evidence import Evidence, Gathered
 from agent.commissioning.prediction import predictions, rows, sampled
 from agent.commissioning.progress import Progress, on_terminal
+from agent.commissioning.told_apart import left_open
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
 from agent.numerics.model.holds import straight
@@ -130,7 +131,8 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         "box_margin": tried("the range proven stable", lambda: _box(rig)),
         "predicted_sd": rows(predicted, config, rig),
     }
-    warned = [*warnings(config, rig, predicted, recorded), *gathered.warnings, *failed]
+    unseen = tried("what the recording leaves open", lambda: left_open(config, rig, resolution, recorded)) or []
+    warned = [*warnings(config, rig, predicted, recorded), *unseen, *gathered.warnings, *failed]
     return found | {"warnings": [_fault(fault) for fault in warned]}
 
 

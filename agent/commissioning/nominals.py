@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config import MechanicsModel, RigConfig
-from agent.config.toml_file import parse_toml, read_bytes
+from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.errors import UsageError
 
 KEYS = {"mass": "value", "spring": "nominal", "damper": "nominal", "friction": "nominal"}

@@ -71,8 +71,8 @@ def predictions(
     """Predict for each window; resolution (p,) is the wire's smallest step of each output, SI."""
     discrete = sampled(config, rig)
     lengths = windows(config)
-    excitation = _recorded(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
-    sigma, noise_words = _noise(config, resolution, excitation, recorded)
+    excitation = recorded_excitation(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
+    sigma, noise_words = noise_to_expect(config, resolution, excitation, recorded)
     # the excitation is of straight lines, which is near enough for an sd
     statistical = replace(statistical_rig(config), hold=straight(config.estimator.hold))
     words = "; ".join([excitation.words, noise_words, *_constants(statistical)])
@@ -152,7 +152,7 @@ def _completed(config: RigConfig, discrete: Discrete, x0: FloatArray, u: FloatAr
     return with_constant(u, discrete.model.m)
 
 
-def _recorded(discrete: Discrete, recorded: Recorded) -> Excitation:
+def recorded_excitation(discrete: Discrete, recorded: Recorded) -> Excitation:
     """Let the recorded force move the nominal model, in each window from the state that its readings show."""
 
     def starts(window: int) -> list[int]:
@@ -188,7 +188,7 @@ def _spread(first: int, last: int, window: int) -> list[int]:
     return sorted({round(place) for place in np.linspace(first, last, wanted).tolist()})
 
 
-def _noise(
+def noise_to_expect(
     config: RigConfig, resolution: FloatArray, excitation: Excitation, recorded: Recorded | None
 ) -> tuple[FloatArray, str]:
     """Return sigma (p,) and how it was come by, the same words for all outputs that share a way."""

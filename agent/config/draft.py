@@ -4,13 +4,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from agent.config.parse import Entry, Faults, readable
+from agent.config.linear import LinearModel
+from agent.config.reading.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
     Channel,
     Columns,
     Estimator,
-    LinearModel,
     MechanicsModel,
     Model,
     Parameter,

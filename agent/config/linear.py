@@ -2,11 +2,11 @@
 
 import re
 from collections.abc import Iterator
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from agent.config.fields import Asked, Matrix, Name, Number, Positive, Table, Text
+from agent.config.reading.fields import Asked, Matrix, Name, Number, Positive, Table, Text
 
 MATRICES: Final = ("A", "B", "C", "D")
 ENTRY: Final = re.compile(r"(?P<matrix>[ABCD])\[(?P<row>0|[1-9][0-9]{0,3}),\s*(?P<column>0|[1-9][0-9]{0,3})\]")
@@ -83,9 +83,7 @@ class LinearModel(Table):
 
     def _entry(self, matrix: str, row: int, column: int) -> LinearParameter:
         rows: Matrix = getattr(self, matrix)
-        unit = tuple(
-            tuple(float((i, j) == (row, column)) for j in range(len(cells))) for i, cells in enumerate(rows)
-        )
-        changes = {f"d{name}": unit if name == matrix else () for name in MATRICES}
+        unit = tuple(tuple(float((i, j) == (row, column)) for j in range(len(cells))) for i, cells in enumerate(rows))
+        changes: dict[str, Any] = {f"d{name}": unit if name == matrix else () for name in MATRICES}
         name = f"{matrix}[{row},{column}]"
-        return LinearParameter.model_construct(name=name, nominal=rows[row][column], unit="", **changes)
+        return LinearParameter.model_construct(None, name=name, nominal=rows[row][column], unit="", **changes)

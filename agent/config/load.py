@@ -7,28 +7,28 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.config.draft import Draft
-from agent.config.matrices import with_matrices
-from agent.config.fields import shown
-from agent.config.messages import join, listing, nearest
-from agent.config.parse import Faults, read_list, read_table
+from agent.config.linear import LinearModel
+from agent.config.linear_files import with_matrices
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import join, listing, nearest
+from agent.config.reading.parse import Faults, read_list, read_table
+from agent.config.reading.secrets import check_no_plain_secrets
+from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator
 from agent.config.rules_model import check_model
 from agent.config.rules_sources import check_sources, read_sources
-from agent.config.secrets import check_no_plain_secrets
 from agent.config.tables import (
     Alarm,
     Channel,
     Columns,
     Estimator,
-    LinearModel,
     MechanicsModel,
     Rig,
     RigConfig,
     Store,
 )
-from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, Fault
 
 TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns")

@@ -5,9 +5,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
-from agent.config.messages import listing, nearest
-from agent.config.parse import Faults, readable
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import listing, nearest
+from agent.config.reading.parse import Faults, readable
 from agent.config.tables import Alarm, MechanicsModel, Observer
 
 MOST_GB = 1.0

@@ -4,10 +4,10 @@ from collections.abc import Iterable
 from typing import Final
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
 from agent.config.linear import ENTRY, MATRICES, LinearModel, LinearParameter
-from agent.config.messages import listing
-from agent.config.parse import Entry, Faults, readable, unique
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import listing
+from agent.config.reading.parse import Entry, Faults, readable, unique
 
 Matrix = tuple[tuple[float, ...], ...]
 SAME_RATE: Final = 1e-6
@@ -46,7 +46,9 @@ def _check_time(draft: Draft, model: LinearModel) -> None:
     if model.time == "continuous" and rate is not None:
         draft.faults.add(path, 'goes with time = "discrete"', "remove it, or say that the model is in discrete time")
     elif model.time == "discrete" and rate is None:
-        draft.faults.add(path, 'is missing: time = "discrete" needs it', "give the rate at which it was sampled, 1 / Ts")
+        draft.faults.add(
+            path, 'is missing: time = "discrete" needs it', "give the rate at which it was sampled, 1 / Ts"
+        )
     elif rate is not None and draft.rate_hz is not None and abs(rate / draft.rate_hz - 1) > SAME_RATE:
         what = f"{rate:g} Hz is not the rate of the rig, {draft.rate_hz:g} Hz"
         draft.faults.add(path, what, "sample the model at the rig's rate, or give it in continuous time")
@@ -70,9 +72,7 @@ def _check_parameters(model: LinearModel, shapes: dict[str, tuple[int, int]], fa
         _check_parameter(path, parameter, shapes, faults)
 
 
-def _check_parameter(
-    path: str, parameter: LinearParameter, shapes: dict[str, tuple[int, int]], faults: Faults
-) -> None:
+def _check_parameter(path: str, parameter: LinearParameter, shapes: dict[str, tuple[int, int]], faults: Faults) -> None:
     if readable(parameter.name) and ENTRY.fullmatch(parameter.name):
         what = f"{shown(parameter.name)} is the name of a matrix's entry"
         faults.add(f"{path}.name", what, f"list it as uncertain = [{shown(parameter.name)}], or take another name")

@@ -3,11 +3,12 @@
 from collections.abc import Iterable, Iterator
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
-from agent.config.messages import listing
-from agent.config.parse import Entry, Faults, readable, unique
+from agent.config.linear import LinearModel
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import listing
+from agent.config.reading.parse import Entry, Faults, readable, unique
 from agent.config.rules_linear import check_linear
-from agent.config.tables import GROUND, Element, LinearModel, Mass, MechanicsModel
+from agent.config.tables import GROUND, Element, Mass, MechanicsModel
 
 
 def check_model(draft: Draft) -> None:

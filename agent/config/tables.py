@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, Strict
 
-from agent.config.fields import (
+from agent.config.linear import ENTRY, LinearModel, LinearParameter
+from agent.config.reading.fields import (
     Asked,
     Duration,
     FilePath,
@@ -27,8 +28,7 @@ from agent.config.fields import (
     Text,
     Window,
 )
-from agent.config.linear import ENTRY, LinearModel, LinearParameter
-from agent.config.units import Quantity, base_length, conversion, element_units
+from agent.config.reading.units import Quantity, base_length, conversion, element_units
 
 GROUND = "ground"
 Nodes = Annotated[tuple[Name, Name], Strict(False)]

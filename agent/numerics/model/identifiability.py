@@ -73,7 +73,7 @@ def assess(model: StateSpace, measured: int, scale: FloatArray) -> Identifiabili
     _, values, vectors = np.linalg.svd(jacobian[:, received] / lengths[received], full_matrices=False)
     null = np.zeros((int(np.sum(values < TOLERANCE * values[0])), model.q))
     null[:, received] = vectors[len(values) - len(null) :] / lengths[received]
-    return Identifiability(silent, _readable(null, scale, lengths), float(values[-1] / values[0]))
+    return Identifiability(silent, readable_blends(null, scale, lengths), float(values[-1] / values[0]))
 
 
 def _balanced(model: StateSpace) -> StateSpace:
@@ -148,7 +148,7 @@ def _unit(columns: FloatArray) -> FloatArray:
     return np.asarray(columns / np.where(lengths > 0, lengths, 1.0))
 
 
-def _readable(null: FloatArray, scale: FloatArray, lengths: FloatArray) -> FloatArray:
+def readable_blends(null: FloatArray, scale: FloatArray, lengths: FloatArray) -> FloatArray:
     """Turn a basis of the null space (k, q) into one in which each vector moves as few parameters as can be."""
     if not len(null):
         return null

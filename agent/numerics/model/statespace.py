@@ -202,9 +202,9 @@ def _as_given(sampled: StateSpace, period_s: float) -> Discrete:
 
 
 def modes(model: StateSpace, period_s: float) -> ComplexArray:
-    """Return the continuous-time poles (n,), 1/s: of a model given in discrete time those that sampling maps to its own.
+    """Return the continuous-time poles (n,), 1/s: of a model in discrete time those that sampling maps to its own.
 
-    A mode that is gone after one sample (a pole at 0) decays as fast as can be written, and one at -1 is at half the rate.
+    A mode that is gone after one sample (a pole at 0) decays as fast as can be written; one at -1 is at half the rate.
     """
     poles = np.linalg.eigvals(model.A).astype(np.complex128)
     if not model.is_sampled:

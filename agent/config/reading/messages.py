@@ -7,7 +7,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from agent.config.fields import shown
+from agent.config.reading.fields import shown
 from agent.errors import Fault
 
 _TEXTS: Final[Mapping[str, str]] = {

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Generic, NamedTuple, Protocol, TypeVar, cast,
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from agent.config.fields import Table, shown
-from agent.config.messages import faults_of, join, unknown_key
+from agent.config.reading.fields import Table, shown
+from agent.config.reading.messages import faults_of, join, unknown_key
 from agent.errors import Fault
 
 T = TypeVar("T", bound=Table)

@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.config.fields import shown
 from agent.config.linear import MATRICES
-from agent.config.messages import join, listing, nearest
-from agent.config.parse import Faults
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import join, listing, nearest
+from agent.config.reading.parse import Faults
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    pass
 
 LIMIT_BYTES: Final = 50_000_000
 KEYS: Final = ("file", "name")

@@ -54,10 +54,13 @@ class _Reader:
         return {**raw, **read}
 
     def _matrix(self, table: Mapping[str, Any], path: str, key: str) -> list[list[float]]:
-        for unknown in [name for name in table if name not in KEYS]:
+        strange = [name for name in table if name not in KEYS]
+        for unknown in strange:
             what = f'the nearest known key is "{nearest(unknown, KEYS)}" of {listing(KEYS)}'
             self._faults.add(join(path, unknown), "unknown key", what)
         texts = [table.get("file"), table.get("name", key)]
+        if strange:
+            return []
         if not all(isinstance(text, str) and text for text in texts):
             self._faults.add(path, "must name a file", f'write {{ file = "plant.mat", name = "{key}" }}')
             return []

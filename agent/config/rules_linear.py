@@ -19,10 +19,10 @@ UNSTABLE: Final = 1.0 + 1e-6
 def check_linear(draft: Draft, model: LinearModel) -> None:
     """Note the faults of a linear model."""
     _check_time(draft, model)
-    if not readable(model.A):
+    if not readable(model.A) or _complained("model.A", draft.faults):
         return
     n, m, p = len(model.A), len(draft.inputs), len(draft.outputs)
-    if not n and not _complained("model.A", draft.faults):
+    if not n:
         draft.faults.add("model.A", "has no rows", "give one row and one column a state")
     shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
     for name, shape in shapes.items():

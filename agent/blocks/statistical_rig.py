@@ -111,7 +111,7 @@ def _pushed(config: RigConfig, model: Model) -> _Pushed:
 def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
     """Put unknown forces and masses into a model without constants of sensors."""
     if isinstance(model, AffineModel):
-        return _Pushed(model, 0, ()) if _is_white(config) else _pushed_states(model)
+        return _pushed_states(model)
     if not isinstance(model, MassSpringDamper):
         raise TypeError(f"no statistical model of a {type(model).__name__}")
     weighing = tuple(m.name for m in model.structure.masses if m.value > 0)

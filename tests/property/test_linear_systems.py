@@ -28,7 +28,7 @@ from tests.property.linear_systems import (
 
 PERIOD_S = 1.0 / RATE_HZ
 SAMPLES = 400
-QUICK, FULL = range(6), range(1000, 1100)
+QUICK, FULL = range(4), range(1000, 1100)
 OFF = 0.05
 NOISE_SHARE = 1e-3
 

@@ -94,8 +94,9 @@ def operating_point(
     push = Push(at.E, seen.output_gain[:, None] * at.F)
     wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
     shape = _shape(known, posterior, wider)
+    learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
-        model, push, bank_noise(known, sources, window, len(rig.pushed)), known.theta, at.unit, sharpest / at.unit, wider, shape,
+        model, push, learnt, known.theta, at.unit, sharpest / at.unit, wider, shape,
         known.noise.unsure, max(1.0, float(known.scatter.within.max())), seen.slopes,
     )  # fmt: skip
 

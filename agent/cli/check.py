@@ -23,6 +23,7 @@ def print_check(document: Document) -> None:
         show(f"states are {'' if given['observable'] else 'not '}observable from the channels")
     _print_poles(given["poles"])
     _print_conditions(document)
+    _print_region(document.get("region"))
     _print_box(document.get("box_margin"))
     _print_recording(document.get("recording"), "the recording")
     _print_recording(document.get("probe"), "the probe")
@@ -60,6 +61,22 @@ def _print_conditions(document: Document) -> None:
     if eighth:
         sizes = f"perturbation {number(eighth.get('perturbation_norm'))}, margin {number(eighth.get('delta'))}"
         show(f"condition (8) {_holds(eighth)}: {sizes}")
+
+
+_OVER = {
+    "radius_model": "spectral radius of the model",
+    "radius_observer": "spectral radius of the observer",
+    "observability": "least share of a motion that the channels show",
+}
+
+
+def _print_region(region: Document | None) -> None:
+    """Print the worst value of each measure within the alarm limits, and where it is."""
+    for key, words in _OVER.items() if region else ():
+        worst = region[key] if region else {}
+        place = ", ".join(f"{name} = {number(value)}" for name, value in worst["at"].items())
+        figures = f"{number(worst['nominal'])} at nominal, at worst {number(worst['value'])}"
+        show(f"within the alarm limits, {words}: {figures} ({place})")
 
 
 def _print_box(box: Document | None) -> None:

@@ -8,8 +8,8 @@ import pytest
 from scipy.io import savemat
 from scipy.signal import StateSpace, TransferFunction
 
-from agent.commissioning.plants import linear_table
 from agent.config import LinearModel, RigConfig, load
+from agent.config.plants import linear_table
 from agent.errors import ConfigError, Fault, UsageError
 
 CHANNELS = """

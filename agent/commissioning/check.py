@@ -12,10 +12,9 @@ from agent.commissioning.advice import warnings
 from agent.commissioning.evidence import Evidence, Gathered
 from agent.commissioning.prediction import predictions, rows, sampled
 from agent.commissioning.progress import Progress, on_terminal
-from agent.commissioning.recorded_windows import left_open
+from agent.commissioning.recorded_windows import left_open, paper_conditions, recentring_faults, recentring_ratio
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
-from agent.numerics.model.holds import straight
 from agent.numerics.model.margins import condition_3, condition_8
 from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin
 from agent.numerics.model.observer import Noise
@@ -37,9 +36,11 @@ from agent.types import FloatArray
 from drivers.port import DriverConfigError
 
 T = TypeVar("T")
+ROUNDS, OBSERVER_ROUNDS = 8, 3
+"""Of line searches for the worst point; each point of the observer's costs an exponential."""
 _NOTHING: dict[str, Any] = {
     "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "region": None,
-    "box_margin": None,
+    "box_margin": None, "paper_conditions": None, "recentring": None,
     "predicted_sd": [], "recording": None, "probe": None, "bytes_per_rig_year": None,
 }  # fmt: skip
 
@@ -139,10 +140,13 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         "condition_8": tried("condition (8)", lambda: _condition_8(config, rig, discrete, gain)),
         "region": tried("the conditions over the region", lambda: _region(config, rig, gain)),
         "box_margin": tried("the range proven stable", lambda: _box(rig)),
+        "paper_conditions": tried("(11) to (15)", lambda: paper_conditions(config, discrete, start, recorded)),
+        "recentring": tried("re-centring", lambda: recentring_ratio(config, rig, discrete, start, recorded)),
         "predicted_sd": rows(predicted, config, rig),
     }
     unseen = tried("what the recording leaves open", lambda: left_open(config, rig, resolution, recorded)) or []
-    warned = [*warnings(config, rig, predicted, recorded), *unseen, *gathered.warnings, *failed]
+    lost = recentring_faults(found["recentring"])
+    warned = [*warnings(config, rig, predicted, recorded), *unseen, *lost, *gathered.warnings, *failed]
     return found | {"warnings": [_fault(fault) for fault in warned]}
 
 
@@ -158,8 +162,8 @@ def _condition_3(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
 
 def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
     """Evaluate (8) for parameters anywhere within their alarm limits."""
-    measure = perturbation(rig.model, 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold), gain)
-    size = worst_in_box(measure, rig.model.nominal, rig.limits).value
+    measure = perturbation(rig.model, 1.0 / config.rig.sample_rate_hz, gain)
+    size = worst_in_box(measure, rig.model.nominal, rig.limits, inside=False).value
     none = np.zeros_like(discrete.model.A)
     margin = condition_8(discrete.model.A, gain, discrete.model.C, none, np.zeros_like(discrete.model.C))
     return {
@@ -169,14 +173,14 @@ def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: Flo
 
 def _region(config: RigConfig, rig: RigModel, gain: FloatArray) -> dict[str, Any]:
     """Evaluate (3) and observability wherever the parameters may be before an alarm: the worst point of each."""
-    period_s, hold = 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold)
+    period_s = 1.0 / config.rig.sample_rate_hz
     model, nominal = rig.model, rig.model.nominal
     measures = {"radius_model": radius_of_model(model, period_s), "observability": hiddenness(model)}
     if gain.any():
-        measures["radius_observer"] = radius_of_observer(model, period_s, hold, gain)
+        measures["radius_observer"] = radius_of_observer(model, period_s, gain)
     found = {}
     for name, measure in measures.items():
-        worst = worst_in_box(measure, nominal, rig.limits)
+        worst = worst_in_box(measure, nominal, rig.limits, OBSERVER_ROUNDS if name == "radius_observer" else ROUNDS)
         found[name] = {
             "nominal": abs(measure(nominal)), "value": abs(worst.value), "at": named(model.parameters, worst.theta),
             "at_vertex": worst.at_vertex,

@@ -7,19 +7,22 @@ which need no derivative: both measures have kinks.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.linalg import expm
 
-from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
+from agent.numerics.model.statespace import Model, StateSpace
 from agent.types import FloatArray
 
 MOST_VERTICES = 256
 """Vertices that are all tried; of more parameters than these allow, as many drawn at random."""
-INSIDE = 64
+FLIPPED = 6
+"""Of those drawn so many, the worst, are improved."""
+INSIDE = 32
 """Points inside the box that are tried."""
-STARTS = 4
+STARTS = 2
 """Of the worst points so many are searched from."""
 SEED = 19
 
@@ -35,8 +38,18 @@ class Worst:
     at_vertex: bool
 
 
-def worst_in_box(measure: Measure, nominal: FloatArray, half: FloatArray) -> Worst:
-    """Return where in nominal -+ half (q,) a measure is greatest; a measure that is no number counts as infinite."""
+def worst_in_box(
+    measure: Measure, nominal: FloatArray, half: FloatArray, rounds: int = 8, *, inside: bool = True
+) -> Worst:
+    """Return where in nominal -+ half (q,) a measure is greatest; a measure that is no number counts as infinite.
+
+    Args:
+        measure: of a point theta (q,).
+        nominal: (q,) the middle of the box.
+        half: (q,) half its sides; 0 leaves a parameter where it is.
+        rounds: of line searches along all parameters; few for a measure that costs much.
+        inside: search there as well; a convex measure is greatest at a vertex.
+    """
     moving = np.flatnonzero(half > 0)
 
     def at(shares: FloatArray) -> float:
@@ -47,9 +60,9 @@ def worst_in_box(measure: Measure, nominal: FloatArray, half: FloatArray) -> Wor
 
     if not len(moving):
         return Worst(nominal, at(np.zeros(0)), at_vertex=True)
-    points = [*_vertices(at, len(moving)), *_inside(len(moving))]
+    points = [*_vertices(at, len(moving)), *(_inside(len(moving)) if inside else ())]
     found = sorted(((at(point), point) for point in points), key=lambda pair: -pair[0])
-    searched = [_searched(at, point) for _, point in found[:STARTS]]
+    searched = [_searched(at, point, rounds) for _, point in found[:STARTS] if inside]
     value, shares = max([found[0], *searched], key=lambda pair: pair[0])
     theta = nominal.astype(float).copy()
     theta[moving] += shares * half[moving]
@@ -62,7 +75,7 @@ def _vertices(at: Measure, count: int) -> list[FloatArray]:
         return [np.array(corner) for corner in product((-1.0, 1.0), repeat=count)]
     rng = np.random.default_rng(SEED)
     drawn = [rng.choice([-1.0, 1.0], count) for _ in range(MOST_VERTICES)]
-    worst = sorted(drawn, key=at, reverse=True)[:STARTS]
+    worst = sorted(drawn, key=at, reverse=True)[:FLIPPED]
     return [*drawn, *(_flipped(at, corner) for corner in worst)]
 
 
@@ -96,11 +109,11 @@ def _primes(count: int) -> FloatArray:
     return np.array(found, dtype=float)
 
 
-def _searched(at: Measure, start: FloatArray) -> tuple[float, FloatArray]:
+def _searched(at: Measure, start: FloatArray, rounds: int) -> tuple[float, FloatArray]:
     from scipy.optimize import minimize  # 0.3 s to import, and commissioning alone asks for it
 
     bounds = [(-1.0, 1.0)] * len(start)
-    options = {"maxiter": 12, "xtol": 1e-8, "ftol": 1e-12}
+    options = {"maxiter": rounds, "xtol": 1e-7, "ftol": 1e-11}
     found = minimize(lambda shares: -min(at(shares), 1e300), start, method="Powell", bounds=bounds, options=options)
     shares = np.clip(np.asarray(found.x, dtype=float), -1.0, 1.0)
     return at(shares), shares
@@ -117,33 +130,32 @@ def radius_of_model(model: Model, period_s: float) -> Measure:
     return measure
 
 
-def radius_of_observer(model: Model, period_s: float, hold: Hold, gain: FloatArray) -> Measure:
+def radius_of_observer(model: Model, period_s: float, gain: FloatArray) -> Measure:
     """Return the spectral radius of A - L C as a measure, L (n, p) the gain that runs."""
 
     def measure(theta: FloatArray) -> float:
-        at = sampled_at(model, theta, period_s, hold)
-        return float(np.abs(np.linalg.eigvals(at.A - gain @ at.C)).max())
+        at = model.continuous(theta)
+        return float(np.abs(np.linalg.eigvals(_sampled(at, period_s) - gain @ at.C)).max())
 
     return measure
 
 
-def perturbation(model: Model, period_s: float, hold: Hold, gain: FloatArray) -> Measure:
-    """Return the norm of the Delta of (4) as a measure."""
-    nominal = sampled_at(model, model.nominal, period_s, hold)
+def perturbation(model: Model, period_s: float, gain: FloatArray) -> Measure:
+    """Return the norm of the Delta of (4) as a measure; it is convex where A and C are straight in the parameters."""
+    nominal = model.continuous(model.nominal)
+    A = _sampled(nominal, period_s)
 
     def measure(theta: FloatArray) -> float:
-        at = sampled_at(model, theta, period_s, hold)
-        dA, dC = at.A - nominal.A, at.C - nominal.C
+        at = model.continuous(theta)
+        dA, dC = _sampled(at, period_s) - A, at.C - nominal.C
         return float(np.linalg.norm(np.vstack([dA, gain @ dC - dA]), 2))
 
     return measure
 
 
-def sampled_at(model: Model, theta: FloatArray, period_s: float, hold: Hold) -> StateSpace:
-    """Return the sampled model at theta (q,), without derivatives."""
-    at = model.continuous(theta)
-    plain = replace(at, dA=at.dA[:0], dB=at.dB[:0], dC=at.dC[:0], dD=at.dD[:0])
-    return discretise(plain, period_s, hold).model
+def _sampled(at: StateSpace, period_s: float) -> FloatArray:
+    """Return A (n, n) in discrete time; how inputs run between samples does not enter it."""
+    return at.A if at.is_sampled else np.asarray(expm(period_s * at.A))
 
 
 def hiddenness(model: Model) -> Measure:

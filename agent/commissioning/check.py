@@ -19,11 +19,11 @@ from agent.numerics.model.margins import condition_3, condition_8
 from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.region import (
-    hiddenness,
     named,
     perturbation,
     radius_of_model,
     radius_of_observer,
+    hidden_mode,
     worst_in_box,
 )
 from agent.numerics.model.statespace import Discrete, modes
@@ -175,7 +175,7 @@ def _region(config: RigConfig, rig: RigModel, gain: FloatArray) -> dict[str, Any
     """Evaluate (3) and observability wherever the parameters may be before an alarm: the worst point of each."""
     period_s = 1.0 / config.rig.sample_rate_hz
     model, nominal = rig.model, rig.model.nominal
-    measures = {"radius_model": radius_of_model(model, period_s), "observability": hiddenness(model)}
+    measures = {"radius_model": radius_of_model(model, period_s), "observability": hidden_mode(model)}
     if gain.any():
         measures["radius_observer"] = radius_of_observer(model, period_s, gain)
     found = {}

@@ -37,7 +37,7 @@ from agent.types import FloatArray
 
 WEAKEST = 1.0
 """Standard deviation of a change, in sizes of the parameters, beyond which a window does not tell it."""
-WINDOWS = 5
+SEEN_WINDOWS = 5
 """Of a recording that are looked at."""
 NOISE_OF_MORE = 1e-3
 """Noise of an output that is not there yet, as a share of what it would read."""
@@ -58,7 +58,7 @@ class _Look:
         discrete = discretise(model.continuous(model.nominal), period_s, hold)
         each = []
         starts = self.excitation.starts(self.length)
-        for start in starts[:: -(-len(starts) // WINDOWS)]:
+        for start in starts[:: -(-len(starts) // SEEN_WINDOWS)]:
             x0, u = self.excitation.state(start, self.length), self.excitation.u[start : start + self.length]
             each.append(window_information(discrete, x0, u, sigma))
         mean = np.mean(each, axis=0)

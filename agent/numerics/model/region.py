@@ -158,7 +158,7 @@ def _sampled(at: StateSpace, period_s: float) -> FloatArray:
     return at.A if at.is_sampled else np.asarray(expm(period_s * at.A))
 
 
-def hiddenness(model: Model) -> Measure:
+def hidden_mode(model: Model) -> Measure:
     """Return how near a model is to hiding a mode: minus the least singular value of [A - s I; C] over its poles.
 
     By Popov, Belevitch and Hautus it is 0 where (A, C) is not observable. States are balanced and time scaled so that

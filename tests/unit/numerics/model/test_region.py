@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from agent.numerics.model.region import hiddenness, perturbation, radius_of_model, radius_of_observer, worst_in_box
+from agent.numerics.model.region import perturbation, radius_of_model, radius_of_observer, hidden_mode, worst_in_box
 from agent.numerics.model.statespace import AffineModel, StateSpace
 from agent.types import FloatArray
 from tests.unit.numerics.rigs import measured_model, random_structure
@@ -83,10 +83,10 @@ def test_observability_defect_planted_inside_the_box_is_found(seed: int) -> None
     row[0] = -float(place @ np.ones(q))  # the mode shows by row[0] + sum of the parameters: nothing at `place`
     dC = np.array([(np.eye(n)[:1] @ T.T) for _ in range(q)])
     model = affine(A, row[None] @ T.T, np.zeros((q, n, n)), dC, np.zeros(q))
-    found = worst_in_box(hiddenness(model), model.nominal, np.ones(q))
+    found = worst_in_box(hidden_mode(model), model.nominal, np.ones(q))
     assert found.value == pytest.approx(0.0, abs=1e-5)
     assert not found.at_vertex
-    assert abs(hiddenness(model)(model.nominal)) > 1e-3
+    assert abs(hidden_mode(model)(model.nominal)) > 1e-3
 
 
 def test_springs_within_their_limits_are_observed_by_the_observer_that_runs(rng: np.random.Generator) -> None:
@@ -97,4 +97,4 @@ def test_springs_within_their_limits_are_observed_by_the_observer_that_runs(rng:
     alone = worst_in_box(radius_of_model(model, 1e-3), model.nominal, half)
     assert still.value == pytest.approx(alone.value, abs=1e-9)
     assert worst_in_box(perturbation(model, 1e-3, gain), model.nominal, half).value > 0
-    assert worst_in_box(hiddenness(model), model.nominal, half).value < -1e-3
+    assert worst_in_box(hidden_mode(model), model.nominal, half).value < -1e-3

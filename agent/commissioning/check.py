@@ -19,11 +19,11 @@ from agent.numerics.model.margins import condition_3, condition_8
 from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.region import (
+    hidden_mode,
     named,
     perturbation,
     radius_of_model,
     radius_of_observer,
-    hidden_mode,
     worst_in_box,
 )
 from agent.numerics.model.statespace import Discrete, modes
@@ -134,6 +134,7 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         return attempted(work, what, "model", failed)
 
     predicted = tried("the sd to expect", lambda: predictions(config, rig, resolution, recorded)) or []
+    passes = tried("re-centring", lambda: recentring_ratio(config, rig, discrete, start, recorded))
     found = {
         "observer": _observer(discrete, gain) | {"start": _observer(discrete, start)},
         "condition_3": tried("condition (3)", lambda: _condition_3(discrete, gain)),
@@ -141,12 +142,17 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         "region": tried("the conditions over the region", lambda: _region(config, rig, gain)),
         "box_margin": tried("the range proven stable", lambda: _box(rig)),
         "paper_conditions": tried("(11) to (15)", lambda: paper_conditions(config, discrete, start, recorded)),
-        "recentring": tried("re-centring", lambda: recentring_ratio(config, rig, discrete, start, recorded)),
+        "recentring": passes,
         "predicted_sd": rows(predicted, config, rig),
     }
     unseen = tried("what the recording leaves open", lambda: left_open(config, rig, resolution, recorded)) or []
-    lost = recentring_faults(found["recentring"])
-    warned = [*warnings(config, rig, predicted, recorded), *unseen, *lost, *gathered.warnings, *failed]
+    warned = [
+        *warnings(config, rig, predicted, recorded),
+        *unseen,
+        *recentring_faults(passes),
+        *gathered.warnings,
+        *failed,
+    ]
     return found | {"warnings": [_fault(fault) for fault in warned]}
 
 

@@ -112,9 +112,13 @@ def _primes(count: int) -> FloatArray:
 def _searched(at: Measure, start: FloatArray, rounds: int) -> tuple[float, FloatArray]:
     from scipy.optimize import minimize  # 0.3 s to import, and commissioning alone asks for it
 
+    def lowered(shares: FloatArray) -> float:
+        return -min(at(shares), 1e300)
+
     bounds = [(-1.0, 1.0)] * len(start)
-    options = {"maxiter": rounds, "xtol": 1e-7, "ftol": 1e-11}
-    found = minimize(lambda shares: -min(at(shares), 1e300), start, method="Powell", bounds=bounds, options=options)
+    found = minimize(
+        lowered, start, method="Powell", bounds=bounds, options={"maxiter": rounds, "xtol": 1e-7, "ftol": 1e-11}
+    )
     shares = np.clip(np.asarray(found.x, dtype=float), -1.0, 1.0)
     return at(shares), shares
 

@@ -19,6 +19,7 @@ UNSTABLE: Final = 1.0 + 1e-6
 def check_linear(draft: Draft, model: LinearModel) -> None:
     """Note the faults of a linear model."""
     _check_time(draft, model)
+    _check_skews(draft, model)
     if not readable(model.A) or _complained("model.A", draft.faults):
         return
     n, m, p = len(model.A), len(draft.inputs), len(draft.outputs)
@@ -32,6 +33,16 @@ def check_linear(draft: Draft, model: LinearModel) -> None:
     _check_uncertain(model, draft.faults)
     if not any(fault.path.startswith("model") for fault in draft.faults.found):
         _check_poles(model, draft.faults)
+
+
+def _check_skews(draft: Draft, model: LinearModel) -> None:
+    """Note skews between sources that are to be measured: they show in how fast outputs change between samples."""
+    if model.time != "discrete":
+        return
+    measured = [path for path, source in draft.sources if source.skew_s == "auto"]
+    for path in measured[1:]:
+        what = 'is "auto": a model in discrete time says nothing of what lies between its samples'
+        draft.faults.add(f"{path}.skew_s", what, "state in seconds how much later this source is read, such as 0.0")
 
 
 def _complained(path: str, faults: Faults) -> bool:

@@ -170,3 +170,15 @@ def test_plant_that_is_improper_or_has_no_sampling_time_is_refused() -> None:
         linear_table(SimpleNamespace(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], dt=True), uncertain=["A"])
     with pytest.raises(UsageError, match="descriptor"):
         linear_table(SimpleNamespace(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], E=[[0.0]], dt=0), uncertain=["A"])
+
+
+def test_skew_that_is_to_be_measured_is_refused_in_discrete_time(tmp_path: Path) -> None:
+    source = '[[source]]\nname = "{0}"\ndriver = "serial"\nport = "{0}.tty"\nbaudrate = 9600\nformat = "binary"\n'
+    source += 'sync = "AA"\nfields = [{{ name = "{0}", type = "int16" }}]\nmap = {{ {0} = "{0}" }}\n'
+    text = MODEL + CHANNELS + source.format("u")
+    (tmp_path / "rig.toml").write_text(RIG + text + source.format("y") + "skew_s = 0.0\n")
+    load(tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text(RIG + text + source.format("y"))
+    with pytest.raises(ConfigError) as caught:
+        load(tmp_path / "rig.toml")
+    assert [fault.path for fault in caught.value.faults] == ["source[1].skew_s"]

@@ -149,6 +149,8 @@ def _with_state_forces(model: AffineModel) -> AffineModel:
 
 def _sizes(model: Model) -> FloatArray:
     """Return (q,) what stands for the size of a parameter that is 0 and has no limit: 1, or a share of its matrices."""
+    if isinstance(model, SensedModel):
+        return np.concatenate([_sizes(model.model), np.ones(len(model.nuisances))])
     if not isinstance(model, AffineModel):
         return np.ones(len(model.parameters))
     at = model.at_nominal
@@ -164,17 +166,19 @@ def _sizes(model: Model) -> FloatArray:
 def _constants(config: RigConfig, built: RigModel, masses: tuple[str, ...]) -> tuple[Constant, ...]:
     """Return the constants; of a linear model a gain that its parameters can do in its place never shows."""
     constants = constants_of(config, masses)
-    if not isinstance(built.model, AffineModel):
+    sensed = built.model if isinstance(built.model, SensedModel) else SensedModel(built.model, ())
+    if not isinstance(sensed.model, AffineModel):
         return constants
-    return tuple(replace(c, shows=c.shows and _told_apart(config, built, c)) for c in constants)
+    return tuple(replace(c, shows=c.shows and _told_apart(config, sensed, c)) for c in constants)
 
 
-def _told_apart(config: RigConfig, built: RigModel, constant: Constant) -> bool:
+def _told_apart(config: RigConfig, model: SensedModel, constant: Constant) -> bool:
     """Whether a gain can be told from the estimated parameters."""
     if constant.kind == "delay":
         return True
     side: Side = "input" if constant.kind == "input" else "output"
-    sensed = SensedModel(built.model, (Nuisance(f"{constant.name}.gain", "gain", side, constant.number),))
+    gain = Nuisance(f"{constant.name}.gain", "gain", side, constant.number)
+    sensed = replace(model, nuisances=(*model.nuisances, gain))
     found = identifiability(sensed, len(config.inputs), np.abs(sensed.nominal))
     mixed = bool(len(found.blends)) and bool(np.any(found.blends[:, -1]))
     return not mixed and len(sensed.parameters) - 1 not in found.silent

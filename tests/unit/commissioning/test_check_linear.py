@@ -57,7 +57,7 @@ def test_entries_that_one_output_hides_are_named_with_the_output_that_helps(tmp_
 
 def test_recording_at_one_frequency_leaves_open_what_an_output_would_tell(tmp_path: Path) -> None:
     drive = {"kind": "sweep", "amplitude": 1.0, "from_hz": 3.0, "to_hz": 3.0, "over_s": 1.0}
-    document = checked_text(tmp_path, COIL, recorded(tmp_path, COIL, drive, 3.0))
+    document = checked_text(tmp_path, COIL, recorded(tmp_path, COIL, drive, 1.5))
     assert document["ok"]
     assert "cannot be told apart" in words(document)
     assert "measure current as well" in words(document)
@@ -69,7 +69,7 @@ def test_paper_conditions_of_a_recording_are_in_the_document_and_said(
     wide = {"kind": "random", "rms": 4.0}
     observer = 'observer = { gain = "poles", poles = [-2400, -2000, -1600] }'
     text = COIL.replace("[estimator]", f'[estimator]\nmethod = "seed"\n{observer}')
-    document = checked_text(tmp_path, text, recorded(tmp_path, COIL, wide, 3.0))
+    document = checked_text(tmp_path, text, recorded(tmp_path, COIL, wide, 1.5))
     found = document["paper_conditions"]
     assert found["condition_12"] == {"rank": 3, "rank_joined": found["condition_12"]["rank_joined"]}
     assert found["condition_15"]["z_zero"]

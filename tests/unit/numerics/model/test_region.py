@@ -49,7 +49,7 @@ def against_brute_force(seed: int, parameters: int, points: int) -> None:
     assert found.value == pytest.approx(np.abs(np.linalg.eigvals(sampled)).max(), abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_worst_radius_is_no_less_than_brute_force_finds(seed: int) -> None:
     against_brute_force(seed, 2 + seed % 3, 4000)
 
@@ -70,7 +70,7 @@ def test_worst_point_may_lie_inside_the_box() -> None:
     assert not found.at_vertex
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_observability_defect_planted_inside_the_box_is_found(seed: int) -> None:
     """One reading of a random combination of states loses a mode where a parameter passes a value inside the box."""
     rng = np.random.default_rng([seed, 32])

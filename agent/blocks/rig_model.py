@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.config import RigConfig
-from agent.config.tables import LinearModel, MechanicsModel, Parameter
+from agent.config.linear import LinearModel
+from agent.config.tables import MechanicsModel, Parameter
 from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel
-from agent.numerics.model.statespace import AffineModel, Model, affine_model
+from agent.numerics.model.statespace import AffineModel, Model, StateSpace, modes, stacked
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
@@ -95,12 +96,23 @@ def _linear(config: RigConfig, names: tuple[str, ...]) -> AffineModel:
     table = config.model
     if not isinstance(table, LinearModel):
         raise TypeError("not a linear model")
-    rows = {parameter.name: parameter for parameter in table.parameter}
+    n, m, p = len(table.A), len(config.inputs), len(config.outputs)
+    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+    rows = {parameter.name: parameter for parameter in table.parameters}
     chosen = [rows[name] for name in names]
-    nominal = np.array([parameter.nominal for parameter in chosen])
-    derivatives = [(np.array(parameter.dA), np.array(parameter.dB)) for parameter in chosen]
-    matrices = (np.array(table.A), np.array(table.B), np.array(table.C))
-    return affine_model(names, nominal, matrices, derivatives)
+    matrices = {name: _filled(getattr(table, name), shape) for name, shape in shapes.items()}
+    changes = {
+        f"d{name}": stacked(shape, [_filled(row.derivatives[name], shape) for row in chosen])
+        for name, shape in shapes.items()
+    }
+    at_nominal = StateSpace(**matrices, **changes, is_sampled=table.time == "discrete")
+    nominal = np.array([row.nominal for row in chosen], dtype=float)
+    return AffineModel(names, nominal, at_nominal, table.state_names)
+
+
+def _filled(matrix: tuple[tuple[float, ...], ...], shape: tuple[int, int]) -> FloatArray:
+    """Return a matrix of the configuration; one that is left out is zero."""
+    return np.array(matrix, dtype=float).reshape(shape) if matrix else np.zeros(shape)
 
 
 def pushed(model: Model) -> tuple[tuple[str, str], ...]:
@@ -151,7 +163,7 @@ def windows_s(config: RigConfig) -> tuple[float, ...]:
     if config.estimator.windows_s:
         return config.estimator.windows_s
     model = rig_model(config).model
-    poles = np.linalg.eigvals(model.continuous(model.nominal).A)
+    poles = modes(model.continuous(model.nominal), 1.0 / config.rig.sample_rate_hz)
     speeds = np.abs(poles)
     slowest = float(np.min(speeds[speeds > STANDS * speeds.max()], initial=speeds.max())) or 1.0
     readings = (len(poles) + len(model.parameters)) / max(len(config.outputs), 1)
@@ -174,7 +186,7 @@ def longer_windows(config: RigConfig, plan: HopPlan) -> tuple[int, ...]:
 
 def longest_bridge(model: Model, rate_hz: float) -> int:
     """Return the longest gap that is bridged, samples: 5, or a twentieth of the fastest period, but no more than 20."""
-    speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
+    speeds = np.abs(modes(model.continuous(model.nominal), 1.0 / rate_hz))
     fastest = float(speeds.max(initial=0.0))
     return 5 if fastest == 0 else int(np.clip(2 * np.pi / fastest * rate_hz / 20, 5, 20))
 

@@ -4,17 +4,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.blocks.rig_model import estimated, hop_plan, longer_windows, output_noise, rig_model
+from agent.blocks.rig_model import RigModel, estimated, hop_plan, longer_windows, output_noise, rig_model
 from agent.config import RigConfig
 from agent.config.tables import Channel, MechanicsModel
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference.tuning import DELAY_SHEET
+from agent.numerics.model.identifiability import identifiability
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
-from agent.numerics.model.sensors import SensedModel
+from agent.numerics.model.sensors import Nuisance, SensedModel, Side
 from agent.numerics.model.statespace import AffineModel, Model, StateSpace
 from agent.numerics.model.uncertain import Constant, Rig, Rubbing
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
+
+SHARE_OF_MATRIX = 0.1
+"""Of a matrix's size: what stands for the size of one of its entries that is 0 at nominal."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,12 @@ def statistical_rig(config: RigConfig) -> Rig:
     driven = np.arange(len(columns)) < measured
     nominal = model.nominal[:q]
     limits = np.where(built.limits > 0, built.limits, np.nan)
-    scale = np.where(nominal != 0, np.abs(nominal), np.where(np.isfinite(limits), limits, 1.0))
+    scale = np.where(nominal != 0, np.abs(nominal), np.where(np.isfinite(limits), limits, _sizes(built.model)[:q]))
     physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in built.parameters], dtype=bool)
     needed = np.array([p.kind == "mass" or p.name in _holding(config) for p in built.parameters], dtype=bool)
     lower = np.where(physical & (nominal > 0), np.where(needed, 0.02 * scale, 0.0), -np.inf)
     return Rig(
-        model, q, columns, driven, np.arange(measured, m), constants_of(config, pushed.masses),
+        model, q, columns, driven, np.arange(measured, m), _constants(config, built, pushed.masses),
         1.0 / config.rig.sample_rate_hz, config.estimator.hold, scale, lower,
         slow_forces=not _has_friction(config), white=_is_white(config), rubbings=_rubbings(config, pushed),
     )  # fmt: skip
@@ -107,7 +111,7 @@ def _pushed(config: RigConfig, model: Model) -> _Pushed:
 def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
     """Put unknown forces and masses into a model without constants of sensors."""
     if isinstance(model, AffineModel):
-        return _Pushed(_with_state_forces(model), len(model.state_names), (), ())
+        return _pushed_states(model)
     if not isinstance(model, MassSpringDamper):
         raise TypeError(f"no statistical model of a {type(model).__name__}")
     weighing = tuple(m.name for m in model.structure.masses if m.value > 0)
@@ -117,6 +121,10 @@ def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
     masses = _uncertain_masses(config, model)
     whole = replace(model, parameters=(*model.parameters, *masses), forces=(*model.forces, *forced))
     return _Pushed(whole, len(forced), masses, weighing)
+
+
+def _pushed_states(model: AffineModel) -> _Pushed:
+    return _Pushed(_with_state_forces(model), len(model.state_names), ())
 
 
 def _uncertain_masses(config: RigConfig, model: MassSpringDamper) -> tuple[str, ...]:
@@ -137,6 +145,43 @@ def _with_state_forces(model: AffineModel) -> AffineModel:
         dB=np.concatenate([at.dB, no_slope], axis=2), dD=np.concatenate([at.dD, no_reading], axis=2),
     )  # fmt: skip
     return replace(model, at_nominal=pushed)
+
+
+def _sizes(model: Model) -> FloatArray:
+    """Return (q,) what stands for the size of a parameter that is 0 and has no limit: 1, or a share of its matrices."""
+    if isinstance(model, SensedModel):
+        return np.concatenate([_sizes(model.model), np.ones(len(model.nuisances))])
+    if not isinstance(model, AffineModel):
+        return np.ones(len(model.parameters))
+    at = model.at_nominal
+    sizes = np.full(at.q, np.inf)
+    for whole, slope in ((at.A, at.dA), (at.B, at.dB), (at.C, at.dC), (at.D, at.dD)):
+        moved = np.linalg.norm(slope.reshape(at.q, -1), axis=1)
+        size = float(np.linalg.norm(whole))
+        some = (moved > 0) & (size > 0)
+        sizes[some] = np.minimum(sizes[some], SHARE_OF_MATRIX * size / moved[some])
+    return np.where(np.isfinite(sizes), sizes, 1.0)
+
+
+def _constants(config: RigConfig, built: RigModel, masses: tuple[str, ...]) -> tuple[Constant, ...]:
+    """Return the constants; of a linear model a gain that its parameters can do in its place never shows."""
+    constants = constants_of(config, masses)
+    sensed = built.model if isinstance(built.model, SensedModel) else SensedModel(built.model, ())
+    if not isinstance(sensed.model, AffineModel):
+        return constants
+    return tuple(replace(c, shows=c.shows and _told_apart(config, sensed, c)) for c in constants)
+
+
+def _told_apart(config: RigConfig, model: SensedModel, constant: Constant) -> bool:
+    """Whether a gain can be told from the estimated parameters."""
+    if constant.kind == "delay":
+        return True
+    side: Side = "input" if constant.kind == "input" else "output"
+    gain = Nuisance(f"{constant.name}.gain", "gain", side, constant.number)
+    sensed = replace(model, nuisances=(*model.nuisances, gain))
+    found = identifiability(sensed, len(config.inputs), np.abs(sensed.nominal))
+    mixed = bool(len(found.blends)) and bool(np.any(found.blends[:, -1]))
+    return not mixed and len(sensed.parameters) - 1 not in found.silent
 
 
 def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, ...]:

@@ -40,6 +40,13 @@ class Bus(StrEnum):
     SERIAL = "serial"
 
 
+class DemoRig(StrEnum):
+    """The rigs of the demo."""
+
+    MASSES = "two-mass"
+    COIL = "voice-coil"
+
+
 class RunKind(StrEnum):
     """What a live run is marked as; the demo's parent process marks its own."""
 
@@ -82,6 +89,9 @@ def _start(
 @app.command()
 def demo(
     bus: Annotated[Bus, typer.Option(help="The bus between device and agent.")] = Bus.MODBUS,
+    rig: Annotated[
+        DemoRig, typer.Option(help="Two masses, or a voice coil: voltage in, position out.")
+    ] = DemoRig.MASSES,
     scenario: Annotated[str | None, typer.Option(metavar="NAME", help="A scenario that ships with deltak.")] = None,
     fast: Annotated[bool, typer.Option("--fast", help="As fast as no sample is lost, not in real time.")] = False,
     db: NewDb = None,
@@ -91,7 +101,7 @@ def demo(
     from agent.cli import results as commands_results
     from agent.evaluation.demo import demo as body
 
-    document = body.demo(bus=bus.value, scenario=scenario, fast=fast, db=db)
+    document = body.demo(bus=bus.value, scenario=scenario, fast=fast, db=db, rig=rig.value)
     _answer(document, commands_results.print_demo, as_json=json)
 
 

@@ -23,7 +23,9 @@ def print_check(document: Document) -> None:
         show(f"states are {'' if given['observable'] else 'not '}observable from the channels")
     _print_poles(given["poles"])
     _print_conditions(document)
+    _print_region(document.get("region"))
     _print_box(document.get("box_margin"))
+    _print_paper(document.get("paper_conditions"), document.get("recentring"))
     _print_recording(document.get("recording"), "the recording")
     _print_recording(document.get("probe"), "the probe")
     _print_predicted(given["predicted_sd"])
@@ -60,6 +62,38 @@ def _print_conditions(document: Document) -> None:
     if eighth:
         sizes = f"perturbation {number(eighth.get('perturbation_norm'))}, margin {number(eighth.get('delta'))}"
         show(f"condition (8) {_holds(eighth)}: {sizes}")
+
+
+_OVER = {
+    "radius_model": "spectral radius of the model",
+    "radius_observer": "spectral radius of the observer",
+    "observability": "least share of a motion that the channels show",
+}
+
+
+def _print_region(region: Document | None) -> None:
+    """Print the worst value of each measure within the alarm limits, and where it is."""
+    for key, words in _OVER.items() if region else ():
+        worst = region[key] if region else {}
+        place = ", ".join(f"{name} = {number(value)}" for name, value in worst["at"].items())
+        figures = f"{number(worst['nominal'])} at nominal, at worst {number(worst['value'])}"
+        show(f"within the alarm limits, {words}: {figures} ({place})")
+
+
+def _print_paper(found: Document | None, passes: Document | None) -> None:
+    if found:
+        exists, ranks, special = found["condition_11"], found["condition_12"], found["condition_15"]
+        left = f"{100 * exists['defect_states']:.3g} % of (10) for the states, {100 * exists['defect_outputs']:.3g} %"
+        show(f"condition (11) over the last {found['window_s']:g} s: no one matrix explains {left} for the outputs")
+        show(
+            f"condition (12): rank {ranks['rank']} of the states, {ranks['rank_joined']} with what they are to explain"
+        )
+        one = f"for one sample alone Z = 0 leaves {100 * special['defect_of_one_sample']:.3g} %"
+        over = "Z = 0 would do here" if special["z_zero"] else "the states fill too few directions, so Z is needed"
+        show(f"condition (15) over the window: {over}; {one}")
+    if passes:
+        reach = "reach" if passes["converges"] else "do not reach"
+        show(f"re-centred passes {reach} the right parameters: each step is {number(passes['ratio'])} of the last")
 
 
 def _print_box(box: Document | None) -> None:

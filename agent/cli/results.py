@@ -139,7 +139,7 @@ def _print_queries(run: Document) -> None:
     if not db:
         show("nothing was kept; --db FILE keeps it")
         return
-    name = next(iter(run.get("estimates", {})), "PARAMETER")
+    name = quote(next(iter(run.get("estimates", {})), "PARAMETER"))
     file = quote(str(db))
     asked = (f"estimates {file} --parameter {name}", f"alarms {file}", f"trend {file} {name}")
     lines = [f"{_program()} {words}" for words in asked]

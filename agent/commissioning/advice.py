@@ -10,8 +10,9 @@ from agent.commissioning.limits import FEW_A_PERIOD, FEWER_A_PERIOD, LIVELY, MAR
 from agent.commissioning.prediction import Prediction, sampled, windows
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
-from agent.config.units import near_miss
+from agent.config.reading.units import near_miss
 from agent.errors import Fault
+from agent.numerics.model.statespace import modes
 from agent.runtime.sources import source_hints, unordered_sources
 
 
@@ -42,15 +43,15 @@ def _poles(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
         yield Fault("model", what, "the observer keeps correcting it, which costs information; add what holds it")
 
 
-def _modes(rig: RigModel) -> list[complex]:
+def _modes(config: RigConfig, rig: RigModel) -> list[complex]:
     """Poles in the upper half plane that oscillate."""
-    poles = np.linalg.eigvals(rig.model.continuous(rig.model.nominal).A)
+    poles = modes(rig.model.continuous(rig.model.nominal), 1.0 / config.rig.sample_rate_hz)
     return [complex(pole) for pole in poles if pole.imag > LIVELY * abs(pole)]
 
 
 def _windows(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     rate = config.rig.sample_rate_hz
-    frequencies = [pole.imag / (2 * pi) for pole in _modes(rig)]
+    frequencies = [pole.imag / (2 * pi) for pole in _modes(config, rig)]
     shortest = windows(config)[0] / rate
     slowest = min(frequencies, default=inf)
     fastest = max(frequencies, default=0.0)

@@ -13,13 +13,21 @@ from agent.commissioning.baseline.limits import limit_warnings
 from agent.commissioning.evidence import Evidence, Gathered
 from agent.commissioning.prediction import predictions, rows, sampled
 from agent.commissioning.progress import Progress, on_terminal
+from agent.commissioning.recorded_windows import left_open, paper_conditions, recentring_faults, recentring_ratio
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
-from agent.numerics.model.holds import straight
-from agent.numerics.model.margins import condition_3, condition_8, worst_perturbation_norm
-from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin, vertices
+from agent.numerics.model.margins import condition_3, condition_8
+from agent.numerics.model.margins_box import MOST_PARAMETERS, DesignToolsMissingError, polytopic_margin
 from agent.numerics.model.observer import Noise
-from agent.numerics.model.statespace import Discrete, discretise
+from agent.numerics.model.region import (
+    hidden_mode,
+    named,
+    perturbation,
+    radius_of_model,
+    radius_of_observer,
+    worst_in_box,
+)
+from agent.numerics.model.statespace import Discrete, modes
 from agent.runtime.assembly.model_check import hidden_states, model_faults
 from agent.runtime.assembly.number_checks import attempted
 from agent.runtime.source_faults import source_error
@@ -29,8 +37,11 @@ from agent.types import FloatArray
 from drivers.port import DriverConfigError
 
 T = TypeVar("T")
+ROUNDS, OBSERVER_ROUNDS = 8, 3
+"""Of line searches for the worst point; each point of the observer's costs an exponential."""
 _NOTHING: dict[str, Any] = {
-    "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "box_margin": None,
+    "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "region": None,
+    "box_margin": None, "paper_conditions": None, "recentring": None,
     "predicted_sd": [], "recording": None, "probe": None, "bytes_per_rig_year": None,
 }  # fmt: skip
 
@@ -86,12 +97,12 @@ def _document(config: RigConfig, resolution: FloatArray, evidence: Evidence) -> 
 
 def _structure(config: RigConfig, rig: RigModel) -> dict[str, Any]:
     observable = not hidden_states(rig.model)
-    return {"observable": observable, "poles": poles(rig), "bytes_per_rig_year": _bytes(config, rig)}
+    return {"observable": observable, "poles": poles(config, rig), "bytes_per_rig_year": _bytes(config, rig)}
 
 
-def poles(rig: RigModel) -> list[dict[str, float | None]]:
+def poles(config: RigConfig, rig: RigModel) -> list[dict[str, float | None]]:
     """Return the continuous-time poles of the nominal model, slowest first."""
-    found = np.linalg.eigvals(rig.model.continuous(rig.model.nominal).A)
+    found = modes(rig.model.continuous(rig.model.nominal), 1.0 / config.rig.sample_rate_hz)
     return [
         {
             "re": float(pole.real), "im": float(pole.imag), "freq_hz": abs(pole) / (2 * pi),
@@ -124,15 +135,27 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         return attempted(work, what, "model", failed)
 
     predicted = tried("the sd to expect", lambda: predictions(config, rig, resolution, recorded)) or []
+    passes = tried("re-centring", lambda: recentring_ratio(config, rig, discrete, start, recorded))
     found = {
         "observer": _observer(discrete, gain) | {"start": _observer(discrete, start)},
         "condition_3": tried("condition (3)", lambda: _condition_3(discrete, gain)),
         "condition_8": tried("condition (8)", lambda: _condition_8(config, rig, discrete, gain)),
+        "region": tried("the conditions over the region", lambda: _region(config, rig, gain)),
         "box_margin": tried("the range proven stable", lambda: _box(rig)),
+        "paper_conditions": tried("(11) to (15)", lambda: paper_conditions(config, discrete, start, recorded)),
+        "recentring": passes,
         "predicted_sd": rows(predicted, config, rig),
     }
     learnt = limit_warnings(config)
-    warned = [*warnings(config, rig, predicted, recorded), *learnt, *gathered.warnings, *failed]
+    unseen = tried("what the recording leaves open", lambda: left_open(config, rig, resolution, recorded)) or []
+    warned = [
+        *warnings(config, rig, predicted, recorded),
+        *learnt,
+        *unseen,
+        *recentring_faults(passes),
+        *gathered.warnings,
+        *failed,
+    ]
     return found | {"warnings": [_fault(fault) for fault in warned]}
 
 
@@ -146,15 +169,10 @@ def _condition_3(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
     return {"holds": found.holds, "radius_model": found.radius_model, "radius_observer": found.radius_observer}
 
 
-def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: FloatArray) -> dict[str, Any] | None:
-    """Evaluate (8) for parameters anywhere within their alarm limits; None where these are too many."""
-    if np.count_nonzero(rig.limits) > MOST_PARAMETERS:
-        return None
-    period_s = 1.0 / config.rig.sample_rate_hz
-    hold = straight(config.estimator.hold)
-    continuous = [rig.model.continuous(corner) for corner in vertices(rig.model, rig.limits)]
-    corners = [discretise(corner, period_s, hold).model for corner in continuous]
-    size = worst_perturbation_norm(discrete.model, corners, gain)
+def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
+    """Evaluate (8) for parameters anywhere within their alarm limits."""
+    measure = perturbation(rig.model, 1.0 / config.rig.sample_rate_hz, gain)
+    size = worst_in_box(measure, rig.model.nominal, rig.limits, inside=False).value
     none = np.zeros_like(discrete.model.A)
     margin = condition_8(discrete.model.A, gain, discrete.model.C, none, np.zeros_like(discrete.model.C))
     return {
@@ -162,10 +180,34 @@ def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: Flo
     }  # fmt: skip
 
 
+def _region(config: RigConfig, rig: RigModel, gain: FloatArray) -> dict[str, Any]:
+    """Evaluate (3) and observability wherever the parameters may be before an alarm: the worst point of each."""
+    period_s = 1.0 / config.rig.sample_rate_hz
+    model, nominal = rig.model, rig.model.nominal
+    measures = {"radius_model": radius_of_model(model, period_s), "observability": hidden_mode(model)}
+    if gain.any():
+        measures["radius_observer"] = radius_of_observer(model, period_s, gain)
+    found = {}
+    for name, measure in measures.items():
+        worst = worst_in_box(measure, nominal, rig.limits, OBSERVER_ROUNDS if name == "radius_observer" else ROUNDS)
+        found[name] = {
+            "nominal": abs(measure(nominal)), "value": abs(worst.value), "at": named(model.parameters, worst.theta),
+            "at_vertex": worst.at_vertex,
+        }  # fmt: skip
+    return {"radius_observer": found["radius_model"]} | found  # without a gain the observer is the model
+
+
 def _box(rig: RigModel) -> dict[str, Any] | None:
-    """The polytopic margin in shares of the alarm limits; None without the design tools or where it cannot be had."""
+    """The polytopic margin in shares of the alarm limits; None without the design tools or where it cannot be had.
+
+    Raises ValueError for more parameters than it can be had for: what is left out is said.
+    """
+    limits = np.maximum(rig.limits, 0.0)
+    if np.count_nonzero(limits) > MOST_PARAMETERS:
+        words = f"{np.count_nonzero(limits)} parameters have a limit, at most {MOST_PARAMETERS} can be tried"
+        raise ValueError(f"{words}; the worst point above was searched for all the same")
     try:
-        found = polytopic_margin(rig.model, np.maximum(rig.limits, 0.0))
+        found = polytopic_margin(rig.model, limits)
     except (DesignToolsMissingError, ValueError):
         return None
     return {"share": found.share, "reach": dict(found.reach)}

@@ -71,7 +71,9 @@ def predictions(
     """Predict for each window; resolution (p,) is the wire's smallest step of each output, SI."""
     discrete = sampled(config, rig)
     lengths = windows(config)
-    excitation = recorded_excitation(discrete, recorded) if recorded else _assumed(config, discrete, rig, max(lengths))
+    excitation = (
+        recorded_excitation(discrete, recorded) if recorded else assumed_excitation(config, discrete, rig, max(lengths))
+    )
     sigma, noise_words = expected_noise(config, resolution, excitation, recorded)
     # the excitation is of straight lines, which is near enough for an sd
     statistical = replace(statistical_rig(config), hold=straight(config.estimator.hold))
@@ -102,7 +104,8 @@ def _expected(discrete: Discrete, rig: Rig, excitation: Excitation, sigma: Float
     )
 
 
-def _assumed(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
+def assumed_excitation(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
+    """Return what moves a rig of which nothing is recorded: a white force, or a free decay where nothing drives it."""
     if not config.inputs:
         return _decay(config, discrete, rig, longest)
     rng = np.random.default_rng(0)

@@ -5,6 +5,7 @@
     toml_file -> parse (tables.py, fields.py, units.py) -> rules_* (what must hold between values) -> RigConfig
 """
 
+from agent.config.linear import LinearModel, LinearParameter
 from agent.config.load import load, load_many, parse
 from agent.config.plugins import driver_class, driver_entries
 from agent.config.tables import (
@@ -13,8 +14,6 @@ from agent.config.tables import (
     Element,
     Estimator,
     Forecast,
-    LinearModel,
-    LinearParameter,
     Mass,
     MechanicsModel,
     Model,

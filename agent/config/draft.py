@@ -2,15 +2,16 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
-from agent.config.parse import Entry, Faults, readable
+from agent.config.linear import LinearModel
+from agent.config.reading.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
     Channel,
     Columns,
     Estimator,
     Forecast,
-    LinearModel,
     MechanicsModel,
     Model,
     Parameter,
@@ -27,6 +28,7 @@ class Draft:
 
     Values that could not be read are None; rules pass over them, because they have been complained of already.
     rig and model are None where the file has none. identified: nominals are yet to be found, none need be stated.
+    attached: the SHA-256 of files that stand beside it and hold a part of it.
     """
 
     folder: Path
@@ -41,6 +43,7 @@ class Draft:
     store: Store = field(default_factory=Store)
     columns: Columns = field(default_factory=Columns)
     forecast: Forecast = field(default_factory=Forecast)
+    attached: list[str] = field(default_factory=list)
 
     @property
     def rate_hz(self) -> float | None:
@@ -81,6 +84,16 @@ class Draft:
     def estimated(self) -> tuple[str, ...]:
         """The names of what is estimated, whether they exist or not."""
         return self.estimator.estimate or self.defaults
+
+    @property
+    def is_discrete(self) -> bool:
+        """Whether the model is given in discrete time, which has in it how inputs run between samples."""
+        return isinstance(self.model, LinearModel) and self.model.time == "discrete"
+
+    @property
+    def hold(self) -> Literal["first", "zero", "cubic", "quintic"]:
+        """How inputs run between samples: as configured, or from one sample to the next of a discrete model."""
+        return "zero" if self.is_discrete else self.estimator.hold
 
     @property
     def states(self) -> int | None:

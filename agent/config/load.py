@@ -7,28 +7,29 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
-from agent.config.messages import join, listing, nearest
-from agent.config.parse import Faults, read_list, read_table
+from agent.config.linear import LinearModel
+from agent.config.linear_files import with_matrices
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import join, listing, nearest
+from agent.config.reading.parse import Faults, read_list, read_table
+from agent.config.reading.secrets import check_no_plain_secrets
+from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model
 from agent.config.rules_sources import check_sources, read_sources
-from agent.config.secrets import check_no_plain_secrets
 from agent.config.tables import (
     Alarm,
     Channel,
     Columns,
     Estimator,
     Forecast,
-    LinearModel,
     MechanicsModel,
     Rig,
     RigConfig,
     Store,
 )
-from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, Fault
 
 TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast")
@@ -67,7 +68,8 @@ def parse(data: bytes, file: Path, *, identified: bool = False) -> RigConfig:
         check(draft)
     if draft.faults.found:
         raise ConfigError(_ordered(draft.faults.found))
-    return _finished(draft, file, hashlib.sha256(data).hexdigest())
+    content = data + "".join(draft.attached).encode("ascii")
+    return _finished(draft, file, hashlib.sha256(content).hexdigest())
 
 
 def load_many(paths: Iterable[str | Path]) -> tuple[RigConfig, ...]:
@@ -171,6 +173,8 @@ def _read_model(raw: object, draft: Draft) -> None:
         draft.faults.add("model.kind", f"{shown(kind)} is none of {listing(map(shown, _KINDS))}", "choose one")
         kind = "linear" if "A" in raw else mechanical
         raw = {**raw, "kind": kind}
+    if kind == "linear":
+        raw, draft.attached = with_matrices(raw, draft.folder, draft.faults)
     draft.model = read_table(_KINDS[kind], raw, "model", draft.faults)
 
 
@@ -203,7 +207,7 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         rig=draft.rig,
         model=draft.model,
         channel=tuple(entry.table for entry in draft.channels),
-        estimator=draft.estimator.model_copy(update={"estimate": draft.estimated}),
+        estimator=draft.estimator.model_copy(update={"estimate": draft.estimated, "hold": draft.hold}),
         alarm=tuple(_with_defaults(entry.table, draft) for entry in draft.alarms),
         source=tuple(entry.table for entry in draft.sources),
         store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),

@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from typing import Final
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
-from agent.config.messages import join, listing, nearest
-from agent.config.parse import Entry, Faults, readable
-from agent.config.tables import Channel, LinearModel, MechanicsModel
-from agent.config.units import conversion, examples, wrong_kind
+from agent.config.linear import LinearModel
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import join, listing, nearest
+from agent.config.reading.parse import Entry, Faults, readable
+from agent.config.reading.units import conversion, examples, wrong_kind
+from agent.config.tables import Channel, MechanicsModel
 
 RESERVED: Final[Mapping[str, str]] = {
     "t": "recordings call their time column t",

@@ -3,8 +3,8 @@
 from typing import Final
 
 from agent.config.draft import Draft
-from agent.config.fields import Table, shown
-from agent.config.parse import Entry, Faults, readable
+from agent.config.reading.fields import Table, shown
+from agent.config.reading.parse import Entry, Faults, readable
 from agent.config.tables import Channel, Mass, MechanicsModel
 
 MOST_PERCENT: Final = 50.0

@@ -5,9 +5,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
-from agent.config.messages import listing, nearest
-from agent.config.parse import Faults, readable
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import listing, nearest
+from agent.config.reading.parse import Faults, readable
 from agent.config.tables import Alarm, MechanicsModel, Observer
 
 MOST_GB = 1.0
@@ -88,6 +88,9 @@ def _check_hold(draft: Draft) -> None:
     if method == "seed" and hold in ("cubic", "quintic"):
         what = f'{shown(hold)} goes with method = "window-ml": it takes readings that come after'
         draft.faults.add("estimator.hold", what, 'use "first" or "zero"')
+    elif draft.is_discrete and "hold" in draft.estimator.model_fields_set and hold != "zero":
+        what = f"{shown(hold)} is for models in continuous time: one in discrete time was sampled with its own hold"
+        draft.faults.add("estimator.hold", what, "remove the key")
 
 
 def _check_observer(draft: Draft) -> None:

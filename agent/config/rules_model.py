@@ -1,30 +1,22 @@
-"""What must hold in the model: names, nodes, massless nodes, parts that something measures, shapes of matrices."""
+"""What must hold in the model: names, nodes, massless nodes, parts that something measures."""
 
 from collections.abc import Iterable, Iterator
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
-from agent.config.messages import listing
-from agent.config.parse import Entry, Faults, readable
-from agent.config.tables import GROUND, Element, LinearModel, LinearParameter, Mass, MechanicsModel
+from agent.config.linear import LinearModel
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import listing
+from agent.config.reading.parse import Entry, Faults, readable, unique
+from agent.config.rules_linear import check_linear
+from agent.config.tables import GROUND, Element, Mass, MechanicsModel
 
 
 def check_model(draft: Draft) -> None:
     """Note the faults of the model."""
     if isinstance(draft.model, LinearModel):
-        _check_linear(draft, draft.model)
+        check_linear(draft, draft.model)
     elif draft.model is not None:
         _check_mechanics(draft, draft.model)
-
-
-def unique(entries: Iterable[Entry[Mass] | Entry[Element] | Entry[LinearParameter]], faults: Faults) -> None:
-    """Note each name that an earlier table has already."""
-    owner: dict[str, str] = {}
-    for path, table in entries:
-        if table.name in owner:
-            faults.add(f"{path}.name", f"{shown(table.name)} is the name of {owner[table.name]}", "names must differ")
-        elif readable(table.name):
-            owner[table.name] = path
 
 
 def _elements(model: MechanicsModel) -> Iterator[Entry[Element]]:
@@ -110,55 +102,3 @@ def _check_measured(masses: list[Entry[Mass]], elements: list[Entry[Element]], d
         if mass.name not in seen:
             what = f'no channel measures "{mass.name}" or anything that it is connected to'
             draft.faults.add(path, what, "add a displacement, velocity or acceleration there, or remove the mass")
-
-
-def _check_linear(draft: Draft, model: LinearModel) -> None:
-    if not readable(model.A):
-        return
-    n, m, p = len(model.A), len(draft.inputs), len(draft.outputs)
-    if not n:
-        draft.faults.add("model.A", "has no rows", "give one row and one column a state")
-    _check_shape("model.A", model.A, (n, n), draft.faults)
-    _check_shape("model.B", model.B, (n, m), draft.faults)
-    _check_shape("model.C", model.C, (p, n), draft.faults)
-    entries = [Entry(f"model.parameter[{i}]", parameter) for i, parameter in enumerate(model.parameter or ())]
-    if not entries and readable(model.parameter):
-        draft.faults.add("model.parameter", "is missing", 'name at least one, with its dA or dB: { name = "R", ... }')
-    unique(entries, draft.faults)
-    for path, parameter in entries:
-        _check_parameter(path, parameter, (n, m), draft.faults)
-
-
-def _check_parameter(path: str, parameter: LinearParameter, shape: tuple[int, int], faults: Faults) -> None:
-    n, m = shape
-    if parameter.dA:
-        _check_shape(f"{path}.dA", parameter.dA, (n, n), faults)
-    if parameter.dB:
-        _check_shape(f"{path}.dB", parameter.dB, (n, m), faults)
-    if readable(parameter.dA, parameter.dB) and not _any(parameter.dA) and not _any(parameter.dB):
-        faults.add(path, "has neither dA nor dB: it changes nothing", "give the derivatives of A and B by it")
-
-
-def _any(matrix: Iterable[Iterable[float]]) -> bool:
-    return any(value for row in matrix for value in row)
-
-
-def _check_shape(
-    path: str, matrix: tuple[tuple[float, ...], ...] | None, shape: tuple[int, int], faults: Faults
-) -> None:
-    """Note a matrix that has not the rows and columns that states, inputs and outputs give it."""
-    if matrix is None or (not matrix and 0 in shape):
-        return
-    lengths = sorted({len(row) for row in matrix})
-    columns = f"{lengths[0]}" if len(lengths) == 1 else "uneven"
-    if (len(matrix), lengths) != (shape[0], [shape[1]]):
-        found = f"has {len(matrix)} rows of {columns if matrix else 0} columns"
-        wanted = f"{shape[0]} rows of {shape[1]} columns fit"
-        faults.add(path, found, f"{wanted}: states {_count(path, shape)}")
-
-
-def _count(path: str, shape: tuple[int, int]) -> str:
-    rows, columns = shape
-    letter = path[-1]
-    other = {"B": f"{rows}, input channels {columns}", "C": f"{columns}, output channels {rows}"}
-    return other.get(letter, str(rows))

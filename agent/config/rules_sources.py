@@ -6,10 +6,10 @@ from typing import Any, Final
 from pydantic import BaseModel, ValidationError
 
 from agent.config.draft import Draft
-from agent.config.fields import shown
-from agent.config.messages import faults_of, join, listing
-from agent.config.parse import Entry, Faults, read_list, readable
 from agent.config.plugins import driver_class
+from agent.config.reading.fields import shown
+from agent.config.reading.messages import faults_of, join, listing
+from agent.config.reading.parse import Entry, Faults, read_list, readable
 from agent.config.tables import Source
 from agent.errors import ConfigError, Fault
 

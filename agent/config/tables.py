@@ -11,11 +11,12 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, Strict
 
-from agent.config.fields import (
+from agent.config.linear import ENTRY, LinearModel, LinearParameter
+from agent.config.reading.fields import (
+    Asked,
     Duration,
     FilePath,
     Intensities,
-    Matrix,
     Name,
     Names,
     NotNegative,
@@ -27,7 +28,7 @@ from agent.config.fields import (
     Text,
     Window,
 )
-from agent.config.units import Quantity, base_length, conversion, element_units
+from agent.config.reading.units import Quantity, base_length, conversion, element_units
 
 GROUND = "ground"
 Nodes = Annotated[tuple[Name, Name], Strict(False)]
@@ -72,26 +73,6 @@ class MechanicsModel(Table):
     spring: tuple[Element, ...] = ()
     damper: tuple[Element, ...] = ()
     friction: tuple[Element, ...] = ()
-
-
-class LinearParameter(Table):
-    """A parameter of a linear model: A(θ) = A + Σ (θ - nominal) dA, and B likewise; a matrix left out is zero."""
-
-    name: Name
-    nominal: Number
-    unit: str = ""
-    dA: Matrix = ()  # noqa: N815 - the key of the configuration file
-    dB: Matrix = ()  # noqa: N815 - the key of the configuration file
-
-
-class LinearModel(Table):
-    """A continuous-time model x' = A x + B u, y = C x; inputs and outputs are the channels in the file's order."""
-
-    kind: Literal["linear"]
-    A: Matrix
-    B: Matrix = ()
-    C: Matrix
-    parameter: tuple[LinearParameter, ...] = ()
 
 
 Model = MechanicsModel | LinearModel
@@ -169,7 +150,7 @@ class Alarm(Table):
     the window in use.
     """
 
-    parameter: Name
+    parameter: Asked
     kind: Literal["level", "forecast", "rate"] = "level"
     limit: Positive | None = None
     limit_percent: Positive | None = None
@@ -334,15 +315,43 @@ class RigConfig(Table):
 
 def parameters_of(model: Model, channels: tuple[Channel, ...]) -> dict[str, Parameter]:
     """Return everything that a model and its channels offer for estimation, by name."""
-    found = _linear(model) if isinstance(model, LinearModel) else _mechanical(model, channels)
+    found = _linear(model, channels) if isinstance(model, LinearModel) else _mechanical(model, channels)
     for channel in channels:
         found.append(Parameter(f"{channel.name}.bias", "bias", 0.0, channel.si_unit))
         found.append(Parameter(f"{channel.name}.gain", "gain", 1.0, "1"))
     return {parameter.name: parameter for parameter in found}
 
 
-def _linear(model: LinearModel) -> list[Parameter]:
-    return [Parameter(p.name, "linear", p.nominal, p.unit) for p in model.parameter]
+def _linear(model: LinearModel, channels: tuple[Channel, ...]) -> list[Parameter]:
+    return [Parameter(p.name, "linear", p.nominal, p.unit or _unit(p, model, channels)) for p in model.parameters]
+
+
+def _unit(parameter: LinearParameter, model: LinearModel, channels: tuple[Channel, ...]) -> str:
+    """Return the unit of an uncertain entry from those of its row and column; "" where these have none."""
+    entry = ENTRY.fullmatch(parameter.name)
+    if entry is None:
+        return ""
+    states = [state.unit for state in model.state or ()]
+    inputs = [channel.unit for channel in channels if channel.is_input]
+    outputs = [channel.unit for channel in channels if not channel.is_input]
+    rows, columns = {"A": (states, states), "B": (states, inputs), "C": (outputs, states), "D": (outputs, inputs)}[
+        entry["matrix"]
+    ]
+    row, column = int(entry["row"]), int(entry["column"])
+    units = rows[row : row + 1] + columns[column : column + 1]
+    if len(units) < 2 or not all(units):
+        return ""
+    by_time = " s" if entry["matrix"] in "AB" and model.time == "continuous" else ""
+    return _quotient(units[0], units[1], by_time)
+
+
+def _quotient(unit: str, by: str, by_time: str) -> str:
+    """Return unit/(by s), or unit/by without a time."""
+    if unit == by:
+        return f"1/{by_time.strip()}" if by_time else "1"
+    joined = any(mark in unit for mark in " /")
+    top = f"({unit})" if joined else unit
+    return f"{top}/({by}{by_time})" if by_time or any(mark in by for mark in " /") else f"{top}/{by}"
 
 
 def _mechanical(model: MechanicsModel, channels: tuple[Channel, ...]) -> list[Parameter]:

@@ -88,7 +88,7 @@ class OwnTrajectory(Trajectory):
         before = np.floor(moment).astype(np.int64) - start
         part = moment - np.floor(moment)
         rates = self._rates(column, chunks)
-        if self._rigs.rig.channels[column].quantity == "force":
+        if self._rigs.rig.channels[column].is_input:
             ahead = part if self._rigs.rig.hold == "first" else np.zeros_like(part)
             return np.asarray(true[before] + ahead * (true[before + 1] - true[before]))
         if rates is not None:

@@ -13,7 +13,7 @@ is exact: matrix exponentials of [[F, G, 0], [0, 0, I], [0, 0, 0]].
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,10 @@ class Graph:
             raise PlantError(f'no mass is called "{name}"; masses are {", ".join(self.nodes)}')
         return self.nodes.index(name)
 
+    def equations(self, values: Mapping[str, float]) -> "Motion":
+        """Return the motion for one set of constants."""
+        return equations(self, values)
+
     def incidence(self, links: Sequence[Link]) -> FloatArray:
         """Return the incidence matrix (links, nodes): 1 where a link begins, −1 where it ends, ground left out."""
         rows = np.zeros((len(links), len(self.nodes)))
@@ -89,6 +93,56 @@ class Graph:
         return rows.T @ (np.array([constants[link.name] for link in links]).reshape(-1, 1) * rows)
 
 
+class Moving(Protocol):
+    """x' = F x + G u for one set of parameters, or F x + G u the next state of a model in discrete time."""
+
+    @property
+    def F(self) -> FloatArray:  # noqa: N802 - a letter of the books
+        """(n, n) how the state moves itself."""
+        ...
+
+    @property
+    def G(self) -> FloatArray:  # noqa: N802 - a letter of the books
+        """(n, m) how it is pushed."""
+        ...
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether F x + G u is the next state."""
+        ...
+
+    def node(self, name: str) -> int:
+        """Return the column of G that belongs to a place."""
+        ...
+
+    def output(self, quantity: str, node: str) -> tuple[FloatArray, FloatArray]:
+        """Return the rows (h, j) with reading = h x + j u."""
+        ...
+
+
+class System(Protocol):
+    """What moves: places where it is pushed, states, parameters."""
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Where it is pushed."""
+        ...
+
+    @property
+    def massless(self) -> frozenset[str]:
+        """Nodes without inertia."""
+        ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        ...
+
+    def equations(self, values: Mapping[str, float]) -> Moving:
+        """Return the motion for one set of parameters."""
+        ...
+
+
 @dataclass(frozen=True)
 class Motion:
     """x' = F x + G u for one set of parameters; `light` gives the velocities of the massless nodes."""
@@ -96,6 +150,11 @@ class Motion:
     graph: Graph
     F: FloatArray
     G: FloatArray
+    is_sampled: bool = False
+
+    def node(self, name: str) -> int:
+        """Return a node's number."""
+        return self.graph.node(name)
 
     def output(self, quantity: str, node: str) -> tuple[FloatArray, FloatArray]:
         """Return the rows (h, j) with reading = h x + j u for displacement, velocity or acceleration of a node."""
@@ -163,12 +222,17 @@ class Step:
         return np.hstack([power.T for power in powers[1:]]), pushes
 
 
-def step(motion: Motion, sample_s: float, hold: Hold = "first", part: float = 1.0) -> Step:
+def step(motion: Moving, sample_s: float, hold: Hold = "first", part: float = 1.0) -> Step:
     """Return the exact step over `part` of a sampling interval.
 
     With hold "first" the force runs linearly from u_k to u_(k+1) over the whole interval; with "zero" it stays u_k.
+    A motion in discrete time has whole steps only, else PlantError.
     """
     n, m = motion.G.shape
+    if motion.is_sampled:
+        if part != 1.0:
+            raise PlantError("a model in discrete time has no motion between samples: delays must be whole samples")
+        return Step(motion.F, motion.G, np.zeros((n, m)))
     big = np.zeros((n + 2 * m, n + 2 * m))
     big[:n, :n], big[:n, n : n + m] = motion.F, motion.G
     big[n : n + m, n + m :] = np.eye(m)

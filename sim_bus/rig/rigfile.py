@@ -4,15 +4,17 @@ import tomllib
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from sim_bus.errors import SimUsageError
-from sim_bus.rig.plant import GROUND, Graph, Hold, Link
+from sim_bus.rig.linear import Linear, LinearSystem
+from sim_bus.rig.matrix_files import with_numbers
+from sim_bus.rig.plant import GROUND, Graph, Hold, Link, PlantError, System
 from sim_bus.rig.units import si_factor
 
-Quantity = Literal["force", "displacement", "velocity", "acceleration"]
+Quantity = Literal["force", "displacement", "velocity", "acceleration", "input", "output"]
 ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
@@ -40,12 +42,17 @@ class Channel(_Part):
 
     name: str
     quantity: Quantity
-    at: str
+    at: str = ""
     unit: str
     scale: float = 1.0
     offset: float = 0.0
     noise_sd: float | None = None
     delay_s: float = Field(default=0.0, ge=0)
+
+    @property
+    def is_input(self) -> bool:
+        """Whether it drives the rig."""
+        return self.quantity in ("force", "input")
 
     @property
     def si_factor(self) -> float:
@@ -62,7 +69,7 @@ class Channel(_Part):
 class Mechanics(_Part):
     """Masses, springs, dampers and dry friction."""
 
-    kind: str = "mass-spring-damper"
+    kind: Literal["mass-spring-damper"] = "mass-spring-damper"
     mass: tuple[Named, ...] = ()
     spring: tuple[Element, ...] = ()
     damper: tuple[Element, ...] = ()
@@ -70,8 +77,6 @@ class Mechanics(_Part):
 
     @model_validator(mode="after")
     def _can_be_played(self) -> Self:
-        if self.kind != "mass-spring-damper":
-            raise ValueError(f'kind "{self.kind}" cannot be simulated; "mass-spring-damper" can')
         if not self.mass:
             raise ValueError("there is no mass; nothing could move")
         if self.friction:
@@ -132,21 +137,58 @@ class Source(BaseModel):
         return dict(self.model_extra or {})
 
 
+_MECHANICAL, _LINEAR = "mass-spring-damper", "linear"
+
+
+def _kind(raw: object) -> str:
+    """Return which kind of model a table, or one that was read, is."""
+    kind = raw.get("kind") if isinstance(raw, dict) else getattr(raw, "kind", None)
+    return _LINEAR if kind == _LINEAR else _MECHANICAL
+
+
 class RigFile(_Part):
     """A configuration as far as the simulator reads it."""
 
     rig: Rig
-    model: Mechanics
+    model: Annotated[Annotated[Mechanics, Tag(_MECHANICAL)] | Annotated[Linear, Tag(_LINEAR)], Discriminator(_kind)]
     channel: tuple[Channel, ...] = Field(min_length=1)
     source: tuple[Source, ...] = Field(min_length=1)
     estimator: Estimator = Estimator()
     folder: Path = Path()
 
+    @property
+    def system(self) -> System:
+        """What moves."""
+        if isinstance(self.model, Linear):
+            names = [[c.name for c in self.channel if c.is_input is side] for side in (True, False)]
+            return LinearSystem(self.model, tuple(names[0]), tuple(names[1]))
+        return self.model.graph
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Every parameter by name."""
+        system = self.system
+        return system.nominal if isinstance(system, LinearSystem) else self._mechanics.nominal
+
+    @property
+    def hold(self) -> Hold:
+        """What inputs do between samples; a model in discrete time has it in it."""
+        return "zero" if isinstance(self.model, Linear) and self.model.time == "discrete" else self.estimator.hold
+
+    @property
+    def _mechanics(self) -> Mechanics:
+        if not isinstance(self.model, Mechanics):
+            raise TypeError("not a rig of masses, springs and dampers")
+        return self.model
+
+    def place(self, channel: Channel) -> str:
+        """Return where a channel acts or reads: a node, or of a linear rig the channel itself."""
+        return channel.name if isinstance(self.model, Linear) else channel.at
+
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
-        nodes = self.model.graph.nodes
         channels = {channel.name for channel in self.channel}
-        lost = [f'{c.name}: no mass is called "{c.at}"' for c in self.channel if c.at not in nodes]
+        lost = self._misplaced()
         lost += [
             f'source "{s.name or s.driver}": no channel is called "{name}"'
             for s in self.source
@@ -156,6 +198,18 @@ class RigFile(_Part):
         if lost:
             raise ValueError("; ".join(lost))
         return self
+
+    def _misplaced(self) -> list[str]:
+        """Return in words which channels are nowhere, and which matrices do not fit the channels."""
+        system = self.system
+        if isinstance(system, LinearSystem):
+            wrong = [c.name for c in self.channel if c.quantity not in ("input", "output")]
+            try:
+                system.matrices(system.nominal)
+            except PlantError as error:
+                return [f"model: {error}"]
+            return [f'{name}: channels of a linear model have quantity "input" or "output"' for name in wrong]
+        return [f'{c.name}: no mass is called "{c.at}"' for c in self.channel if c.at not in system.nodes]
 
     def named(self, name: str) -> Channel:
         """Return a channel by name."""
@@ -225,7 +279,7 @@ def _words(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
 def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
     path = ""
     message = "is missing" if message == "Field required" else message
-    for part in location:
+    for part in (part for part in location if part not in (_MECHANICAL, _LINEAR)):
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
     return ": ".join(text for text in (where, path, message.removeprefix("Value error, ")) if text)
 
@@ -235,4 +289,5 @@ def read_rig(path: Path) -> RigFile:
     content = read_toml(path)
     if not content.get("source"):
         raise SimUsageError(f"{path}: source: there is no [[source]]; add one for each device that is to be played")
-    return checked(RigFile, content | {"folder": path.resolve().parent}, str(path))
+    folder = path.resolve().parent
+    return checked(RigFile, with_numbers(content, folder) | {"folder": folder}, str(path))

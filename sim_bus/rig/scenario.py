@@ -12,11 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.excitation import Force
 from sim_bus.rig.fault_names import SENSORS
-from sim_bus.rig.rigfile import Channel, Quantity, RigFile, checked, read_toml
+from sim_bus.rig.rigfile import Channel, Mechanics, Quantity, RigFile, checked, read_toml
 from sim_bus.rig.schedule import Change, Draw
 from sim_bus.rig.sensors import Oscillator, Sensor
 from sim_bus.rig.wear import Wear
 
+_NAMED = 20
 SEED_VARIABLE = "DELTAK_SEED"
 _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _FAULT = re.compile(
@@ -25,13 +26,17 @@ _FAULT = re.compile(
 
 
 class Initial(BaseModel):
-    """[initial]: the state at sample 0: `all` for every displacement (m) and velocity (m/s), or by mass."""
+    """[initial]: the state at sample 0: `all` for every displacement (m) and velocity (m/s), or by mass.
+
+    `state` names states, those of a linear rig as well.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     all: float = 0.0
     displacement: dict[str, float] = {}
     velocity: dict[str, float] = {}
+    state: dict[str, float] = {}
 
 
 class FaultAt(BaseModel):
@@ -107,12 +112,12 @@ class Scenario(BaseModel):
 
     def forces_on(self, rig: RigFile) -> list[tuple[Force, str]]:
         """Return every force with the node on which it acts."""
-        sensed = list(dict.fromkeys(channel.at for channel in rig.channel if channel.quantity == "force"))
+        sensed = list(dict.fromkeys(rig.place(channel) for channel in rig.channel if channel.is_input))
         return [(force, node) for force in self.force for node in ([force.at] if force.at else sensed)]
 
     def sensors_on(self, channels: Sequence[Channel]) -> list[Sensor]:
         """Return what sensors get wrong, those included that a fault strikes: the channel named, or the last output."""
-        last = next((c.name for c in reversed(channels) if c.quantity != "force"), "")
+        last = next((c.name for c in reversed(channels) if not c.is_input), "")
         struck = [fault for fault in self.fault if fault.sensor in _BROKEN]
         return [*self.sensor, *(_broken(fault, fault.channel or last) for fault in struck)]
 
@@ -128,24 +133,27 @@ class Scenario(BaseModel):
 
     def fits(self, rig: RigFile) -> None:
         """Raise SimUsageError unless every name in the scenario is one of the rig's."""
-        nodes, constants = set(rig.model.graph.nodes), set(rig.model.nominal)
+        nodes, constants = set(rig.system.nodes), set(rig.nominal)
         channels = {channel.name for channel in rig.channel}
         wrong = [f"force.at: {n}" for _, n in self.forces_on(rig) if n not in nodes]
         wrong += [f"initial: {n}" for n in (*self.initial.displacement, *self.initial.velocity) if n not in nodes]
+        wrong += [f"initial.state: {n}" for n in self.initial.state if n not in rig.system.state_names]
         wrong += [f"sensor.channel: {s.channel}" for s in self.sensors_on(rig.channel) if s.channel not in channels]
         wrong += [f"device.source: {d.source}" for d in self.device if d.source not in {None, *rig.source_names}]
         wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
-        known = f"parameters are {', '.join(sorted(constants))}; channels are {', '.join(sorted(channels))}"
+        known = f"parameters are {', '.join(_first(sorted(constants)))}; channels are {', '.join(sorted(channels))}"
         lines = [f"{text}: the configuration has no such thing; {known}" for text in wrong] + self._impossible(rig)
         if lines:
             raise SimUsageError(f"scenario: {line}" for line in lines)
 
     def _impossible(self, rig: RigFile) -> list[str]:
         """Return in words which masses are to become what no mass can be."""
-        massless = rig.model.graph.massless
+        if not isinstance(rig.model, Mechanics):
+            return []
+        massless = rig.system.massless
         masses = {mass.name for mass in rig.model.mass}
-        goes = [(name, value) for c in self.changes for name, value in c.targets(rig.model.nominal).items()]
+        goes = [(name, value) for c in self.changes for name, value in c.targets(rig.nominal).items()]
         lines = [f"change: {name}: a massless node stays massless" for name, _ in goes if name in massless]
         lighter = [(name, value) for name, value in goes if name in masses - massless and value <= 0.0]
         return lines + [f"change: {name}: {value:g} kg: a mass stays above 0" for name, value in lighter]
@@ -179,6 +187,10 @@ def load_scenario(
     path = scenario_path(name_or_file, known)
     content = read_toml(path) | {"folder": path.resolve().parent}
     return checked(Scenario, content | _seed_of(environment), str(path))
+
+
+def _first(names: list[str]) -> list[str]:
+    return names if len(names) <= _NAMED else [*names[:_NAMED], "..."]
 
 
 def _broken(fault: FaultAt, channel: str) -> Sensor:

@@ -15,7 +15,7 @@ import numpy as np
 from sim_bus.arrays import FloatArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.excitation import ForceStream
-from sim_bus.rig.plant import Graph, Hold, Motion, PlantError, equations, propagate, step
+from sim_bus.rig.plant import Hold, Moving, PlantError, System, propagate, step
 from sim_bus.rig.rigfile import Channel, RigFile
 from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.schedule import Timeline
@@ -56,19 +56,24 @@ class Signals:
 
     Args:
         motion: the equations in force.
-        channels: the sensors.
+        channels: the sensors, each with the place at which it reads.
         sample_s, hold: of the force.
         parts: for each channel the place within the interval at which it reads, 0 .. 1.
     """
 
     def __init__(
-        self, motion: Motion, channels: tuple[Channel, ...], sample_s: float, hold: Hold, parts: tuple[float, ...]
+        self,
+        motion: Moving,
+        channels: tuple[tuple[Channel, str], ...],
+        sample_s: float,
+        hold: Hold,
+        parts: tuple[float, ...],
     ) -> None:
         self.step = step(motion, sample_s, hold)
         self._hold = hold
         self._channels = channels
-        self._graph = motion.graph
-        self._rows = [None if c.quantity == "force" else motion.output(c.quantity, c.at) for c in channels]
+        self._columns = [motion.node(at) if c.is_input else None for c, at in channels]
+        self._rows = [None if c.is_input else motion.output(c.quantity, at) for c, at in channels]
         self._parts = parts
         self._part_steps = {part: step(motion, sample_s, hold, part) for part in set(parts) if part}
 
@@ -82,12 +87,9 @@ class Signals:
             late: read within the interval instead of at its beginning.
         """
         out = np.empty((len(states), len(self._channels)))
-        for column, (channel, rows) in enumerate(zip(self._channels, self._rows, strict=True)):
+        for column, (place, rows) in enumerate(zip(self._columns, self._rows, strict=True)):
             x, u = self._between(self._parts[column] if late else 0.0, states, before, after)
-            if rows is None:
-                out[:, column] = u[:, self._graph.node(channel.at)]
-            else:
-                out[:, column] = x @ rows[0] + u @ rows[1]
+            out[:, column] = u[:, place] if rows is None else x @ rows[0] + u @ rows[1]
         return out
 
     def _between(
@@ -117,9 +119,10 @@ class Rig:
     def __init__(self, rig: RigFile, scenario: Scenario) -> None:
         scenario.fits(rig)
         self.channels = rig.channel
-        self.graph: Graph = rig.model.graph
-        self._rate, self.hold = rig.rig.sample_rate_hz, rig.estimator.hold
-        self.timeline = Timeline(rig.model.nominal, scenario.changes, self._rate, _paths(scenario, self._rate))
+        self.graph: System = rig.system
+        self._places = tuple((channel, rig.place(channel)) for channel in rig.channel)
+        self._rate, self.hold = rig.rig.sample_rate_hz, rig.hold
+        self.timeline = Timeline(rig.nominal, scenario.changes, self._rate, _paths(scenario, self._rate))
         forces = scenario.forces_on(rig)
         self._forces = ForceStream(forces, self.graph.nodes, self._rate, scenario.seed, scenario.folder)
         self._scenario = scenario
@@ -147,7 +150,7 @@ class Rig:
     def _initial(self, scenario: Scenario) -> FloatArray:
         initial = scenario.initial
         values = {f"q.{n}": x for n, x in initial.displacement.items()}
-        values |= {f"v.{n}": x for n, x in initial.velocity.items()}
+        values |= {f"v.{n}": x for n, x in initial.velocity.items()} | initial.state
         return np.array([values.get(name, initial.all) for name in self.graph.state_names])
 
     def _before_start(self) -> list[FloatArray]:
@@ -164,8 +167,8 @@ class Rig:
         if key not in self._prepared:
             if len(self._prepared) >= _PREPARED:
                 self._prepared.clear()
-            motion = equations(self.graph, values)
-            self._prepared[key] = Signals(motion, self.channels, 1.0 / self._rate, self.hold, self._parts)
+            motion = self.graph.equations(values)
+            self._prepared[key] = Signals(motion, self._places, 1.0 / self._rate, self.hold, self._parts)
         return self._prepared[key]
 
     def advance(self, count: int) -> Chunk:

@@ -36,4 +36,4 @@ _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "2", "·": "*"})
 
 def si_factor(quantity: str, unit: str) -> float:
     """Return the SI value of one `unit` of a quantity; 1.0 for text that is no unit of it."""
-    return SI_FACTORS[quantity].get(unit.strip().translate(_SPELLINGS), 1.0)
+    return SI_FACTORS.get(quantity, {}).get(unit.strip().translate(_SPELLINGS), 1.0)

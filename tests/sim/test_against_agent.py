@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.config.units import conversion
+from agent.config.reading.units import conversion
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.statespace import discretise, simulate
 from sim_bus.rig.plant import Graph, Link, equations, propagate, step

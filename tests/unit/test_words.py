@@ -19,7 +19,7 @@ from agent.commissioning.probe import listen
 from agent.commissioning.readings import noise_of
 from agent.commissioning.recording_summary import read_recording
 from agent.config import load
-from agent.config.units import near_miss
+from agent.config.reading.units import near_miss
 from agent.errors import Fault, RecordingError, UsageError
 from agent.text import printable
 from drivers.port import Counts, DriverConfigError

@@ -7,7 +7,7 @@ from typing import Any
 
 from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, table_around
 from agent.config import parse
-from agent.config.toml_file import parse_toml, read_bytes
+from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, UsageError
 
 Values = Mapping[str, float]

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from agent.config.toml_file import parse_toml
+from agent.config.reading.toml_file import parse_toml
 from agent.errors import ConfigError
 
 NUMBER = r"[-+]?[\w.]+(?:[-+]\d+)?"

@@ -11,8 +11,27 @@ Marks = dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
+class Number:
+    """One number on the wire: its channel, its name in a CAN frame, its unit; an input or what is measured."""
+
+    channel: str
+    signal: str
+    unit: str
+    is_input: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DemoRig:
+    """A rig of the demo: its template, what its wire carries, and the scenario that is played where none is named."""
+
+    template: str
+    numbers: tuple[Number, ...]
+    scenario: str
+
+
+@dataclass(frozen=True, slots=True)
 class Wire:
-    """What the wire carries: bits of an integer and its steps, N and m."""
+    """What the wire carries: bits of an integer and its steps, those of inputs and of lengths."""
 
     bits: int
     force_step: str
@@ -23,16 +42,37 @@ class Wire:
         """The integer's name."""
         return f"int{self.bits}"
 
-    @property
-    def marks(self) -> Marks:
-        """What fills the templates' places for numbers; on CAN a counter and three numbers make one frame."""
+    def step(self, number: Number) -> str:
+        """Return the step of a number."""
+        return self.force_step if number.is_input else self.length_step
+
+    def marks(self, numbers: tuple[Number, ...]) -> Marks:
+        """Return what fills the templates' places; on CAN a counter and the numbers make one frame."""
+        size = self.bits * (1 + len(numbers)) // 8
+        fields = (f'    {{ name = "{n.channel}", type = "{self.type}", scale = {self.step(n)} }},' for n in numbers)
         return {
-            "TYPE": self.type, "FORCE_STEP": self.force_step, "LENGTH_STEP": self.length_step,
-            "BITS": str(self.bits), "AT_X1": str(2 * self.bits), "AT_X2": str(3 * self.bits),
-            "FRAME_BYTES": str(self.bits // 2), "FD": "true" if self.bits > 16 else "false",
+            "BITS": str(self.bits), "FRAME_BYTES": str(size), "FD": "true" if size > CLASSIC_BYTES else "false",
+            "FIELDS": "\n".join(fields), "FIELD_MAP": ", ".join(f'{n.channel} = "{n.channel}"' for n in numbers),
+            "SIGNALS": "\n".join(self._signal(1 + i, n) for i, n in enumerate(numbers)),
+            "SIGNAL_MAP": ", ".join(f'{n.channel} = "RIG_SAMPLE.{n.signal}"' for n in numbers),
         }  # fmt: skip
 
+    def _signal(self, place: int, number: Number) -> str:
+        layout = f"{place * self.bits}|{self.bits}@1- ({self.step(number)},0) [0|0]"
+        return f' SG_ {number.signal} : {layout} "{number.unit}" GATEWAY'
 
+
+CLASSIC_BYTES = 8
+"""What a frame of classic CAN holds."""
+TWO_MASSES = DemoRig(
+    "rig.toml", (Number("force", "Force", "N", is_input=True), Number("x1", "X1", "m"), Number("x2", "X2", "m")),
+    "default",
+)  # fmt: skip
+VOICE_COIL = DemoRig(
+    "voice-coil.toml", (Number("voltage", "Voltage", "V", is_input=True), Number("position", "Position", "m")),
+    "voice-coil",
+)  # fmt: skip
+RIGS: Mapping[str, DemoRig] = {"two-mass": TWO_MASSES, "voice-coil": VOICE_COIL}
 COARSE = Wire(16, "1e-3", "2e-6")
 VCAN = "vcan0"
 FINE = Wire(32, "1e-6", "1e-11")
@@ -46,15 +86,15 @@ class DemoBus:
     words: str
 
 
-def write_config(bus: str, wire: Wire, folder: Path, *, fast: bool = False) -> DemoBus:
-    """Write the configuration of the demo's rig on a bus into a folder.
+def write_config(bus: str, wire: Wire, folder: Path, *, fast: bool = False, rig: DemoRig = TWO_MASSES) -> DemoBus:
+    """Write the configuration of a rig of the demo on a bus into a folder.
 
     Played fast, a bus is wanted whose reader can hold the device back.
     """
     made, words = _MAKERS[bus](folder, fast=fast)
-    marks = wire.marks | made
+    marks = wire.marks(rig.numbers) | made
     config = folder / "demo.toml"
-    config.write_text(_template("rig.toml") + _filled(_template(f"{bus}.toml"), marks))
+    config.write_text(_template(rig.template) + _filled(_template(f"{bus}.toml"), marks))
     (folder / "demo.dbc").write_text(_filled(_template("can.dbc"), marks))
     return DemoBus(config, words)
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from agent.config import RigConfig, load
 from agent.errors import AgentError, BusError, StoreError, UsageError
-from agent.evaluation.demo.bus import COARSE, FINE, write_config
+from agent.evaluation.demo.bus import COARSE, FINE, RIGS, TWO_MASSES, write_config
 from agent.evaluation.demo.truth import Truth, alarm_delays, read_truth, segments
 from agent.storage.read import queries
 
@@ -26,14 +26,15 @@ STALL_S = 20.0
 GRACE_S = 20.0
 
 
-def demo(*, bus: str, scenario: str | None, fast: bool, db: Path | None) -> dict[str, Any]:
+def demo(*, bus: str, scenario: str | None, fast: bool, db: Path | None, rig: str = "two-mass") -> dict[str, Any]:
     """Run the demo; return the document of CONTRACT section 8. Without db the database is left in a folder of its own.
 
     Raises what the process says that fails, by its exit code: UsageError, StoreError, else BusError.
     """
-    name = scenario or ("random" if "DELTAK_SEED" in os.environ else "default")
+    played = RIGS[rig]
+    name = scenario or ("random" if "DELTAK_SEED" in os.environ and played is TWO_MASSES else played.scenario)
     with TemporaryDirectory(prefix="deltak-demo-", ignore_cleanup_errors=True) as folder, _database(db) as database:
-        made = write_config(bus, FINE if name == "paper" else COARSE, Path(folder), fast=fast)
+        made = write_config(bus, FINE if name == "paper" else COARSE, Path(folder), fast=fast, rig=played)
         sys.stderr.write(f"bus: {made.words}\n")
         document = _played(made.config, name, database, fast=fast)
     return document | {"bus": made.words, "scenario": name, "db": str(database)}

@@ -96,7 +96,7 @@ def _bounds(config: RigConfig, truth: Truth, last: int) -> dict[str, float]:
     hold = straight(config.estimator.hold)
     discrete = discretise(rig.model.continuous(theta), 1.0 / config.rig.sample_rate_hz, hold)
     x0 = np.array([truth.states[name][start] for name in _state_columns(rig)])
-    u = np.column_stack([truth.forces[c.at][start : last + 1] for c in config.inputs])
+    u = np.column_stack([truth.forces[c.at or c.name][start : last + 1] for c in config.inputs])
     information = window_information(discrete, x0, u, _sigma(config, truth))
     return dict(zip(_names(config), bound_sd(information).tolist(), strict=True))
 

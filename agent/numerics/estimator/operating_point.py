@@ -94,8 +94,9 @@ def operating_point(
     push = Push(at.E, seen.output_gain[:, None] * at.F)
     wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
     shape = _shape(known, posterior, wider)
+    learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
-        model, push, bank_noise(known, sources, window), known.theta, at.unit, sharpest / at.unit, wider, shape,
+        model, push, learnt, known.theta, at.unit, sharpest / at.unit, wider, shape,
         known.noise.unsure, max(1.0, float(known.scatter.within.max())), seen.slopes,
     )  # fmt: skip
 
@@ -206,7 +207,7 @@ def _root(P: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int) -> NoiseModel:
+def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int, forces: int) -> NoiseModel:
     """Return the learnt noise as the bank can realise it: intensities as states, high bins as lines.
 
     A slow force that may as well be absent is taken for a white one that shows as much.
@@ -215,7 +216,7 @@ def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int) -> No
     # a line's leakage is no noise where the line is followed
     usual = np.median(noise.levels[: max(known.kept, 1)], axis=0)
     sigma = np.exp(noise.log_sigma) * np.sqrt(usual)
-    white = np.zeros(max((s.number for s in sources if s.kind == "force"), default=-1) + 1)
+    white = np.zeros(forces)
     if not noise.is_started:
         return NoiseModel(sigma, white, (), _lines(noise.levels, window))
     nodes = noise.nodes[:, 0]

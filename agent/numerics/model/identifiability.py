@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import matrix_balance, qr
 
-from agent.numerics.model.statespace import Model, StateSpace
+from agent.numerics.model.statespace import Model, StateSpace, modes
 from agent.types import ComplexArray, FloatArray
 
 TOLERANCE = 1e-7
@@ -21,6 +21,8 @@ SILENT = 1e-11
 """A column shorter than this share of what its factors could give is no trace but round-off."""
 ANGLE = 1.0
 """Of the ray on which s lies, rad: between the real axis (nothing oscillates) and the imaginary one (poles)."""
+HALF_RATE = 2.5
+"""The farthest point of a model in discrete time, rad a sample: below half the sampling rate, pi."""
 TINY = 1e-300
 
 
@@ -71,7 +73,7 @@ def assess(model: StateSpace, measured: int, scale: FloatArray) -> Identifiabili
     _, values, vectors = np.linalg.svd(jacobian[:, received] / lengths[received], full_matrices=False)
     null = np.zeros((int(np.sum(values < TOLERANCE * values[0])), model.q))
     null[:, received] = vectors[len(values) - len(null) :] / lengths[received]
-    return Identifiability(silent, _readable(null, scale, lengths), float(values[-1] / values[0]))
+    return Identifiability(silent, readable_blends(null, scale, lengths), float(values[-1] / values[0]))
 
 
 def _balanced(model: StateSpace) -> StateSpace:
@@ -81,13 +83,23 @@ def _balanced(model: StateSpace) -> StateSpace:
     similarity = T[None, :] / T[:, None]
     return StateSpace(
         np.asarray(balanced, dtype=float), model.B / T[:, None], model.C * T, model.D,
-        model.dA * similarity, model.dB / T[:, None], model.dC * T, model.dD,
+        model.dA * similarity, model.dB / T[:, None], model.dC * T, model.dD, model.is_sampled,
     )  # fmt: skip
 
 
-def _points(A: FloatArray, count: int) -> ComplexArray:
-    """Return s (count,) on the ray, from well below the slowest pole to well above the fastest."""
-    speeds = np.abs(np.linalg.eigvals(A))
+def _points(model: StateSpace, count: int) -> ComplexArray:
+    """Return s (count,) on the ray, from well below the slowest pole to well above the fastest.
+
+    Of a model in discrete time the points are z = exp(s), s in units of a sample and below half the sampling rate.
+    """
+    speeds = np.abs(modes(model, 1.0))
+    if model.is_sampled:
+        ray = _ray(np.minimum(speeds, np.pi), count)
+        return np.asarray(np.exp(ray * np.minimum(1.0, HALF_RATE / np.abs(ray).max())))
+    return _ray(speeds, count)
+
+
+def _ray(speeds: FloatArray, count: int) -> ComplexArray:
     speeds = speeds[speeds > 1e-9 * max(float(speeds.max(initial=0.0)), TINY)]
     slowest, fastest = (float(speeds.min()), float(speeds.max())) if len(speeds) else (1.0, 1.0)
     return np.asarray(np.geomspace(0.1 * slowest, 10 * fastest, count) * np.exp(1j * ANGLE))
@@ -99,7 +111,7 @@ def _jacobian(model: StateSpace, measured: int) -> tuple[FloatArray, FloatArray]
     Rows (one an output and point, real parts before imaginary ones) are scaled to the state's part in them.
     """
     rng = np.random.default_rng(21)
-    s = _points(model.A, 2 * (model.n + model.q) + 24)
+    s = _points(model, 2 * (model.n + model.q) + 24)
     U = _inputs(model, measured, s, rng)
     R = np.linalg.inv(s[:, None, None] * np.eye(model.n) - model.A)
     CR = model.C @ R
@@ -116,12 +128,12 @@ def _jacobian(model: StateSpace, measured: int) -> tuple[FloatArray, FloatArray]
 
 
 def _inputs(model: StateSpace, measured: int, s: ComplexArray, rng: np.random.Generator) -> ComplexArray:
-    """Return U (K, m): measured inputs differ at every point, constant ones are 1/s; all push the state alike."""
+    """Return U (K, m): measured inputs differ at every point, constant ones are a step; all push the state alike."""
     U = np.empty((len(s), model.m), dtype=complex)
     strength = np.maximum(np.linalg.norm(model.B[:, :measured], axis=0), TINY)
     drawn = rng.standard_normal((2, len(s), measured))
     U[:, :measured] = (drawn[0] + 1j * drawn[1]) / strength
-    U[:, measured:] = (1.0 / s)[:, None]
+    U[:, measured:] = (s / (s - 1.0) if model.is_sampled else 1.0 / s)[:, None]
     return U
 
 
@@ -136,7 +148,7 @@ def _unit(columns: FloatArray) -> FloatArray:
     return np.asarray(columns / np.where(lengths > 0, lengths, 1.0))
 
 
-def _readable(null: FloatArray, scale: FloatArray, lengths: FloatArray) -> FloatArray:
+def readable_blends(null: FloatArray, scale: FloatArray, lengths: FloatArray) -> FloatArray:
     """Turn a basis of the null space (k, q) into one in which each vector moves as few parameters as can be."""
     if not len(null):
         return null

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigvals
 
-from agent.numerics.model.statespace import StateSpace
 from agent.types import FloatArray
 
 
@@ -106,8 +105,3 @@ def _crossings(A: FloatArray, delta: float) -> FloatArray:
     z = eigvals(left, right)
     z = z[np.isfinite(z) & (np.abs(z) > 0.5) & (np.abs(z) < 2.0)]
     return np.asarray(np.abs(np.angle(z)), dtype=float)
-
-
-def worst_perturbation_norm(at_nominal: StateSpace, at_vertices: list[StateSpace], gain: FloatArray) -> float:
-    """Return the largest norm of Delta over sampled models at the vertices of a box about the nominal one."""
-    return max(perturbation_norm(gain, v.A - at_nominal.A, v.C - at_nominal.C) for v in at_vertices)

@@ -60,13 +60,15 @@ def polytopic_margin(model: Model, limits: FloatArray, accuracy: float = 1e-3) -
     A'P + P A < 0 is asked of the continuous-time matrices: these are affine, so the vertices answer for the whole box
     and for any course in time inside it, also between samples, which sampled matrices would not. The observer adds
     nothing to ask: in (4) its error is driven by the states but does not drive them, and a block triangular system
-    has a quadratic Lyapunov function whenever its diagonal blocks have.
+    has a quadratic Lyapunov function whenever its diagonal blocks have. Of a model in discrete time A'P A - P < 0 is
+    asked, as [[P, A'P], [P A, P]] > 0, which is straight in A as well.
 
     Raises ValueError where the model is not affine or has too many parameters, DesignToolsMissingError without cvxpy.
     """
     limits = np.asarray(limits, dtype=float)
     base, directions = _polytope(model, limits)
-    feasible = _Feasibility(base, directions)
+    sampled = model.continuous(model.nominal).is_sampled
+    feasible = _SampledFeasibility(base, directions) if sampled else _Feasibility(base, directions)
     low = 0.0
     high = 1.0
     P = feasible.solve(0.0)
@@ -107,13 +109,16 @@ class _Feasibility:
 
         _, (scale, _) = matrix_balance(base, permute=False, separate=True)
         similarity = np.asarray(scale)[None, :] / np.asarray(scale)[:, None]
-        speed = max(float(np.max(np.abs(np.linalg.eigvals(base)))), 1e-300)
+        speed = self._speed(base)
         self.scale = np.asarray(scale, dtype=float)
         self.base, self.directions = base * similarity / speed, directions * similarity / speed
         self.cvxpy = _cvxpy()
         self.share: Any = self.cvxpy.Parameter(nonneg=True)
         self.P: Any = self.cvxpy.Variable((len(base), len(base)), PSD=True)
         self.problem: Any = self._problem()
+
+    def _speed(self, base: FloatArray) -> float:
+        return max(float(np.max(np.abs(np.linalg.eigvals(base)))), 1e-300)
 
     def _problem(self) -> Any:
         cp = self.cvxpy
@@ -144,6 +149,29 @@ class _Feasibility:
             return False
         half = P @ (self.base + share * self.directions)
         return bool(np.linalg.eigvalsh(half + half.transpose(0, 2, 1)).max() < 0)
+
+
+class _SampledFeasibility(_Feasibility):
+    """The same for matrices in discrete time."""
+
+    def _speed(self, base: FloatArray) -> float:
+        return 1.0
+
+    def _problem(self) -> Any:
+        cp = self.cvxpy
+        n = len(self.base)
+        least = cp.Variable()
+        constraints = [cp.trace(self.P) == n]
+        for direction in self.directions:
+            moved = self.P @ self.base + self.share * (self.P @ direction)
+            constraints.append(cp.bmat([[self.P, moved.T], [moved, self.P]]) >> least * np.eye(2 * n))
+        return cp.Problem(cp.Maximize(least), constraints)
+
+    def _serves(self, P: FloatArray, share: float) -> bool:
+        if np.linalg.eigvalsh(P)[0] <= 0:
+            return False
+        moved = self.base + share * self.directions
+        return bool(np.linalg.eigvalsh(moved.transpose(0, 2, 1) @ P @ moved - P).max() < 0)
 
 
 def _cvxpy() -> ModuleType:

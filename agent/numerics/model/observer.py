@@ -153,10 +153,12 @@ def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance:
 
     The hidden states are the largest subspace of the kernel of C that A does not leave, found by orthogonal steps: a
     test at each eigenvalue would miss the double pole at zero of a free rig, which is computed to 1e-8 only. Time is
-    scaled so that the fastest mode is 1, states are balanced and rows of C scaled to 1, so that units do not decide.
+    scaled so that the fastest mode is 1, states are balanced and rows of C scaled to 1, so that units do not decide. In
+    discrete time A - I takes the place of A: it hides the same states and tells slow modes from one another.
     """
-    speed = max(float(np.max(np.abs(np.linalg.eigvals(continuous.A)), initial=0.0)), 1e-300)
-    A, scale = _balanced(continuous.A / speed)
+    rates = continuous.A - np.eye(continuous.n) if continuous.is_sampled else continuous.A
+    speed = max(float(np.max(np.abs(np.linalg.eigvals(rates)), initial=0.0)), 1e-300)
+    A, scale = _balanced(rates / speed)
     C = continuous.C * scale
     norms = np.linalg.norm(C, axis=1, keepdims=True)
     hidden = _kernel(C / np.where(norms > 0, norms, 1.0), tolerance)

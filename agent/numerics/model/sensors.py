@@ -82,6 +82,7 @@ class SensedModel:
             np.concatenate([dB, [e[0] for e in extra]]) if extra else dB,
             np.concatenate([dC, [e[1] for e in extra]]) if extra else dC,
             np.concatenate([dD, [e[2] for e in extra]]) if extra else dD,
+            inner.is_sampled,
         )  # fmt: skip
 
 

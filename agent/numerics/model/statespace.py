@@ -11,11 +11,13 @@ from typing import Literal, Protocol
 import numpy as np
 from scipy.linalg import expm
 
-from agent.types import FloatArray
+from agent.types import ComplexArray, FloatArray
 
 Hold = Literal["first", "zero", "euler", "cubic", "quintic"]
 BLOCK = 32
 """Samples that are simulated by one product."""
+GONE = 1e-12
+"""A pole in discrete time of less than this leaves nothing of a motion after a sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,7 @@ class StateSpace:
     Attributes:
         A, B, C, D: (n, n), (n, m), (p, n), (p, m).
         dA, dB, dC, dD: the same shapes with a leading axis of length q.
+        is_sampled: A x + B u is the next state of a model that was given in discrete time.
     """
 
     A: FloatArray
@@ -35,6 +38,7 @@ class StateSpace:
     dB: FloatArray
     dC: FloatArray
     dD: FloatArray
+    is_sampled: bool = False
 
     @property
     def n(self) -> int:
@@ -93,7 +97,7 @@ class Model(Protocol):
         ...
 
     def continuous(self, theta: FloatArray) -> StateSpace:
-        """Return the continuous-time model at theta, shape (q,)."""
+        """Return the model at theta, shape (q,), in continuous time unless it says `is_sampled`."""
         ...
 
 
@@ -123,25 +127,8 @@ class AffineModel:
 
         return StateSpace(
             moved(base.A, base.dA), moved(base.B, base.dB), moved(base.C, base.dC), moved(base.D, base.dD),
-            base.dA, base.dB, base.dC, base.dD,
+            base.dA, base.dB, base.dC, base.dD, base.is_sampled,
         )  # fmt: skip
-
-
-def affine_model(
-    parameters: tuple[str, ...],
-    nominal: FloatArray,
-    matrices: tuple[FloatArray, FloatArray, FloatArray],
-    derivatives: Sequence[tuple[FloatArray, FloatArray]],
-) -> AffineModel:
-    """Make an affine model from its A, B, C at nominal and, per parameter, dA and dB; an empty matrix is zero."""
-    A, C = np.asarray(matrices[0], dtype=float), np.asarray(matrices[2], dtype=float)
-    B = np.asarray(matrices[1], dtype=float).reshape(len(A), -1)
-    D = np.zeros((len(C), B.shape[1]))
-    dA = stacked(A.shape, [d[0].reshape(A.shape) if d[0].size else np.zeros_like(A) for d in derivatives])
-    dB = stacked(B.shape, [d[1].reshape(B.shape) if d[1].size else np.zeros_like(B) for d in derivatives])
-    q = len(parameters)
-    at_nominal = StateSpace(A, B, C, D, dA, dB, np.zeros((q, *C.shape)), np.zeros((q, *D.shape)))
-    return AffineModel(parameters, nominal, at_nominal, tuple(f"state {i + 1}" for i in range(len(A))))
 
 
 def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") -> Discrete:
@@ -158,6 +145,8 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     """
     if hold in ("cubic", "quintic"):
         raise ValueError(f'hold "{hold}" takes readings yet to come: use holds.sample')
+    if continuous.is_sampled:
+        return _as_given(continuous, period_s)
     if hold == "euler":
         return _euler(continuous, period_s)
     n, m = continuous.n, continuous.m
@@ -205,6 +194,22 @@ def _euler(continuous: StateSpace, period_s: float) -> Discrete:
     )  # fmt: skip
     shape = (continuous.n, continuous.m)
     return Discrete(model, np.zeros(shape), np.zeros((continuous.q, *shape)), period_s)
+
+
+def _as_given(sampled: StateSpace, period_s: float) -> Discrete:
+    shape = (sampled.n, sampled.m)
+    return Discrete(sampled, np.zeros(shape), np.zeros((sampled.q, *shape)), period_s)
+
+
+def modes(model: StateSpace, period_s: float) -> ComplexArray:
+    """Return the continuous-time poles (n,), 1/s: of a model in discrete time those that sampling maps to its own.
+
+    A mode that is gone after one sample (a pole at 0) decays as fast as can be written; one at -1 is at half the rate.
+    """
+    poles = np.linalg.eigvals(model.A).astype(np.complex128)
+    if not model.is_sampled:
+        return poles
+    return np.asarray(np.log(np.where(np.abs(poles) < GONE, GONE, poles)) / period_s)
 
 
 def simulate(discrete: Discrete, x0: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:

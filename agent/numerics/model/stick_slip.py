@@ -121,8 +121,8 @@ def _drifting(continuous: StateSpace, model: MassSpringDamper) -> StateSpace:
     A[:n] = np.hstack([continuous.A, continuous.B[:, m:] / nominal])
     B = np.vstack([continuous.B, np.zeros((r, continuous.m))])
     C = np.hstack([continuous.C, continuous.D[:, m:] / nominal])
-    none = [np.zeros((0, *part.shape)) for part in (A, B, C, continuous.D)]
-    drifting = StateSpace(A, B, C, continuous.D, *none)
+    dA, dB, dC, dD = (np.zeros((0, *part.shape)) for part in (A, B, C, continuous.D))
+    drifting = StateSpace(A, B, C, continuous.D, dA, dB, dC, dD)
     names = [str(i) for i in range(n + r)]
     return continuous if unobservable_states(drifting, names) else drifting
 

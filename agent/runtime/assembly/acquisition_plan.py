@@ -14,11 +14,12 @@ from agent.blocks.acquisition.stream import AlignmentPlan, StreamPlan
 from agent.blocks.acquisition.tuning import LONGEST_STRETCH_S, MOST_STRETCH_SAMPLES, SHORTEST_STRETCH_S
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import hop_plan, known_noise, rig_model, scale_columns
-from agent.config import RigConfig
+from agent.config import LinearModel, RigConfig
 from agent.config.tables import Channel, Source
 from agent.numerics.fitting.skew import Group, SkewMeter
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
+from agent.numerics.model.statespace import modes
 from agent.types import FloatArray
 
 Maps = Mapping[str, Mapping[str, str]]
@@ -46,7 +47,8 @@ def make_acquisition(
         inputs = len(config.inputs)
         return SingleSource(plans[0], inputs, rig.clock, rig.sample_rate_hz, keep_incomplete=keep_incomplete)
     watch = _watch(config, groups, resolution) if groups else None
-    remeasure = partial(_watch, config, _all_groups(config), resolution) if len(plans) > 1 else None
+    every = _all_groups(config)
+    remeasure = partial(_watch, config, every, resolution) if len(plans) > 1 and every else None
     return Alignment(_plan(config, plans, late), watch, remeasure, keep_incomplete=keep_incomplete)
 
 
@@ -74,6 +76,8 @@ def skew_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
 
 
 def _all_groups(config: RigConfig) -> tuple[SkewGroup, ...]:
+    if isinstance(config.model, LinearModel) and config.model.time == "discrete":
+        return ()  # nothing is said of what lies between samples
     reference = reference_source(config)
     names = [channel.name for channel in channels_of(config)]
     others = [source for source in config.source if source is not reference]
@@ -143,7 +147,7 @@ def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: Flo
 def stretch_samples(config: RigConfig) -> tuple[int, int]:
     """Return how long a stretch that tells a skew is at first, as the shortest window, and at most, half a period."""
     model, rate = rig_model(config).model, config.rig.sample_rate_hz
-    speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
+    speeds = np.abs(modes(model.continuous(model.nominal), 1.0 / rate))
     slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))
     unknowns = len(model.state_names) + len(model.parameters) + 1
     least = max(hop_plan(config).window, 20 * unknowns // max(len(config.outputs), 1))

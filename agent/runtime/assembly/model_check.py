@@ -14,7 +14,7 @@ from agent.numerics.model.identifiability import Identifiability, identifiabilit
 from agent.numerics.model.mechanics import MassSpringDamper, Output
 from agent.numerics.model.observer import unobservable_states
 from agent.numerics.model.sensors import SensedModel
-from agent.numerics.model.statespace import Model
+from agent.numerics.model.statespace import AffineModel, Model
 from agent.runtime.assembly.number_checks import number_faults, observer_faults
 from agent.types import FloatArray
 
@@ -43,10 +43,11 @@ def hidden_states(model: Model) -> list[str]:
 
 
 def _hidden_fault(hidden: list[str], rig: RigModel) -> Fault:
-    nodes = _nodes_that_help(rig, lambda model: not hidden_states(model))
     places = [name.removeprefix("displacement of ") for name in hidden if name.startswith("displacement of ")]
-    where = _either(nodes) if nodes else _listed(places) if places else ""
-    advice = f"measure the displacement of {where}" if where else "measure where these move, or leave them out"
+    advice = (
+        f"measure the displacement of {_listed(places)}" if places else "measure where these move, or leave them out"
+    )
+    advice = _measuring(rig, lambda model: not hidden_states(model)) or advice
     return Fault("model", f"no channel shows the {_listed(hidden)}", advice)
 
 
@@ -59,7 +60,7 @@ def _parameter_faults(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
         what = f'"{name}" leaves no trace: however it changes, the channels read the same'
         yield Fault(ESTIMATE, what, _silent_advice(rig, measured, number))
     for blend in found.blends:
-        what = f"{_named(rig, blend)} cannot be told apart: {_in_words(rig, blend)} changes no reading"
+        what = f"{blend_named(rig, blend)} cannot be told apart: {blend_in_words(rig, blend)} changes no reading"
         yield Fault(ESTIMATE, what, _blend_advice(config, rig, blend, found))
 
 
@@ -68,11 +69,12 @@ def _scale(rig: RigModel) -> FloatArray:
     return np.where(nominal > 0, nominal, np.maximum(rig.limits, 0.0))
 
 
-def _named(rig: RigModel, blend: FloatArray) -> str:
+def blend_named(rig: RigModel, blend: FloatArray) -> str:
+    """Name the parameters that a change (q,) moves."""
     return _listed([f'"{p.name}"' for p, change in zip(rig.parameters, blend, strict=True) if change])
 
 
-def _in_words(rig: RigModel, blend: FloatArray) -> str:
+def blend_in_words(rig: RigModel, blend: FloatArray) -> str:
     """Write a change that leaves no trace: "k1 by +1 % with k3 by -0.62 %", offsets in their own units."""
     sized = [abs(p.nominal) for p, change in zip(rig.parameters, blend, strict=True) if change]
     if not any(sized):
@@ -88,9 +90,9 @@ def _change(parameter: Parameter, change: float, *, share: bool) -> str:
 
 
 def _silent_advice(rig: RigModel, measured: int, number: int) -> str:
-    nodes = _nodes_that_help(rig, lambda model: number not in identifiability(model, measured, _scale(rig)).silent)
+    way = _measuring(rig, lambda model: number not in identifiability(model, measured, _scale(rig)).silent)
     leave = f'leave "{rig.parameters[number].name}" out of estimator.estimate'
-    return f"measure the displacement of {_either(nodes)}, or {leave}" if nodes else leave
+    return f"{way}, or {leave}" if way else leave
 
 
 def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Identifiability) -> str:
@@ -103,8 +105,8 @@ def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Id
 
     if not config.inputs and (forced := _with_force(rig)) is not None and fewer(forced, 1):
         ways.append("measure a force that moves it")
-    if nodes := _nodes_that_help(rig, lambda model: fewer(model, signals(config))):
-        ways.append(f"measure the displacement of {_either(nodes)}")
+    if way := _measuring(rig, lambda model: fewer(model, signals(config))):
+        ways.append(way)
     if any(p.kind == "bias" for p in chosen):
         ways.append("measure the rest position or the unloaded force")
     if any(p.kind == "gain" for p in chosen):
@@ -133,23 +135,47 @@ def _out(chosen: list[Parameter]) -> str:
     return f'"{constants[-1]}"' if constants else "one of them"
 
 
-def _nodes_that_help(rig: RigModel, helped: Callable[[Model], bool]) -> list[str]:
-    """Return the masses whose displacement, measured as well, would help."""
-    mechanics = mechanics_of(rig.model)
-    if mechanics is None:
+def _measuring(rig: RigModel, helped: Callable[[Model], bool]) -> str:
+    """Return in words which of the outputs that there are not would help; "" where none does."""
+    what = "the displacement of " if mechanics_of(rig.model) is not None else ""
+    found = [place for place, model in further_outputs(rig) if helped(model)]
+    return f"measure {what}{_either(found)}" if found else ""
+
+
+def further_outputs(rig: RigModel) -> list[tuple[str, Model]]:
+    """Return the masses whose displacement, or the states that, could be measured as well, each with that model."""
+    inner = rig.model.model if isinstance(rig.model, SensedModel) else rig.model
+    if isinstance(inner, AffineModel):
+        states = enumerate(inner.state_names)
+        return [(name, _put(rig.model, _reading(inner, i))) for i, name in states if not _is_read(inner, i)]
+    if not isinstance(inner, MassSpringDamper):
         return []
-    outputs = mechanics.outputs
-    known = {output.at for output in outputs if output.quantity == "displacement"}
-    nodes = [m.name for m in mechanics.structure.masses if m.name not in known]
-    return [n for n in nodes if helped(_put(rig.model, replace(mechanics, outputs=(*outputs, _place(n)))))]
+    known = {output.at for output in inner.outputs if output.quantity == "displacement"}
+    nodes = [m.name for m in inner.structure.masses if m.name not in known]
+    return [(n, _put(rig.model, replace(inner, outputs=(*inner.outputs, Output("displacement", n))))) for n in nodes]
 
 
-def _place(node: str) -> Output:
-    return Output("displacement", node)
+def _is_read(model: AffineModel, state: int) -> bool:
+    """Whether some output is this state and nothing else, whatever the parameters."""
+    at = model.at_nominal
+    alone = (np.count_nonzero(at.C, axis=1) == 1) & (at.C[:, state] != 0) & ~at.D.any(axis=1)
+    return bool(np.any(alone & ~at.dC.any(axis=(0, 2)) & ~at.dD.any(axis=(0, 2))))
 
 
-def _put(model: Model, mechanics: MassSpringDamper) -> Model:
-    return replace(model, model=mechanics) if isinstance(model, SensedModel) else mechanics
+def _reading(model: AffineModel, state: int) -> AffineModel:
+    """Return the model with one more output that is a state."""
+    at = model.at_nominal
+    row = np.eye(at.n)[state : state + 1]
+    more = replace(
+        at, C=np.vstack([at.C, row]), D=np.vstack([at.D, np.zeros((1, at.m))]),
+        dC=np.concatenate([at.dC, np.zeros((at.q, 1, at.n))], axis=1),
+        dD=np.concatenate([at.dD, np.zeros((at.q, 1, at.m))], axis=1),
+    )  # fmt: skip
+    return replace(model, at_nominal=more)
+
+
+def _put(model: Model, inner: Model) -> Model:
+    return replace(model, model=inner) if isinstance(model, SensedModel) else inner
 
 
 def _with_force(rig: RigModel) -> Model | None:

@@ -247,7 +247,7 @@ def test_bodies_are_called_with_keyword_arguments(deltak: Run, body: Any) -> Non
     plain = {name: {k: str(v) for k, v in found[0].items()} for name, found in calls.items()}
     two = "[PosixPath('a.toml'), PosixPath('b.toml')]"
     assert plain == {
-        "demo": {"bus": "can", "scenario": "paper", "fast": "True", "db": "d.db"},
+        "demo": {"bus": "can", "scenario": "paper", "fast": "True", "db": "d.db", "rig": "two-mass"},
         "run": {"configs": two, "db": "d.db", "duration_s": "5.0", "kind": "live"},
         "replay": {"config": "a.toml", "recordings": "[PosixPath('b.csv'), PosixPath('c.npz')]", "db": "d.db"},
         "check": {"config": "a.toml", "recording": "b.csv", "probe": "True"},

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.config import load, load_many, parse
-from agent.config.toml_file import LIMIT_BYTES
+from agent.config.reading.toml_file import LIMIT_BYTES
 from agent.errors import ConfigError, Fault
 from tests.unit.config.config_texts import FILE, MINIMAL, MOTOR, PRESS, changed, with_fake_driver
 

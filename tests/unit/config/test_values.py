@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from agent.config import LinearModel, MechanicsModel, driver_class, plugins
-from agent.config.units import conversion, wrong_kind
+from agent.config.reading.units import conversion, wrong_kind
 from agent.errors import ConfigError
 from tests.unit.config.config_driver import FakeDriver, FakeSettings
 from tests.unit.config.config_texts import MINIMAL, MOTOR, PRESS, changed, faults, read, with_fake_driver

@@ -10,12 +10,11 @@ from agent.numerics.model.margins import (
     condition_8,
     perturbation_norm,
     stability_margin,
-    worst_perturbation_norm,
 )
 from agent.numerics.model.margins_box import DesignToolsMissingError, polytopic_margin, vertices
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.statespace import discretise
-from tests.unit.numerics.paper_rig import GAIN, NOMINAL, PERIOD, euler, rig
+from tests.unit.numerics.paper_rig import GAIN, NOMINAL, euler, rig
 
 FloatArray = np.typing.NDArray[np.float64]
 LIMITS = np.array([15.0, 20.0, 2.0, 2.0])
@@ -115,16 +114,6 @@ def test_perturbation_norm_is_that_of_the_written_out_matrix(rng: np.random.Gene
     whole = np.block([[dA, np.zeros((4, 4))], [GAIN @ dC - dA, np.zeros((4, 4))]])
     assert perturbation_norm(GAIN, dA, dC) == pytest.approx(np.linalg.norm(whole, 2))
 
-
-def test_worst_perturbation_norm_is_the_largest_over_the_box() -> None:
-    def at(theta: FloatArray) -> object:
-        return discretise(rig().continuous(theta), PERIOD, "euler").model
-
-    corners = vertices(rig(), LIMITS)
-    assert len(corners) == 16
-    worst = worst_perturbation_norm(at(NOMINAL), [at(corner) for corner in corners], GAIN)
-    largest = max(np.sqrt(2) * np.linalg.norm(euler(corner) - euler(NOMINAL), 2) for corner in corners)
-    assert worst == pytest.approx(largest)
 
 
 def test_polytopic_margin_of_the_papers_rig_is_in_its_units_and_certified() -> None:

@@ -143,4 +143,6 @@ Duration = Annotated[float, PlainValidator(_duration)]
 FilePath = Annotated[Path, PlainValidator(_path)]
 Row = Annotated[tuple[Number, ...], Strict(False)]
 Matrix = Annotated[tuple[Row, ...], Strict(False)]
-Names = Annotated[tuple[Name, ...], Strict(False), Field(min_length=1)]
+Asked = Annotated[str, Field(pattern=rf"{NAME}|^[ABCD]\[[0-9]+, ?[0-9]+\]$")]
+"""A parameter by its name, or as the entry of a linear model's matrix that it is, such as "A[0,1]"."""
+Names = Annotated[tuple[Asked, ...], Strict(False), Field(min_length=1)]

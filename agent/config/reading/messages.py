@@ -7,7 +7,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from agent.config.fields import shown
+from agent.config.reading.fields import shown
 from agent.errors import Fault
 
 _TEXTS: Final[Mapping[str, str]] = {
@@ -43,6 +43,7 @@ _ADVICE: Final[Mapping[str, str]] = {
     "int_type": "write it without quotes and without a point",
     "int_parsing": "write it without quotes and without a point",
     "int_from_float": "write it without a point",
+    "finite_number": "write it as 0.25 or 1e-6",
     "tuple_type": "write it in square brackets",
     "list_type": "write it in square brackets",
     "dict_type": "write it in braces or under a [heading] of its own",

@@ -1,13 +1,13 @@
 """Raw tables of a file to models, collecting every fault instead of stopping at the first."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Generic, NamedTuple, TypeVar, cast, get_args, get_origin
+from typing import Annotated, Any, Generic, NamedTuple, Protocol, TypeVar, cast, get_args, get_origin
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from agent.config.fields import Table, shown
-from agent.config.messages import faults_of, join, unknown_key
+from agent.config.reading.fields import Table, shown
+from agent.config.reading.messages import faults_of, join, unknown_key
 from agent.errors import Fault
 
 T = TypeVar("T", bound=Table)
@@ -29,6 +29,25 @@ class Entry(NamedTuple, Generic[T]):
 
     path: str
     table: T
+
+
+class Titled(Protocol):
+    """A table that has a name."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        ...
+
+
+def unique(entries: Iterable[tuple[str, Titled]], faults: Faults) -> None:
+    """Note each name that an earlier table has already."""
+    owner: dict[str, str] = {}
+    for path, table in entries:
+        if table.name in owner:
+            faults.add(f"{path}.name", f"{shown(table.name)} is the name of {owner[table.name]}", "names must differ")
+        elif readable(table.name):
+            owner[table.name] = path
 
 
 def readable(*values: object) -> bool:

@@ -4,8 +4,8 @@ import re
 from collections.abc import Mapping
 from typing import Final
 
-from agent.config.messages import join
-from agent.config.parse import Faults
+from agent.config.reading.messages import join
+from agent.config.reading.parse import Faults
 
 _SECRET: Final = re.compile(r"(^|_)(password|passwd|passphrase|secret|token|api_?key|private_key)$", re.IGNORECASE)
 

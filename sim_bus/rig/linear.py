@@ -1,0 +1,157 @@
+"""The true motion of a linear system x' = F x + G u, y = C x + D u, any entry of which may change at any sample.
+
+In discrete time F x + G u is the next state. What drives it are the channels of quantity "input", in the file's order.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from sim_bus.arrays import FloatArray
+from sim_bus.rig.plant import PlantError
+
+MATRICES = "ABCD"
+Matrix = tuple[tuple[float, ...], ...]
+Values = Mapping[str, float]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+
+
+class Parameter(_Part):
+    """A parameter and what one unit of it adds to each matrix."""
+
+    name: str
+    nominal: float
+    dA: Matrix = ()  # noqa: N815 - the key of the configuration file
+    dB: Matrix = ()  # noqa: N815 - the key of the configuration file
+    dC: Matrix = ()  # noqa: N815 - the key of the configuration file
+    dD: Matrix = ()  # noqa: N815 - the key of the configuration file
+
+
+class State(_Part):
+    """The name of a state."""
+
+    name: str
+
+
+class Linear(_Part):
+    """The [model] of a linear rig; files that hold matrices have been read."""
+
+    kind: Literal["linear"]
+    time: Literal["continuous", "discrete"] = "continuous"
+    A: Matrix = Field(min_length=1)
+    B: Matrix = ()
+    C: Matrix = Field(min_length=1)
+    D: Matrix = ()
+    state: tuple[State, ...] = ()
+    parameter: tuple[Parameter, ...] = ()
+    uncertain: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _rows_are_even(self) -> Self:
+        parts = {name: getattr(self, name) for name in MATRICES}
+        parts |= {f"{p.name}: d{name}": getattr(p, f"d{name}") for p in self.parameter for name in MATRICES}
+        uneven = [name for name, rows in parts.items() if len({len(row) for row in rows}) > 1]
+        if uneven:
+            raise ValueError(f"rows of different length: {', '.join(uneven)}")
+        return self
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """A linear rig between its channels.
+
+    Attributes:
+        table: the matrices.
+        inputs, outputs: names of the channels.
+    """
+
+    table: Linear
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Where a force of a scenario may act: the inputs."""
+        return self.inputs
+
+    @property
+    def massless(self) -> frozenset[str]:
+        """Nodes without inertia: there are no nodes."""
+        return frozenset()
+
+    @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        """The names of the states; "state 1" and so on where they have none."""
+        given = tuple(state.name for state in self.table.state)
+        return given or tuple(f"state {i + 1}" for i in range(len(self.table.A)))
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """Rows and columns of each matrix."""
+        n, m, p = len(self.table.A), len(self.inputs), len(self.outputs)
+        return {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+
+    @cached_property
+    def nominal(self) -> dict[str, float]:
+        """Every parameter by name, and every entry of every matrix: any of them may change."""
+        entries = {
+            f"{name}[{i},{j}]": float(self._matrix(name, getattr(self.table, name))[i, j])
+            for name, shape in self.shapes.items()
+            for i, j in np.ndindex(shape)
+        }
+        return {parameter.name: parameter.nominal for parameter in self.table.parameter} | entries
+
+    def _matrix(self, name: str, rows: Matrix) -> FloatArray:
+        shape = self.shapes[name[-1]]
+        found = np.array(rows, dtype=float) if rows else np.zeros(shape)
+        if found.shape != shape:
+            raise PlantError(
+                f"{name} has {found.shape[0]} rows of {found.size // len(found)}; {shape} fit the channels"
+            )
+        return found
+
+    def matrices(self, values: Values) -> dict[str, FloatArray]:
+        """Return A, B, C, D with the parameters and entries put in."""
+        found = {name: self._matrix(name, getattr(self.table, name)).copy() for name in MATRICES}
+        for name, matrix in found.items():
+            for i, j in np.ndindex(matrix.shape):
+                matrix[i, j] = values.get(f"{name}[{i},{j}]", matrix[i, j])
+        for parameter in self.table.parameter:
+            change = values[parameter.name] - parameter.nominal
+            for name in MATRICES:
+                found[name] += change * self._matrix(f"d{name}", getattr(parameter, f"d{name}"))
+        return found
+
+    def equations(self, values: Values) -> "LinearMotion":
+        """Return the motion for one set of parameters and entries."""
+        found = self.matrices(values)
+        sampled = self.table.time == "discrete"
+        return LinearMotion(self, found["A"], found["B"], found["C"], found["D"], is_sampled=sampled)
+
+
+@dataclass(frozen=True)
+class LinearMotion:
+    """x' = F x + G u with what its outputs read, for one set of parameters."""
+
+    system: LinearSystem
+    F: FloatArray
+    G: FloatArray
+    C: FloatArray
+    D: FloatArray
+    is_sampled: bool = False
+
+    def node(self, name: str) -> int:
+        """Return an input's number."""
+        return self.system.inputs.index(name)
+
+    def output(self, _quantity: str, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return the rows (h, j) with reading = h x + j u of an output channel."""
+        number = self.system.outputs.index(name)
+        return self.C[number], self.D[number]

@@ -16,6 +16,7 @@ from agent.config.tables import (
     LinearParameter,
     Mass,
     MechanicsModel,
+    Metrics,
     Model,
     Observer,
     Parameter,
@@ -25,6 +26,7 @@ from agent.config.tables import (
     Store,
     learnt_key,
 )
+from agent.config.toml_file import files_of
 
 __all__ = [
     "Alarm",
@@ -35,6 +37,7 @@ __all__ = [
     "LinearParameter",
     "Mass",
     "MechanicsModel",
+    "Metrics",
     "Model",
     "Observer",
     "Parameter",
@@ -44,6 +47,7 @@ __all__ = [
     "Store",
     "driver_class",
     "driver_entries",
+    "files_of",
     "learnt_key",
     "load",
     "load_many",

@@ -11,6 +11,7 @@ from agent.config.tables import (
     Estimator,
     LinearModel,
     MechanicsModel,
+    Metrics,
     Model,
     Parameter,
     Rig,
@@ -39,6 +40,7 @@ class Draft:
     sources: list[Entry[Source]] = field(default_factory=list)
     store: Store = field(default_factory=Store)
     columns: Columns = field(default_factory=Columns)
+    metrics: Metrics = field(default_factory=Metrics)
 
     @property
     def rate_hz(self) -> float | None:

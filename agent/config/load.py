@@ -23,6 +23,7 @@ from agent.config.tables import (
     Estimator,
     LinearModel,
     MechanicsModel,
+    Metrics,
     Rig,
     RigConfig,
     Store,
@@ -30,8 +31,8 @@ from agent.config.tables import (
 from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, Fault
 
-TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns")
-RESERVED: Final = ("agent", "http", "mqtt", "metrics", "notify", "security")
+TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "metrics")
+RESERVED: Final = ("agent", "http", "mqtt", "notify", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
     ("alarm", "kind"): ("rate", "forecast", "sensor", "source", "mismatch"),
@@ -124,6 +125,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.sources = read_sources(raw.get("source", []), faults)
     draft.store = read_table(Store, raw.get("store", {}), "store", faults)
     _read_columns(raw.get("columns", {}), draft)
+    draft.metrics = read_table(Metrics, raw.get("metrics", {}), "metrics", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -203,9 +205,16 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         source=tuple(entry.table for entry in draft.sources),
         store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),
         columns=draft.columns,
+        metrics=_placed(draft.metrics, draft.folder),
         file=file,
         sha256=sha256,
     )
+
+
+def _placed(metrics: Metrics, folder: Path) -> Metrics:
+    """Return the table with its path from the root on."""
+    file = metrics.textfile
+    return metrics if file is None else metrics.model_copy(update={"textfile": folder / file})
 
 
 def _store_path(path: Path) -> Path:

@@ -7,6 +7,7 @@ from typing import Literal
 from agent import __version__
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig, learnt_key
+from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
@@ -20,22 +21,31 @@ def path_of(config: RigConfig, db: Path | None) -> Path:
     return db if db is not None else config.store.path
 
 
-def writers_of(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> Mapping[Path, StoreWriter]:
-    """Return one writer a database, by its file."""
+def writers_of(
+    configs: Sequence[RigConfig], db: Path | None, kind: RunKind, handlers: Mapping[str, Handler] | None = None
+) -> dict[Path, StoreWriter]:
+    """Return one writer a database, by its file; handlers: what it may be asked for beside it."""
     grouped: dict[Path, list[RigConfig]] = {}
     for config in configs:
         grouped.setdefault(path_of(config, db), []).append(config)
-    return {path: _writer(path, members, kind) for path, members in grouped.items()}
+    return {path: _writer(path, members, kind, handlers or {}) for path, members in grouped.items()}
 
 
-def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
+def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
+    """Return what the runs of some rigs that begin now are."""
     now = wall_ns()
     boot = boot_id()
     offset = now - monotonic_ns()
-    runs = [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset) for c in members]
+    return [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset) for c in configs]
+
+
+def _writer(
+    path: Path, members: Sequence[RigConfig], kind: RunKind, handlers: Mapping[str, Handler]
+) -> StoreWriter:
     keep = _retention(members)
     every_s = min(c.store.every_s for c in members)
-    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)
+    runs = runs_of(members, kind)
+    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True, handlers=handlers)
 
 
 def _retention(members: Sequence[RigConfig]) -> Retention:

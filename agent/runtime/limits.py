@@ -25,6 +25,25 @@ RAISE_NS = 2_000_000_000
 CLEAR_NS = 500_000_000
 """Computing is behind when the oldest sample has waited for longer, ns, and no more when it has waited for less."""
 
+# ------------------------------------------------------------------ watching the threads
+SILENCE_S = 60.0
+"""How long a thread may make no progress where no service manager sets an interval (WatchdogSec)."""
+LOOK_S = 5.0
+LOOKS_AN_INTERVAL = 4
+"""Threads are looked at this often at least: seconds, and times in an interval."""
+READER_PATIENCE, WRITER_PATIENCE = 1.0, 2.0
+"""Intervals that a thread may be silent: so a hung one is ended after three at most, and a slow disk is no hang."""
+
+# ------------------------------------------------------------------ exchanging rigs
+LEAVE_S = 3.0
+"""How long a rig that leaves goes on with what waits; the others' samples meanwhile wait in their queues."""
+RELOAD_S = 120.0
+"""How long whoever asks for a reload waits for it."""
+LOG_LINES = 500
+"""Newest lines of the log that are kept in memory for `deltak diag`."""
+TEXTFILE_S = 15.0
+"""From one writing of the metrics' file to the next: as often as Prometheus asks by default."""
+
 # ------------------------------------------------------------------ the end
 FINISH_S = 2.0
 END_S = 2.8

@@ -11,13 +11,16 @@ from agent.storage.write.jobs import JobQueue
 from agent.storage.write.store import Store
 
 
-def serve(path: Path, jobs: JobQueue) -> CommandServer:
-    """Listen on the database's socket. Raises OSError where no socket can be made."""
+def serve(path: Path, jobs: JobQueue, handlers: Mapping[str, Handler]) -> CommandServer:
+    """Listen on the database's socket, for what changes it and for what others answer.
+
+    Raises OSError where no socket can be made.
+    """
 
     def through(act: Any) -> Handler:
         return lambda _: dict(jobs.ask(act))
 
-    server = CommandServer(path, {"compact": through(_compact), "repair": through(_repair)})
+    server = CommandServer(path, {"compact": through(_compact), "repair": through(_repair), **handlers})
     server.start()
     return server
 

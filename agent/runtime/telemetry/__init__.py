@@ -1,0 +1,4 @@
+"""What a running agent says of itself: status, metrics.
+
+Imported by the service alone.
+"""

@@ -28,7 +28,7 @@ CLEAR_NS = 500_000_000
 # ------------------------------------------------------------------ watching the threads
 SILENCE_S = 60.0
 """How long a thread may make no progress where no service manager sets an interval (WatchdogSec)."""
-LOOK_S = 5.0
+LOOK_S = 1.0
 LOOKS_AN_INTERVAL = 4
 """Threads are looked at this often at least: seconds, and times in an interval."""
 READER_PATIENCE, WRITER_PATIENCE = 1.0, 2.0

@@ -57,5 +57,6 @@ class Watch:
             self.manager.say(WATCHDOG=1, STATUS=self._status())
 
     def _work(self) -> None:
-        while not self._stop.wait(self._period_s):
+        while not self._stop.is_set():
             self.step(monotonic_ns())
+            self._stop.wait(self._period_s)

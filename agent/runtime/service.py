@@ -94,12 +94,13 @@ class Service:
         """Return the threads as they are now; from any thread."""
         found = [Thread("processing", self._rounds, self._rounds > 0)]
         for connection in list(self.rig_set.connections):
-            found.append(Thread(f"read {connection.name}", connection.progress, connection.is_alive()))
+            name = connection.name
+            found.append(Thread(f"read {name}", connection.progress, connection.is_alive()))
             if connection.recorder is not None:
-                found.append(_disk_thread(f"record {connection.name}", connection.recorder))
+                found.append(_disk_thread(f"record {name}", connection.recorder))
         for path, writer in list(self.rig_set.writers.items()):
             is_watched = writer.is_alive() and not writer.occupied
-            found.append(Thread(f"write {path.name}", writer.progress, is_watched, WRITER_PATIENCE))
+            found.append(Thread(f"write {path}", writer.progress, is_watched, WRITER_PATIENCE))
         events = list(self.rig_set.event_writers.items())
         return found + [_disk_thread(f"events {name}", writer) for name, writer in events]
 

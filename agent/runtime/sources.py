@@ -108,8 +108,8 @@ class Connection:
 
     @property
     def name(self) -> str:
-        """The name of the source that it was made for."""
-        return self._driver.request.name
+        """What status and log call it: the rig and the source that have read it for longest."""
+        return f"{self.uses[0].rig}/{self.uses[0].source}" if self.uses else self._driver.request.name
 
     @property
     def recorder(self) -> Recorder | None:

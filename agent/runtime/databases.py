@@ -39,13 +39,11 @@ def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
     return [RunInfo(c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset) for c in configs]
 
 
-def _writer(
-    path: Path, members: Sequence[RigConfig], kind: RunKind, handlers: Mapping[str, Handler]
-) -> StoreWriter:
+def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind, handlers: Mapping[str, Handler]) -> StoreWriter:
     keep = _retention(members)
     every_s = min(c.store.every_s for c in members)
     runs = runs_of(members, kind)
-    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True, handlers=handlers)
+    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=handlers)
 
 
 def _retention(members: Sequence[RigConfig]) -> Retention:

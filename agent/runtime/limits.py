@@ -29,10 +29,9 @@ CLEAR_NS = 500_000_000
 SILENCE_S = 60.0
 """How long a thread may make no progress where no service manager sets an interval (WatchdogSec)."""
 LOOK_S = 1.0
-LOOKS_AN_INTERVAL = 4
-"""Threads are looked at this often at least: seconds, and times in an interval."""
-READER_PATIENCE, WRITER_PATIENCE = 1.0, 2.0
-"""Intervals that a thread may be silent: so a hung one is ended after three at most, and a slow disk is no hang."""
+"""Threads are looked at this often at least."""
+WRITER_PATIENCE = 2.0
+"""Intervals of the watchdog that a thread that writes may be silent, others one: a slow disk is no hang."""
 
 # ------------------------------------------------------------------ exchanging rigs
 LEAVE_S = 3.0
@@ -41,9 +40,6 @@ RELOAD_S = 120.0
 """How long whoever asks for a reload waits for it."""
 LOG_LINES = 500
 """Newest lines of the log that are kept in memory for `deltak diag`."""
-TEXTFILE_S = 15.0
-"""From one writing of the metrics' file to the next: as often as Prometheus asks by default."""
-
 # ------------------------------------------------------------------ the end
 FINISH_S = 2.0
 END_S = 2.8

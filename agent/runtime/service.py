@@ -16,7 +16,9 @@ from agent.config import RigConfig, driver_class, files_of, load_many
 from agent.errors import AgentError, ConfigError, Fault, UsageError
 from agent.recording.event_writer import EventWriter
 from agent.recording.recorder import Recorder
+from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.databases import RunKind
+from agent.runtime.exchange import Prepared, exchange, plan, prepare, tell
 from agent.runtime.limits import (
     ABANDON_S,
     CLOSE_S,
@@ -25,8 +27,11 @@ from agent.runtime.limits import (
     HEALTH_PERIOD_NS,
     HURRY_S,
     IDLE_S,
+    LOG_LINES,
+    LOOK_S,
     RELOAD_S,
     ROUND_S,
+    SILENCE_S,
     WRITER_PATIENCE,
 )
 from agent.runtime.process.deadline import Deadline
@@ -37,12 +42,11 @@ from agent.runtime.process.recent_lines import RecentLines
 from agent.runtime.process.service_manager import ServiceManager
 from agent.runtime.process.watch import Watch
 from agent.runtime.rig_runtime import RigRuntime
-from agent.runtime.rigs.exchange import Prepared, exchange, plan, prepare, tell
-from agent.runtime.rigs.rig_set import RigSet
-from agent.runtime.source_faults import source_error
+from agent.runtime.rig_set import RigSet
 from agent.runtime.sources import Connection
+from agent.runtime.status import Status
 from agent.runtime.telemetry.exporters import Exporters
-from agent.runtime.telemetry.status import Status
+from agent.storage.write.command_socket import Handler
 from agent.storage.write.writer import StoreWriter
 from drivers.port import DriverConfigError
 
@@ -64,16 +68,21 @@ class Service:
         self._asked: SimpleQueue[tuple[Prepared, Future[None]]] = SimpleQueue()
         self._reloading = threading.Lock()
         self._rounds = 0
-        self.lines = RecentLines()
-        handlers = {
-            "status": lambda _: self.status.document(), "log": lambda _: {"lines": list(self.lines)},
-            "reload": lambda _: self.reload(),
-        }  # fmt: skip
-        self.rig_set = RigSet(db, kind, self._wake, handlers)
-        self._watch = Watch(self.threads, lambda: self.status.words(), ServiceManager())
-        self.status = Status(self.rig_set, self._watch.heartbeats)
-        self._exporters = Exporters(self.status)
+        self.lines = RecentLines(LOG_LINES)
+        self.rig_set = RigSet(db, kind, self._wake, self._handlers())
+        self.status = Status(self.rig_set)
+        self._watch = Watch(self.threads, self.status.words, ServiceManager(), SILENCE_S, LOOK_S)
+        self.status.heartbeats = self._watch.heartbeats
+        self._exporters = Exporters(self.status.document)
         self.rig_set.adopt(self.rig_set.make(configs))
+
+    def _handlers(self) -> Mapping[str, Handler]:
+        """Return what may be asked for beside the databases."""
+        return {
+            "status": lambda _: self.status.document(),
+            "log": lambda _: {"lines": list(self.lines)},
+            "reload": lambda _: self.reload(),
+        }
 
     @property
     def connections(self) -> Sequence[Connection]:
@@ -201,7 +210,8 @@ class Service:
     def _refused(self, error: Exception) -> dict[str, Any]:
         faults = getattr(error, "faults", None) or [Fault("reload", str(error) or "it took too long", "see the log")]
         words = "; ".join(str(fault) for fault in faults)
-        tell(self.rig_set, list(self.rigs), "refused", f"the changed configuration is refused, the old one stays: {words}")
+        said = f"the changed configuration is refused, the old one stays: {words}"
+        tell(self.rig_set, list(self.rigs), "refused", said)
         return {"refused": [{"path": f.path, "message": f.message, "advice": f.advice} for f in faults]}
 
     def _exchange_asked(self) -> None:

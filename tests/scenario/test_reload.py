@@ -3,7 +3,6 @@
 import json
 import signal
 import tarfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +50,7 @@ class Gateway:
 
 
 @pytest.fixture(scope="module")
-def left(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+def left(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What a day of an administrator left behind, in seconds."""
     folder = tmp_path_factory.mktemp("gateway")
     text = example("modbus", folder).read_text()
@@ -63,7 +62,7 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
             found["document"] = running.document()
             found["log"] = running.err
     found["gateway"] = gateway
-    yield found
+    return found
 
 
 def live_through(gateway: Gateway, running: Agent, folder: Path) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pytest
 from tests import figures, peers
 from tests.vcan import guest
 
-LIMIT_S = 180.0
+LIMIT_S = 300.0
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(LIMIT_S + 20.0)]
 
 
@@ -47,10 +47,11 @@ def test_reload_starts_only_the_rig_anew_whose_file_changed(found: dict[str, Any
 
 def test_hung_thread_is_named_and_the_agent_restarted(found: dict[str, Any]) -> None:
     assert "read line/hanging: the thread makes no progress" in found["log"]
+    assert found["anew"]
     assert found["killed_s"] <= 3 * found["watchdog_s"]
     figures.figure(f"a hung reader: restarted after {found['killed_s']:.1f} s, WatchdogSec={found['watchdog_s']}")
 
 
-def test_stop_takes_three_seconds_at_most(found: dict[str, Any]) -> None:
+def test_stop_amid_a_start_takes_three_seconds_at_most(found: dict[str, Any]) -> None:
     assert found["stop_s"] <= 3.0
     assert found["after stop"] == ["inactive", "success"]

@@ -22,14 +22,13 @@ from agent.errors import AgentError, UsageError
 from agent.storage.database.connect import connect_reader
 
 Document = Mapping[str, Any]
-_NEWEST = 500
 _QUERIES = {
     "meta": "SELECT * FROM v_meta",
     "runs": "SELECT * FROM v_runs ORDER BY run_id DESC LIMIT 20",
     "ledgers": "SELECT * FROM v_health ORDER BY t_ns DESC LIMIT 100",
     "ledger_reasons": "SELECT * FROM v_health_reasons ORDER BY t_ns DESC LIMIT 200",
-    "events": f"SELECT * FROM v_events ORDER BY t_ns DESC LIMIT {_NEWEST}",
-    "alarms": f"SELECT * FROM v_alarms ORDER BY id DESC LIMIT {_NEWEST}",
+    "events": "SELECT * FROM v_events ORDER BY t_ns DESC LIMIT 500",
+    "alarms": "SELECT * FROM v_alarms ORDER BY id DESC LIMIT 500",
     "schema": "SELECT type, name, sql FROM sqlite_master ORDER BY type, name",
 }
 

@@ -46,5 +46,4 @@ def _rig_row(rig: Document) -> tuple[str, ...]:
 
 def print_reload(found: Document) -> None:
     """Print which rigs a reload touched."""
-    words = [f"{what}: {', '.join(found[what])}" for what in ("restarted", "added", "removed", "untouched") if found[what]]
-    show("; ".join(words))
+    show("; ".join(f"{what}: {', '.join(rigs)}" for what, rigs in found.items() if rigs))

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from agent.clock import wall_ns
-from agent.runtime.limits import LOG_LINES
 from agent.text import iso_time, printable
 
 
 class RecentLines(logging.Handler):
     """Keeps lines of the root logger, the newest last."""
 
-    def __init__(self, most: int = LOG_LINES) -> None:
+    def __init__(self, most: int) -> None:
         super().__init__()
         self._lines: deque[str] = deque(maxlen=most)
 

@@ -5,9 +5,11 @@ import threading
 from collections.abc import Callable, Iterable
 
 from agent.clock import monotonic_ns
-from agent.runtime.limits import LOOK_S, LOOKS_AN_INTERVAL, SILENCE_S
 from agent.runtime.process.heartbeats import Heartbeats, Thread
 from agent.runtime.process.service_manager import ServiceManager
+
+LOOKS_AN_INTERVAL = 4
+"""Threads are looked at this often at least in an interval of the watchdog."""
 
 log = logging.getLogger(__name__)
 
@@ -19,14 +21,21 @@ class Watch:
         threads: the agent's threads as they are now.
         status: the agent in one line.
         manager: who is told.
+        silence_s: for how long a thread may make no progress where the manager sets no interval.
+        look_s: threads are looked at this often at least.
     """
 
     def __init__(
-        self, threads: Callable[[], Iterable[Thread]], status: Callable[[], str], manager: ServiceManager
+        self,
+        threads: Callable[[], Iterable[Thread]],
+        status: Callable[[], str],
+        manager: ServiceManager,
+        silence_s: float,
+        look_s: float,
     ) -> None:
         self.manager = manager
-        interval_s = manager.watchdog_s or SILENCE_S
-        self._period_s = min(LOOK_S, interval_s / LOOKS_AN_INTERVAL)
+        interval_s = manager.watchdog_s or silence_s
+        self._period_s = min(look_s, interval_s / LOOKS_AN_INTERVAL)
         self.heartbeats = Heartbeats(threads, interval_s, self._period_s)
         self._status = status
         self._stalled: list[str] = []

@@ -1,4 +1,4 @@
-"""What a running agent says of itself: status, metrics.
+"""Metrics: what they are, and where they go.
 
 Imported by the service alone.
 """

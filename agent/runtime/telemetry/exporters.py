@@ -2,14 +2,16 @@
 
 import logging
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
 from agent.config import Metrics, RigConfig
-from agent.runtime.limits import TEXTFILE_S
-from agent.runtime.telemetry.status import Status
+
+Document = Callable[[], Mapping[str, Any]]
+TEXTFILE_S = 15.0
+"""From one writing of the file to the next: as often as Prometheus asks by default."""
 
 log = logging.getLogger(__name__)
 
@@ -25,9 +27,11 @@ class Exporters:
     """The exporters that the configurations of an agent ask for; an address that two name is one exporter.
 
     None of them can end the agent: an address that is taken, or a folder that is away, is a warning.
+
+    status: makes the status document.
     """
 
-    def __init__(self, status: Status) -> None:
+    def __init__(self, status: Document) -> None:
         self._status = status
         self._running: dict[str | Path, Exporter] = {}
 
@@ -55,20 +59,20 @@ def _places(metrics: Metrics) -> list[str | Path]:
     return [place for place in (metrics.listen, metrics.textfile) if place is not None]
 
 
-def _registry(status: Status) -> Any:
+def _registry(status: Document) -> Any:
     from prometheus_client.registry import CollectorRegistry
 
     from agent.runtime.telemetry.metrics import AgentCollector
 
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(AgentCollector(status.document))  # type: ignore[arg-type]
+    registry.register(AgentCollector(status))
     return registry
 
 
 class HttpExporter:
     """Answers GET /metrics at an address; without a password (see docs/metrics.md)."""
 
-    def __init__(self, listen: str, status: Status) -> None:
+    def __init__(self, listen: str, status: Document) -> None:
         from prometheus_client.exposition import start_http_server
 
         host, _, port = listen.rpartition(":")
@@ -85,7 +89,7 @@ class HttpExporter:
 class TextfileExporter:
     """Writes a file anew each period, whole at any time."""
 
-    def __init__(self, file: Path, status: Status) -> None:
+    def __init__(self, file: Path, status: Document) -> None:
         self._file, self._registry = file, _registry(status)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="metrics", daemon=True)

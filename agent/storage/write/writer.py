@@ -41,8 +41,7 @@ class StoreWriter:
         lossless: for replays: `publish` waits for the disk instead of dropping, and a failing disk is an error.
         most_cells: rows that wait in memory at most, a rig.
         on_event: told of every HealthEvent that the writer makes itself (in the writer's thread).
-        served: others may ask for what changes the file, through the socket beside it.
-        handlers: what else they may ask for there.
+        served: others may ask for what changes the file, through the socket beside it, and for these; None: no socket.
     """
 
     def __init__(
@@ -55,8 +54,7 @@ class StoreWriter:
         most_cells: int = 200_000,
         period_s: float = 1.0,
         on_event: Callable[[HealthEvent], None] = lambda _: None,
-        served: bool = False,
-        handlers: Mapping[str, Handler] | None = None,
+        served: Mapping[str, Handler] | None = None,
     ) -> None:
         self._opener, self._every_s = opener, every_s
         self._runs: dict[str, RunInfo] = {}
@@ -77,7 +75,6 @@ class StoreWriter:
         self._failed_at: dict[str, int] = {}
         self._spilling = False
         self._served = served
-        self._handlers = handlers or {}
         self._server: CommandServer | None = None
         self._jobs = JobQueue("its agent", self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
@@ -350,17 +347,17 @@ class StoreWriter:
         if self._store.recovery is not None:  # a new file
             self.run_ids.clear()
             self._plans = []
-        if self._served and self._server is None:
-            self._server = self._serve(self._store)
+        if self._served is not None and self._server is None:
+            self._server = self._serve(self._store, self._served)
         for rig, run in self._runs.items():
             if rig not in self.run_ids:
                 self.learnt.setdefault(rig, self._store.learnt(run))
                 self.standing[rig] = self._store.open_alarms(rig) if run.kind == "live" else []
                 self.run_ids[rig] = self._store.begin_run(run)
 
-    def _serve(self, store: Store) -> CommandServer | None:
+    def _serve(self, store: Store, handlers: Mapping[str, Handler]) -> CommandServer | None:
         try:
-            return serve(store.path, self._jobs, self._handlers)
+            return serve(store.path, self._jobs, handlers)
         except OSError as error:
             log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
             return None

@@ -37,11 +37,8 @@ STATUS: dict[str, Any] = {
 }  # fmt: skip
 
 
-class Fixed:
-    """A status that does not change."""
-
-    def document(self) -> dict[str, Any]:
-        return STATUS
+def status() -> dict[str, Any]:
+    return STATUS
 
 
 def values(text: str) -> dict[tuple[str, ...], float]:
@@ -76,7 +73,7 @@ def assert_expected(text: str) -> None:
 
 
 def test_metrics_are_served_over_http() -> None:
-    exporter = HttpExporter("127.0.0.1:0", Fixed())  # type: ignore[arg-type]
+    exporter = HttpExporter("127.0.0.1:0", status)
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{exporter.port}/metrics", timeout=5.0) as answer:
             assert_expected(answer.read().decode())
@@ -86,7 +83,7 @@ def test_metrics_are_served_over_http() -> None:
 
 def test_metrics_are_written_to_a_file_that_goes_with_the_agent(tmp_path: Path) -> None:
     file = tmp_path / "deltak.prom"
-    exporter = TextfileExporter(file, Fixed())  # type: ignore[arg-type]
+    exporter = TextfileExporter(file, status)
     try:
         wait_until(file.exists, "the file")
         assert_expected(file.read_text())
@@ -97,7 +94,7 @@ def test_metrics_are_written_to_a_file_that_goes_with_the_agent(tmp_path: Path) 
 
 def exposed() -> set[str]:
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(AgentCollector(lambda: STATUS))  # type: ignore[arg-type]
+    registry.register(AgentCollector(status))
     suffixes = {"histogram": ("_bucket", "_sum", "_count"), "counter": ("_total",), "gauge": ("",)}
     return {family.name + suffix for family in registry.collect() for suffix in suffixes[family.type]}
 

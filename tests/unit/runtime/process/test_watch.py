@@ -67,7 +67,7 @@ def test_thread_that_stalls_ends_the_feeding_and_is_named(
 ) -> None:
     told, ours = manager
     count = {"read can0": 0, "processing": 0}
-    watch = Watch(lambda: [Thread(name, n) for name, n in count.items()], lambda: "1 rig", ours)
+    watch = Watch(lambda: [Thread(name, n) for name, n in count.items()], lambda: "1 rig", ours, 60.0, 1.0)
     for second in range(9):
         count["processing"] += 1
         watch.step(second * S)

@@ -14,7 +14,7 @@ from agent.config.tables import Source
 from agent.errors import AgentError, StoreError
 from agent.runtime.databases import path_of, runs_of
 from agent.runtime.limits import CLOSE_S, FINISH_S, LEAVE_S
-from agent.runtime.rigs.rig_set import Parts, RigSet
+from agent.runtime.rig_set import Parts, RigSet
 from agent.runtime.sources import Connection
 from agent.types import HealthEvent
 

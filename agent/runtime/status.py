@@ -15,7 +15,7 @@ from agent.clock import monotonic_ns
 from agent.errors import AgentError
 from agent.runtime.process.heartbeats import Heartbeats
 from agent.runtime.rig_runtime import RigRuntime
-from agent.runtime.rigs.rig_set import RigSet
+from agent.runtime.rig_set import RigSet
 from agent.storage.database.connect import connect_reader
 from agent.storage.write.writer import StoreWriter
 from agent.types import Health
@@ -29,11 +29,13 @@ class Status:
 
     Args:
         rigs: what it runs.
-        heartbeats: its threads.
     """
 
-    def __init__(self, rigs: RigSet, heartbeats: Heartbeats) -> None:
-        self._rigs, self._heartbeats = rigs, heartbeats
+    heartbeats: Heartbeats | None = None
+    """Those of its threads, while somebody looks at them."""
+
+    def __init__(self, rigs: RigSet) -> None:
+        self._rigs = rigs
         self._started_ns = monotonic_ns()
 
     def words(self) -> str:
@@ -92,10 +94,11 @@ class Status:
         return "lost" if rig.is_lost(source) else "ok"
 
     def _threads(self) -> list[Document]:
+        beats = {} if self.heartbeats is None else self.heartbeats.beats
         return [
             {"thread": name, "alive": beat.alive, "stalled": beat.stalled, "silent_s": beat.silent_s,
              "progress": beat.progress}
-            for name, beat in dict(self._heartbeats.beats).items()
+            for name, beat in beats.items()
         ]  # fmt: skip
 
 

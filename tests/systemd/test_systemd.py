@@ -10,20 +10,29 @@ import pytest
 from tests import figures, peers
 from tests.vcan import guest
 
-LIMIT_S = 300.0
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(LIMIT_S + 20.0)]
+LIMIT_S = 180.0
+TRIES = 3
+"""Of booting a guest: its kernel dies now and then under systemd (it cannot read a register of process 1 any more)."""
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(TRIES * LIMIT_S)]
+
+
+def lived(folder: Path, *settings: str) -> dict[str, Any]:
+    """Boot a guest and return what was found in it."""
+    if not Path("/lib/systemd/systemd").exists():
+        peers.missing("systemd is not installed (Debian package systemd)")
+    command = ["env", *settings, sys.executable, "-m", "tests.systemd.inside"]
+    init = Path(__file__).with_name("init.sh")
+    for _ in range(TRIES):
+        status, output = guest.run(command, peers.ROOT, LIMIT_S, folder, init=init)
+        if status != guest.DIED:
+            break
+    assert status == 0, output
+    return dict(json.loads((folder / "found.json").read_text()))
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    if not Path("/lib/systemd/systemd").exists():
-        peers.missing("systemd is not installed (Debian package systemd)")
-    folder = tmp_path_factory.mktemp("left")
-    command = [sys.executable, "-m", "tests.systemd.inside"]
-    init = Path(__file__).with_name("init.sh")
-    status, output = guest.run(command, peers.ROOT, LIMIT_S, folder, init=init)
-    assert status == 0, output
-    return dict(json.loads((folder / "found.json").read_text()))
+    return lived(tmp_path_factory.mktemp("left"))
 
 
 def test_start_waits_until_the_rigs_are_set_up_and_databases_are_open(found: dict[str, Any]) -> None:
@@ -45,13 +54,21 @@ def test_reload_starts_only_the_rig_anew_whose_file_changed(found: dict[str, Any
     assert found["runs"] == [["can", 1], ["line", 1], ["plc", 2]]
 
 
-def test_hung_thread_is_named_and_the_agent_restarted(found: dict[str, Any]) -> None:
+def test_hung_thread_is_named_and_its_agent_ended_to_be_started_anew(found: dict[str, Any]) -> None:
     assert "read line/hanging: the thread makes no progress" in found["log"]
-    assert found["anew"]
     assert found["killed_s"] <= 3 * found["watchdog_s"]
-    figures.figure(f"a hung reader: restarted after {found['killed_s']:.1f} s, WatchdogSec={found['watchdog_s']}")
+    assert found["after hang"] == "auto-restart"
+    figures.figure(f"a hung reader: ended after {found['killed_s']:.1f} s, WatchdogSec={found['watchdog_s']}")
 
 
-def test_stop_amid_a_start_takes_three_seconds_at_most(found: dict[str, Any]) -> None:
+def test_stop_ends_what_waits_to_be_started_too(found: dict[str, Any]) -> None:
     assert found["stop_s"] <= 3.0
-    assert found["after stop"] == ["inactive", "success"]
+    assert found["after stop"] == "inactive"
+
+
+@pytest.mark.soak
+def test_agent_that_the_watchdog_ended_goes_on_and_stops_within_three_seconds(tmp_path: Path) -> None:
+    found = lived(tmp_path, "DELTAK_WHOLE=1")
+    assert found["restarts"] == "1"
+    assert found["stop_s"] <= 3.0
+    assert found["after stop"] == "inactive"

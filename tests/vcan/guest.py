@@ -11,13 +11,15 @@ from pathlib import Path
 from tests import peers
 
 INIT = Path(__file__).with_name("guest-init.sh")
+DIED = 125
+"""Status of a command whose guest died."""
 MODULES = "/usr/lib/uml/modules"
 
 
 def run(
     command: Sequence[str], folder: Path, limit_s: float, kept: Path | None = None, init: Path = INIT
 ) -> tuple[int, str]:
-    """Return exit status and output of a command run in `folder` of a fresh guest; status 125 when the guest died.
+    """Return exit status and output of a command run in `folder` of a fresh guest; status DIED when the guest died.
 
     What the command leaves in the folder that $RESULTS names goes to `kept`; init: the guest's first process.
     """
@@ -45,7 +47,10 @@ def run(
             shutil.copytree(results / "kept", kept, dirs_exist_ok=True)
         status, output = results / "status", results / "output"
         if not status.exists():
-            return 125, f"the guest died:\n{done.stdout.decode(errors='replace')}{done.stderr.decode(errors='replace')}"
+            return (
+                DIED,
+                f"the guest died:\n{done.stdout.decode(errors='replace')}{done.stderr.decode(errors='replace')}",
+            )
         return int(status.read_text()), output.read_text(errors="replace")
 
 

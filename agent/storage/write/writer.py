@@ -273,7 +273,7 @@ class StoreWriter:
             queue, self._queue, self._queued = self._queue, [], 0
             self._condition.notify_all()
         for records in queue:
-            for rig in {r.rig: None for r in records if r.rig in self._thinners}:
+            for rig in {r.rig: None for r in records if r.rig in self._runs}:
                 self._keep(rig, self._thinners[rig].feed([r for r in records if r.rig == rig]))
         if last:
             for rig, thinner in self._thinners.items():

@@ -1,11 +1,15 @@
 """A running agent takes up changed files: rigs that change start anew, the others lose nothing; it says how it is."""
 
 import json
+import os
+import re
 import signal
+import socket
 import tarfile
+import threading
 import urllib.request
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
 
@@ -51,6 +55,33 @@ class Gateway:
         wait_until(lambda: rows(self.db, query, rig, run - 1)[0][0] >= least, f"rows of {rig}, run {run}")
 
 
+class Manager:
+    """A service manager's socket, and what has come to it."""
+
+    def __init__(self, file: Path) -> None:
+        self.said: list[str] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(file))
+        self._thread = threading.Thread(target=self._work)
+        self.environment = {"NOTIFY_SOCKET": str(file), "WATCHDOG_USEC": "60000000"}
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        os.environ.update(self.environment)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for name in self.environment:
+            del os.environ[name]
+        self._socket.sendto(b"", self._socket.getsockname())
+        self._thread.join()
+        self._socket.close()
+
+    def _work(self) -> None:
+        while message := self._socket.recv(4096):
+            self.said.append(message.decode())
+
+
 @pytest.fixture(scope="module")
 def left(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What a day of an administrator left behind, in seconds."""
@@ -59,11 +90,11 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     found: dict[str, Any] = {}
     with simulator(folder, text, "--scenario", "steady"):
         gateway = Gateway(folder, text)
-        with agent(gateway.folder) as running:
+        with Manager(folder / "notify") as manager, agent(gateway.folder) as running:
             found |= live_through(gateway, running, folder)
             found["document"] = running.document()
             found["log"] = running.err
-    found["gateway"] = gateway
+    found["gateway"], found["said"] = gateway, manager.said
     return found
 
 
@@ -83,12 +114,32 @@ def live_through(gateway: Gateway, running: Agent, folder: Path) -> dict[str, An
     found["after refusal"] = status(gateway.db)
     with urllib.request.urlopen(f"http://127.0.0.1:{gateway.port}/metrics", timeout=5.0) as answer:
         found["metrics"] = answer.read().decode()
+    found["peak_mb"] = peak_mb(running.process.pid)
     diag.diag(gateway.db, folder / "diag.tar.gz")
     gateway.write("right", "0.6", limit="14.0")
     (gateway.folder / "third.toml").unlink()
     running.process.send_signal(signal.SIGHUP)
     wait_until(lambda: gateway.rigs() == ["left", "right"], "the third to leave")
     return found
+
+
+def peak_mb(pid: int) -> float:
+    """Return the most memory that a process has had resident."""
+    line = re.search(r"VmHWM:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
+    assert line is not None
+    return int(line[1]) / 1024
+
+
+def test_service_manager_hears_of_start_reloads_and_end(left: dict[str, Any]) -> None:
+    states = [line for said in left["said"] for line in said.splitlines() if not line.startswith("STATUS")]
+    steps = [line.partition("=")[0] for line in states if line != "WATCHDOG=1"]
+    assert steps == ["READY", *["RELOADING", "MONOTONIC_USEC", "READY"] * 4, "STOPPING"]
+    assert states.count("WATCHDOG=1") >= 3
+    assert any(re.search(r"STATUS=3 rigs: left \d+\.\d s behind, right ", said) for said in left["said"])
+
+
+def test_agent_of_three_rigs_keeps_within_its_memory(left: dict[str, Any]) -> None:
+    assert left["peak_mb"] <= 110.0 + 2 * 12.0
 
 
 def test_rig_whose_file_changed_starts_anew_and_only_that(left: dict[str, Any]) -> None:

@@ -220,3 +220,20 @@ def test_bundle_holds_what_support_needs_and_no_secret(left: dict[str, Any]) -> 
     assert b"refused" in parts["deltak-diag/log.txt"]
     assert json.loads(parts["deltak-diag/database/runs.json"])
     assert any(row["name"] == "hops" for row in json.loads(parts["deltak-diag/database/schema.json"]))
+
+
+@pytest.mark.soak
+def test_fifty_reloads_cost_the_other_rig_no_sample(tmp_path: Path) -> None:
+    text = example("modbus", tmp_path).read_text()
+    with simulator(tmp_path, text, "--scenario", "steady"):
+        gateway = Gateway(tmp_path, text)
+        with agent(gateway.folder) as running:
+            wait_until(lambda: min(hops(gateway.db, "left"), hops(gateway.db, "right")) >= 5, "rows of both")
+            for number in range(50):
+                gateway.write("right", "0.6", limit=f"{14 + number % 2}.5")
+                assert reload(gateway.db)["restarted"] == ["right"]
+            document = running.document()
+    samples = {run["rig"]: run["samples"] for run in document["runs"]}
+    assert samples["left"]["received"] == samples["left"]["used"] > 1000
+    assert (samples["left"]["rejected"], samples["left"]["dropped"], samples["left"]["gaps"]) == ({}, {}, 0)
+    assert (gateway.runs("left"), gateway.runs("right")) == (1, 51)

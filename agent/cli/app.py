@@ -58,6 +58,10 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout 
 Csv = Annotated[bool, typer.Option("--csv", help="CSV on stdout, every digit, empty for none.")]
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).", show_default=False)]
 Database = Annotated[Path, typer.Argument(metavar="DB", help="Database file of the agent.", show_default=False)]
+Agent = Annotated[
+    Path | None,
+    typer.Argument(metavar="[CONFIG|DB]", help="Whose agent; without it the only one there is.", show_default=False),
+]
 NewDb = Annotated[Path | None, typer.Option("--db", metavar="FILE", help="Database to write; created if missing.")]
 Rig = Annotated[str | None, typer.Option("--rig", help="Only this rig.")]
 Since = Annotated[
@@ -141,7 +145,7 @@ def check(
 
 @app.command()
 def run(
-    configs: Annotated[list[Path], typer.Argument(metavar="CONFIG", help="Configuration files (TOML).")],
+    configs: Annotated[list[Path], typer.Argument(metavar="CONFIG", help="Configuration files (TOML), or folders.")],
     db: NewDb = None,
     duration: Duration = None,
     json: Json = False,
@@ -153,6 +157,34 @@ def run(
 
     document = service.run(configs=configs, db=db, duration_s=duration, kind=kind.value)
     _answer(document, commands_results.print_results, as_json=json)
+
+
+@app.command()
+def status(agent: Agent = None, json: Json = False) -> None:
+    """Tell how a running agent is: rigs, sources, alarms, databases, threads."""
+    from agent.cli.gateway import status as commands_status
+
+    _answer(commands_status.status(agent), commands_status.print_status, as_json=json)
+
+
+@app.command()
+def reload(agent: Agent = None, json: Json = False) -> None:
+    """Have a running agent take up changed configurations; rigs whose files did not change lose no sample."""
+    from agent.cli.gateway import status as commands_status
+
+    _answer(commands_status.reload(agent), commands_status.print_reload, as_json=json)
+
+
+@app.command()
+def diag(
+    agent: Agent = None,
+    to: Annotated[Path, typer.Option(metavar="FILE.tar.gz", help="The bundle to write.")] = Path("deltak-diag.tar.gz"),
+    json: Json = False,
+) -> None:
+    """Bundle what support needs: configuration without secrets, log, ledgers, versions, status, raw samples."""
+    from agent.cli.gateway import diag as commands_diag
+
+    _answer(commands_diag.diag(agent, to), commands_diag.print_diag, as_json=json)
 
 
 @app.command()

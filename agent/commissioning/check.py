@@ -30,7 +30,7 @@ from agent.numerics.model.region import (
 from agent.numerics.model.statespace import Discrete, modes
 from agent.runtime.assembly.model_check import hidden_states, model_faults
 from agent.runtime.assembly.number_checks import attempted
-from agent.runtime.source_faults import source_error
+from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.sources import wire_steps
 from agent.storage.write.retention import Retention, bytes_per_rig_year
 from agent.types import FloatArray

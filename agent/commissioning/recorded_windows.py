@@ -10,7 +10,7 @@ from agent.blocks.rig_model import RigModel
 from agent.commissioning.prediction import (
     Excitation,
     assumed_excitation,
-    noise_to_expect,
+    expected_noise,
     recorded_excitation,
     sampled,
     windows,
@@ -77,7 +77,7 @@ def left_open(config: RigConfig, rig: RigModel, resolution: FloatArray, recorded
     if recorded is None or not rig.parameters:
         return []
     excitation = recorded_excitation(sampled(config, rig), recorded)
-    sigma, _ = noise_to_expect(config, resolution, excitation, recorded)
+    sigma, _ = expected_noise(config, resolution, excitation, recorded)
     look = _Look(config, excitation, max(windows(config)), _sizes(rig))
     if not len(excitation.starts(look.length)):
         return []

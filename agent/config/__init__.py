@@ -8,6 +8,7 @@
 from agent.config.linear import LinearModel, LinearParameter
 from agent.config.load import load, load_many, parse
 from agent.config.plugins import driver_class, driver_entries
+from agent.config.reading.toml_file import files_of
 from agent.config.tables import (
     Alarm,
     Channel,
@@ -16,6 +17,7 @@ from agent.config.tables import (
     Forecast,
     Mass,
     MechanicsModel,
+    Metrics,
     Model,
     Observer,
     Parameter,
@@ -36,6 +38,7 @@ __all__ = [
     "LinearParameter",
     "Mass",
     "MechanicsModel",
+    "Metrics",
     "Model",
     "Observer",
     "Parameter",
@@ -45,6 +48,7 @@ __all__ = [
     "Store",
     "driver_class",
     "driver_entries",
+    "files_of",
     "learnt_key",
     "load",
     "load_many",

@@ -13,6 +13,7 @@ from agent.config.tables import (
     Estimator,
     Forecast,
     MechanicsModel,
+    Metrics,
     Model,
     Parameter,
     Rig,
@@ -44,6 +45,7 @@ class Draft:
     columns: Columns = field(default_factory=Columns)
     forecast: Forecast = field(default_factory=Forecast)
     attached: list[str] = field(default_factory=list)
+    metrics: Metrics = field(default_factory=Metrics)
 
     @property
     def rate_hz(self) -> float | None:

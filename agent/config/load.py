@@ -26,14 +26,15 @@ from agent.config.tables import (
     Estimator,
     Forecast,
     MechanicsModel,
+    Metrics,
     Rig,
     RigConfig,
     Store,
 )
 from agent.errors import ConfigError, Fault
 
-TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast")
-RESERVED: Final = ("agent", "http", "mqtt", "metrics", "notify", "security")
+TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "metrics")
+RESERVED: Final = ("agent", "http", "mqtt", "notify", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
     ("alarm", "kind"): ("sensor", "source", "mismatch"),
@@ -131,6 +132,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.store = read_table(Store, raw.get("store", {}), "store", faults)
     _read_columns(raw.get("columns", {}), draft)
     draft.forecast = read_table(Forecast, raw.get("forecast", {}), "forecast", faults)
+    draft.metrics = read_table(Metrics, raw.get("metrics", {}), "metrics", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -213,9 +215,16 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),
         columns=draft.columns,
         forecast=draft.forecast.beside(draft.folder),
+        metrics=_placed(draft.metrics, draft.folder),
         file=file,
         sha256=sha256,
     )
+
+
+def _placed(metrics: Metrics, folder: Path) -> Metrics:
+    """Return the table with its path from the root on."""
+    file = metrics.textfile
+    return metrics if file is None else metrics.model_copy(update={"textfile": folder / file})
 
 
 def _store_path(path: Path) -> Path:

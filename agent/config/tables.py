@@ -6,10 +6,11 @@ These check each value by itself. What must hold between values stands in the `r
 import hashlib
 import json
 import math
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import Field, Strict
+from pydantic import Field, Strict, ValidationInfo, field_validator
 
 from agent.config.linear import ENTRY, LinearModel, LinearParameter
 from agent.config.reading.fields import (
@@ -31,6 +32,7 @@ from agent.config.reading.fields import (
 from agent.config.reading.units import Quantity, base_length, conversion, element_units
 
 GROUND = "ground"
+Setting = TypeVar("Setting", str, Path)
 Nodes = Annotated[tuple[Name, Name], Strict(False)]
 
 
@@ -261,6 +263,38 @@ class Forecast(Table):
     def beside(self, folder: Path) -> "Forecast":
         """Return the same with paths that start at a folder."""
         return self.model_copy(update={"like": tuple(folder / path for path in self.like)})
+class Metrics(Table):
+    """Where the agent's figures can be read, in the text form of Prometheus; they are those of the whole agent."""
+
+    unprotected: bool = False
+    listen: Text | None = None
+    textfile: FilePath | None = None
+
+    @field_validator("listen")
+    @classmethod
+    def _check_listen(cls, listen: str, info: ValidationInfo) -> str:
+        host, _, port = listen.rpartition(":")
+        if not host or not port.isdigit() or not 0 <= int(port) <= 65535:
+            raise ValueError(f'must be "ADDRESS:PORT" such as "127.0.0.1:9464", not "{listen}"')
+        is_local = host == "localhost" or host.startswith("127.") or host == "[::1]"
+        if not is_local and not info.data.get("unprotected"):
+            raise ValueError(
+                f'"{listen}" is open to other machines, without a password; say unprotected = true, or use 127.0.0.1'
+            )
+        return _with_library(listen)
+
+    @field_validator("textfile")
+    @classmethod
+    def _check_textfile(cls, file: Path) -> Path:
+        if file.suffix != ".prom":
+            raise ValueError(f'must end in .prom, which is what node_exporter reads, not "{file}"')
+        return _with_library(file)
+
+
+def _with_library(value: Setting) -> Setting:
+    if find_spec("prometheus_client") is None:
+        raise ValueError("needs prometheus_client, which is not installed; pip install 'deltak[metrics]'")
+    return value
 
 
 class Parameter(NamedTuple):
@@ -284,6 +318,7 @@ class RigConfig(Table):
     store: Store
     columns: Columns = Columns()
     forecast: Forecast = Forecast()
+    metrics: Metrics = Metrics()
     file: Path
     sha256: str
 

@@ -102,6 +102,10 @@ class EventWriter:
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
 
+    def is_alive(self) -> bool:
+        """Tell whether the thread runs."""
+        return self._thread.is_alive()
+
     def name(self, kind: str, parameter: str) -> str:
         """Return the path of a new record, from the database's folder; of several sources with * for each."""
         number, self._number = self._number, self._number + 1
@@ -122,14 +126,21 @@ class EventWriter:
         over = False
         while not over:
             with self._condition:
-                self._condition.wait_for(lambda: self._jobs or self._stopping, 60.0)
+                self._await_jobs()
                 jobs = list(self._jobs)
                 over = self._stopping
                 self._jobs.clear()
-            self.progress += 1
             for job in jobs:
+                self.progress += 1
                 self._write(job)
             self._prune()
+
+    def _await_jobs(self) -> None:
+        """Wait for a job, for a minute at most; who watches sees each second that the thread lives."""
+        for _ in range(60):
+            self.progress += 1
+            if self._condition.wait_for(lambda: self._jobs or self._stopping, 1.0):
+                return
 
     def _write(self, job: Job) -> None:
         try:

@@ -84,6 +84,10 @@ class Recorder:
     def start(self) -> None:
         self._thread.start()
 
+    def is_alive(self) -> bool:
+        """Tell whether the thread runs."""
+        return self._thread.is_alive()
+
     def record(self, block: SampleBlock, what: Capture | None = None) -> None:
         """Hand over a block and what was heard of it; what does not fit is counted as dropped."""
         with self._condition:

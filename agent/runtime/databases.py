@@ -8,6 +8,7 @@ from agent import __version__
 from agent.blocks.graph import graph_of
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig, learnt_key
+from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
@@ -21,27 +22,38 @@ def path_of(config: RigConfig, db: Path | None) -> Path:
     return db if db is not None else config.store.path
 
 
-def writers_of(configs: Sequence[RigConfig], db: Path | None, kind: RunKind) -> Mapping[Path, StoreWriter]:
-    """Return one writer a database, by its file."""
+def writers_of(
+    configs: Sequence[RigConfig], db: Path | None, kind: RunKind, handlers: Mapping[str, Handler] | None = None
+) -> dict[Path, StoreWriter]:
+    """Return one writer a database, by its file; handlers: what it may be asked for beside it."""
     grouped: dict[Path, list[RigConfig]] = {}
     for config in configs:
         grouped.setdefault(path_of(config, db), []).append(config)
-    return {path: _writer(path, members, kind) for path, members in grouped.items()}
+    return {path: _writer(path, members, kind, handlers or {}) for path, members in grouped.items()}
 
 
-def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWriter:
+def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
+    """Return what the runs of some rigs that begin now are."""
     now = wall_ns()
     boot = boot_id()
     offset = now - monotonic_ns()
-    runs = [
+    return [
         RunInfo(
             c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset, c.rig.site, c.rig.labels,
             graph_of(c),
-        ) for c in members
+        ) for c in configs
     ]  # fmt: skip
-    keep = _retention(members)
-    every_s = min(c.store.every_s for c in members)
-    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)
+
+
+def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind, handlers: Mapping[str, Handler]) -> StoreWriter:
+    every_s, keep = density_of(members)
+    runs = runs_of(members, kind)
+    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=handlers)
+
+
+def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention]:
+    """Return the period of estimates that a shared file keeps, s, and for how long it keeps rows."""
+    return min(c.store.every_s for c in members), _retention(members)
 
 
 def _retention(members: Sequence[RigConfig]) -> Retention:

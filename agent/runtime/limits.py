@@ -28,6 +28,21 @@ RAISE_NS = 2_000_000_000
 CLEAR_NS = 500_000_000
 """Computing is behind when the oldest sample has waited for longer, ns, and no more when it has waited for less."""
 
+# ------------------------------------------------------------------ watching the threads
+SILENCE_S = 60.0
+"""How long a thread may make no progress where no service manager sets an interval (WatchdogSec)."""
+LOOK_S = 1.0
+"""Threads are looked at this often at least."""
+WRITER_PATIENCE = 2.0
+"""Intervals of the watchdog that a thread that writes may be silent, others one: a slow disk is no hang."""
+
+# ------------------------------------------------------------------ exchanging rigs
+LEAVE_S = 3.0
+"""How long a rig that leaves goes on with what waits; the others' samples meanwhile wait in their queues."""
+RELOAD_S = 120.0
+"""How long whoever asks for a reload waits for it."""
+LOG_LINES = 500
+"""Newest lines of the log that are kept in memory for `deltak diag`."""
 # ------------------------------------------------------------------ the end
 FINISH_S = 2.0
 END_S = 2.8

@@ -58,14 +58,15 @@ class Waiting:
                 self._dropped.setdefault(use.source, Counter())[STOPPED] += len(what.block)
         return events
 
-    def counts(self, source: str, connection: Connection) -> tuple[Counts, Counter[str]]:
+    def counts(self, use: Use, connection: Connection) -> tuple[Counts, Counter[str]]:
         """Return what a source's driver counted up to the newest block that does not wait, and what was dropped since.
 
         So the ledger balances at any time.
         """
-        dropped = connection.dropped + self._dropped.get(source, Counter())
-        if not any(use.source == source and isinstance(what, Arrival) for use, what in self._queue):
-            return connection.counts, dropped
+        source = use.source
+        dropped = use.dropped(connection.dropped) + self._dropped.get(source, Counter())
+        if not any(other.source == source and isinstance(what, Arrival) for other, what in self._queue):
+            return use.counts(connection.counts), dropped
         return self.taken[source].counts if source in self.taken else Counts(), dropped
 
 

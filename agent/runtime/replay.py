@@ -17,13 +17,13 @@ from agent.clock import SampleLabels, boot_id, wall_ns
 from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
+from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.forecasts.making import Forecaster
 from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.ledger import Conservation
 from agent.runtime.limits import HEALTH_PERIOD_NS
 from agent.runtime.pipeline import Pipeline, resolutions
 from agent.runtime.results import RunSummary
-from agent.runtime.source_faults import source_error
 from agent.runtime.usability import Evidence, assess
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter

@@ -44,6 +44,10 @@ class RunSummary:
             elif isinstance(record, Health):
                 self._health[record.source] = record
 
+    def ledgers(self) -> dict[str, Health]:
+        """Return the newest ledger of each source."""
+        return dict(self._health)
+
     def advise(self, words: str) -> None:
         """Add words to the document's advice."""
         self._advice.append(words)

@@ -51,6 +51,8 @@ class RigRuntime:
         self._labels = SampleLabels(config.rig.sample_rate_hz)
         self._steady = SampleLabels(config.rig.sample_rate_hz)
         self._sampled_ns = 0
+        self.clock_steps = 0
+        """How often the wall clock was stepped while this ran."""
         self._publish = publish
         self.events: EventKeeper | None = None
         self.forecasts: ForecastThread | None = None
@@ -90,6 +92,24 @@ class RigRuntime:
             message = f"{words}; it is not used: learn it anew"
             log.warning("%s: %s", self.config.rig.name, message)
             self._emit([HealthEvent(self.config.rig.name, "baseline", self._wall(), "baseline unused", message)])
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The names of its sources."""
+        return tuple(source.name for source in self.config.source)
+
+    def is_lost(self, source: str) -> bool:
+        """Tell whether a source delivers nothing at present; from any thread."""
+        return self._lost.get(source, False)
+
+    def lag_s(self) -> float | None:
+        """Return the age of the newest sample that was taken; None before there is one. From any thread."""
+        return (monotonic_ns() - self._sampled_ns) / 1e9 if self._sampled_ns else None
+
+    def clock_offset_s(self) -> float | None:
+        """Return how far the newest time stamp is ahead of the wall clock as it is now; from any thread."""
+        newest, sampled = self.pipeline.newest_ns, self._sampled_ns
+        return (newest - sampled - wall_ns() + monotonic_ns()) / 1e9 if newest and sampled else None
 
     def hurry(self) -> None:
         """Do nothing but what every row takes from now on; from any thread."""
@@ -210,6 +230,7 @@ class RigRuntime:
         """Publish what time stamps mean from now on, before the rows that carry them, and each step of the clock."""
         rig = self.config.rig.name
         found: list[Record] = [ClockRecord(rig, a.label_ns, a.first, a.offset_ns) for a in self._labels.anchors]
+        self.clock_steps += len(self._labels.steps)
         for label, step in self._labels.steps:
             words = f"the wall clock was stepped by {step / 1e9:+.3f} s; time stamps start a new anchor"
             log.warning("%s", f"{words}; rows from before are kept as long as if it had not been")
@@ -249,7 +270,7 @@ class RigRuntime:
         Before there is one its instant is that of the first ledger, so standstill is one row however long it lasts.
         """
         conservation = {
-            use.source: Conservation(*self.waiting.counts(use.source, connection))
+            use.source: Conservation(*self.waiting.counts(use, connection))
             for connection in connections
             for use in connection.uses
             if use.rig == self.config.rig.name

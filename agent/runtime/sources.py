@@ -3,8 +3,8 @@
 import logging
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,17 @@ class Use:
     rig: str
     source: str
     columns: tuple[int, ...]
+    base: Counts | None = None
+    """What the connection had counted when the use began; None for nothing."""
+    base_dropped: Counter[str] = field(default_factory=Counter)
+
+    def counts(self, counts: Counts) -> Counts:
+        """Return what was counted since the use began."""
+        return counts if self.base is None else _since(counts, self.base)
+
+    def dropped(self, dropped: Counter[str]) -> Counter[str]:
+        """Return what was dropped since the use began."""
+        return dropped - self.base_dropped
 
 
 class Connection:
@@ -46,10 +57,15 @@ class Connection:
         dropped: samples of before it that found the queue full, by reason.
         progress: grows with every turn of the thread; a watchdog may read it.
         make_recorder: makes what records every block, where that is wanted, once the driver is open.
+        key: equal for sources that may share it.
     """
 
-    def __init__(self, driver: Driver, uses: Sequence[Use], stale_s: float, wake: threading.Event) -> None:
+    def __init__(
+        self, driver: Driver, uses: Sequence[Use], stale_s: float, wake: threading.Event, key: str = ""
+    ) -> None:
         self.uses = tuple(uses)
+        self.key = key
+        self._stale_s = stale_s
         self.dropped: Counter[str] = Counter()
         self.counts = Counts()
         self.progress = 0
@@ -89,6 +105,32 @@ class Connection:
     def is_alive(self) -> bool:
         """Whether the thread runs."""
         return self._thread.is_alive()
+
+    @property
+    def name(self) -> str:
+        """What status and log call it: the rig and the source that have read it for longest."""
+        return f"{self.uses[0].rig}/{self.uses[0].source}" if self.uses else self._driver.request.name
+
+    @property
+    def recorder(self) -> Recorder | None:
+        """What records it; None where nothing does, or not yet."""
+        return self._recorder
+
+    def serves(self, source: Source) -> bool:
+        """Tell whether a source of the same key can join while it is read: nothing of it need be opened anew."""
+        request = self._driver.request
+        has_fields = set(source.map.values()) <= set(request.fields)
+        is_patient = source.stale_s >= self._stale_s
+        return has_fields and is_patient and source.counter in {None, request.counter} and not source.record
+
+    def admit(self, rig: str, source: Source) -> None:
+        """Let a source join from the next block on; called by whoever takes, right after taking."""
+        columns = tuple(self._driver.request.fields.index(name) for name in source.map.values())
+        self.uses = (*self.uses, Use(rig, source.name, columns, self.counts, self.dropped.copy()))
+
+    def leave(self, rigs: Collection[str]) -> None:
+        """Let the sources of some rigs go."""
+        self.uses = tuple(use for use in self.uses if use.rig not in rigs)
 
     def take(self) -> tuple[list[Arrival], list[LinkEvent]]:
         """Return what waits, oldest first, and what happened to the link."""
@@ -185,22 +227,32 @@ def part(block: SampleBlock, columns: Sequence[int]) -> SampleBlock:
     return replace(block, values=values)
 
 
-def connect(configs: Sequence[RigConfig], wake: threading.Event) -> list[Connection]:
-    """Make one connection for each set of identical source keys over all rigs; nothing is opened yet."""
+def _since(counts: Counts, base: Counts) -> Counts:
+    return Counts(
+        counts.received - base.received, counts.rejected - base.rejected, counts.dropped - base.dropped,
+        counts.faults - base.faults, counts.reopened - base.reopened, counts.first,
+    )  # fmt: skip
+
+
+def connect(configs: Sequence[RigConfig], wake: threading.Event, there: Collection[str] = ()) -> list[Connection]:
+    """Make one connection for each set of identical source keys over all rigs; nothing is opened yet.
+
+    there: keys of connections that exist already.
+    """
     grouped: dict[str, list[tuple[RigConfig, Source]]] = {}
     for config in configs:
         for source in config.source:
             grouped.setdefault(source.connection(config.folder), []).append((config, source))
-    return [_connection(members, wake) for members in grouped.values()]
+    return [_connection(members, wake, key) for key, members in grouped.items() if key not in there]
 
 
-def _connection(members: Sequence[tuple[RigConfig, Source]], wake: threading.Event) -> Connection:
+def _connection(members: Sequence[tuple[RigConfig, Source]], wake: threading.Event, key: str) -> Connection:
     config, first = members[0]
     fields = tuple(dict.fromkeys(name for _, source in members for name in source.map.values()))
     counter = next((source.counter for _, source in members if source.counter is not None), None)
     driver = driver_class(first.driver)(SourceRequest(first.name, first.settings, fields, counter, config.folder))
     uses = [Use(rig.rig.name, s.name, tuple(fields.index(name) for name in s.map.values())) for rig, s in members]
-    return Connection(driver, uses, min(source.stale_s for _, source in members), wake)
+    return Connection(driver, uses, min(source.stale_s for _, source in members), wake, key)
 
 
 def wire_steps(config: RigConfig) -> Mapping[str, float]:

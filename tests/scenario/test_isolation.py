@@ -93,7 +93,7 @@ def test_fault_in_one_rig_leaves_the_other_rig_its_rows_and_starts_that_rig_anew
         play(service)
         for rig in service.rigs.values():
             rig.finish()
-        service._ledgers()
+        service.rig_set.ledgers()
     for writer in service.writers.values():
         writer.stop()
     found = {run["rig"]: run for run in (rig.summary.document(1.0) for rig in service.rigs.values())}

@@ -80,7 +80,7 @@ def ledgers(service: Service) -> dict[str, Health]:
     found: list[Any] = []
     for rig in service.rigs.values():
         rig._publish = found.extend
-    service._ledgers()
+    service.rig_set.ledgers()
     return {record.rig: record for record in found if isinstance(record, Health)}
 
 

@@ -163,3 +163,15 @@ def test_socket_left_by_a_killed_agent_is_replaced_and_long_paths_work(tmp_path:
     made.start()
     assert ask(path, "twice", number=3) == {"answer": 6}
     made.stop()
+
+
+def test_group_is_let_in_where_no_file_may_be_given_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    file = tmp_path / "x.sock"
+    file.touch(mode=0o600)
+    monkeypatch.setattr(os, "chown", refuse)
+    command_socket._let_in(file, 4711)
+    assert stat.S_IMODE(file.stat().st_mode) == 0o660
+    assert os.getxattr(file, "system.posix_acl_access") == command_socket.access_list(4711)

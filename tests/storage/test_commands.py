@@ -35,7 +35,7 @@ def path(tmp_path: Path) -> Path:
 def agent(path: Path) -> Iterator[StoreWriter]:
     """What writes to the file and serves its socket, as in a running agent."""
     Sick.cause = None
-    writer = StoreWriter(lambda: Sick.open(path), [run_info(started_ns=START + 1)], period_s=60.0, served=True)
+    writer = StoreWriter(lambda: Sick.open(path), [run_info(started_ns=START + 1)], period_s=60.0, served={})
     writer.start()
     yield writer
     Sick.cause = None

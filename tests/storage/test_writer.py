@@ -293,7 +293,7 @@ def test_writer_counts_what_is_left_and_closes_its_file_where_its_socket_cannot_
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Sick.cause = None
-    writer = StoreWriter(lambda: Sick.open(path), [run_info()], period_s=LONG, served=True)
+    writer = StoreWriter(lambda: Sick.open(path), [run_info()], period_s=LONG, served={})
     writer.start()
     Sick.cause = FULL
     monkeypatch.setattr("agent.storage.write.command_socket.CommandServer.stop", _read_only)

@@ -11,21 +11,25 @@ from pathlib import Path
 from tests import peers
 
 INIT = Path(__file__).with_name("guest-init.sh")
+DIED = 125
+"""Status of a command whose guest died."""
 MODULES = "/usr/lib/uml/modules"
 
 
-def run(command: Sequence[str], folder: Path, limit_s: float, kept: Path | None = None) -> tuple[int, str]:
-    """Return exit status and output of a command run in `folder` of a fresh guest; status 125 when the guest died.
+def run(
+    command: Sequence[str], folder: Path, limit_s: float, kept: Path | None = None, init: Path = INIT
+) -> tuple[int, str]:
+    """Return exit status and output of a command run in `folder` of a fresh guest; status DIED when the guest died.
 
-    What the command leaves in the folder that $RESULTS names goes to `kept`.
+    What the command leaves in the folder that $RESULTS names goes to `kept`; init: the guest's first process.
     """
     linux = peers.program("linux.uml", "user-mode-linux")
     peers.program("insmod", "kmod")
     with tempfile.TemporaryDirectory(prefix="guest") as name:
         results = Path(name)
-        init = results / "init"
-        init.write_bytes(INIT.read_bytes())
-        init.chmod(0o755)
+        first = results / "init"
+        first.write_bytes(init.read_bytes())
+        first.chmod(0o755)
         (results / "kept").mkdir()
         (results / "lean").mkdir()
         # what python-can imports only for MF4 logs (pandas and more): a guest takes seconds over it
@@ -33,7 +37,7 @@ def run(command: Sequence[str], folder: Path, limit_s: float, kept: Path | None 
         (results / "command").write_text(_script(command, folder, results))
         arguments = [
             linux, "mem=512M", f"uml_dir={results}", "umid=guest", "root=/dev/root", "rootfstype=hostfs", "rootflags=/",
-            "ro", "quiet", "loglevel=3", "panic=1", "con=null", "con0=null,fd:1", "ssl=null", f"init={init}",
+            "ro", "quiet", "loglevel=3", "panic=1", "con=null", "con0=null,fd:1", "ssl=null", f"init={first}",
             f"results={results}", f"modules={MODULES}",
         ]  # fmt: skip
         done = subprocess.run(
@@ -43,7 +47,10 @@ def run(command: Sequence[str], folder: Path, limit_s: float, kept: Path | None 
             shutil.copytree(results / "kept", kept, dirs_exist_ok=True)
         status, output = results / "status", results / "output"
         if not status.exists():
-            return 125, f"the guest died:\n{done.stdout.decode(errors='replace')}{done.stderr.decode(errors='replace')}"
+            return (
+                DIED,
+                f"the guest died:\n{done.stdout.decode(errors='replace')}{done.stderr.decode(errors='replace')}",
+            )
         return int(status.read_text()), output.read_text(errors="replace")
 
 

@@ -10,6 +10,11 @@ from agent.config.reading.parse import Faults
 _SECRET: Final = re.compile(r"(^|_)(password|passwd|passphrase|secret|token|api_?key|private_key)$", re.IGNORECASE)
 
 
+def is_secret(key: str) -> bool:
+    """Tell by a key's name whether its value is a secret."""
+    return _SECRET.search(key) is not None
+
+
 def check_no_plain_secrets(raw: object, path: str, faults: Faults) -> None:
     """Note every secret, at any depth, that is not of the form { file = "..." } or { env = "..." }."""
     if isinstance(raw, list):
@@ -18,7 +23,7 @@ def check_no_plain_secrets(raw: object, path: str, faults: Faults) -> None:
     if not isinstance(raw, dict):
         return
     for key, value in raw.items():
-        if not _SECRET.search(key):
+        if not is_secret(key):
             check_no_plain_secrets(value, join(path, key), faults)
         elif not _is_reference(value):
             what = "a secret must not stand in a configuration"

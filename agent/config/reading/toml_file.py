@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,26 @@ _PLACE: Final = re.compile(
 
 # tomllib takes time with the square of a dotted key's parts; possessive, so that the search itself is linear.
 _LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){64}""")
+
+
+def files_of(paths: Iterable[str | Path]) -> list[Path]:
+    """Return the files that paths name: a file stands for itself, a folder (a conf.d) for its *.toml, sorted.
+
+    Raises ConfigError for a folder without any, or one that cannot be read.
+    """
+    return [file for path in paths for file in _files(Path(path))]
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    try:
+        found = sorted(entry for entry in path.iterdir() if entry.suffix == ".toml" and not entry.name.startswith("."))
+    except OSError as error:
+        raise ConfigError.at(str(path), f"cannot be read: {error.strerror}", "let the agent's user read it") from error
+    if not found:
+        raise ConfigError.at(str(path), "holds no *.toml", "put the configuration of a rig there")
+    return found
 
 
 def read_bytes(file: Path) -> bytes:

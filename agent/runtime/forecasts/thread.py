@@ -24,20 +24,39 @@ _MOST_WAITING = 64
 class ForecastThread:
     """Makes what is asked for, one parameter after the other; asking again for what waits changes nothing."""
 
-    def __init__(self, forecasters: Mapping[str, Forecaster], settle_s: float = SETTLE_S) -> None:
-        self._forecasters, self._settle_s = forecasters, settle_s
+    def __init__(self, forecasters: Mapping[str, Forecaster] | None = None, settle_s: float = SETTLE_S) -> None:
+        self._forecasters = dict(forecasters or {})
+        self._settle_s = settle_s
         self._condition = threading.Condition()
         self._asked: OrderedDict[tuple[str, str], tuple[str, float]] = OrderedDict()
-        self._made: dict[str, list[Made]] = {rig: [] for rig in forecasters}
+        self._made: dict[str, list[Made]] = {rig: [] for rig in self._forecasters}
+        self._begun = False
         self._ended = False
         self._thread = threading.Thread(target=self._work, name="forecasts", daemon=True)
         self.progress = 0
         """Grows with every forecast; a watchdog may read it."""
 
     def start(self) -> None:
-        """Begin to work, where there is anything to look at."""
-        if self._forecasters:
+        """Begin to work, as soon as there is anything to look at."""
+        self._begun = True
+        if self._forecasters and self._thread.ident is None:
             self._thread.start()
+
+    def admit(self, rig: str, forecaster: Forecaster) -> None:
+        """Take up a rig, in the place of one of that name."""
+        with self._condition:
+            self._forecasters[rig] = forecaster
+            self._made[rig] = []
+        if self._begun:
+            self.start()
+
+    def leave(self, rig: str) -> None:
+        """Forget a rig, and what is made of it meanwhile."""
+        with self._condition:
+            self._forecasters.pop(rig, None)
+            self._made.pop(rig, None)
+            for asked in [key for key in self._asked if key[0] == rig]:
+                del self._asked[asked]
 
     def ask(self, rig: str, parameter: str, cause: str) -> None:
         """Have a parameter looked at, a moment later; never waits."""
@@ -62,14 +81,15 @@ class ForecastThread:
     def _work(self) -> None:
         _lower_priority()
         while (job := self._next()) is not None:
-            rig, parameter, cause = job
-            made = self._forecasters[rig].make(cause, (parameter,))
+            forecaster, parameter, cause = job
+            made = forecaster.make(cause, (parameter,))
             with self._condition:
                 self.progress += 1
-                self._made[rig] = [*self._made[rig], made][-_MOST_WAITING:]
+                if self._forecasters.get(forecaster.rig) is forecaster:
+                    self._made[forecaster.rig] = [*self._made[forecaster.rig], made][-_MOST_WAITING:]
 
-    def _next(self) -> tuple[str, str, str] | None:
-        """Wait for the next that is due and return its rig, parameter and cause; None at the end."""
+    def _next(self) -> tuple[Forecaster, str, str] | None:
+        """Wait for the next that is due and return who makes it, of what and why; None at the end."""
         with self._condition:
             while not self._ended:
                 wait_s = None
@@ -78,7 +98,7 @@ class ForecastThread:
                     wait_s = at - time.monotonic()
                     if wait_s <= 0.0:
                         del self._asked[rig, parameter]
-                        return rig, parameter, cause
+                        return self._forecasters[rig], parameter, cause
                 self._condition.wait(wait_s)
         return None
 

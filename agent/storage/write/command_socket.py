@@ -13,6 +13,7 @@ import json
 import os
 import selectors
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -190,10 +191,25 @@ def _admit(file: Path, group: int | None) -> None:
         return
     handle = os.open(file, os.O_PATH | os.O_NOFOLLOW)
     try:
-        os.chown(f"/proc/self/fd/{handle}", -1, group)
-        Path(f"/proc/self/fd/{handle}").chmod(0o660)
+        _let_in(Path(f"/proc/self/fd/{handle}"), group)
     finally:
         os.close(handle)
+
+
+def _let_in(file: Path, group: int) -> None:
+    try:
+        os.chown(file, -1, group)
+        file.chmod(0o660)
+    except PermissionError:  # a service that may give no file away still sets its access control list
+        os.setxattr(file, "system.posix_acl_access", access_list(group))
+
+
+def access_list(group: int) -> bytes:
+    """Return a POSIX access control list as acl(5) and the kernel have it: the owner and one group, nobody else."""
+    nobody = 0xFFFFFFFF
+    owner, own_group, named_group, mask, others = 0x01, 0x04, 0x08, 0x10, 0x20
+    rows = [(owner, 6, nobody), (own_group, 0, nobody), (named_group, 6, group), (mask, 6, nobody), (others, 0, nobody)]
+    return struct.pack("<I", 2) + b"".join(struct.pack("<HHI", *row) for row in rows)
 
 
 class _short_name:  # noqa: N801 - used like a function

@@ -17,12 +17,15 @@ from agent.types import AlarmTransition, Baseline
 
 
 def serve(
-    path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None], on_baselines: Callable[[Store], None]
-) -> CommandServer:
-    """Listen on the database's socket. Raises OSError where no socket can be made.
+    path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None], on_baselines: Callable[[Store], None],
+    handlers: Mapping[str, Handler],
+) -> CommandServer:  # fmt: skip
+    """Listen on the database's socket, for what changes it and for what others answer.
 
     notify: called in the writer's thread with each step of an alarm that an operator made, once it is committed.
     on_baselines: called there when some were stored.
+
+    Raises OSError where no socket can be made.
     """
 
     def through(act: Any) -> Handler:
@@ -42,8 +45,8 @@ def serve(
     def baselines(asked: Mapping[str, Any]) -> Mapping[str, Any]:
         return dict(jobs.ask(partial(_store_baselines, asked["baselines"], on_baselines)))
 
-    commands = {"alarm": alarm, "baseline": baselines, "compact": through(_compact), "repair": through(_repair)}
-    server = CommandServer(path, commands)
+    own = {"alarm": alarm, "baseline": baselines, "compact": through(_compact), "repair": through(_repair)}
+    server = CommandServer(path, {**own, **handlers})
     server.start()
     return server
 

@@ -94,6 +94,10 @@ class TierKeeper:
         self._parts: dict[int, list[int]] = {}
         self._purged_at: dict[int, int] = {}
 
+    def retain(self, keep: Retention) -> None:
+        """Keep rows for other times from now on."""
+        self._keep = keep
+
     def load(self) -> None:
         """Find the runs whose rows are not all aggregated, whatever ended them."""
         for (run_id,) in self._store.connection.execute("SELECT seq FROM runs").fetchall():

@@ -108,6 +108,11 @@ class Store:
             raise
         return store
 
+    def retain(self, keep: Retention) -> None:
+        """Keep rows for other times, and in a file of another size, from now on."""
+        self._keep = keep
+        self._tiers.retain(keep)
+
     def _new_run_rows(self, settings: dict[str, list[ClockRecord]]) -> RunRows:
         return RunRows(self.names, self.numbers, lambda: self.connection, self._tiers.watch, settings)
 

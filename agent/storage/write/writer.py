@@ -4,9 +4,10 @@ import logging
 import sqlite3
 import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
+from agent.clock import wall_ns
 from agent.errors import StoreError
 from agent.storage.database.connect import cause_of, is_damage
 from agent.storage.tables.alarms import AlarmRow
@@ -14,10 +15,12 @@ from agent.storage.tables.rows import Plan
 from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import expire_shelves
 from agent.storage.write.backlog import Backlog, Pause, cells_of
-from agent.storage.write.command_socket import CommandServer
+from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.commands import serve
 from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import JobQueue
+from agent.storage.write.latency import Histogram
+from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.types import AlarmTransition, Baseline, ClockRecord, EstimateBatch, HealthEvent, Learnt, Record, RunInfo
 
@@ -41,7 +44,7 @@ class StoreWriter:
         lossless: for replays: `publish` waits for the disk instead of dropping, and a failing disk is an error.
         most_cells: rows that wait in memory at most, a rig.
         on_event: told of every HealthEvent that the writer makes itself (in the writer's thread).
-        served: others may ask for what changes the file, through the socket beside it.
+        served: others may ask for what changes the file, through the socket beside it, and for these; None: no socket.
     """
 
     def __init__(
@@ -54,13 +57,13 @@ class StoreWriter:
         most_cells: int = 200_000,
         period_s: float = 1.0,
         on_event: Callable[[HealthEvent], None] = lambda _: None,
-        served: bool = False,
+        served: Mapping[str, Handler] | None = None,
     ) -> None:
-        self._opener = opener
-        self._runs = {run.rig: run for run in runs}
-        self._thinners = {run.rig: Thinner(every_s) for run in runs}
-        self._backlogs = {run.rig: Backlog(most_cells) for run in runs}
-        self._newest = {run.rig: run.started_ns for run in runs}
+        self._opener, self._every_s = opener, every_s
+        self._runs: dict[str, RunInfo] = {}
+        self._thinners: dict[str, Thinner] = {}
+        self._backlogs: dict[str, Backlog] = {}
+        self._newest: dict[str, int] = {}
         self._lossless, self._most, self._period, self._on_event = lossless, most_cells, period_s, on_event
         self._store: Store | None = None
         self._flight: dict[str, list[Record]] = {}
@@ -72,7 +75,7 @@ class StoreWriter:
         self._asked = self._answered = 0
         self._pause = Pause()
         self._failure: BaseException | None = None
-        self._failed_at = dict(self._newest)
+        self._failed_at: dict[str, int] = {}
         self._spilling = False
         self._served = served
         self._server: CommandServer | None = None
@@ -94,6 +97,11 @@ class StoreWriter:
         self.broken: str | None = None
         """What ended the thread where no disk did, in words; nothing is stored after it."""
         self.dropped_at_queue: Counter[str] = Counter()
+        self.occupied = False
+        """Whether it does what takes as long as it takes: a command, or saving a damaged file."""
+        self.latency: dict[str, Histogram] = {}
+        """From the newest sample of each commit to the disk, by rig."""
+        self._admit(runs)
 
     # --- the pipeline's side -----------------------------------------------------------------------------------
 
@@ -121,6 +129,19 @@ class StoreWriter:
             if any(isinstance(r, AlarmTransition) for r in records) or self._queued > self._most // 8:
                 self._urgent = True
                 self._condition.notify_all()
+
+    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention) -> None:
+        """End the runs of some rigs, all of whose records were published, and begin others, in the writer's thread.
+
+        every_s and keep hold from now on. Raises StoreError where the store cannot be written at present; nothing is
+        changed then.
+        """
+
+        def act(store: Store) -> None:
+            store.retain(keep)
+            self._exchange(leaving, entering, every_s)
+
+        self._jobs.ask(act)
 
     def flush(self, timeout_s: float = 30.0) -> bool:
         """Wait until everything published so far is committed; False when that did not happen in time."""
@@ -170,6 +191,14 @@ class StoreWriter:
     def failing(self) -> str | None:
         """Why the store cannot be written at present; None when it can."""
         return self._pause.cause
+
+    def _admit(self, runs: Sequence[RunInfo]) -> None:
+        for run in runs:
+            self._runs[run.rig] = run
+            self._thinners[run.rig] = Thinner(self._every_s)
+            self._backlogs[run.rig] = Backlog(self._most)
+            self._newest[run.rig] = self._failed_at[run.rig] = run.started_ns
+            self.latency.setdefault(run.rig, Histogram())
 
     def _only_alarms(self, records: Sequence[Record]) -> list[Record]:
         kept: list[Record] = [r for r in records if isinstance(r, AlarmTransition | ClockRecord)]
@@ -229,13 +258,28 @@ class StoreWriter:
     def _wait_s(self) -> float:
         return min(self._period, self._pause.length_s) if self._pause.cause else self._period
 
+    def _exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float) -> None:
+        self._collect(last=False)
+        for rig in self._thinners if every_s != self._every_s else leaving:
+            self._keep(rig, self._thinners[rig].flush())
+            self._thinners[rig] = Thinner(every_s)
+        self._every_s = every_s
+        self._write_all(last=False)
+        tables = (self._runs, self._thinners, self._backlogs, self._newest, self._failed_at, self.run_ids,
+                  self.standing, self.learnt, self.baselines)  # fmt: skip
+        for rig in leaving:
+            for table in tables:
+                table.pop(rig, None)
+        self._admit(entering)
+        self._attach()
+
     def _collect(self, last: bool) -> None:
         """Thin what came and put it into the backlog of its rig."""
         with self._condition:
             queue, self._queue, self._queued = self._queue, [], 0
             self._condition.notify_all()
         for records in queue:
-            for rig in {r.rig: None for r in records}:
+            for rig in {r.rig: None for r in records if r.rig in self._runs}:
                 self._keep(rig, self._thinners[rig].feed([r for r in records if r.rig == rig]))
         if last:
             for rig, thinner in self._thinners.items():
@@ -279,10 +323,18 @@ class StoreWriter:
         if not self._plans:
             self._plans = [p for rig, records in self._flight.items() for p in store.encode(self.run_ids[rig], records)]
         store.commit(self._plans)
+        self._note_latency()
         for rig, records in self._flight.items():
             self.written += sum(map(cells_of, records))
             self._report_stored(rig, records)
         self._flight, self._plans = {}, []
+
+    def _note_latency(self) -> None:
+        now = wall_ns()
+        for rig, records in self._flight.items():
+            newest = self._newest_stored(records)
+            if newest:
+                self.latency[rig].observe(max(0.0, (now - newest) / 1e9))
 
     def _report_stored(self, rig: str, records: Sequence[Record]) -> None:
         """Log what is on the disk from now on, whatever happens next."""
@@ -300,8 +352,10 @@ class StoreWriter:
     def _run_jobs(self) -> None:
         if self._store is None or self._pause.cause:
             self._jobs.refuse(f"cannot write to it at present ({self._pause.cause})", "look at its disk")
-        else:
+        elif self._jobs:
+            self.occupied = True
             self._jobs.run(self._store)
+            self.occupied = False
 
     def _attach(self) -> None:
         """See that the store is open, its socket is there and the runs are begun."""
@@ -310,8 +364,8 @@ class StoreWriter:
         if self._store.recovery is not None:  # a new file
             self.run_ids.clear()
             self._plans = []
-        if self._served and self._server is None:
-            self._server = self._serve(self._store)
+        if self._served is not None and self._server is None:
+            self._server = self._serve(self._store, self._served)
         for rig, run in self._runs.items():
             if rig not in self.run_ids:
                 self.learnt.setdefault(rig, self._store.learnt(run))
@@ -319,9 +373,9 @@ class StoreWriter:
                 self.baselines[rig] = self._store.baselines(rig)
                 self.run_ids[rig] = self._store.begin_run(run)
 
-    def _serve(self, store: Store) -> CommandServer | None:
+    def _serve(self, store: Store, handlers: Mapping[str, Handler]) -> CommandServer | None:
         try:
-            return serve(store.path, self._jobs, self._notify, self._take_baselines)
+            return serve(store.path, self._jobs, self._notify, self._take_baselines, handlers)
         except OSError as error:
             log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
             return None
@@ -358,7 +412,11 @@ class StoreWriter:
     def _replace_file(self, cause: str) -> None:
         """Go on in a new file that holds what could be read of the damaged one; rows in flight are stored anew."""
         assert self._store is not None  # noqa: S101 - checked by the caller
-        self._store.recover(cause)
+        self.occupied = True
+        try:
+            self._store.recover(cause)
+        finally:
+            self.occupied = False
 
     def _report_spilling(self, spilling: bool) -> None:
         """Say once when rows begin to go to the side file, and once when they are taken in again."""

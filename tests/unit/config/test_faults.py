@@ -22,7 +22,7 @@ PRESS_TABLE = [
     ("[store]", "[mqtt]\n[store]", "mqtt", "not in this version"),
     ("[store]", "[agent]\n[store]", "agent", "not in this version"),
     ("[store]", "[http]\nport = 80\n[store]", "http", "not in this version"),
-    ("[store]", "[metrics]\n[store]", "metrics", "not in this version"),
+    ("[store]", "[mqtt]\n[store]", "mqtt", "not in this version"),
     ("[store]", "[notify]\n[store]", "notify", "not in this version"),
     ("[store]", "[security]\n[store]", "security", "not in this version"),
     ("[[alarm]]", "[alarm]", "alarm", "must be a list of tables, not a table; write [[alarm]]"),

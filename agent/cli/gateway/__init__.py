@@ -1,0 +1,1 @@
+"""What a gateway's administrator asks a running agent: status, reload, diag."""

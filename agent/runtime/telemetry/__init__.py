@@ -1,0 +1,4 @@
+"""Metrics: what they are, and where they go.
+
+Imported by the service alone.
+"""

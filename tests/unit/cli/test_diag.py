@@ -1,0 +1,63 @@
+"""The bundle for support: the newest minute of raw samples, and texts without a secret."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.cli.gateway.newest_samples import newest_samples
+from agent.cli.gateway.redaction import Redaction
+from agent.recording import blocks
+from agent.recording.header import RawHeader
+from drivers.port import SampleBlock
+
+S = 1_000_000_000
+
+
+def recorded(folder: Path, seconds: int) -> Path:
+    """Write a raw recording with a block a second, and one of frames; return the database beside them."""
+    raw = folder / "rig.db.raw"
+    raw.mkdir()
+    header = RawHeader("line", ("force",), None, "ab" * 32, "0.1.0", 1, rig="press")
+    made = [SampleBlock(np.full((2, 1), float(t)), t * S) for t in range(seconds)]
+    (raw / "press-line-00000000.raw").write_bytes(b"older")
+    content = blocks.encode_header(header) + b"".join(map(blocks.encode_block, made))
+    (raw / "press-line-00000001.raw").write_bytes(content)
+    (raw / "press-can-00000007.log").write_text("".join(f"({t}.5) can0 100#00\n" for t in range(seconds)))
+    return folder / "rig.db"
+
+
+def test_newest_minute_of_each_source_is_taken_from_its_newest_file(tmp_path: Path) -> None:
+    found = dict(newest_samples(recorded(tmp_path, 150)))
+    assert set(found) == {"press-line-00000001.raw", "press-can-00000007.log"}
+    (tmp_path / "again.raw").write_bytes(found["press-line-00000001.raw"])
+    again = list(blocks.read_blocks(tmp_path / "again.raw"))
+    assert [block.arrival_ns // S for block in again] == list(range(89, 150))
+    lines = found["press-can-00000007.log"].decode().splitlines()
+    assert (lines[0], len(lines)) == ("(89.5) can0 100#00", 61)
+
+
+def test_database_without_recordings_has_no_samples(tmp_path: Path) -> None:
+    assert list(newest_samples(tmp_path / "rig.db")) == []
+
+
+@pytest.mark.parametrize("text", [
+    'password = "planted-1"', "password = 'planted-1'", 'x = { password = "planted-1", y = 2 }',
+    '{"api_key": "planted-1"}', "mqtt_token: planted-1", "broker = mqtt://anna:planted-1@broker:1883",
+    'secret = """\nplanted-1\n"""', "the broker refused planted-2", "env had planted-3", "a wrong planted-4 in a log",
+])  # fmt: skip
+def test_no_secret_is_left_however_it_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    (tmp_path / "key").write_text("planted-2\n")
+    monkeypatch.setenv("BROKER_PASSWORD", "planted-3")
+    config = tmp_path / "rig.toml"
+    config.write_text(
+        '[mqtt]\npassword = { file = "key" }\n[[north]]\ntoken = { env = "BROKER_PASSWORD" }\nsecret = "planted-4"\n'
+    )
+    cleaned = Redaction([config, tmp_path / "gone.toml"]).cleaned(text.encode()).decode()
+    assert "planted" not in cleaned
+    assert "REMOVED" in cleaned
+
+
+def test_what_is_no_secret_stays_to_the_letter(tmp_path: Path) -> None:
+    text = '[mqtt]\npassword = { file = "key" }\n[rig]\nname = "press-7" # the tokens of hall 2\nk = [1.5e-3]\n'
+    assert Redaction([]).cleaned(text.encode()).decode() == text

@@ -1,0 +1,100 @@
+"""The watchdog is fed while every thread makes progress; what the service manager is told, to the letter."""
+
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from agent.runtime.process.heartbeats import Heartbeats, Thread
+from agent.runtime.process.service_manager import ServiceManager
+from agent.runtime.process.watch import Watch
+
+S = 1_000_000_000
+
+
+class Told:
+    """A service manager's socket."""
+
+    def __init__(self, address: str) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(address)
+        self._socket.settimeout(5.0)
+
+    def next(self) -> str:
+        return self._socket.recv(4096).decode()
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Told, ServiceManager]]:
+    if request.param == "path":
+        address = name = str(tmp_path / "notify")
+    else:
+        name = f"@deltak-test-{os.getpid()}"
+        address = "\0" + name[1:]
+    told = Told(address)
+    yield told, ServiceManager({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "8000000"})
+    told.close()
+
+
+def test_manager_gets_fields_one_a_line_with_no_line_break_inside(manager: tuple[Told, ServiceManager]) -> None:
+    told, ours = manager
+    ours.say(READY=1, STATUS="two\nlines")
+    assert told.next() == "READY=1\nSTATUS=two lines"
+
+
+def test_without_a_manager_or_with_one_that_left_nothing_is_said(tmp_path: Path) -> None:
+    ServiceManager({}).say(READY=1)
+    ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "gone")}).say(READY=1)
+    ServiceManager({"NOTIFY_SOCKET": "vsock:2:1234"}).say(READY=1)
+
+
+@pytest.mark.parametrize(("environment", "interval_s"), [
+    ({}, None), ({"WATCHDOG_USEC": "30000000"}, 30.0), ({"WATCHDOG_USEC": "0"}, None),
+    ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": "1"}, None),
+    ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": str(os.getpid())}, 30.0),
+])  # fmt: skip
+def test_interval_is_read_as_sd_watchdog_enabled_does(environment: dict[str, str], interval_s: float | None) -> None:
+    assert ServiceManager(environment).watchdog_s == interval_s
+
+
+def test_thread_that_stalls_ends_the_feeding_and_is_named(
+    manager: tuple[Told, ServiceManager], caplog: pytest.LogCaptureFixture
+) -> None:
+    told, ours = manager
+    count = {"read can0": 0, "processing": 0}
+    watch = Watch(lambda: [Thread(name, n) for name, n in count.items()], lambda: "1 rig", ours, 60.0, 1.0)
+    for second in range(9):
+        count["processing"] += 1
+        watch.step(second * S)
+        assert told.next() == "WATCHDOG=1\nSTATUS=1 rig"
+    count["processing"] += 1
+    watch.step(9 * S)
+    assert told.next() == "STATUS=no progress: read can0"
+    assert [record.args[0] for record in caplog.records] == ["read can0"]
+    count["read can0"] += 1
+    watch.step(10 * S)
+    assert told.next().startswith("WATCHDOG=1")
+
+
+def test_agent_without_processor_time_is_not_taken_for_a_hung_one() -> None:
+    heartbeats = Heartbeats(lambda: [Thread("write", 7)], 60.0, 1.0)
+    heartbeats.look(0)
+    # the watcher itself was given the processor once in ten minutes: two periods count
+    assert heartbeats.look(600 * S) == []
+    assert heartbeats.beats["write"].silent_s == 2.0
+    assert heartbeats.beats["write"].last_ns == 0
+
+
+def test_thread_that_ended_or_is_occupied_does_not_stop_the_feeding() -> None:
+    heartbeats = Heartbeats(lambda: [Thread("read", 1, alive=False)], 2.0, 1.0)
+    assert [heartbeats.look(second * S) for second in range(9)] == [[]] * 9
+
+
+def test_patient_thread_may_be_silent_for_longer() -> None:
+    heartbeats = Heartbeats(lambda: [Thread("write", 1, patience=2.0)], 2.0, 1.0)
+    assert [heartbeats.look(second * S) for second in range(6)] == [[], [], [], [], [], ["write"]]

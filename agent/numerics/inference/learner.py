@@ -99,7 +99,8 @@ class Learner:
             at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
         ratio = self._ratio(settled)
         scatter = known.scatter.after(ratio, _estimate(settled, predicted.eta))
-        learnt = replace(predicted, theta=self.lineariser.nearer(settled, known.theta), noise=noise, scatter=scatter)
+        theta, information = self.lineariser.nearer(settled, known)
+        learnt = replace(predicted, theta=theta, information=information, noise=noise, scatter=scatter)
         posterior = replace(
             self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
             jump=posterior.jump, jump_raw=posterior.jump_raw, excess=posterior.excess,

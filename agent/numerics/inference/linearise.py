@@ -236,13 +236,20 @@ class Lineariser:
         regression = replace(at.regression, X=fit.X, layout=layout)
         return replace(at, G=fit.G, Si=fit.Si, regression=regression, ridge=replace(at.ridge, R=R))
 
-    def nearer(self, at: Linearised, before: FloatArray) -> FloatArray:
-        """Return the next point (q,): what this window says, averaged with the last point where they agree."""
-        _, _, alone, V, _ = eliminated(self._anchored(at, before))
+    def nearer(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray]:
+        """The next point (q,) and what it rests on (q, q): the average by information with what this window says.
+
+        Where they disagree the window alone is the next point.
+        """
+        _, _, alone, V, _ = eliminated(self._anchored(at, known.theta))
         here, sd = at.theta + at.unit * alone, at.unit * np.sqrt(np.diag(V))
-        agree = np.all(np.abs(here - before) < tuning.AGREE_SD * sd)
-        share = tuning.POINT_SHARE if agree else 1.0
-        return np.asarray(np.maximum(before + share * (here - before), self.rig.lower))
+        information = inverse(V * np.outer(at.unit, at.unit))
+        agree = np.all(np.abs(here - known.theta) < tuning.AGREE_SD * sd)
+        if agree and known.information is not None:
+            total = tuning.POINT_MEMORY * known.information + information
+            here = known.theta + inverse(total) @ information @ (here - known.theta)
+            information = total
+        return np.maximum(here, self.rig.lower), information
 
     # ------------------------------------------------------------------ which bins
     def _kept(self, window: Window, known: Knowledge) -> int:

@@ -48,12 +48,16 @@ class Lineariser:
         outputs: p.
         sources: of noise.
         cuts: (cuts,) samples at which jumps are tested.
+
+    Attributes:
+        evaluations: of the model so far, or what costs as much: linearisations, trials of steps, passes over the noise.
     """
 
     def __init__(self, rig: Rig, window: int, outputs: int, sources: tuple[Source, ...], cuts: IntArray) -> None:
         self.rig, self.window, self.p, self.sources, self.cuts = rig, window, outputs, sources, cuts
         self._response: Response | None = None
         self._cells: tuple[FloatArray, Cells] | None = None
+        self.evaluations = 0
 
     def prepared(self, window: Window, known: Knowledge) -> Knowledge:
         """Return what is known with the bins to keep chosen, to be linearised where the constants are now."""
@@ -123,6 +127,7 @@ class Lineariser:
         share = 1.0
         before = self._cost(at, at.regression, given) + self._strayed(at.theta, known)
         for _ in range(tuning.HALVINGS):
+            self.evaluations += 1
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
             response = self._at(moved, known, known.kept)
@@ -147,6 +152,7 @@ class Lineariser:
 
     def point(self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray) -> Linearised:
         """Return the window at theta (q,), with columns of jumps at `cuts`."""
+        self.evaluations += 1
         response = self._at(theta, known, known.kept)
         regressor = Regressor(self.rig, response, self.sources, known.eta)
         cells = self._sources_at(response, regressor.output_gain)

@@ -13,6 +13,7 @@ from agent.cli import db as commands_db
 from agent.errors import StoreError, UsageError
 from agent.storage import maintenance
 from agent.storage.read import queries
+from agent.storage.write import compaction
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from tests.storage.rows import START, batch, ledger, run_info, select, step
@@ -98,6 +99,31 @@ def test_compact_gives_space_back_and_keeps_every_row(path: Path) -> None:
     assert after < 0.9 * before
     assert select(path, "SELECT * FROM v_estimates") == rows
     assert maintenance.check(path).problems == []
+
+
+@pytest.mark.parametrize("looks", [0, 3])
+def test_compaction_broken_off_while_it_copies_back_changes_nothing(
+    path: Path, monkeypatch: pytest.MonkeyPatch, looks: int
+) -> None:
+    rows = select(path, "SELECT * FROM v_estimates")
+    monkeypatch.setattr(compaction, "PAGES", 8)
+    with Store.open(path) as store:
+        asked = iter([False] * looks + [True])
+        with pytest.raises(compaction.BrokenOffError):
+            compaction.compact(store.connection, path, lambda: next(asked))
+        later = batch(1, first=1000)
+        store.write(store.begin_run(run_info(started_ns=START + 1)), [later])
+    assert select(path, "SELECT * FROM v_estimates WHERE run_id = 1") == rows
+    assert len(select(path, "SELECT * FROM v_estimates")) == len(rows) + 4
+    assert not list(path.parent.glob("*.compact"))
+    assert maintenance.check(path).problems == []
+
+
+def test_what_a_killed_compaction_left_is_removed_at_the_next_start(path: Path) -> None:
+    left = path.with_name(path.name + ".compact")
+    left.write_bytes(b"half")
+    with Store.open(path):
+        assert not left.exists()
 
 
 def test_backup_while_the_agent_writes_is_one_sound_state(path: Path, tmp_path: Path) -> None:

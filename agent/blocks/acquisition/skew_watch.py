@@ -198,7 +198,7 @@ class SkewWatch:
         except (ValueError, np.linalg.LinAlgError):
             return None  # no gain, or readings that are no motion at all
         finally:
-            self.budget.spend(done)
+            self.budget.spend(WORK.done - done)
         return found if found.sure and bool(np.all(np.abs(found.delay_s) < MOST_S)) else None
 
     def _spread(self, skew: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@
     far from point  -> solved about itself; the bank goes there
     broken          -> other parameters, parameters that run on, a channel, or other noise
 
-Each costs a token of the budget, but for what the schedule has learnt.
+Each but the first windows, which are learnt from in any case, is paid for out of the budget.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.numerics.estimator.bank import Bank
-from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.budget import samples_an_evaluation
 from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.estimator.faults import WHOLE, Faults
 from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
@@ -21,6 +21,7 @@ from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.schedule import Disturbance, Schedule
 from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.fitting.work import Budget
 from agent.numerics.inference import tuning
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.posterior import Knowledge, Posterior
@@ -32,6 +33,10 @@ VERDICT_WINDOWS = 3
 """Windows that must have been learnt from before verdicts are given: the first tell of noise and constants at once."""
 REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
+FREE = 32
+"""Windows that are learnt from whatever it costs."""
+CENTRED = 8
+"""What moving the bank costs, in evaluations."""
 MOVED_SD = 0.3
 """Difference between learner and bank, in sds, from which on the bank moves: twice what the bins left out may make."""
 MOVED_LOG_SD = 0.1
@@ -63,6 +68,7 @@ class Explainer:
         self.solved = 0
         self._adopted = False
         self._learnt_at = 0
+        self._counted = 0
         self._moves = False
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
 
@@ -95,8 +101,13 @@ class Explainer:
 
     def begin(self, record: Record, newest: int) -> bool:
         """Learn from a segment's first whole window, and start the bank there; False where nothing fits it."""
-        if not self.budget.take(newest):
+        if not self._may_begin(newest):
             return False
+        begun = self._begun(record, newest)
+        self._pay()
+        return begun
+
+    def _begun(self, record: Record, newest: int) -> bool:
         window = self.window(record, newest)[0]
         new = self.posterior is None and not self._adopted
         posterior, learnt = self._first(window)
@@ -172,10 +183,24 @@ class Explainer:
         return np.asarray(((index >= self.schedule.due) | quiet) & (not self.budget.closed))
 
     def learn(self, record: Record, reading: Reading, i: int) -> bool:
-        """Learn from a row's window; return whether the bank moved."""
+        """Learn from a row's window; return whether the bank moved.
+
+        The first windows are free; a rig whose noise never settles pays for those after them.
+        """
         newest = int(reading.index[i])
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
+        free = known.noise.windows < FREE
+        if not self._may_begin(newest) and not free:
+            self.schedule.later(newest)
+            return False
+        moved = self._learnt(record, reading, i, known)
+        if not free:
+            self._pay()
+        return moved
+
+    def _learnt(self, record: Record, reading: Reading, i: int, known: Knowledge) -> bool:
+        newest = int(reading.index[i])
         if self.disturbance.since(self.schedule.tried):  # the windows before a change do not compare
             known = replace(known, scatter=known.scatter.interrupted())
         window = self.window(record, newest)[0]
@@ -200,6 +225,17 @@ class Explainer:
         self._move(record, posterior, newest)
         return True
 
+    def _may_begin(self, newest: int) -> bool:
+        """Whether there is something left to spend at sample `newest`; what is begun is finished, and then paid for."""
+        self._counted = self.learner.lineariser.evaluations
+        return self.budget.allows(newest)
+
+    def _pay(self, least: int = 0) -> None:
+        """Take what was evaluated since it began, and `least` at the least, out of the budget."""
+        done = self.learner.lineariser.evaluations
+        self.budget.spend(max(done - self._counted, least) * samples_an_evaluation(self.settings.plan.window))
+        self._counted = done
+
     def _is_elsewhere(self, reading: Reading, i: int, posterior: Posterior) -> bool:
         """Whether the learner's answer differs from the row's."""
         moved = np.abs(posterior.theta - reading.theta[i]) > MOVED_SD * reading.sd[i]
@@ -209,18 +245,21 @@ class Explainer:
 
     def centre(self, record: Record, newest: int, theta: FloatArray) -> bool:
         """Move the bank to theta (q,), which a longer window found; return whether there was a token for it."""
-        if self.known is None or self.posterior is None or not self.budget.take(newest):
+        if self.known is None or self.posterior is None or not self._may_begin(newest):
             return False
         self.known = replace(self.known, theta=np.maximum(theta, self.settings.rig.lower))
+        self._pay(CENTRED)
         self._move(record, self.posterior, newest)
         return True
 
     def relinearise(self, record: Record, newest: int) -> bool:
         """Solve a window that is far from the point; the bank goes there if it comes to rest."""
         self.disturbance.tried(newest, self.settings.plan.window)
-        if not self.budget.take(newest):
+        if not self._may_begin(newest):
             return False
-        return self._solve(record, newest) is not None
+        solved = self._solve(record, newest)
+        self._pay()
+        return solved is not None
 
     def _solve(self, record: Record, newest: int) -> Posterior | None:
         """Solve a window about itself; move there and return what it says if it holds, else None."""
@@ -260,10 +299,16 @@ class Explainer:
         disturbance, length = self.disturbance, self.settings.plan.window
         disturbance.at(newest)
         disturbance.tried(newest, length)
-        if not self.budget.take(newest):
+        if not self._may_begin(newest):
             return False
         if self._moves and self._runs_on(self.window(record, newest)[0], newest):
             return False
+        moved = self._explained(record, newest)
+        self._pay()
+        return moved
+
+    def _explained(self, record: Record, newest: int) -> bool:
+        """Explain a broken row by other parameters, else by something else."""
         if self._solve(record, newest) is not None:
             self._take_change(record, newest)
             return True
@@ -315,5 +360,5 @@ class Explainer:
             self.lines[newest] = line.end
             self.schedule.skip(newest)
             self.known = replace(self.known, theta=line.middle)
-            self.budget.give_back()
+            self._counted = self.learner.lineariser.evaluations  # what explains a row is no loss
         return line.holds

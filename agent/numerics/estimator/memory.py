@@ -1,6 +1,7 @@
 """What was learnt of a rig as JSON text, and back: for the next start."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ def to_text(known: Knowledge) -> str:
     noise, constants, scatter = known.noise, known.constants, known.scatter
     content = {
         "version": VERSION, "theta": _list(known.theta), "eta": _list(known.eta), "kept": known.kept,
+        "information": None if known.information is None else _list(known.information),
         "noise": {
             "log_sigma": _list(noise.log_sigma), "log_sigma_var": _list(noise.log_sigma_var),
             "power": _sparse(noise.power), "dof": _sparse(noise.dof), "nodes": _list(noise.nodes),
@@ -58,7 +60,9 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
         array(c["covariance"]).reshape(len(hypotheses), count, count),
     )  # fmt: skip
     scatter = Scatter(array(s["within"]), array(s["between"]), s["dof"], s["compared"])
-    return Knowledge(array(found["theta"]), array(found["eta"]), noise, constants, scatter, found["kept"])
+    known = Knowledge(array(found["theta"]), array(found["eta"]), noise, constants, scatter, found["kept"])
+    behind = found.get("information")  # earlier programs did not keep it
+    return known if behind is None else replace(known, information=array(behind))
 
 
 def _list(values: np.ndarray) -> object:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.budget import budget_of
 from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.explainer import Explainer
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
@@ -23,6 +23,7 @@ from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.schedule import TRIES
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.windows import chosen, clean
+from agent.numerics.fitting.work import Budget
 from agent.numerics.inference import tuning
 from agent.numerics.window.rows import BankRows, Windowed
 from agent.types import BoolArray, FloatArray, IntArray, Reason
@@ -69,7 +70,7 @@ class SlidingEstimator:
 
     def __init__(self, settings: EstimatorSettings, budget: Budget | None = None) -> None:
         self.settings = settings
-        self.explainer = Explainer(settings, budget or Budget(settings.plan.window))
+        self.explainer = Explainer(settings, budget or budget_of(settings.plan.window))
         self._ahead = LookAhead(settings.rig)
         self._record: Record | None = None
         self._jump = 0.0

@@ -36,6 +36,11 @@ class Budget:
         self._left, self._index = capital, 0
         self._closed = False
 
+    @property
+    def closed(self) -> bool:
+        """Whether nothing is allowed any more."""
+        return self._closed
+
     def allows(self, index: int) -> bool:
         """Tell whether work may begin at sample number `index`."""
         if index > self._index:
@@ -43,9 +48,9 @@ class Budget:
             self._index = index
         return self._left > 0 and not self._closed
 
-    def spend(self, done_before: int) -> None:
-        """Take out what was done since WORK.done was `done_before`."""
-        self._left -= WORK.done - done_before
+    def spend(self, work: float) -> None:
+        """Take out what was done."""
+        self._left -= work
 
     def close(self) -> None:
         """Allow nothing any more: there is no time for anything but rows."""

@@ -26,6 +26,9 @@ from agent.types import FloatArray
 FIRM = 1e6
 """Times as many degrees of freedom behind the level of each bin as were seen: one window moves none."""
 
+NOISE_PASS = 2
+"""What learning the noise of a window costs, in evaluations of the model."""
+
 
 class Learner:
     """Learns from windows of one rig and one length.
@@ -99,7 +102,8 @@ class Learner:
             at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
         ratio = self._ratio(settled)
         scatter = known.scatter.after(ratio, _estimate(settled, predicted.eta))
-        learnt = replace(predicted, theta=self.lineariser.nearer(settled, known.theta), noise=noise, scatter=scatter)
+        theta, information = self.lineariser.nearer(settled, known)
+        learnt = replace(predicted, theta=theta, information=information, noise=noise, scatter=scatter)
         posterior = replace(
             self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
             jump=posterior.jump, jump_raw=posterior.jump_raw, excess=posterior.excess,
@@ -134,6 +138,7 @@ class Learner:
         least = self._least(known.noise)
         lined = with_lines(known.noise, at.cells, at.regression)
         noise, fit = learn(lined, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
+        self.lineariser.evaluations += NOISE_PASS
         noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
         return noise, self.lineariser.without_jumps(at, fit)
 

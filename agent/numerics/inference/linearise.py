@@ -48,12 +48,16 @@ class Lineariser:
         outputs: p.
         sources: of noise.
         cuts: (cuts,) samples at which jumps are tested.
+
+    Attributes:
+        evaluations: of the model so far, or what costs as much: linearisations, trials of steps, passes over the noise.
     """
 
     def __init__(self, rig: Rig, window: int, outputs: int, sources: tuple[Source, ...], cuts: IntArray) -> None:
         self.rig, self.window, self.p, self.sources, self.cuts = rig, window, outputs, sources, cuts
         self._response: Response | None = None
         self._cells: tuple[FloatArray, Cells] | None = None
+        self.evaluations = 0
 
     def prepared(self, window: Window, known: Knowledge) -> Knowledge:
         """Return what is known with the bins to keep chosen, to be linearised where the constants are now."""
@@ -123,6 +127,7 @@ class Lineariser:
         share = 1.0
         before = self._cost(at, at.regression, given) + self._strayed(at.theta, known)
         for _ in range(tuning.HALVINGS):
+            self.evaluations += 1
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
             response = self._at(moved, known, known.kept)
@@ -147,6 +152,7 @@ class Lineariser:
 
     def point(self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray) -> Linearised:
         """Return the window at theta (q,), with columns of jumps at `cuts`."""
+        self.evaluations += 1
         response = self._at(theta, known, known.kept)
         regressor = Regressor(self.rig, response, self.sources, known.eta)
         cells = self._sources_at(response, regressor.output_gain)
@@ -236,13 +242,20 @@ class Lineariser:
         regression = replace(at.regression, X=fit.X, layout=layout)
         return replace(at, G=fit.G, Si=fit.Si, regression=regression, ridge=replace(at.ridge, R=R))
 
-    def nearer(self, at: Linearised, before: FloatArray) -> FloatArray:
-        """Return the next point (q,): what this window says, averaged with the last point where they agree."""
-        _, _, alone, V, _ = eliminated(self._anchored(at, before))
+    def nearer(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray]:
+        """The next point (q,) and what it rests on (q, q): the average by information with what this window says.
+
+        Where they disagree the window alone is the next point.
+        """
+        _, _, alone, V, _ = eliminated(self._anchored(at, known.theta))
         here, sd = at.theta + at.unit * alone, at.unit * np.sqrt(np.diag(V))
-        agree = np.all(np.abs(here - before) < tuning.AGREE_SD * sd)
-        share = tuning.POINT_SHARE if agree else 1.0
-        return np.asarray(np.maximum(before + share * (here - before), self.rig.lower))
+        information = inverse(V * np.outer(at.unit, at.unit))
+        agree = np.all(np.abs(here - known.theta) < tuning.AGREE_SD * sd)
+        if agree and known.information is not None:
+            total = tuning.POINT_MEMORY * known.information + information
+            here = known.theta + inverse(total) @ information @ (here - known.theta)
+            information = total
+        return np.maximum(here, self.rig.lower), information
 
     # ------------------------------------------------------------------ which bins
     def _kept(self, window: Window, known: Knowledge) -> int:

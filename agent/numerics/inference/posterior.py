@@ -15,6 +15,7 @@ class Knowledge:
 
     Attributes:
         theta: (q,) where the model is linearised;  eta: (c,) likewise for the constants.
+        information: (q, q) what that point rests on, older windows counting ever less; None of a point that is given.
         noise, constants, scatter: what has been learnt.
         kept: bins kept with all columns; 0 until a window has shown how many are needed;  kept_for: the noise then.
         unexplained: the newest window was not explained by the noise known before.
@@ -28,6 +29,7 @@ class Knowledge:
     kept: int = 0
     kept_for: Noise | None = None
     unexplained: bool = False
+    information: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -106,8 +106,8 @@ STEADY_WALK = 0.1
 """Variance by which parameters may differ from those of the windows before, in that of a window's estimate."""
 POINT_SD = 1.5
 """Prior sd of the next point about the last, shares of the parameter. Needed by: standstills in normal operation."""
-POINT_SHARE = 0.25
-"""Share of a window's estimate in the next point where they agree: the point is an average of some windows."""
+POINT_MEMORY = 0.75
+"""Share of the information behind the last point that the next one keeps where a window agrees: about four windows."""
 SHEET_WALK = 0.01
 """Random walk a window of constants within their data sheets, in data-sheet sds. Needed by: y1 drifts."""
 LEAST_CHANGES = 20

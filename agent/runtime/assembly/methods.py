@@ -11,8 +11,9 @@ from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windo
 from agent.blocks.statistical_rig import estimator_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
-from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.budget import budget_of
 from agent.numerics.estimator.sliding import SlidingEstimator
+from agent.numerics.fitting.work import Budget
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
 from agent.runtime.assembly.model_check import require_observable
@@ -39,7 +40,7 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
         enough=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
     )  # fmt: skip
     make = partial(_estimator, config, rig, resolution)
-    estimator = ContainedEstimator(make, Budget(plan.window), plan, len(rig.parameters))
+    estimator = ContainedEstimator(make, budget_of(plan.window), plan, len(rig.parameters))
     return Estimation(estimator, labels)
 
 

@@ -43,6 +43,7 @@ from agent.storage.tables.learnt import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows
 from agent.storage.tables.shelves import Shelf
+from agent.storage.write.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
@@ -141,6 +142,7 @@ class Store:
 
     def _open_file(self) -> None:
         """Open the file, bring it up to date and learn what it names; a damaged one is replaced by what it tells."""
+        remove_left_over(self.path)
         aside = finish_interrupted(self.path)
         if aside is not None:
             self.recovery = Recovery(aside, "its replacement had been interrupted", 0, 0)
@@ -392,7 +394,7 @@ class Store:
     def compact(self) -> None:
         """Give free pages back to the disk; needs room for a second copy, and no other transaction meanwhile."""
         with self._mutex:
-            if not self._finished(lambda: self.connection.execute("VACUUM")):
+            if not self._finished(lambda: compact(self.connection, self.path, lambda: self.hurried)):
                 raise StoreError.at(str(self.path), "its agent is ending", "ask again when it has ended")
             self.checkpoint("TRUNCATE")
 
@@ -418,6 +420,8 @@ class Store:
         self._maintaining = True
         try:
             act()
+        except BrokenOffError:
+            return False
         except sqlite3.OperationalError as error:
             if not self.hurried or code_of(error) != sqlite3.SQLITE_INTERRUPT:
                 raise

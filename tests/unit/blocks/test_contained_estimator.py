@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
-from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.budget import budget_of
 from agent.numerics.estimator.outcome import Outcome
+from agent.numerics.fitting.work import Budget
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status
 
@@ -22,7 +23,7 @@ class Fragile:
     error: Exception
     adopted: list[str] = field(default_factory=list)
     spikes: int = 0
-    budget: Budget = field(default_factory=lambda: Budget(20))
+    budget: Budget = field(default_factory=lambda: budget_of(20))
 
     def start_segment(self) -> None: ...
 
@@ -49,7 +50,7 @@ class Fragile:
 
 
 def contained(bad: int, error: Exception) -> ContainedEstimator:
-    return ContainedEstimator(lambda budget: Fragile(bad, error, budget=budget), Budget(20), PLAN, q=2)
+    return ContainedEstimator(lambda budget: Fragile(bad, error, budget=budget), budget_of(20), PLAN, q=2)
 
 
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError("no SVD"), ValueError("no gain"), OverflowError("too far")])
@@ -74,7 +75,7 @@ def test_contained_estimator_what_is_no_number_is_a_failure_of_its_window_and_in
             rows.theta[:] = (y**2).max()
             return rows
 
-    estimator = ContainedEstimator(lambda budget: Overflowing(-1, KeyError(), budget=budget), Budget(20), PLAN, q=2)
+    estimator = ContainedEstimator(lambda budget: Overflowing(-1, KeyError(), budget=budget), budget_of(20), PLAN, q=2)
     y = np.ones((100, 1))
     y[47] = 1e200
     rows = estimator.step(0, y, y)
@@ -107,7 +108,7 @@ def test_contained_estimator_made_anew_has_no_more_to_spend_than_was_left() -> N
         made.append(Fragile(25, ValueError("planted"), budget=budget))
         return made[-1]
 
-    contained = ContainedEstimator(make, Budget(20), PLAN, 2)
+    contained = ContainedEstimator(make, budget_of(20), PLAN, 2)
     contained.hurry()
     contained.step(0, np.zeros((60, 1)), np.zeros((60, 1)))
     assert len(made) > 1

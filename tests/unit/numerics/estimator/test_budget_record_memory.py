@@ -3,29 +3,33 @@
 import numpy as np
 import pytest
 
-from agent.numerics.estimator.budget import BURST, WINDOWS_A_TOKEN, Budget
+from agent.numerics.estimator.budget import BURST, EVALUATIONS_A_WINDOW, budget_of, samples_an_evaluation
 from agent.numerics.estimator.memory import from_text, to_text
 from agent.numerics.estimator.record import SPARE, Record
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import learner_of, record
 
 
-def test_budget_gives_a_burst_then_one_token_in_some_windows() -> None:
-    budget, window = Budget(2000), 2000
-    assert sum(budget.take(0) for _ in range(2 * BURST)) == BURST
-    many = 100
-    taken = sum(budget.take(index) for index in range(0, many * window, 10))
-    assert taken == pytest.approx(many / WINDOWS_A_TOKEN, abs=1)
+@pytest.mark.parametrize("solve", [3, 150])
+def test_budget_gives_a_burst_then_so_many_evaluations_a_window_whatever_a_solve_takes(solve: int) -> None:
+    budget, window, many = budget_of(8000), 8000, 1000
+    spent = 0
+    for index in range(0, many * window, 100):
+        if budget.allows(index):
+            budget.spend(solve * samples_an_evaluation(window))
+            spent += solve
+    assert spent == pytest.approx(BURST + EVALUATIONS_A_WINDOW * many, abs=solve)
 
 
 def test_budget_is_the_same_however_often_it_is_asked() -> None:
-    rare, often = Budget(2000), Budget(2000)
+    rare, often = budget_of(8000), budget_of(8000)
     for budget in (rare, often):
-        while budget.take(0):
-            pass
-    for index in range(0, 12_000, 100):
-        often.take(index)
-    assert rare.take(12_000) == often.take(12_000)
+        budget.spend(2 * BURST * samples_an_evaluation(8000))
+    paid = BURST * 1000
+    for index in range(0, paid + 2, 100):
+        assert not often.allows(index)
+    assert rare.allows(paid + 1)
+    assert often.allows(paid + 1)
 
 
 def test_record_keeps_what_is_asked_for_and_counts_what_was_lost() -> None:

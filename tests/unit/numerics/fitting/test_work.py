@@ -8,7 +8,7 @@ def test_budget_allows_until_it_is_spent_and_again_when_samples_have_paid() -> N
     assert budget.allows(0)
     before = WORK.done
     WORK.evaluate(500)
-    budget.spend(before)
+    budget.spend(WORK.done - before)
     assert EVALUATION + 500 > 1000
     assert not budget.allows(10)
     assert not budget.allows((EVALUATION + 500 - 1000) // 2)

@@ -36,7 +36,7 @@ def run(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, s
     return code, *capfd.readouterr()
 
 
-@pytest.mark.parametrize("command", ["run", "replay", "check"])
+@pytest.mark.parametrize("command", ["run", "replay"])
 def test_what_needs_nominals_refuses_and_advises_to_identify(
     command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -46,6 +46,19 @@ def test_what_needs_nominals_refuses_and_advises_to_identify(
     assert "model.spring[0].nominal: is missing; " in err
     assert "deltak identify" in err
     assert len(err.splitlines()) == 4
+
+
+def test_check_accepts_a_file_that_is_yet_to_be_identified_and_says_so(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    config, recording = files(tmp_path)
+    code, out, _ = run(["check", config], capfd)
+    assert code == 0
+    assert "usable once it is identified" in out
+    assert "warning: model.spring[0].nominal: is missing; " in out
+    assert run(["check", config, "--recording", recording], capfd)[0] == 2
+    Path(config).write_text(TEXT.replace("mass", "mess", 1), encoding="utf-8")
+    assert run(["check", config], capfd)[0] == 2
 
 
 def test_identify_writes_nominals_that_replay_then_runs_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

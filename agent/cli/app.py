@@ -158,6 +158,18 @@ def replay(
 
 
 @app.command()
+def listen(config: Config, duration: Duration = None, json: Json = False) -> None:
+    """Show what comes over the bus beside what it decodes to, until Ctrl-C or --duration; never transmits."""
+    from agent.cli.setup import listen as commands_listen
+    from agent.commissioning.setup import listen as body
+
+    document = body.listen(config, duration, commands_listen.silent if json else commands_listen.print_line)
+    _answer(document, commands_listen.print_summary, as_json=json)
+    if document["interrupted"]:
+        raise typer.Exit(commands_listen.INTERRUPTED)
+
+
+@app.command()
 def identify(
     config: Config,
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],

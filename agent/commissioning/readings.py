@@ -61,10 +61,11 @@ class Gathering:
     Args:
         config: the rig's configuration.
         sources: names of the sources that deliver, with their channel -> field maps.
+        keep: whether samples are kept for `recorded`; without them listening may last for days.
     """
 
-    def __init__(self, config: RigConfig, sources: Maps) -> None:
-        self._config, self._maps = config, sources
+    def __init__(self, config: RigConfig, sources: Maps, *, keep: bool = True) -> None:
+        self._config, self._maps, self._keep = config, sources, keep
         self.acquisition = make_acquisition(config, sources, np.zeros(len(config.outputs)), keep_incomplete=False)
         self.counts = {name: Counts() for name in sources}
         self._clocks = SourceClocks()
@@ -78,7 +79,8 @@ class Gathering:
             return
         for column, channel in enumerate(self._maps[source]):
             self._missing[channel] += int((~np.isfinite(block.values[:, column])).sum())
-        self._aligned += _paired(self.acquisition.step(source, block, modulus).values)
+        aligned = _paired(self.acquisition.step(source, block, modulus).values)
+        self._aligned += aligned if self._keep else []
         if block.wall_offset_ns is not None:
             self._received(self.acquisition.sources[source], block.arrival_ns)
 

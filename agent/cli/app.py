@@ -190,6 +190,26 @@ def identify(
 
 
 @app.command()
+def compare(
+    config: Config,
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    methods: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Of window-ml, ekf, ukf, rls, observer, seed; all without.")
+    ] = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Hold window-ml against other methods on a recording: estimates, prediction of what was not seen, cost."""
+    from agent.cli import compare as commands_compare
+    from agent.evaluation.compare import compare as body
+
+    document, rows = body.compare(config=config, recording=recording, methods=methods)
+    if plot is not None:
+        commands_compare.draw(document, rows, plot)
+    _answer(document, commands_compare.print_compared, as_json=json)
+
+
+@app.command()
 def init(  # noqa: PLR0913, PLR0917 the signature is the command line
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write; must not exist.")],
     bus: Annotated[Bus | None, typer.Option(help="The bus; without one, for recordings.")] = None,

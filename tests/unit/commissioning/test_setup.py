@@ -140,3 +140,12 @@ def test_init_asks_on_a_terminal(tmp_path: Path) -> None:
     os.close(ours)
     assert b"bench" in out
     assert load(tmp_path / "a.toml", identified=True).model.spring == ()
+
+
+def test_sim_of_a_file_without_nominals_says_what_to_do_instead(tmp_path: Path, capsys: Capture) -> None:
+    file = str(tmp_path / "press.toml")
+    assert run(capsys, "init", file, "--bus", "modbus", *BUSES["modbus"], *MASSES, *CHANNELS)[0] == 0
+    code, _, err = run(capsys, "sim", file, "--duration", "0.1")
+    assert code == 2
+    assert "model.spring[0].nominal: is missing; the simulator plays what stands there: give the value" in err
+    assert "deltak identify" in err

@@ -172,8 +172,16 @@ def listen(config: Config, duration: Duration = None, json: Json = False) -> Non
 @app.command()
 def identify(
     config: Config,
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")
+    ] = None,
+    probe: Annotated[
+        float | None, typer.Option("--probe", metavar="S", min=0.0, help="Listen to the sources for S seconds.")
+    ] = None,
     write: Annotated[bool, typer.Option("--write", help="Put the values found into CONFIG; comments stay.")] = False,
+    graph: Annotated[
+        bool, typer.Option("--graph", help="Choose first which springs and dampers there are at all.")
+    ] = False,
     json: Json = False,
     plot: Plot = None,
 ) -> None:
@@ -181,7 +189,12 @@ def identify(
     from agent.cli import identify as commands_identify
     from agent.commissioning import identify as body
 
-    document, seen = body.identify(config=config, recordings=recordings, write=write)
+    if graph:
+        from agent.commissioning.graphs import choose
+
+        document, seen = choose.choose(config=config, recordings=recordings or [], probe_s=probe, write=write)
+    else:
+        document, seen = body.identify(config=config, recordings=recordings or [], probe_s=probe, write=write)
     if plot is not None:
         commands_identify.draw(document, seen, plot)
     _answer(document, commands_identify.print_identified, as_json=json)

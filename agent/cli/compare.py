@@ -12,7 +12,7 @@ from agent.evaluation.compare.trial import Estimates
 from agent.text import number, with_sd
 
 Document = Mapping[str, Any]
-DRAWN = 2000
+POINTS = 2000
 """Points of a line: more are a band."""
 
 
@@ -71,7 +71,7 @@ def _draw_parameter(axis: Any, rows: Mapping[str, Estimates], column: int, sampl
     """Draw one parameter; the view is where the later half of the estimates lies, a start that swings is cut off."""
     seen = []
     for name, found in rows.items():
-        some = np.unique(np.linspace(0, len(found.index) - 1, min(len(found.index), DRAWN)).astype(int))
+        some = np.unique(np.linspace(0, len(found.index) - 1, min(len(found.index), POINTS)).astype(int))
         shown = np.where(found.valid[some, column], found.theta[some, column], np.nan)
         (line,) = axis.plot(found.index[some], shown, lw=0.9, label=name)
         if name == "window-ml":

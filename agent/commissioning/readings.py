@@ -94,12 +94,15 @@ class Gathering:
         """Take what waits for samples that will not come."""
         self._aligned += _paired(self.acquisition.finish().values)
 
-    def recorded(self, name: str) -> Recorded | None:
-        """Return what came, in SI units; None where no sample has every channel."""
+    def recorded(self, name: str, config: RigConfig | None = None) -> Recorded | None:
+        """Return what came, in SI units; None where no sample has every channel.
+
+        config: whose nominals give the signs of dry friction; by default those with which samples were gathered.
+        """
         if not self._aligned:
             return None
         u, y = np.vstack([a.u for a in self._aligned]), np.vstack([a.y for a in self._aligned])
-        friction = dry_friction(self._config, np.zeros(y.shape[1]))
+        friction = dry_friction(config or self._config, np.zeros(y.shape[1]))
         inputs = np.vstack([friction.step(a) for a in self._aligned])
         noise = np.array([noise_of(y[:, r], u) for r in range(y.shape[1])])
         v = np.hstack([u, y])

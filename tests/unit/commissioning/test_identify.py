@@ -172,3 +172,30 @@ def test_text_without_a_place_for_a_value_is_left_alone() -> None:
     text = '[model]\nmass = [{ value = 5, "name" = "m1" }]\nspring = [{ "name" = "k1", between = ["ground", "m1"] }]\n'
     with pytest.raises(UsageError, match="enter 25 there yourself"):
         edited(text, {"k1": 25.0}, Path("rig.toml"))
+
+
+def test_identify_graph_finds_the_element_that_the_file_lacks_and_writes_nothing_into_another_graph(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lacking = TEXT.replace(f', {{ name = "B2", between = {_between(TEXT, "B2")} }}', "")
+    assert lacking != TEXT
+    config, recording = files(tmp_path, text=lacking)
+    code, _, err = run(["identify", config, recording, "--graph", "--write", "--json"], capfd)
+    assert code == 2
+    assert "the graph chosen is not the file's; nothing was written" in err
+    assert '{ name = "B_' in err
+    assert Path(config).read_text(encoding="utf-8") == lacking
+
+
+def _between(text: str, name: str) -> str:
+    return text.partition(f'name = "{name}", between = ')[2].partition("]")[0] + "]"
+
+
+def test_identify_graph_that_is_right_is_kept_and_written(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    config, recording = files(tmp_path)
+    code, out, err = run(["identify", config, recording, "--graph", "--write"], capfd)
+    assert code == 0, err
+    (chosen,) = [line for line in out.splitlines() if "chosen" in line]
+    assert chosen.split() == ["k1,", "k2,", "B1,", "B2", "0", "chosen,", "the", "file's"]
+    assert "written to" in out
+    assert "nominal = " in Path(config).read_text(encoding="utf-8")

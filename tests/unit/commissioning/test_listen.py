@@ -49,7 +49,6 @@ counter = "n"
 """
 DEVICES = {
     "can": ("can.dlc", "29536", "RIG_SAMPLE 100#", "dlc", "100#"),
-    "serial": ("serial.garbage", "two-mass-rig.tty", "aa 55 ", "sync", " does not begin with sync aa 55"),
     "modbus": ("modbus.exception-6", "1502", "registers ", "exception 6 (device busy)", "84 06"),
 }
 

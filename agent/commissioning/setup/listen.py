@@ -14,11 +14,11 @@ import numpy as np
 
 from agent.clock import monotonic_ns
 from agent.commissioning.limits import TURN_S
-from agent.commissioning.probe import OPEN_ADVICE
+from agent.commissioning.probe import OPEN_ADVICE, require_sources
 from agent.commissioning.readings import Gathering
 from agent.config import RigConfig, load
 from agent.config.tables import Channel, Source
-from agent.errors import BusError, Fault, UsageError
+from agent.errors import BusError, Fault
 from agent.runtime.sources import Arrival, Connection, connect, part
 from agent.text import printable
 from agent.types import FloatArray
@@ -61,8 +61,7 @@ def listen(config: Path, duration_s: float | None, say: Say) -> dict[str, Any]:
     Raises ConfigError, UsageError without sources, BusError where a source could not be opened and nothing came.
     """
     rig = load(config, identified=True)
-    if not rig.source:
-        raise UsageError.at("source", "there is none to listen to", "name the bus to listen to")
+    require_sources(rig)
     watch = _Watch.of(rig, say)
     interrupted = False
     try:

@@ -163,6 +163,10 @@ def test_listen_where_nothing_can_be_opened_says_so(tmp_path: Path, capsys: pyte
     code, _, err = listened(capsys, str(config), "--duration", "0.3", "--json")
     assert code == 4
     assert "nowhere.tty" in err
+    config.write_text(TEXT_LINE.replace('{ x1 = "x1" }', '{ x1 = "x9" }'), encoding="utf-8")
+    code, _, err = listened(capsys, str(config), "--duration", "0.3")
+    assert code == 2
+    assert 'no column is called "x9"' in err
     config.write_text(TEXT_LINE.partition("[[source]]")[0], encoding="utf-8")
     code, _, err = listened(capsys, str(config))
     assert code == 2

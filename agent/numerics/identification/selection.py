@@ -133,8 +133,8 @@ class Selector:
         H = costs.prior + self._H.sum(axis=0)
         free = np.concatenate([kept, np.ones(len(H) - q, dtype=bool)])
         variance, given = np.zeros(q), np.zeros(q)
-        variance[kept] = np.diag(np.linalg.pinv(H[np.ix_(free, free)], hermitian=True))[: int(kept.sum())]
-        given[kept] = np.diag(np.linalg.pinv(H[:q, :q][np.ix_(kept, kept)], hermitian=True))
+        variance[kept] = _variances(H[np.ix_(free, free)])[: int(kept.sum())]
+        given[kept] = _variances(H[:q, :q][np.ix_(kept, kept)])
         apart = self._apart(kept)
         jackknife = (count - 1) / count * np.sum((apart - apart.mean(axis=0)) ** 2, axis=0)
         # what data sheets leave open is the same in all windows, and no jackknife shows it
@@ -150,3 +150,8 @@ def _solved(H: FloatArray, h: FloatArray) -> FloatArray:
     size = np.sqrt(np.maximum(np.diagonal(H, axis1=-2, axis2=-1), 1e-300))
     scaled = H / size[..., :, None] / size[..., None, :] + RIDGE * np.eye(H.shape[-1])
     return np.asarray(np.linalg.solve(scaled, (h / size)[..., None])[..., 0] / size)
+
+
+def _variances(H: FloatArray) -> FloatArray:
+    """Return the diagonal of H⁻¹ (n, n): columns differ by their units, and a pseudo-inverse would drop small ones."""
+    return np.diagonal(_solved(np.broadcast_to(H, (len(H), *H.shape)), np.eye(len(H)))).copy()

@@ -66,3 +66,18 @@ def test_selector_leaves_what_must_stay() -> None:
     rng = np.random.default_rng(4)
     selector = Selector(costs(np.array([60.0, 0.0]), rng, 1.0), np.array([True, False]), 1.0)
     assert selector.best().kept.tolist() == [True, True]
+
+
+def test_selector_knows_little_of_what_a_constant_could_stand_for_in_whatever_units() -> None:
+    """An element that the prior of a constant alone tells from nothing is uncertain, its unit ever so small."""
+    rng, unit = np.random.default_rng(5), np.array([1.0, 1e-7])
+    found = Costs.none(np.zeros(2), np.diag([0.0, 0.0, 1.0]), np.zeros(3))
+    for _ in range(WINDOWS):
+        root = 1e3 * rng.normal(size=(6, 2))
+        # the second element and the constant move the readings alike
+        columns = np.column_stack([root[:, 0], root[:, 1], root[:, 1]]) * np.array([1.0, 1e-7, 1.0])
+        readings = columns @ np.array([60.0, 0.0, 1.0]) + rng.normal(size=6)
+        found.add(columns.T @ columns, columns.T @ readings, unit)
+    selector = Selector(found, np.array([True, True]), 1.0)
+    assert selector.best().kept.tolist() == [True, False]
+    assert abs(selector.choice(np.array([True, True])).z[1]) < 3

@@ -1,7 +1,7 @@
 """`deltak identify --graph`: which springs and dampers a machine has, and then their values.
 
-recordings -> weak form of every element that could be -> windows joined with all of them free -> elements dropped and
-proposed one by one -> the chosen graph, identified as any other. Equations and limits are in docs/identify.md.
+recordings -> a graph fitted, first that of the file -> every element that could be weighed about that fit -> dropped and
+proposed one by one, until a graph comes again -> identified as any other. Equations and limits: docs/identify.md.
 """
 
 import time

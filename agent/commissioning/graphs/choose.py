@@ -1,6 +1,6 @@
 """`deltak identify --graph`: which springs and dampers a machine has, and then their values.
 
-recordings -> a graph fitted, first that of the file -> every element that could be weighed about that fit -> dropped and
+recordings -> a graph fitted, first the file's -> every element that could be, weighed about that fit -> dropped and
 proposed one by one, until a graph comes again -> identified as any other. Equations and limits: docs/identify.md.
 """
 

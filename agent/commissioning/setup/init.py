@@ -13,6 +13,19 @@ from agent.commissioning.setup.text import text_of
 from agent.config.load import parse
 from agent.errors import ConfigError, Fault, UsageError
 
+QUESTIONS = {
+    "can": (("channel", "CAN interface", "can0"),),
+    "serial": (
+        ("baudrate", "baud", "115200"),
+        ("columns", "cells of a line of text, such as n,force,x1; empty for binary frames", ""),
+    ),
+    "modbus": (
+        ("host", "address of the device (TCP)", "127.0.0.1"),
+        ("port", "TCP port, or the path of a serial line", "502"),
+        ("index", "register that counts the samples of a ring, ADDRESS[:TYPE]; empty where registers are polled", ""),
+    ),
+}
+"""What is asked of a bus beside what has no default: key, question, default."""
 Ask = Callable[[str, str], str]
 """Asks a question with what an empty answer means, and returns the answer."""
 
@@ -123,6 +136,9 @@ def _one_of(ask: Ask, question: str, known: tuple[str, ...]) -> str:
 
 def _ask_keys(plan: Plan, ask: Ask) -> None:
     """Ask for the driver's keys that are missing, until none is or an answer stays empty."""
+    for key, question, default in QUESTIONS.get(plan.bus or "", ()):
+        if plan.keys.get(key) is None:
+            plan.keys[key] = ask(question, default)
     asked: set[str] = set()
     while keys := [fault for fault in plan.missing() if _key(fault.path) not in asked | {"rate", "mass", "channel"}]:
         key = _key(keys[0].path)

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.commissioning.setup.plan import ELEMENTS, Link, Plan, Signal, fields_of, place_of
+from agent.commissioning.setup.plan import ELEMENTS, Link, Plan, Signal, fields_of, number_of, place_of
 
 _CLOCKS = {
     "counter": "the device numbers its samples; a missing number is a gap",
@@ -131,11 +131,15 @@ def _can(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _serial(given: Mapping[str, Any]) -> dict[str, Any]:
-    keys = {key: given[key] for key in ("port", "baudrate") if key in given}
+    keys = {"port": given["port"]} | _baud(given)
     if "columns" in given:
         return keys | {"format": "text", "columns": [name.strip() for name in given["columns"].split(",")]}
     keys |= {"format": "binary", "sync": given["sync"], "fields": fields_of(given["fields"])}
     return keys | ({"crc": given["crc"]} if "crc" in given else {})
+
+
+def _baud(given: Mapping[str, Any]) -> dict[str, int]:
+    return {"baudrate": int(number_of(str(given["baudrate"]), "--baudrate"))} if "baudrate" in given else {}
 
 
 def _modbus(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -144,7 +148,7 @@ def _modbus(given: Mapping[str, Any]) -> dict[str, Any]:
     if port.isdigit():
         keys["port"] = int(port)
     else:
-        keys = {"transport": "rtu", "port": port} | {key: given[key] for key in ("baudrate",) if key in given}
+        keys = {"transport": "rtu", "port": port} | _baud(given)
     keys |= {"device_id": given["device_id"]} if "device_id" in given else {}
     keys["mode"] = "ring" if "ring" in given else "poll"
     if "ring" in given:

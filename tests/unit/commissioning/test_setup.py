@@ -14,7 +14,7 @@ import pytest
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
 from agent.commissioning.setup.init import init
-from agent.commissioning.setup.plan import Plan
+from agent.commissioning.setup.plan import Plan, channel_of
 from agent.config import load
 from tests.peers import ROOT
 
@@ -113,7 +113,8 @@ def test_init_says_what_is_missing_or_wrong_and_writes_nothing(
 
 
 def test_init_asks_for_what_flags_leave_open(tmp_path: Path) -> None:
-    answers = iter(["modbus", "", "500", "5, 3", "", "c=m1,m2", "force=force@m2", "x1=disp@m1", "", REGISTERS, ""])
+    rig = ["modbus", "", "500", "5, 3", "", "c=m1,m2", "force=force@m2", "x1=disp@m1", ""]
+    answers = iter([*rig, "10.0.0.7", "", REGISTERS, ""])
     asked: list[str] = []
 
     def ask(question: str, default: str) -> str:
@@ -126,7 +127,17 @@ def test_init_asks_for_what_flags_leave_open(tmp_path: Path) -> None:
     assert (config.rig.name, config.rig.sample_rate_hz) == ("press-7", 500.0)
     assert [e.name for e in (*config.model.spring, *config.model.damper)] == ["k1", "k2", "c"]
     assert found["to_identify"] == ["k1", "k2", "c"]
+    assert config.source[0].settings.host == "10.0.0.7"
     assert asked[0].startswith("bus")
+
+
+def test_init_asks_for_the_line_of_a_serial_bus(tmp_path: Path) -> None:
+    answers = iter(["9600", "n,force,x1", "line.tty", "n"])
+    channels = [channel_of("force=force@m1"), channel_of("x1=disp@m1")]
+    plan = Plan(name="a", bus="serial", rate_hz=100.0, masses={"m1": 2.0}, channels=channels)
+    init(tmp_path / "a.toml", plan, lambda question, default: default if question[0] in "nsd" else next(answers))
+    (source,) = load(tmp_path / "a.toml", identified=True).source
+    assert (source.settings.baudrate, source.settings.columns, source.counter) == (9600, ("n", "force", "x1"), "n")
 
 
 def test_init_asks_on_a_terminal(tmp_path: Path) -> None:

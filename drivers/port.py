@@ -8,8 +8,8 @@ A driver only listens. The bytes that drivers write are listed in `LISTENER_WRIT
 """
 
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -73,6 +73,42 @@ class SampleBlock:
         return len(self.values)
 
 
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A frame, a line or an answer as it came, and what it decodes to.
+
+    Attributes:
+        raw: as text; it may hold anything, orders to a terminal too.
+        values: (m,) one a requested field, NaN where this unit carries none; None where it was rejected.
+        reason: why it was.
+    """
+
+    raw: str
+    values: FloatArray | None = None
+    reason: str = ""
+
+
+class Trace:
+    """The newest units of a source, for who looks on; older ones give way. Of a batch the last `NEWEST` are kept."""
+
+    NEWEST: ClassVar[int] = 16
+
+    def __init__(self, most: int = 256) -> None:
+        self._units: deque[Unit] = deque(maxlen=most)
+
+    def good(self, raws: Sequence[str], values: FloatArray) -> None:
+        """Keep units and what each decodes to, (n, m)."""
+        self._units.extend(Unit(raw, row) for raw, row in zip(raws, values, strict=True))
+
+    def bad(self, reason: str, raws: Iterable[str]) -> None:
+        """Keep units that were rejected."""
+        self._units.extend(Unit(raw, None, reason) for raw in raws)
+
+    def take(self) -> list[Unit]:
+        """Return what came since the last call, oldest first; another thread may add meanwhile."""
+        return [self._units.popleft() for _ in range(len(self._units))]
+
+
 @dataclass(slots=True)
 class Counts:
     """Sample instants that a driver met since it was made; kept over re-opens.
@@ -81,7 +117,8 @@ class Counts:
     away, by reason ("crc", "overrun", "dlc" ...), so that received = delivered + sum(rejected); dropped those lost
     before this process could read them where the bus tells (kernel queue, overwritten ring), by reason. faults
     counts, by reason, what went wrong on the line without being a sample: late replies, stray bytes, text in a cell.
-    first shows, by reason, the first line or frame that was refused for it.
+    first shows, by reason, the first line or frame that was refused for it. trace, where somebody looks on, is shown
+    what comes; copies have none.
     """
 
     received: int = 0
@@ -90,6 +127,13 @@ class Counts:
     faults: Counter[str] = field(default_factory=Counter)
     reopened: int = 0
     first: dict[str, str] = field(default_factory=dict, compare=False)
+    trace: Trace | None = field(default=None, compare=False)
+
+    def show_bad(self, reason: str, *raws: str) -> None:
+        """Keep the first unit that is rejected for a reason, and show the newest to who looks on."""
+        self.first.setdefault(reason, raws[0])
+        if self.trace is not None:
+            self.trace.bad(reason, raws[-Trace.NEWEST :])
 
     def copy(self) -> "Counts":
         """Return the counts as they are now."""

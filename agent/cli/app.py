@@ -203,10 +203,30 @@ def replay(
 
 
 @app.command()
+def listen(config: Config, duration: Duration = None, json: Json = False) -> None:
+    """Show what comes over the bus beside what it decodes to, until Ctrl-C or --duration; never transmits."""
+    from agent.cli.setup import listen as commands_listen
+    from agent.commissioning.setup import listen as body
+
+    document = body.listen(config, duration, commands_listen.silent if json else commands_listen.print_line)
+    _answer(document, commands_listen.print_summary, as_json=json)
+    if document["interrupted"]:
+        raise typer.Exit(commands_listen.INTERRUPTED)
+
+
+@app.command()
 def identify(
     config: Config,
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")
+    ] = None,
+    probe: Annotated[
+        float | None, typer.Option("--probe", metavar="S", min=0.0, help="Listen to the sources for S seconds.")
+    ] = None,
     write: Annotated[bool, typer.Option("--write", help="Put the values found into CONFIG; comments stay.")] = False,
+    graph: Annotated[
+        bool, typer.Option("--graph", help="Choose first which springs and dampers there are at all.")
+    ] = False,
     json: Json = False,
     plot: Plot = None,
 ) -> None:
@@ -214,12 +234,93 @@ def identify(
     from agent.cli import identify as commands_identify
     from agent.commissioning import identify as body
 
-    document, seen = body.identify(config=config, recordings=recordings, write=write)
+    if graph:
+        from agent.commissioning.graphs import choose
+
+        document, seen = choose.choose(config=config, recordings=recordings or [], probe_s=probe, write=write)
+    else:
+        document, seen = body.identify(config=config, recordings=recordings or [], probe_s=probe, write=write)
     if plot is not None:
         commands_identify.draw(document, seen, plot)
     _answer(document, commands_identify.print_identified, as_json=json)
     if not document["ok"]:
         raise typer.Exit(commands_identify.report_refusal(document))
+
+
+@app.command()
+def compare(
+    config: Config,
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    methods: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Of window-ml, ekf, ukf, rls, observer, seed; all without.")
+    ] = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Hold window-ml against other methods on a recording: estimates, prediction of what was not seen, cost."""
+    from agent.cli import compare as commands_compare
+    from agent.evaluation.compare import compare as body
+
+    document, rows = body.compare(config=config, recording=recording, methods=methods)
+    if plot is not None:
+        commands_compare.draw(document, rows, plot)
+    _answer(document, commands_compare.print_compared, as_json=json)
+
+
+@app.command()
+def init(  # noqa: PLR0913, PLR0917 the signature is the command line
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The file to write; must not exist.")],
+    bus: Annotated[Bus | None, typer.Option(help="The bus; without one, for recordings.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the rig; the file's without.")] = None,
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")] = None,
+    mass: Annotated[list[str] | None, typer.Option(metavar="NAME=KG", help="A mass; again for each.")] = None,
+    spring: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=NODE,NODE[:NOMINAL]", help="A spring; none: no spring; left out: a chain."),
+    ] = None,
+    damper: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=NODE,NODE[:NOMINAL]", help="A damper, as --spring.")
+    ] = None,
+    friction: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=NODE,NODE[:NOMINAL]", help="Dry friction, N.")
+    ] = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[NAME=]QUANTITY@MASS[:UNIT[:FIELD]]", help="A signal, e.g. x1=displacement@m1:mm."),
+    ] = None,
+    counter: Annotated[str | None, typer.Option(metavar="FIELD", help="The field that counts the samples.")] = None,
+    interface: Annotated[str | None, typer.Option(help="CAN: as python-can names it; socketcan without.")] = None,
+    bus_channel: Annotated[str | None, typer.Option(metavar="NAME", help="CAN: such as can0.")] = None,
+    dbc: Annotated[str | None, typer.Option(metavar="FILE", help="CAN: the DBC file, from FILE's folder.")] = None,
+    host: Annotated[str | None, typer.Option(help="Modbus TCP, socketcand: where the device is.")] = None,
+    port: Annotated[str | None, typer.Option(help="TCP port, or the device of a serial line.")] = None,
+    baudrate: Annotated[int | None, typer.Option(metavar="N", help="Serial, Modbus RTU.")] = None,
+    columns: Annotated[str | None, typer.Option(metavar="A,B,...", help="Serial: the cells of a line of text.")] = None,
+    sync: Annotated[str | None, typer.Option(metavar="HEX", help="Serial: how a binary frame begins.")] = None,
+    fields: Annotated[
+        str | None,
+        typer.Option(metavar="NAME[@ADDRESS]:TYPE[:SCALE],...", help="Serial, Modbus: what follows one another."),
+    ] = None,
+    crc: Annotated[str | None, typer.Option(metavar="NAME", help="Serial: such as CRC-16/IBM-3740.")] = None,
+    device_id: Annotated[int | None, typer.Option("--device-id", metavar="N", help="Modbus: the unit.")] = None,
+    index: Annotated[str | None, typer.Option(metavar="ADDRESS[:TYPE]", help="Modbus: samples written so far.")] = None,
+    ring: Annotated[str | None, typer.Option(metavar="ADDRESS:SLOTS", help="Modbus: where the samples lie.")] = None,
+    json: Json = False,
+) -> None:
+    """Write a first configuration: asks on a terminal for what the flags leave open."""
+    from agent.cli.setup import init as commands_init
+    from agent.commissioning.setup import init as body
+    from agent.commissioning.setup import plan
+
+    keys = {
+        "interface": interface, "channel": bus_channel, "dbc": dbc, "host": host, "port": port, "baudrate": baudrate,
+        "columns": columns, "sync": sync, "fields": fields, "crc": crc, "device_id": device_id, "index": index,
+        "ring": ring,
+    }  # fmt: skip
+    elements = {"spring": spring, "damper": damper, "friction": friction}
+    stated = plan.stated(bus and bus.value, name, rate, (mass or [], channel or []), elements, counter, keys)
+    document = body.init(file, stated, commands_init.asking())
+    _answer(document, commands_init.print_written, as_json=json)
 
 
 @app.command()
@@ -598,6 +699,32 @@ def excite(
     bounds = body.Bounds(seconds, max_force, max_stroke, band)
     document = body.excite(config=config, recording=recording, bounds=bounds, to=to)
     _answer(document, commands_excite.print_excitation, as_json=json)
+
+
+examples = typer.Typer(help="Configurations that come along.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(examples, name="examples")
+
+
+@examples.command("list")
+def examples_list(json: Json = False) -> None:
+    """Name the examples, each with what it is."""
+    from agent.cli.setup import examples as commands_examples
+    from agent.commissioning.setup import examples as body
+
+    _answer(body.listed(), commands_examples.print_examples, as_json=json)
+
+
+@examples.command("copy")
+def examples_copy(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="As examples list shows it.", show_default=False)],
+    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to; made if missing.")] = Path(),
+    json: Json = False,
+) -> None:
+    """Copy an example and the files that it needs; nothing is overwritten."""
+    from agent.cli.setup import examples as commands_examples
+    from agent.commissioning.setup import examples as body
+
+    _answer(body.copied(name, folder), commands_examples.print_copied, as_json=json)
 
 
 database = typer.Typer(help="Look after a database file.", no_args_is_help=True, rich_markup_mode=None)

@@ -16,7 +16,8 @@ def print_check(document: Document) -> None:
     """Print observability, poles, conditions, the sd to expect, warnings; what the document lacks is left out."""
     given = defaultdict(list[Any], {key: value for key, value in document.items() if value is not None})
     if given["ok"]:
-        show("the configuration is usable")
+        identified = "observable" in given
+        show("the configuration is usable" if identified else "the configuration is usable once it is identified")
     for warning in given["warnings"]:
         show(f"warning: {warning if isinstance(warning, str) else _fault(warning)}")
     if "observable" in given:

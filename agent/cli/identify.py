@@ -26,6 +26,7 @@ def print_identified(document: Document) -> None:
     )
     title = f"{document['rig']}: {document['windows']} windows of {number(document['window_s'], 3)} s"
     print_table(title, columns, rows, right=columns[1:2])
+    _print_graphs(document)
     shares = ", ".join(f"{name} {percent(share / 100)}" for name, share in document["unexplained"].items())
     show(f"share of the motion left unexplained: {shares}")
     show(f"{number(document['span_s'], 4)} s of recordings in {number(document['seconds'], 3)} s")
@@ -34,7 +35,30 @@ def print_identified(document: Document) -> None:
         show(f"{change['parameter']}: {before} -> {number(change['to'])}")
     if document["ok"]:
         written = document["written"]
-        show(f"written to {written}" if written else "nothing was written; --write puts these into the file")
+        if written:
+            show(f"written to {written}")
+        elif not document.get("graph_changed"):
+            show("nothing was written; --write puts these into the file")
+
+
+def _print_graphs(document: Document) -> None:
+    """Print the graphs that were weighed, the chosen one first, and what the file needs for it."""
+    if not document["graph"]:
+        return
+    rows = (
+        (", ".join(row["elements"]), number(row["score"], 4), _standing(row)) for row in document["graph"]
+    )  # fmt: skip
+    print_table("graphs: score is a log likelihood, less what each element costs", ("elements", "score", ""), rows,
+                right=("score",))  # fmt: skip
+    if document["graph_changed"]:
+        show("the graph chosen is not the file's; under [model] it would be:")
+        for line in document["toml"]:
+            show(line)
+
+
+def _standing(row: Document) -> str:
+    words = [word for word in ("chosen", "tie", "configured") if row[word]]
+    return ", ".join({"tie": "near tie", "configured": "the file's"}.get(word, word) for word in words)
 
 
 def report_refusal(document: Document) -> int:

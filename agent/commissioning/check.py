@@ -62,8 +62,19 @@ def check(*, config: Path, recording: Path | None, probe: bool, progress: Progre
         rig_config = load(config)
         resolution = resolution_of(rig_config)
     except ConfigError as error:
-        return {"ok": False, "errors": [_fault(fault) for fault in error.faults], "warnings": []} | _NOTHING
+        unknown = recording is None and not probe and _lacks_nominals_only(config)
+        faults = [_fault(fault) for fault in error.faults]
+        return {"ok": unknown, "errors": [] if unknown else faults, "warnings": faults if unknown else []} | _NOTHING
     return _document(rig_config, resolution, Evidence(recording, probe, progress or on_terminal()))
+
+
+def _lacks_nominals_only(config: Path) -> bool:
+    """Tell whether all that a file lacks is what `deltak identify` finds."""
+    try:
+        resolution_of(load(config, identified=True))
+    except ConfigError:
+        return False
+    return True
 
 
 def _fault(fault: Fault) -> dict[str, str]:

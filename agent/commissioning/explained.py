@@ -41,7 +41,7 @@ def explained(
         for first, end in windows_of(record, window):
             u = with_constant(record.u[first:end], discrete.model.m)
             measured.append(record.y[first:end])
-            predicted.append(_free_run(discrete, record.y[first:end], u))
+            predicted.append(free_run(discrete, record.y[first:end], u))
     whole = np.concatenate(measured)
     left = np.concatenate(measured) - np.concatenate(predicted)
     motion = np.maximum(np.mean((whole - whole.mean(axis=0)) ** 2, axis=0), 1e-300)
@@ -52,7 +52,7 @@ def explained(
     return Explained(whole, np.concatenate(predicted), share, beyond)
 
 
-def _free_run(discrete: Discrete, y: FloatArray, u: FloatArray) -> FloatArray:
+def free_run(discrete: Discrete, y: FloatArray, u: FloatArray) -> FloatArray:
     """Return outputs (W, p) under inputs u (W, m) from the state at which they are nearest to what was measured."""
     n = discrete.model.n
     _, forced = simulate(discrete, np.zeros(n), u)

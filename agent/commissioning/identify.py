@@ -15,18 +15,19 @@ import numpy as np
 
 from agent.blocks.friction import mechanics_of
 from agent.blocks.rig_model import RigModel, rig_model
-from agent.blocks.statistical_rig import estimator_settings
+from agent.blocks.statistical_rig import estimator_settings, statistical_rig
 from agent.commissioning.channel_checks import plain_findings
 from agent.commissioning.explained import Explained, explained, windows_of
 from agent.commissioning.nominals import KEYS, with_nominals, write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
-from agent.commissioning.recording_summary import read_recording
+from agent.commissioning.recording_summary import Material
 from agent.config import MechanicsModel, RigConfig, load
-from agent.errors import ConfigError, Fault, ModelError, RecordingError
+from agent.errors import ConfigError, Fault, ModelError, RecordingError, UsageError
+from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.identification.pooled import Pooled, pooled
 from agent.numerics.identification.start import hidden, start, still
-from agent.numerics.inference.spectral.columns import window_of
+from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.inference.tuning import DIGITS, SIGMA_SPREAD_UNSTATED
 from agent.numerics.model.holds import straight
 from agent.numerics.model.mechanics import MassSpringDamper
@@ -54,12 +55,12 @@ LOOK_FOR = "look for an element, a force or a mass that the graph lacks, or for 
 
 
 @dataclass(frozen=True)
-class _Found:
+class Found:
     """Everything that was found: the configuration with it, the rig's parameters, windows, and what they explain."""
 
     config: RigConfig
     rig: RigModel
-    said: Pooled
+    pooled: Pooled
     window: int
     windows: int
     seen: Explained
@@ -67,8 +68,9 @@ class _Found:
 
 
 def identify(
-    *, config: Path, recordings: Sequence[Path], write: bool = False, progress: Progress | None = None
-) -> tuple[dict[str, Any], Explained]:
+    *, config: Path, recordings: Sequence[Path], probe_s: float | None = None, write: bool = False,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], Explained]:  # fmt: skip
     """Identify a rig; return the document of CONTRACT section 8, and predicted against measured motion.
 
     "ok" is false, with "errors", where the graph is not the machine's; nothing is written then. Raises ConfigError,
@@ -78,13 +80,13 @@ def identify(
     said = progress or on_terminal()
     rig = load(config, identified=True)
     try:
-        found, span_s = _identified(rig, recordings, said)
+        found, span_s = _identified(rig, material_of(recordings, probe_s), said)
     except np.linalg.LinAlgError as error:
         what = "no values of the graph's elements give this motion"
         raise ModelError.at("model", what, LOOK_FOR) from error
     finally:
         said("")
-    document = _document(rig, found) | {"span_s": span_s, "seconds": time.monotonic() - began}
+    document = document_of(rig, found) | {"span_s": span_s, "seconds": time.monotonic() - began}
     if write and document["ok"]:
         values = {change["parameter"]: change["to"] for change in document["changes"]}
         write_nominals(config, values)
@@ -92,55 +94,71 @@ def identify(
     return document, found.seen
 
 
-def _identified(rig: RigConfig, recordings: Sequence[Path], progress: Progress) -> tuple[_Found, float]:
+def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tuple[Found, float]:
     if not isinstance(rig.model, MechanicsModel):
         advice = "give its parameters' nominals; identify knows masses, springs, dampers and dry friction"
         raise ConfigError.at("model.kind", '"linear" has no graph to identify', advice)
-    blank = with_nominals(rig, {e.name: 1.0 for e in _elements(rig.model) if e.name in rig.estimator.estimate})
-    _require_motion_sensors(blank)
-    records = _records(blank, recordings, progress)
+    blank = with_blanks(rig)
+    require_motion_sensors(blank)
+    records = read_records(blank, recordings, progress)
     progress("solving the weak form")
-    begun = _begun(blank, records)
+    begun = started(blank, records)
     if rig.model.friction:
         # the signs of velocities come from a model, which is now a better one
-        records = _records(begun, recordings, progress)
-        begun = _begun(begun, records)
+        records = read_records(begun, recordings, progress)
+        begun = started(begun, records)
     if faults := model_faults(begun, rig_model(begun)):
         raise ModelError(faults)
-    return _joined(begun, records, progress), sum(record.facts["span_s"] for record in records)
+    return joined(begun, records, progress), sum(record.facts["span_s"] for record in records)
 
 
-def _elements(model: MechanicsModel) -> tuple[Any, ...]:
+def with_blanks(rig: RigConfig) -> RigConfig:
+    """Return a configuration with 1 for every nominal that is to be found."""
+    return with_nominals(rig, {e.name: 1.0 for e in elements_of(rig.model) if e.name in rig.estimator.estimate})
+
+
+def elements_of(model: object) -> tuple[Any, ...]:
+    """Return the springs, dampers and frictions of a graph; nothing of other models."""
+    if not isinstance(model, MechanicsModel):
+        return ()
     return (*model.spring, *model.damper, *model.friction)
 
 
-def _mechanics(config: RigConfig) -> MassSpringDamper:
+def mechanics(config: RigConfig) -> MassSpringDamper:
+    """Return the parametric model of a graph."""
     found = mechanics_of(rig_model(config).model)
     if found is None:
         raise TypeError("not a mass-spring-damper model")
     return found
 
 
-def _require_motion_sensors(config: RigConfig) -> None:
+def require_motion_sensors(config: RigConfig) -> None:
     """Refuse what the weak form cannot begin with: a guess would be no identification."""
-    names, nodes = hidden(_mechanics(config))
+    names, nodes = hidden(mechanics(config))
     if names:
         what = f"{', '.join(names)} cannot be started: no displacement or velocity of {', '.join(nodes)} is measured"
         raise ModelError.at("channel", what, f"measure the displacement of {', '.join(nodes)}, or state these nominals")
 
 
-def _records(config: RigConfig, recordings: Sequence[Path], progress: Progress) -> list[Recorded]:
+def material_of(recordings: Sequence[Path], probe_s: float | None) -> Material:
+    """Return what a rig is identified from. Raises UsageError where that is nothing."""
+    if not recordings and probe_s is None:
+        advice = "name recordings, or listen to the sources with --probe SECONDS"
+        raise UsageError.at("RECORDING", "there is nothing to identify from", advice)
+    return Material(recordings, probe_s)
+
+
+def read_records(config: RigConfig, recordings: Material, progress: Progress) -> list[Recorded]:
+    """Read recordings. Raises RecordingError, also for channels that two of them read alike or not at all."""
     records = []
-    for path in recordings:
-        progress(f"reading {path.name}")
-        record = read_recording(config, path)
+    for name, record in recordings.read(config, progress):
         if found := plain_findings(config, record.measured):
-            raise RecordingError([Fault(str(path), row["words"], "mend the channel first") for row in found])
+            raise RecordingError([Fault(name, row["words"], "mend the channel first") for row in found])
         records.append(record)
     return records
 
 
-def _noise(config: RigConfig, records: Sequence[Recorded]) -> FloatArray:
+def noise_of_sensors(config: RigConfig, records: Sequence[Recorded]) -> FloatArray:
     """Noise of each output (p,), SI: as the high frequencies show it, else as stated, else the digits of a sensor."""
     stated = np.array([(c.noise_sd or 0.0) * c.si_factor for c in config.outputs])
     seen = np.median([record.noise for record in records], axis=0)
@@ -148,13 +166,19 @@ def _noise(config: RigConfig, records: Sequence[Recorded]) -> FloatArray:
     return np.asarray(np.maximum(np.where(seen > 0, seen, stated), np.maximum(DIGITS * spread, 1e-300)))
 
 
-def _begun(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
-    """Return the configuration with the start of the weak form for nominals. Raises ModelError, RecordingError."""
-    model = _mechanics(config)
-    sigma = _noise(config, records)
+def pieces_of(records: Sequence[Recorded]) -> list[tuple[FloatArray, FloatArray]]:
+    """Return outputs and inputs of what has no gap. Raises RecordingError where all is too short."""
     pieces = [(r.y[a:b], r.u[a:b]) for r in records for a, b in r.pieces if b - a >= SHORTEST]
     if not pieces:
         raise RecordingError.at("", f"no {SHORTEST} samples without a gap", "give a longer recording")
+    return pieces
+
+
+def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
+    """Return the configuration with the start of the weak form for nominals. Raises ModelError, RecordingError."""
+    model = mechanics(config)
+    sigma = noise_of_sensors(config, records)
+    pieces = pieces_of(records)
     _require_motion(model, pieces, sigma)
     found = start(
         model, pieces, 1.0 / config.rig.sample_rate_hz, sigma,
@@ -184,21 +208,53 @@ def _positive(config: RigConfig, values: Mapping[str, float]) -> dict[str, float
     return {name: max(value, LEAST * largest[kinds[name]]) for name, value in values.items()}
 
 
-def _window(config: RigConfig, records: Sequence[Recorded]) -> int:
-    """Return the length of the windows that are joined, samples: some periods of the slowest mode."""
+def slowest_period_s(config: RigConfig) -> float:
+    """Return the period of the slowest mode at nominal, s."""
     model = rig_model(config).model
     speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
-    slowest = float(np.min(speeds[speeds > 1e-6 * speeds.max()], initial=speeds.max()))
+    return float(2 * pi / np.min(speeds[speeds > 1e-6 * speeds.max()], initial=speeds.max()))
+
+
+def window_length(config: RigConfig, records: Sequence[Recorded]) -> int:
+    """Return the length of the windows that are joined, samples: some periods of the slowest mode."""
     lengths = [b - a for record in records for a, b in record.pieces]
-    wanted = max(PERIODS * 2 * pi / slowest * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST)
+    wanted = max(PERIODS * slowest_period_s(config) * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST)
     longest = max(lengths)
     # equal parts of the longest piece: a remainder would be lost
     return min(longest // max(1, int(longest / wanted)), LONGEST)
 
 
-def _joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) -> _Found:
+def joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) -> Found:
     """Estimate by all windows together, and run the result free through them."""
-    window = _window(begun, records)
+    window = window_length(begun, records)
+    said, config, count = pool(begun, records, window, progress)
+    progress("running the model free")
+    rig = rig_model(config)
+    names = [parameter.name for parameter in rig.parameters]
+    found = with_nominals(config, dict(zip(names, said.theta.tolist(), strict=True)))
+    constants = statistical_rig(config).constants
+    noise = noise_of_sensors(config, records)
+    seen = explained(_weighed(found, said, constants), said.theta, records, window, noise)
+    return Found(found, rig, said, window, count, seen, constants)
+
+
+def pool(
+    begun: RigConfig, records: Sequence[Recorded], window: int, progress: Progress
+) -> tuple[Pooled, RigConfig, int]:  # fmt: skip
+    """Join all windows of so many samples; return what they say, the configuration used, and how many there are."""
+    config, settings, windows = windowed(begun, records, window)
+    noise = noise_of_sensors(config, records)
+    known = np.isfinite(settings.sigma)
+    sigma = np.where(known, settings.sigma, noise)
+    spread = np.where(known, settings.sigma_spread, SIGMA_SPREAD_UNSTATED)
+    said = pooled(settings.rig, windows, sigma, spread, settings.floor, progress)
+    return said, config, len(windows)
+
+
+def windowed(
+    begun: RigConfig, records: Sequence[Recorded], window: int
+) -> tuple[RigConfig, EstimatorSettings, list[Window]]:
+    """Return the configuration with windows of so many samples, the estimator's settings, and the windows."""
     length = window / begun.rig.sample_rate_hz
     # a polynomial between samples differs from lines by little
     update = {"window_s": length, "hop_s": length, "method": "window-ml", "hold": straight(begun.estimator.hold)}
@@ -210,18 +266,7 @@ def _joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) -
         u = with_constant(record.u, columns)
         for a, b in windows_of(record, window):
             windows.append(window_of(record.y[a:b], u[a:b], u[a - 1] if a else None))
-    noise = _noise(config, records)
-    known = np.isfinite(settings.sigma)
-    sigma = np.where(known, settings.sigma, noise)
-    spread = np.where(known, settings.sigma_spread, SIGMA_SPREAD_UNSTATED)
-    said = pooled(settings.rig, windows, sigma, spread, settings.floor, progress)
-    progress("running the model free")
-    rig = rig_model(config)
-    names = [parameter.name for parameter in rig.parameters]
-    found = with_nominals(config, dict(zip(names, said.theta.tolist(), strict=True)))
-    constants = settings.rig.constants
-    seen = explained(_weighed(found, said, constants), said.theta, records, window, noise)
-    return _Found(found, rig, said, window, len(windows), seen, constants)
+    return config, settings, windows
 
 
 def _weighed(config: RigConfig, said: Pooled, constants: Sequence[Constant]) -> RigConfig:
@@ -231,20 +276,21 @@ def _weighed(config: RigConfig, said: Pooled, constants: Sequence[Constant]) -> 
     return with_nominals(config, {name: float(masses[name] * np.exp(eta)) for name, eta in pairs})
 
 
-def _document(rig: RigConfig, found: _Found) -> dict[str, Any]:
+def document_of(rig: RigConfig, found: Found) -> dict[str, Any]:
+    """Return the document of CONTRACT section 8, but for what only the command knows."""
     errors = list(_refusals(rig, found))
     rows = {p.name: _row(found, i) for i, p in enumerate(found.rig.parameters)}
     shares = {c.name: 100.0 * s for c, s in zip(rig.outputs, found.seen.share.tolist(), strict=True)}
     return {
         "rig": rig.rig.name, "ok": not errors, "parameters": rows, "unexplained_percent": max(shares.values()),
         "unexplained": shares, "graph": [], "windows": found.windows,
-        "window_s": found.window / rig.rig.sample_rate_hz, "scatter": found.said.scatter,
+        "window_s": found.window / rig.rig.sample_rate_hz, "scatter": found.pooled.scatter,
         "changes": _changes(rig, rows), "written": None,
         "errors": [{"path": e.path, "message": e.message, "advice": e.advice} for e in errors],
     }  # fmt: skip
 
 
-def _refusals(rig: RigConfig, found: _Found) -> list[Fault]:
+def _refusals(rig: RigConfig, found: Found) -> list[Fault]:
     """Return why the graph is not the machine's; empty where it is."""
     worst = [
         Fault("model", f"the graph leaves {percent(share)} of the motion of {channel.name} unexplained", LOOK_FOR)
@@ -255,14 +301,14 @@ def _refusals(rig: RigConfig, found: _Found) -> list[Fault]:
         return worst
     if pulled := _pulled(found):
         return [Fault("model", f"the graph fits only with {pulled} than configured", LOOK_FOR)]
-    if not found.said.converged:
+    if not found.pooled.converged:
         return [Fault("model", "the windows of the recordings agree on no values", LOOK_FOR)]
     return []
 
 
-def _pulled(found: _Found) -> str:
+def _pulled(found: Found) -> str:
     """Return the constant that the data pull beyond its data sheet, in words; nothing where none is."""
-    pairs = [(c, eta) for c, eta in zip(found.constants, found.said.eta.tolist(), strict=True) if c.kind != "delay"]
+    pairs = [(c, eta) for c, eta in zip(found.constants, found.pooled.eta.tolist(), strict=True) if c.kind != "delay"]
     constant, eta = max(pairs, key=lambda pair: abs(pair[1]) / pair[0].sheet, default=(None, 0.0))
     if constant is None or abs(eta) <= PULLED * constant.sheet:
         return ""
@@ -270,18 +316,18 @@ def _pulled(found: _Found) -> str:
     return f"{what} {percent(np.expm1(eta))} {'more' if eta > 0 else 'less'}"
 
 
-def _row(found: _Found, i: int) -> dict[str, Any]:
-    value, sd = float(found.said.theta[i]), float(found.said.sd[i])
+def _row(found: Found, i: int) -> dict[str, Any]:
+    value, sd = float(found.pooled.theta[i]), float(found.pooled.sd[i])
     why = _why(found, i)
     return {
-        "value": value, "sd": sd, "sd_repeat": float(found.said.sd_repeat[i]), "lower": value - T975 * sd,
+        "value": value, "sd": sd, "sd_repeat": float(found.pooled.sd_repeat[i]), "lower": value - T975 * sd,
         "upper": value + T975 * sd, "unit": found.rig.parameters[i].unit, "identifiable": why is None, "why": why,
     }  # fmt: skip
 
 
-def _why(found: _Found, i: int) -> str | None:
+def _why(found: Found, i: int) -> str | None:
     """Return why a parameter is not known, and what would show it; None where it is."""
-    parameter, said = found.rig.parameters[i], found.said
+    parameter, said = found.rig.parameters[i], found.pooled
     vague = said.sd > VAGUE * np.abs(said.theta)
     if parameter.kind in ("bias", "gain") or not vague[i]:
         return None

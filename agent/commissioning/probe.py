@@ -8,7 +8,8 @@ from agent.commissioning.limits import LISTEN_S, PATIENCE_S, TURN_S
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Gathering
 from agent.config import RigConfig
-from agent.errors import BusError, Fault, UsageError
+from agent.errors import BusError, ConfigError, Fault, UsageError
+from agent.runtime.assembly.source_faults import source_faults
 from agent.runtime.sources import Connection, connect, part
 
 OPEN_ADVICE = "see that it is connected, powered and up, and that no other program holds it"
@@ -17,10 +18,9 @@ OPEN_ADVICE = "see that it is connected, powered and up, and that no other progr
 def listen(config: RigConfig, progress: Progress, listen_s: float = LISTEN_S) -> Gathering:
     """Return what the sources delivered.
 
-    Raises UsageError without sources, BusError with every source that cannot be opened.
+    Raises UsageError without sources, ConfigError, BusError with every source that cannot be opened.
     """
-    if not config.source:
-        raise UsageError.at("source", "there is none to listen to", "name the bus to listen to")
+    require_sources(config)
     gathering = Gathering(config, {source.name: source.map for source in config.source})
     wake = threading.Event()
     connections = connect([config], wake)
@@ -34,6 +34,14 @@ def listen(config: RigConfig, progress: Progress, listen_s: float = LISTEN_S) ->
         progress("")
     gathering.finish()
     return gathering
+
+
+def require_sources(config: RigConfig) -> None:
+    """Refuse a rig without sources (UsageError), and keys that drivers cannot work with (ConfigError)."""
+    if not config.source:
+        raise UsageError.at("source", "there is none to listen to", "name the bus to listen to")
+    if faults := source_faults(config):
+        raise ConfigError(faults)
 
 
 def _listen(

@@ -61,10 +61,11 @@ class Gathering:
     Args:
         config: the rig's configuration.
         sources: names of the sources that deliver, with their channel -> field maps.
+        keep: whether samples are kept for `recorded`; without them listening may last for days.
     """
 
-    def __init__(self, config: RigConfig, sources: Maps) -> None:
-        self._config, self._maps = config, sources
+    def __init__(self, config: RigConfig, sources: Maps, *, keep: bool = True) -> None:
+        self._config, self._maps, self._keep = config, sources, keep
         self.acquisition = make_acquisition(config, sources, np.zeros(len(config.outputs)), keep_incomplete=False)
         self.counts = {name: Counts() for name in sources}
         self._clocks = SourceClocks()
@@ -78,7 +79,8 @@ class Gathering:
             return
         for column, channel in enumerate(self._maps[source]):
             self._missing[channel] += int((~np.isfinite(block.values[:, column])).sum())
-        self._aligned += _paired(self.acquisition.step(source, block, modulus).values)
+        aligned = _paired(self.acquisition.step(source, block, modulus).values)
+        self._aligned += aligned if self._keep else []
         if block.wall_offset_ns is not None:
             self._received(self.acquisition.sources[source], block.arrival_ns)
 
@@ -92,12 +94,15 @@ class Gathering:
         """Take what waits for samples that will not come."""
         self._aligned += _paired(self.acquisition.finish().values)
 
-    def recorded(self, name: str) -> Recorded | None:
-        """Return what came, in SI units; None where no sample has every channel."""
+    def recorded(self, name: str, config: RigConfig | None = None) -> Recorded | None:
+        """Return what came, in SI units; None where no sample has every channel.
+
+        config: whose nominals give the signs of dry friction; by default those with which samples were gathered.
+        """
         if not self._aligned:
             return None
         u, y = np.vstack([a.u for a in self._aligned]), np.vstack([a.y for a in self._aligned])
-        friction = dry_friction(self._config, np.zeros(y.shape[1]))
+        friction = dry_friction(config or self._config, np.zeros(y.shape[1]))
         inputs = np.vstack([friction.step(a) for a in self._aligned])
         noise = np.array([noise_of(y[:, r], u) for r in range(y.shape[1])])
         v = np.hstack([u, y])

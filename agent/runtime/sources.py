@@ -14,7 +14,7 @@ from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
 from agent.recording.recorder import Recorder
 from agent.runtime.limits import QUEUE_SAMPLES, READ_S
-from drivers.port import Capture, Counts, Driver, DriverConfigError, SampleBlock, SourceRequest
+from drivers.port import Capture, Counts, Driver, DriverConfigError, SampleBlock, SourceRequest, Trace
 from drivers.reconnect import LinkEvent, ReconnectingDriver
 
 log = logging.getLogger(__name__)
@@ -83,6 +83,11 @@ class Connection:
         self._overflowed: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._work, name=f"read {driver.request.name}", daemon=True)
+
+    def look_on(self) -> Trace:
+        """Return what is shown every unit that comes, beside what it decodes to; called before the start."""
+        self._driver.counts.trace = Trace()
+        return self._driver.counts.trace
 
     def start(self) -> None:
         """Begin to read."""

@@ -139,6 +139,7 @@ class ModbusDriver(Driver):
             except ReplyError as error:
                 self._reader.lost_s += clock.monotonic() - begun
                 self.counts.faults[error.kind] += 1
+                self.counts.show_bad(error.kind, f"{error.data.hex(' ') or 'nothing'}: {error}")
                 self._after_failure(error)
             else:
                 self._unanswered, self._busy_s = 0, BUSY_FIRST_S

@@ -62,4 +62,4 @@ class FifoReader(Reader):
 
     def _block(self, slots: ByteArray) -> SampleBlock:
         counter = self.layout.counter(slots, self.source.counter) if self.source.counter else None
-        return SampleBlock(self.layout.values(slots, self.source.fields), clock.monotonic_ns(), counter)
+        return SampleBlock(self.values(slots), clock.monotonic_ns(), counter)

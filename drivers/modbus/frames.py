@@ -57,12 +57,13 @@ _ADVICE = {
 
 
 class ReplyError(Exception):
-    """A reply that is not the answer to its request, or none; `kind` counts it, `code` is that of an exception."""
+    """A reply that is not the answer to its request, or none: kind counts it, code is an exception's, data came."""
 
     def __init__(self, kind: str, words: str, code: int = 0) -> None:
         super().__init__(words)
         self.kind = kind
         self.code = code
+        self.data = b""
 
     @property
     def silent(self) -> bool:

@@ -205,6 +205,9 @@ class ModbusLine:
                 answer = self.frames.reply(data, request)
         except DriverIOError as error:
             raise _EndedError(str(error), amid=self.frames.partial(data)) from error
+        except ReplyError as error:
+            error.data = data
+            raise
         finally:
             self._received_at = clock.monotonic()
             for number in self.frames.late if data else ():
@@ -221,7 +224,9 @@ class ModbusLine:
         if self._pause_s is None and self.frames.partial(data):
             self._drop()
         got = f"{len(data)} bytes that are no reply to it" if data else "no reply"
-        return ReplyError("timeout", f"{got} in time to {request.words}")
+        error = ReplyError("timeout", f"{got} in time to {request.words}")
+        error.data = data
+        return error
 
     def _answered(self, asked: _Asked) -> None:
         seconds = clock.monotonic() - asked.at

@@ -13,7 +13,7 @@ from drivers import clock
 from drivers.fields import ByteArray, Layout
 from drivers.modbus.frames import Request
 from drivers.modbus.settings import ModbusSettings
-from drivers.port import Counts, DriverIOError, SampleBlock, SourceRequest
+from drivers.port import Counts, DriverIOError, FloatArray, SampleBlock, SourceRequest, Trace
 
 Ask = Callable[[Request], ByteArray]
 """Asks and answers; raises LaterError, RefusedError and DriverIOError."""
@@ -65,6 +65,14 @@ class Reader(ABC):
 
     def reopened(self) -> None:  # noqa: B027 (most modes keep nothing that a lost connection spoils)
         """Forget what may have changed while there was no connection."""
+
+    def values(self, slots: ByteArray) -> FloatArray:
+        """Return the requested fields of samples' registers (n, bytes), (n, m); who looks on is shown both."""
+        found = self.layout.values(slots, self.source.fields)
+        if self.counts.trace is not None:
+            shown = [f"registers {slot.tobytes().hex(' ', 2)}" for slot in slots[-Trace.NEWEST :]]
+            self.counts.trace.good(shown, found[-Trace.NEWEST :])
+        return found
 
     def wait_until_due(self, deadline: float) -> bool:
         """Wait for the next poll; False when that lies beyond the deadline, which is then reached."""

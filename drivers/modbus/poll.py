@@ -100,7 +100,7 @@ class PollReader(Reader):
         slots = np.stack([sample for sample, _ in rows])
         received = np.array([time_ns for _, time_ns in rows], dtype=np.int64)
         counter = self.layout.counter(slots, self.source.counter) if self.source.counter else None
-        values = self.layout.values(slots, self.source.fields)
+        values = self.values(slots)
         return SampleBlock(values, clock.monotonic_ns(), counter, received_ns=received)
 
     def _rows(self, ask: Ask, deadline: float) -> Iterator[tuple[ByteArray, int]]:

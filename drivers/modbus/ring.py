@@ -190,12 +190,14 @@ class RingReader(Reader):
     def _deliver(self, first: int, data: ByteArray, late: NDArray[np.bool_]) -> SampleBlock:
         """Return the samples from number `first` on but for those that came too late (n,), and count all of them."""
         arrival_ns = clock.monotonic_ns()
-        slots = slots_of(data, self.layout)[~late]
+        every = slots_of(data, self.layout)
+        slots = every[~late]
         self.counts.received += len(late)
         if late.any():
             self.counts.rejected["overrun"] += int(late.sum())
+            self.counts.show_bad("overrun", f"registers {every[late][-1].tobytes().hex(' ', 2)}")
         return SampleBlock(
-            self.layout.values(slots, self.source.fields),
+            self.values(slots),
             arrival_ns,
             self._count(slots, first, late),
             None,

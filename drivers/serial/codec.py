@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.crc import Crc
 from drivers.fields import ByteArray, Layout
-from drivers.port import Counts, FloatArray, IntArray
+from drivers.port import Counts, FloatArray, IntArray, Trace
 
 Samples = tuple[FloatArray, IntArray | None]
 """Values (n, m) and counters (n,), or None without a counter."""
@@ -184,6 +184,8 @@ class BinaryDecoder(SerialDecoder):
             shown = piece[: self._size].tobytes().hex(" ")
             why = "has another checksum than crc" if crc_failed else f"does not begin with sync {self._sync_text}"
             self._counts.first.setdefault(reason, f"{shown} {why}")
+        if 2 * len(piece) >= self._size and self._counts.trace is not None:
+            self._counts.trace.bad(reason, [piece[: 2 * self._size].tobytes().hex(" ")])
 
     @property
     def _sync_text(self) -> str:
@@ -193,7 +195,11 @@ class BinaryDecoder(SerialDecoder):
         body = self._rows(text, starts)[:, : self._layout.size]
         self._counts.received += len(starts)
         counter = self._layout.counter(body, self._counter) if self._counter else None
-        return self._layout.values(body, self._names), counter
+        values = self._layout.values(body, self._names)
+        if self._counts.trace is not None:
+            frames = [text[start : start + self._size].tobytes().hex(" ") for start in starts[-Trace.NEWEST :].tolist()]
+            self._counts.trace.good(frames, values[-Trace.NEWEST :])
+        return values, counter
 
 
 def _apart(places: IntArray, size: int) -> IntArray:

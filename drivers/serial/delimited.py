@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from drivers.crc import Crc
 from drivers.fields import ByteArray, Layout
-from drivers.port import Counts
+from drivers.port import Counts, Trace
 from drivers.serial.codec import Samples, SerialDecoder, Skipped
 from drivers.serial.framing import Framing
 
@@ -64,7 +64,10 @@ class EndedDecoder(SerialDecoder):
         if frame is not None and len(frame) == self._size:
             self._skipped.good()
             return frame
-        self._skipped.add(len(piece) + bool(piece), "coding" if frame is None and not overlong else "length")
+        reason = "coding" if frame is None and not overlong else "length"
+        self._skipped.add(len(piece) + bool(piece), reason)
+        if piece:
+            self._counts.show_bad(reason, piece.hex(" "))
         return None
 
     def _shortened(self, rest: bytes) -> bytes:
@@ -81,10 +84,15 @@ class EndedDecoder(SerialDecoder):
         self._counts.received += len(rows)
         if not good.all():
             self._counts.rejected["crc"] += int((~good).sum())
+            self._counts.show_bad("crc", *(row.tobytes().hex(" ") for row in rows[~good]))
             rows = rows[good]
         body = rows[:, : self._layout.size]
         counter = self._layout.counter(body, self._counter) if self._counter else None
-        return self._layout.values(body, self._names), counter
+        values = self._layout.values(body, self._names)
+        if self._counts.trace is not None:
+            shown = [row.tobytes().hex(" ") for row in rows[-Trace.NEWEST :]]
+            self._counts.trace.good(shown, values[-Trace.NEWEST :])
+        return values, counter
 
     def _sound(self, rows: ByteArray) -> NDArray[np.bool_]:
         if self._crc is None or not len(rows):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from drivers.port import Counts, DriverConfigError
+from drivers.port import Counts, DriverConfigError, Trace
 from drivers.serial.codec import Samples, SerialDecoder
 from drivers.serial.patterns import LONGEST
 
@@ -68,8 +68,12 @@ class TextDecoder(SerialDecoder):
             self._counts.faults["stray bytes"] += len(lines.pop(0))
             self._begun = True
         self._rest = rest
-        rows = [row for line in lines if line.strip() and (row := self._row(line)) is not None]
+        read = [(line, row) for line in lines if line.strip() and (row := self._row(line)) is not None]
+        rows = [row for _, row in read]
         table = np.array(rows).reshape(len(rows), len(self._columns))
+        if self._counts.trace is not None:
+            shown = [line.decode("latin-1").strip("\r\n \0") for line, _ in read[-Trace.NEWEST :]]
+            self._counts.trace.good(shown, table[-Trace.NEWEST :, self._places])
         counter = None if self._counter is None else table[:, self._counter].astype(np.int64)
         return table[:, self._places], counter
 
@@ -85,7 +89,7 @@ class TextDecoder(SerialDecoder):
 
     def _reject(self, reason: str, text: str) -> None:
         self._counts.rejected[reason] += 1
-        self._counts.first.setdefault(reason, f'"{text[:_SHOWN]}": {self._why(reason, text)}')
+        self._counts.show_bad(reason, f'"{text[:_SHOWN]}": {self._why(reason, text)}')
         if reason not in self._noted:
             self._noted.add(reason)
             more = "..." if len(text) > _SHOWN else ""

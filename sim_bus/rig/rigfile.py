@@ -15,6 +15,10 @@ from sim_bus.rig.plant import GROUND, Graph, Hold, Link, PlantError, System
 from sim_bus.rig.units import si_factor
 
 Quantity = Literal["force", "displacement", "velocity", "acceleration", "input", "output"]
+_PLAYED = (
+    "the simulator plays what stands there: give the value that the machine is to have, or let "
+    "`deltak identify CONFIG RECORDING --write` find it from a recording"
+)
 ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
@@ -278,7 +282,8 @@ def _words(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
 
 def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
     path = ""
-    message = "is missing" if message == "Field required" else message
+    if message == "Field required":
+        message = "is missing" + (f"; {_PLAYED}" if location[-1] == "nominal" else "")
     for part in (part for part in location if part not in (_MECHANICAL, _LINEAR)):
         path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else part
     return ": ".join(text for text in (where, path, message.removeprefix("Value error, ")) if text)

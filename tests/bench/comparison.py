@@ -22,7 +22,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
-from tests.bench import rivals
+from agent.evaluation.compare import joint, rivals
 from tests.bench.contenders import Contender, Estimates, contenders
 from tests.bench.scene import DRIFT_FROM, END, JUMPS, NOMINAL, PERIOD, WINDOW, Record, play, rig, schedule, two_pasts
 
@@ -166,7 +166,7 @@ def _joint_ekf_step(steps: int = 4_000) -> float:
     record = play(np.tile(NOMINAL, (steps, 1)), 1e-6, np.random.default_rng(5))
     polynomial = rivals.Polynomial(rig(), PERIOD)
     start = time.process_time()
-    rivals.run_ekf(polynomial, 1e-6, rivals.Tuning(1e-3), record.y, record.u)
+    joint.run_ekf(polynomial, 1e-6, rivals.Tuning(1e-3), record.y, record.u)
     return 1e6 * (time.process_time() - start) / steps
 
 

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config import load
+from agent.evaluation.compare import joint, rivals
 from agent.numerics.model.observer import poles_gain
 from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.runtime.assembly.methods import make_estimation
 from agent.types import Samples, Status
-from tests.bench import rivals
 from tests.bench.scene import HOP, NOMINAL, PERIOD, WINDOW, Record, rig
 
 FloatArray = NDArray[np.float64]
@@ -94,8 +94,8 @@ def contenders(sigma: float, tuning_record: Record, score: Callable[[Estimates],
         Contender("seed as printed", seed_run(1.0, 1), "the paper's poles, one pass"),
         best("seed re-centred", [(f"poles x {s:g}, {PASSES} passes", seed_run(s, PASSES)) for s in POLE_SCALES]),
         best("RLS", [(f"poles x {s:g}, forgets {m:g}", rls_run(s, m)) for s in POLE_SCALES for m in MEMORIES]),
-        best("joint EKF", [(f"walk {w:g}", joint_run(rivals.run_ekf, sigma, w)) for w in WALKS]),
-        best("joint UKF", [(f"walk {w:g}", joint_run(rivals.run_ukf, sigma, w)) for w in WALKS]),
+        best("joint EKF", [(f"walk {w:g}", joint_run(joint.run_ekf, sigma, w)) for w in WALKS]),
+        best("joint UKF", [(f"walk {w:g}", joint_run(joint.run_ukf, sigma, w)) for w in WALKS]),
         *[Contender(f"window-ml {name}", product_run(sigma, s), "not tuned", samples) for name, s, samples in WINDOWS],
     ]
 

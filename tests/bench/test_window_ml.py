@@ -17,9 +17,10 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
+from agent.evaluation.compare import joint, rivals
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.preprocessing.bridge import filled
-from tests.bench import bench_bank, rivals
+from tests.bench import bench_bank
 from tests.unit.numerics.estimator.test_sliding import settings
 from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
 from tests.unit.numerics.rigs import Record, noisy
@@ -99,10 +100,10 @@ def timed(run: Callable[[], object], count: int) -> Timed:
     return measured
 
 
-def joint_ekf(samples: Record) -> Timed:
+def timed_ekf(samples: Record) -> Timed:
     polynomial, tuning = rivals.Polynomial(rig(), PERIOD), rivals.Tuning(1e-4)
     y, u = samples.y[:EKF_SAMPLES], samples.u[:EKF_SAMPLES]
-    return timed(lambda: rivals.run_ekf(polynomial, SIGMA, tuning, y, u), EKF_SAMPLES)
+    return timed(lambda: joint.run_ekf(polynomial, SIGMA, tuning, y, u), EKF_SAMPLES)
 
 
 def filterpys_own() -> Timed:
@@ -120,7 +121,7 @@ def filterpys_own() -> Timed:
 
 
 def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
-    cost = fastest({"window-ml": window_ml(samples, 1.0), "ekf": joint_ekf(samples), "filterpy": filterpys_own()})
+    cost = fastest({"window-ml": window_ml(samples, 1.0), "ekf": timed_ekf(samples), "filterpy": filterpys_own()})
     overhead, ratio = cost["ekf"] / cost["filterpy"], cost["ekf"] / cost["window-ml"]
     print(f"\nwindow-ml {cost['window-ml']:.0f} ns a sample after a start of {start_of(samples, 1.0):.2f} s")
     print(
@@ -131,7 +132,7 @@ def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
 
 
 def test_bank_costs_a_small_share_of_a_joint_ekf(samples: Record) -> None:
-    ekf = fastest({"ekf": joint_ekf(samples)})["ekf"]
+    ekf = fastest({"ekf": timed_ekf(samples)})["ekf"]
     rng, ratios = np.random.default_rng(0), {}
     for constants in (0, 3, 7):
         rig = bench_bank.rig_with(constants)

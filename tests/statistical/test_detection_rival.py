@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from agent.blocks.level_alarms import LevelAlarms
+from agent.evaluation.compare import joint, rivals
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.types import EstimateBatch, FloatArray, Status
-from tests.bench import rivals
 from tests.statistical.detection import WITHIN, Verdict, assessed, played, raised, verdict
 from tests.statistical.machine import MASSES, NAMES, NOMINAL, PERIOD, configuration, each, say
 from tests.statistical.operation import NOISE_M
@@ -42,7 +42,7 @@ def ekf_verdict(work: tuple[int, float]) -> Verdict:
     seed, walk = work
     play = played(seed)
     u, y = play.readings[:, :1], play.readings[:, 1:]
-    track = rivals.run_ekf(rivals.Polynomial(model(), PERIOD), NOISE_M, rivals.Tuning(walk, spread=0.1), y, u)
+    track = joint.run_ekf(rivals.Polynomial(model(), PERIOD), NOISE_M, rivals.Tuning(walk, spread=0.1), y, u)
     alarms = LevelAlarms("rig", configuration(NOISE_M).alarm, 1.0 / PERIOD)
     return assessed(seed, play, raised(alarms.step(batch(*track))))
 

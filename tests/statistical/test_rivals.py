@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from agent.evaluation.compare import joint, rivals
 from agent.numerics.model.statespace import discretise
-from tests.bench import rivals
 from tests.bench.contenders import gain
 from tests.bench.scene import NOMINAL, PERIOD, Record, play, rig, two_pasts
 
@@ -25,7 +25,7 @@ def test_polynomial_of_the_sampled_model_is_exact_over_the_scenes_changes(change
     assert np.allclose(derivatives, np.concatenate([exact.dA, exact.dB], axis=2), rtol=1e-4, atol=1e-9)
 
 
-@pytest.mark.parametrize("run", [rivals.run_ekf, rivals.run_ukf])
+@pytest.mark.parametrize("run", [joint.run_ekf, joint.run_ukf])
 def test_joint_filter_finds_constant_parameters_within_its_own_interval(run, record: Record) -> None:
     polynomial = rivals.Polynomial(rig(), PERIOD)
     theta, sd = run(polynomial, 1e-6, rivals.Tuning(1e-6), record.y, record.u)
@@ -37,7 +37,7 @@ def test_joint_filter_finds_constant_parameters_within_its_own_interval(run, rec
 def test_joint_filters_agree_with_each_other(record: Record) -> None:
     polynomial = rivals.Polynomial(rig(), PERIOD)
     short = (record.y[:1000], record.u[:1000])
-    (ekf, _), (ukf, _) = (f(polynomial, 1e-6, rivals.Tuning(1e-4), *short) for f in (rivals.run_ekf, rivals.run_ukf))
+    (ekf, _), (ukf, _) = (f(polynomial, 1e-6, rivals.Tuning(1e-4), *short) for f in (joint.run_ekf, joint.run_ukf))
     assert np.all(np.abs(ekf[-1] - ukf[-1]) < 0.02 * NOMINAL)
 
 

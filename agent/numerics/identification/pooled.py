@@ -30,6 +30,34 @@ MOST_STEPS, RESTS_SD = 8, 0.05
 Progress = Callable[[str], None]
 
 
+@dataclass
+class Costs:
+    """What each window says of deviations d = (parameters in `unit`, constants) from a point: dᵀ H d - 2 hᵀ d.
+
+    Attributes:
+        theta, unit: (q,) the point, and what a deviation of 1 means.
+        H, h: K of (q + c, q + c) and (q + c,);  prior, offset: the same of the data sheets.
+    """
+
+    theta: FloatArray
+    unit: FloatArray
+    prior: FloatArray
+    offset: FloatArray
+    H: list[FloatArray]
+    h: list[FloatArray]
+
+    @classmethod
+    def none(cls, theta: FloatArray, prior: FloatArray, offset: FloatArray) -> "Costs":
+        """Return the costs of no window."""
+        return cls(theta.copy(), np.ones_like(theta), prior.copy(), offset.copy(), [], [])
+
+    def add(self, H: FloatArray, h: FloatArray, unit: FloatArray) -> None:
+        """Add a window's."""
+        self.unit = unit
+        self.H.append(H)
+        self.h.append(h)
+
+
 @dataclass(frozen=True)
 class Pooled:
     """What all windows say together.
@@ -41,6 +69,7 @@ class Pooled:
         scatter: how many times more the windows differ than they should, as a variance.
         taught: what the windows that the noise was learnt from said.
         converged: it came to rest.
+        known: what was learnt of the noise, at the point.
     """
 
     theta: FloatArray
@@ -51,6 +80,7 @@ class Pooled:
     scatter: float
     taught: tuple[Posterior, ...]
     converged: bool
+    known: Knowledge
 
 
 def pooled(
@@ -75,12 +105,24 @@ def pooled(
         unit = np.abs(found.unit)
         moved = unit * found.step[: rig.q]
         eta = np.clip(known.eta + found.step[rig.q :], -farthest, farthest)
-        theta = np.maximum(known.theta + _bounded(moved, known.theta), rig.lower)
+        theta = np.maximum(known.theta + _bounded(moved, np.where(rig.nominal != 0, known.theta, 0.0)), rig.lower)
         known = replace(known, theta=theta, eta=eta)
         rests = bool(np.all(np.abs(moved) <= RESTS_SD * unit * np.sqrt(np.diag(found.covariance)[: rig.q])))
         if rests:
             break
     return found.said(known, tuple(taught), rests)
+
+
+def costs_of(
+    rig: Rig, windows: Sequence[Window], said: Pooled, theta: FloatArray, floor: FloatArray
+) -> tuple[Costs, float]:
+    """Return what each window says about theta (q,) of a rig with more parameters than `said` is of, and the scatter.
+
+    The noise is that which was learnt with fewer; constants stand where they were found.
+    """
+    learner = Learner(rig, windows[0].length, len(floor), floor)
+    found = _Sum.of(learner, windows, replace(said.known, theta=theta))
+    return found.costs, found.scatter
 
 
 def _spread_out(windows: Sequence[Window]) -> list[Window]:
@@ -89,7 +131,7 @@ def _spread_out(windows: Sequence[Window]) -> list[Window]:
 
 
 def _bounded(step: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return a step that takes no parameter farther than half its size."""
+    """Return a step that takes no parameter farther than half its size; what has none (0) may go anywhere."""
     size = np.where(theta != 0, np.abs(theta), np.inf)
     return np.asarray(step / max(1.0, float(np.max(np.abs(step) / (0.5 * size)))))
 
@@ -103,6 +145,7 @@ class _Sum:
     covariance: FloatArray
     given: FloatArray
     scatter: float
+    costs: Costs
 
     @classmethod
     def of(cls, learner: Learner, windows: Sequence[Window], known: Knowledge) -> "_Sum":
@@ -112,24 +155,25 @@ class _Sum:
         H, h = np.zeros((q + c, q + c)), np.zeros(q + c)
         H[q:, q:] = np.diag(sheet**-2.0)
         h[q:] = -known.eta * sheet**-2.0
-        said = []
+        said, costs = [], Costs.none(known.theta, H, h)
         no_cuts: IntArray = np.zeros(0, dtype=np.int64)
         for window in windows:
             at = learner.lineariser.point(window, known, known.theta, no_cuts)
             S, g, alone, V, Z = eliminated(at)
             precision = inverse(V)
             J = np.hstack([np.eye(q), Z])
-            H += J.T @ precision @ J
-            h += J.T @ (precision @ alone)
-            H[q:, q:] += S
-            h[q:] += g
+            H_w, h_w = J.T @ precision @ J, J.T @ (precision @ alone)
+            H_w[q:, q:] += S
+            h_w[q:] += g
+            costs.add(H_w, h_w, at.unit)
+            H, h = H + H_w, h + h_w
             said.append((alone, precision, Z))
         covariance = inverse(H)
         step = covariance @ h
         differing = [alone - Z @ step[q:] - step[:q] for alone, _, Z in said]
         total = sum(float(d @ W @ d) for d, (_, W, _) in zip(differing, said, strict=True))
         scatter = max(1.0, total / (q * max(len(said) - 1, 1)))
-        return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter)
+        return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter, costs)
 
     def said(self, known: Knowledge, taught: tuple[Posterior, ...], converged: bool) -> Pooled:
         q = len(self.unit)
@@ -138,5 +182,5 @@ class _Sum:
         sd = np.sqrt(np.diag(whole))
         return Pooled(
             known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)), whole / np.outer(sd, sd),
-            known.eta, self.scatter, taught, converged,
+            known.eta, self.scatter, taught, converged, known,
         )  # fmt: skip

@@ -112,6 +112,7 @@ class DaemonBus(CanBus):
         if self._text.bad > bad:
             self._counts.received += self._text.bad - bad
             self._counts.rejected["text"] += self._text.bad - bad
+            self._counts.show_bad("text", self._text.shown)
         return frames
 
     def close(self) -> None:

@@ -94,6 +94,7 @@ class SlcanText:
             if not first:  # the line that was being sent while this end was opened is nobody's
                 self._counts.received += 1
                 self._counts.rejected["text"] += 1
+                self._counts.show_bad("text", line.decode("latin-1"))
 
     def _may_be_tail(self, line: bytes) -> bool:
         """Tell whether a line could be the end of the broken one before it, cut by a wrong or one more byte."""

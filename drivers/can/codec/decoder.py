@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from drivers.can.codec.database import MessageCodec, is_remote
 from drivers.can.codec.error_frames import ErrorWatch
-from drivers.can.codec.frames import ERROR, EXTENDED, EXTENDED_MASK, STANDARD_MASK, Frames
+from drivers.can.codec.frames import ERROR, EXTENDED, EXTENDED_MASK, STANDARD_MASK, Frames, FrameTable
 from drivers.can.codec.joiner import Decoded, Joiner, Part
-from drivers.port import Counts, DriverConfigError
+from drivers.port import Counts, DriverConfigError, Trace
 
 
 class FrameDecoder:
@@ -87,9 +87,20 @@ class FrameDecoder:
             right = assess(frames.table)
             self._reject(reason, int(np.count_nonzero(~right)), len(message.samples))
             if not right.all():
-                self._counts.first.setdefault(reason, shown(frames.table[int(np.argmin(right))]))
+                self._show_bad(reason, frames.table[~right])
             frames = _picked(frames, right)
         return frames
+
+    def _show_bad(self, reason: str, table: FrameTable) -> None:
+        if len(table):
+            self._counts.show_bad(reason, shown(table[0]), *map(shown, table[1:][-Trace.NEWEST :]))
+
+    def _show(self, message: MessageCodec, table: FrameTable) -> None:
+        """Show frames beside what each of them carries: of several samples in one the last."""
+        if self._counts.trace is not None:
+            newest = table[-Trace.NEWEST :]
+            last = message.values(newest, self._columns)[len(message.samples) - 1 :: len(message.samples)]
+            self._counts.trace.good([f"{message.name} {shown(frame)}" for frame in newest], last)
 
     def _single(self, frames: Frames) -> Decoded:
         (message,) = self._messages
@@ -101,9 +112,12 @@ class FrameDecoder:
         if message.switches:
             # a frame of other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
             bare = np.logical_and.reduce(np.isnan(values), axis=1).reshape(len(sound), len(message.samples)).all(axis=1)
-            self._reject("mux", int((bare & ~message.knows(sound.table)).sum()), len(message.samples))
+            strange = bare & ~message.knows(sound.table)
+            self._reject("mux", int(strange.sum()), len(message.samples))
+            self._show_bad("mux", sound.table[strange])
             sound, values = _picked(sound, ~bare), values[~np.repeat(bare, len(message.samples))]
         self._counts.received += len(values)
+        self._show(message, sound.table)
         return Decoded(values, message.numbers(sound.table), np.repeat(sound.t_ns, len(message.samples)))
 
     def _parts(self, number: int, message: MessageCodec, frames: Frames) -> list[Part]:
@@ -112,7 +126,9 @@ class FrameDecoder:
         if message.switches:
             known = message.knows(sound.table)
             self._reject("mux", int(np.count_nonzero(~known)), 1)
+            self._show_bad("mux", sound.table[~known])
             sound = _picked(sound, known)
+        self._show(message, sound.table)
         parts = []
         for place, page in enumerate(message.pages, number):
             shown = _picked(sound, page.shown(sound.table))

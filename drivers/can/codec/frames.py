@@ -89,9 +89,11 @@ class DaemonText:
 
     Attributes:
         bad: messages that were no frame, so far.
+        shown: the newest of them.
     """
 
     bad: int = 0
+    shown: str = ""
     _rest: bytes = b""
 
     def feed(self, data: bytes) -> Frames:
@@ -102,7 +104,10 @@ class DaemonText:
         rows: list[bytes] = []
         times: list[int] = []
         known = sum(self._add(match, rows, times) for match in _SOCKETCAND.finditer(whole))
-        self.bad += whole.count(b">") - known
+        strange = whole.count(b">") - known
+        if strange:
+            self.bad += strange
+            self.shown = (_SOCKETCAND.sub(b"", whole).strip() or whole)[:_SHOWN].decode("latin-1")
         return frames_of(rows, np.array(times, np.int64)) if rows else no_frames()
 
     def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> bool:
@@ -123,6 +128,7 @@ class DaemonText:
 
 
 _LONGEST_MESSAGE = 400
+_SHOWN = 80
 _ERROR_CLASS = re.compile(rb"< *error ([0-9A-Fa-f]{1,8}) \d")
 
 

@@ -36,7 +36,7 @@ def run(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, s
     return code, *capfd.readouterr()
 
 
-@pytest.mark.parametrize("command", ["run", "replay", "check"])
+@pytest.mark.parametrize("command", ["run", "replay"])
 def test_what_needs_nominals_refuses_and_advises_to_identify(
     command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -46,6 +46,19 @@ def test_what_needs_nominals_refuses_and_advises_to_identify(
     assert "model.spring[0].nominal: is missing; " in err
     assert "deltak identify" in err
     assert len(err.splitlines()) == 4
+
+
+def test_check_accepts_a_file_that_is_yet_to_be_identified_and_says_so(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    config, recording = files(tmp_path)
+    code, out, _ = run(["check", config], capfd)
+    assert code == 0
+    assert "usable once it is identified" in out
+    assert "warning: model.spring[0].nominal: is missing; " in out
+    assert run(["check", config, "--recording", recording], capfd)[0] == 2
+    Path(config).write_text(TEXT.replace("mass", "mess", 1), encoding="utf-8")
+    assert run(["check", config], capfd)[0] == 2
 
 
 def test_identify_writes_nominals_that_replay_then_runs_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -159,3 +172,30 @@ def test_text_without_a_place_for_a_value_is_left_alone() -> None:
     text = '[model]\nmass = [{ value = 5, "name" = "m1" }]\nspring = [{ "name" = "k1", between = ["ground", "m1"] }]\n'
     with pytest.raises(UsageError, match="enter 25 there yourself"):
         edited(text, {"k1": 25.0}, Path("rig.toml"))
+
+
+def test_identify_graph_finds_the_element_that_the_file_lacks_and_writes_nothing_into_another_graph(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lacking = TEXT.replace(f', {{ name = "B2", between = {_between(TEXT, "B2")} }}', "")
+    assert lacking != TEXT
+    config, recording = files(tmp_path, text=lacking)
+    code, _, err = run(["identify", config, recording, "--graph", "--write", "--json"], capfd)
+    assert code == 2
+    assert "the graph chosen is not the file's; nothing was written" in err
+    assert '{ name = "B_' in err
+    assert Path(config).read_text(encoding="utf-8") == lacking
+
+
+def _between(text: str, name: str) -> str:
+    return text.partition(f'name = "{name}", between = ')[2].partition("]")[0] + "]"
+
+
+def test_identify_graph_that_is_right_is_kept_and_written(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    config, recording = files(tmp_path)
+    code, out, err = run(["identify", config, recording, "--graph", "--write"], capfd)
+    assert code == 0, err
+    (chosen,) = [line for line in out.splitlines() if "chosen" in line]
+    assert chosen.split() == ["k1,", "k2,", "B1,", "B2", "0", "chosen,", "the", "file's"]
+    assert "written to" in out
+    assert "nominal = " in Path(config).read_text(encoding="utf-8")

@@ -1,0 +1,85 @@
+"""`deltak compare`: methods side by side as a table, and their estimates over time as a picture."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.cli.terminal.output import print_table, show
+from agent.errors import UsageError
+from agent.evaluation.compare.trial import Estimates
+from agent.text import number, with_sd
+
+Document = Mapping[str, Any]
+POINTS = 2000
+"""Points of a line: more are a band."""
+
+
+def print_compared(document: Document) -> None:
+    """Print a row a method: newest estimates, what its predictions leave, its cost, what it was tuned to."""
+    methods = document["methods"]
+    names = list(next(iter(methods.values()))["estimates"]) if methods else []
+    columns = ("method", *names, "prediction, sd", "% of motion", "µs a sample", "tuned to")
+    rows = (
+        (
+            name, *(_estimate(row["estimates"][parameter]) for parameter in names), number(row["prediction_rms"], 3),
+            number(row["prediction_percent"], 3),
+            number(row["cost_us_per_sample"], 3), row["tuned"],
+        )
+        for name, row in methods.items()
+    )  # fmt: skip
+    title = f"{document['rig']}: {document['samples']:,} samples of {document['recording']}"
+    print_table(title, columns, rows, right=columns[1:-1])
+    for name, why in document["skipped"].items():
+        show(f"{name} does not apply: {why}")
+    show(
+        f"prediction: what {document['windows']} windows of {number(document['window_s'], 3)} s leave that each method "
+        "had not seen, in standard deviations of the sensors' noise (1 is the noise itself) and of the motion"
+    )
+
+
+def _estimate(row: Document) -> str:
+    if row["value"] is None:
+        return "none valid"
+    return with_sd(row["value"], float("nan") if row["sd"] is None else row["sd"])
+
+
+def draw(document: Document, rows: Mapping[str, Estimates], path: Path) -> None:
+    """Draw every method's estimates over time. Raises UsageError without matplotlib or a place for the file."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
+    parameters = list(next(iter(document["methods"].values()))["estimates"].items()) if rows else []
+    figure = Figure(figsize=(9, 1.2 + 2.0 * max(len(parameters), 1)), layout="constrained")
+    axes = figure.subplots(max(len(parameters), 1), 1, sharex=True, squeeze=False)[:, 0]
+    for column, (axis, (name, row)) in enumerate(zip(axes, parameters, strict=False)):
+        _draw_parameter(axis, rows, column, document["samples"])
+        axis.set_ylabel(f"{name}, {row['unit']}")
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].legend(frameon=False, ncols=3)
+    axes[-1].set_xlabel("sample")
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        advice = "name a .png, .svg or .pdf in a folder there is"
+        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
+
+
+def _draw_parameter(axis: Any, rows: Mapping[str, Estimates], column: int, samples: int) -> None:
+    """Draw one parameter; the view is where the later half of the estimates lies, a start that swings is cut off."""
+    seen = []
+    for name, found in rows.items():
+        some = np.unique(np.linspace(0, len(found.index) - 1, min(len(found.index), POINTS)).astype(int))
+        shown = np.where(found.valid[some, column], found.theta[some, column], np.nan)
+        (line,) = axis.plot(found.index[some], shown, lw=0.9, label=name)
+        if name == "window-ml":
+            band = (np.where(np.isfinite(shown), edge[some, column], np.nan) for edge in (found.lower, found.upper))
+            axis.fill_between(found.index[some], *band, color=line.get_color(), alpha=0.2, lw=0)
+        late = shown[(found.index[some] > samples // 2) & np.isfinite(shown)]
+        seen.append(np.percentile(late, [2, 98]) if len(late) else np.array([]))
+    edges = np.concatenate(seen)
+    if len(edges):
+        margin = 0.2 * (edges.max() - edges.min()) + 1e-9 * np.abs(edges).max()
+        axis.set_ylim(edges.min() - margin, edges.max() + margin)

@@ -1,0 +1,1 @@
+"""What examples, init and listen ask and print."""

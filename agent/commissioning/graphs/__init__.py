@@ -1,0 +1,1 @@
+"""Which graph explains a machine."""

@@ -1,0 +1,1 @@
+"""The way from nothing to a configuration that runs: examples, a first file, and what its sources deliver."""

@@ -1,0 +1,184 @@
+"""What a new configuration is made of, as flags or answers state it, and what is still missing."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+from agent.config.tables import GROUND
+from agent.errors import Fault, UsageError
+
+ELEMENTS = {"spring": "k", "damper": "B", "friction": "F"}
+"""Kinds of elements, and the letter that a chain's are called by."""
+CHAINED = ("spring", "damper")
+BUSES = ("can", "serial", "modbus")
+UNITS = {"force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
+NONE = "none"
+_LETTERS = {"force": "f", "displacement": "x", "velocity": "v", "acceleration": "a"}
+_CHANNEL = re.compile(r"(?:([^=@:]+)=)?([a-z]+)@([^:@]+)(?::([^:]*))?(?::(.+))?")
+_ELEMENT = re.compile(r"([^=]+)=([^,:]+),([^,:]+)(?::(.+))?")
+
+
+@dataclass(frozen=True)
+class Link:
+    """A spring, damper or dry friction between two nodes; nominal None where nobody knows it."""
+
+    name: str
+    between: tuple[str, str]
+    nominal: float | None = None
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A channel: what is measured where, in which unit, and the bus's field that carries it."""
+
+    name: str
+    quantity: str
+    at: str
+    unit: str
+    field: str
+
+
+@dataclass
+class Plan:
+    """A configuration to be written.
+
+    Attributes:
+        masses: values in kg by name.
+        elements: by kind; a kind that nobody spoke of becomes a chain.
+        keys: the driver's own keys, as flags give them; None where a flag was not given.
+    """
+
+    name: str | None = None
+    bus: str | None = None
+    rate_hz: float | None = None
+    masses: dict[str, float] = field(default_factory=dict)
+    elements: dict[str, list[Link] | None] = field(default_factory=dict)
+    channels: list[Signal] = field(default_factory=list)
+    counter: str | None = None
+    keys: dict[str, Any] = field(default_factory=dict)
+
+    def links(self, kind: str) -> list[Link]:
+        """Return the elements of a kind; springs and dampers not spoken of join ground and the masses in order."""
+        stated = self.elements.get(kind)
+        if stated is not None or kind not in CHAINED:
+            return stated or []
+        ends = [GROUND, *self.masses]
+        return [Link(f"{ELEMENTS[kind]}{i}", pair) for i, pair in enumerate(pairwise(ends), 1)]
+
+    def missing(self) -> list[Fault]:
+        """Return a fault for each thing that has no default, naming its flag."""
+        found = []
+        if self.rate_hz is None:
+            found.append(Fault("--rate", "is missing", "samples a second, such as --rate 1000"))
+        if not self.masses:
+            found.append(Fault("--mass", "is missing", "one for each mass in kg, such as --mass m1=5 --mass m2=3"))
+        if not any(channel.quantity != "force" for channel in self.channels):
+            advice = "one for each signal: [NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as --channel x1=displacement@m1:mm"
+            found.append(Fault("--channel", "nothing that is measured of the motion is named", advice))
+        return found + [Fault(flag, "is missing", advice) for flag, advice in self._missing_keys()]
+
+    def _missing_keys(self) -> Iterator[tuple[str, str]]:
+        has = {key for key, value in self.keys.items() if value}
+        if self.bus == "can" and "dbc" not in has:
+            yield "--dbc", "the file that describes the frames, such as --dbc rig.dbc"
+        if self.bus == "serial" and "port" not in has:
+            yield "--port", "the line's device, such as --port /dev/serial/by-id/..."
+        if self.bus == "serial" and not has & {"columns", "fields"}:
+            advice = "lines of text: --columns n,force,x1; binary frames: --sync AA55 --fields force:int16:1e-3,..."
+            yield "--columns or --fields", advice
+        if self.bus == "serial" and "fields" in has and "sync" not in has:
+            yield "--sync", "the bytes that every binary frame begins with, such as --sync AA55"
+        if self.bus == "modbus":
+            yield from self._missing_registers(has)
+
+    def _missing_registers(self, has: set[str]) -> Iterator[tuple[str, str]]:
+        if "fields" not in has:
+            yield "--fields", "NAME[@ADDRESS]:TYPE[:SCALE], such as --fields force@100:int16:1e-3,x1@101:int16"
+        if len(has & {"ring", "index"}) == 1:
+            other = "--index" if "ring" in has else "--ring"
+            yield other, "a ring has both: --index ADDRESS[:TYPE] and --ring ADDRESS:SLOTS"
+
+
+def stated(
+    bus: str | None, name: str | None, rate_hz: float | None, listed: tuple[Sequence[str], Sequence[str]],
+    elements: Mapping[str, Sequence[str] | None], counter: str | None, keys: Mapping[str, Any],
+) -> Plan:  # fmt: skip
+    """Return what flags state; listed: the texts of masses and of channels. Raises UsageError."""
+    links = {kind: links_of(texts or [], f"--{kind}") for kind, texts in elements.items()}
+    masses, channels = listed
+    return Plan(
+        name, bus, rate_hz, dict(map(mass_of, masses)), links, list(map(channel_of, channels)), counter, dict(keys)
+    )
+
+
+def mass_of(text: str) -> tuple[str, float]:
+    """Read NAME=KG."""
+    name, _, value = text.partition("=")
+    return name.strip(), number_of(value, "--mass", text)
+
+
+def link_of(text: str, flag: str) -> Link:
+    """Read NAME=NODE,NODE[:NOMINAL]."""
+    match = _ELEMENT.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise UsageError.at(flag, f'"{text}" is none', f"NAME=NODE,NODE[:NOMINAL], such as {flag} c1=ground,m1")
+    nominal = None if match[4] is None else number_of(match[4], flag, text)
+    return Link(match[1], (match[2], match[3]), nominal)
+
+
+def links_of(texts: Sequence[str], flag: str) -> list[Link] | None:
+    """Read all elements of a kind: None where nothing was said, none where "none" was."""
+    if not texts:
+        return None
+    return [] if list(texts) == [NONE] else [link_of(text, flag) for text in texts]
+
+
+def channel_of(text: str) -> Signal:
+    """Read [NAME=]QUANTITY@MASS[:UNIT[:FIELD]]."""
+    match = _CHANNEL.fullmatch(text.strip())
+    known = {} if match is None else {q: u for q, u in UNITS.items() if q.startswith(match[2])}
+    if match is None or len(known) != 1:
+        advice = "[NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as --channel x1=displacement@m1:mm; quantities are "
+        raise UsageError.at("--channel", f'"{text}" is none', advice + ", ".join(UNITS))
+    ((quantity, unit),) = known.items()
+    name = match[1] or _LETTERS[quantity] + (re.sub(r"\D", "", match[3]) or f"_{match[3]}")
+    return Signal(name, quantity, match[3], match[4] or unit, match[5] or name)
+
+
+def number_of(text: str, flag: str, whole: str = "") -> float:
+    """Read a number of a flag. Raises UsageError."""
+    try:
+        return float(text)
+    except ValueError:
+        shown = f'"{whole or text}"'
+        raise UsageError.at(flag, f"{shown} holds no number", "write one such as 5.0") from None
+
+
+def fields_of(text: str) -> list[dict[str, Any]]:
+    """Read NAME[@ADDRESS]:TYPE[:SCALE],... Raises UsageError."""
+    return [_field(part.strip()) for part in text.split(",") if part.strip()]
+
+
+def _field(text: str) -> dict[str, Any]:
+    head, _, rest = text.partition(":")
+    name, _, address = head.partition("@")
+    kind, _, scale = rest.partition(":")
+    if not name or not kind:
+        advice = "NAME[@ADDRESS]:TYPE[:SCALE], such as force:int16:1e-3"
+        raise UsageError.at("--fields", f'"{text}" is none', advice)
+    found: dict[str, Any] = {"name": name}
+    if address:
+        found["address"] = int(number_of(address, "--fields", text))
+    found["type"] = kind
+    return found | ({"scale": number_of(scale, "--fields", text)} if scale else {})
+
+
+def place_of(text: str, flag: str, second: str, default: str = "") -> Mapping[str, Any]:
+    """Read ADDRESS:WHAT as a table { address, second }. Raises UsageError."""
+    address, _, rest = text.partition(":")
+    value: Any = rest or default
+    if second == "slots":
+        value = int(number_of(rest, flag, text))
+    return {"address": int(number_of(address, flag, text)), second: value}

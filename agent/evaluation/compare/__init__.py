@@ -1,0 +1,1 @@
+"""Methods of estimation side by side on one recording."""

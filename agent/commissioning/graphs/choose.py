@@ -33,7 +33,7 @@ TINY, SMALL = 1e-3, 0.02
 """Of the largest of its kind: an element of the file, and one that is proposed, begin at 0 where they are less."""
 MOST_ROUNDS = 8
 """Graphs that are fitted in turn."""
-SHOWN = 8
+LISTED = 8
 """Graphs beside the chosen one that are shown."""
 
 
@@ -231,7 +231,7 @@ def _graphs(rig: RigConfig, selector: Selector, best: Choice, names: Sequence[st
     own = best.kept.copy()
     for i, name in enumerate(names):
         own[i] = name in configured if selector.elective[i] else own[i]
-    choices = [*selector.neighbours(best)[:SHOWN], selector.choice(own)]
+    choices = [*selector.neighbours(best)[:LISTED], selector.choice(own)]
     rows = {choice.kept.tobytes(): choice for choice in [best, *choices]}
     ranked = sorted(rows.values(), key=lambda choice: (choice is not best, -choice.score))
     return [

@@ -35,7 +35,7 @@ REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
 FREE = 32
 """Windows that are learnt from whatever it costs."""
-CENTRED = 8
+MOVING = 8
 """What moving the bank costs, in evaluations."""
 MOVED_SD = 0.3
 """Difference between learner and bank, in sds, from which on the bank moves: twice what the bins left out may make."""
@@ -248,7 +248,7 @@ class Explainer:
         if self.known is None or self.posterior is None or not self._may_begin(newest):
             return False
         self.known = replace(self.known, theta=np.maximum(theta, self.settings.rig.lower))
-        self._pay(CENTRED)
+        self._pay(MOVING)
         self._move(record, self.posterior, newest)
         return True
 

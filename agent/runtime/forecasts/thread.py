@@ -81,15 +81,18 @@ class ForecastThread:
     def _work(self) -> None:
         _lower_priority()
         while (job := self._next()) is not None:
-            forecaster, parameter, cause = job
+            rig, parameter, cause = job
+            forecaster = self._forecasters.get(rig)
+            if forecaster is None:  # the rig left meanwhile
+                continue
             made = forecaster.make(cause, (parameter,))
             with self._condition:
                 self.progress += 1
-                if self._forecasters.get(forecaster.rig) is forecaster:
-                    self._made[forecaster.rig] = [*self._made[forecaster.rig], made][-_MOST_WAITING:]
+                if self._forecasters.get(rig) is forecaster:
+                    self._made[rig] = [*self._made[rig], made][-_MOST_WAITING:]
 
-    def _next(self) -> tuple[Forecaster, str, str] | None:
-        """Wait for the next that is due and return who makes it, of what and why; None at the end."""
+    def _next(self) -> tuple[str, str, str] | None:
+        """Wait for the next that is due and return its rig, parameter and cause; None at the end."""
         with self._condition:
             while not self._ended:
                 wait_s = None
@@ -98,7 +101,7 @@ class ForecastThread:
                     wait_s = at - time.monotonic()
                     if wait_s <= 0.0:
                         del self._asked[rig, parameter]
-                        return self._forecasters[rig], parameter, cause
+                        return rig, parameter, cause
                 self._condition.wait(wait_s)
         return None
 

@@ -7,7 +7,7 @@ from scipy.signal import cont2discrete
 
 from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import estimator_settings
-from agent.numerics.estimator.budget import Budget
+from agent.numerics.estimator.budget import budget_of
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.fitting.fit import Problem, fit_window
 from agent.numerics.inference.spectral.columns import window_of
@@ -96,7 +96,7 @@ def errors(seed: int, windows: int) -> tuple[FloatArray, FloatArray]:
     sigma = NOISE_SHARE * y[:SAMPLES].std(axis=0)
     observer = 'observer = { gain = "kalman", process_sd = 0 }\n'
     config = configuration(system, chosen, sigma, SAMPLES * PERIOD_S, observer)
-    estimator = SlidingEstimator(estimator_settings(config, np.zeros(len(sigma))), Budget(SAMPLES))
+    estimator = SlidingEstimator(estimator_settings(config, np.zeros(len(sigma))), budget_of(SAMPLES))
     rows = estimator.step(0, y + sigma * rng.standard_normal(y.shape), u[:-1])
     keep = rows.index >= 2 * SAMPLES - 1
     # without an alarm an entry is unexcited beyond a share of its nominal, whatever that is; it has its interval

@@ -33,7 +33,7 @@ class Live:
         config = load(CONFIG)
         info = RunInfo(config.rig.name, "live", 1_000, "0", "0" * 64, site="Hall 3", labels={"line": "2"})
         self.db = db
-        self.writer = StoreWriter(lambda: Store.open(db), [info], served=True)
+        self.writer = StoreWriter(lambda: Store.open(db), [info], served={})
         self.writer.start()
         self.rig = RigRuntime(config, self.writer.publish, announce=announce)
         self.writer.on_alarm = self.rig.commanded

@@ -17,7 +17,7 @@ FRESH = 20
 
 def serve(path: Path, first: int) -> None:
     """Raise alarms of names that no life before raised, then answer until killed."""
-    writer = StoreWriter(lambda: Store.open(path), [run_info()], served=True)
+    writer = StoreWriter(lambda: Store.open(path), [run_info()], served={})
     writer.start()
     writer.publish([step("NORM", "UNACK", parameter=f"p{first + n}") for n in range(FRESH)])
     assert writer.flush()

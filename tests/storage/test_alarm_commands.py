@@ -172,7 +172,7 @@ def test_without_an_agent_the_command_takes_the_lock(store: Store) -> None:
 
 @pytest.fixture
 def writer(memory: Path) -> Iterator[StoreWriter]:
-    made = StoreWriter(lambda: Store.open(memory / "rig.db"), [run_info()], served=True)
+    made = StoreWriter(lambda: Store.open(memory / "rig.db"), [run_info()], served={})
     made.start()
     made.publish([step("NORM", "UNACK"), step("NORM", "UNACK", parameter="k2")])
     assert made.flush()

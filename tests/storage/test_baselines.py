@@ -57,7 +57,7 @@ def test_rows_and_runs_say_which_baseline_they_count_from(path: Path) -> None:
 
 def test_agent_that_owns_the_file_stores_baselines_and_knows_them_at_once(path: Path) -> None:
     maintenance.store_baselines(path, [baseline("k1")])
-    writer = StoreWriter(lambda: Store.open(path), [run_info()], served=True)
+    writer = StoreWriter(lambda: Store.open(path), [run_info()], served={})
     writer.start()
     try:
         before = writer.baselines["press-7"]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 7
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -89,8 +89,8 @@ TABLES: dict[str, str] = {
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
 _SINCE = {
-    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 8, "annotations": 8,
-    "sites": 8, "graphs": 9, "baselines": 9,
+    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7, "annotations": 7,
+    "sites": 7, "graphs": 7, "baselines": 7,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
@@ -193,30 +193,17 @@ def _repeat_and_verdicts(db: "Database") -> None:
     _mark(db.conn, 6)
 
 
-def _forecasts(db: "Database") -> None:
-    """Version 7: forecasts that the agent made, and what became of them."""
-    _create(db.conn, "forecasts")
-    db.conn.execute(FORECASTS)
-    _mark(db.conn, 7)
+def _forecasts_operations_baselines(db: "Database") -> None:
+    """Version 7: forecasts and their scores; shelves, advice and site beside alarms; what healthy parameters are like.
 
-
-def _operations(db: "Database") -> None:
-    """Version 8: shelves by elapsed time; advice, per cent and site beside each alarm."""
-    for table in ("shelves", "annotations", "sites"):
+    One step, so that a file is never of a version whose tables it has in part.
+    """
+    for table in ("forecasts", "shelves", "annotations", "sites", "graphs", "baselines"):
         _create(db.conn, table)
-    for statement in OPERATIONS:
-        db.conn.execute(statement)
-    _mark(db.conn, 8)
-
-
-def _baselines(db: "Database") -> None:
-    """Version 9: what parameters are like on a healthy machine, and of which graph each run's rows are."""
-    _create(db.conn, "graphs")
-    _create(db.conn, "baselines")
     db.conn.execute("CREATE INDEX graphs_by_run ON graphs (run_id)")
-    for statement in BASELINES:
+    for statement in (FORECASTS, *OPERATIONS, *BASELINES):
         db.conn.execute(statement)
-    _mark(db.conn, 9)
+    _mark(db.conn, 7)
 
 
 _STEPS: dict[str, Callable[["Database"], None]] = {
@@ -226,9 +213,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0004_calibrations": _calibrations,
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
-    "0007_forecasts": _forecasts,
-    "0008_operations": _operations,
-    "0009_baselines": _baselines,
+    "0007_forecasts_operations_baselines": _forecasts_operations_baselines,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - these statements are put together from this package's own texts only
-"""The view of baselines, which came with version 9."""
+"""The view of baselines, which came with version 7."""
 
 from agent.storage.database.views import time_text
 

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - these statements are put together from this package's own texts only
-"""The view that version 8 made anew: what to do about an alarm, how large it is, and where its rig stands."""
+"""The view that version 7 made anew: what to do about an alarm, how large it is, and where its rig stands."""
 
 from agent.storage.database.views import covered, time_text
 
@@ -24,4 +24,4 @@ OPERATIONS: tuple[str, ...] = (
  FROM alarms a JOIN runs r ON r.seq = a.run_id JOIN rigs g ON g.seq = r.rig_id
  WHERE NOT {covered("a.run_id", "a.raised_ns")}""",
 )
-"""Came with version 8. labels is a JSON object."""
+"""Came with version 7. labels is a JSON object."""

@@ -68,7 +68,7 @@ def test_repair_of_a_file_whose_pages_are_destroyed_never_says_that_nothing_was_
 
 def test_repair_of_destroyed_estimates_counts_what_saved_instants_lack(path: Path) -> None:
     octets = bytearray(path.read_bytes())
-    place = len(octets) // 2048 * 1024
+    place = 3 * len(octets) // 4096 * 1024  # of estimates, which follow the hops that they are of
     octets[place : place + 4096] = bytes(4096)
     path.write_bytes(octets)
     result = maintenance.repair(path)

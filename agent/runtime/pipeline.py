@@ -15,12 +15,12 @@ import numpy as np
 from agent.blocks.acquisition.interface import Acquired, Acquisition, Label, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.advisory.blind_alarms import BlindAlarms
+from agent.blocks.advisory.outlook import Outlook
+from agent.blocks.advisory.prognosis_alarms import PrognosisAlarms
 from agent.blocks.advisory.rest import RestAlarms
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
 from agent.blocks.graph import graph_of
 from agent.blocks.level_alarms import LevelAlarms
-from agent.blocks.outlook import Outlook
-from agent.blocks.prognosis_alarms import PrognosisAlarms
 from agent.blocks.references import counted_from
 from agent.blocks.rig_model import hop_plan
 from agent.blocks.sensor_alarms import SensorAlarms

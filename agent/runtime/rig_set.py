@@ -10,10 +10,10 @@ from agent.config import RigConfig
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
-from agent.runtime.announcing import announce
 from agent.runtime.databases import RunKind, path_of, writers_of
 from agent.runtime.forecasts.making import Forecaster
 from agent.runtime.forecasts.thread import ForecastThread
+from agent.runtime.process.announcing import announce
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Connection, connect
 from agent.storage.write.command_socket import Handler

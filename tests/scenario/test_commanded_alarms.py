@@ -11,7 +11,7 @@ import pytest
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
 from agent.config import load
-from agent.runtime.announcing import announce
+from agent.runtime.process.announcing import announce
 from agent.runtime.rig_runtime import RigRuntime
 from agent.storage.operations import command_alarms
 from agent.storage.write.alarm_commands import Request
@@ -95,7 +95,7 @@ def test_shelved_source_comes_and_goes_in_silence(live: Live, caplog: pytest.Log
     live.link(BACK)
     live.link(LOST)
     assert live.state == "SHLVD"
-    assert [record for record in caplog.records if record.name == "agent.runtime.announcing"] == []
+    assert [record for record in caplog.records if record.name == "agent.runtime.process.announcing"] == []
     assert select(live.db, "SELECT count(*) FROM v_alarms") == [(1,)]
     assert guarded(app, ["unshelve", str(live.db), "1", "--by", "eva"]) == 0
     assert live.state == "ACKED"

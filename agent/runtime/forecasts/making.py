@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.blocks.outlook import Outlook
+from agent.blocks.advisory.outlook import Outlook
 from agent.clock import wall_ns
 from agent.config import Alarm, RigConfig
 from agent.errors import AgentError

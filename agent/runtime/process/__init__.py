@@ -1,4 +1,4 @@
-"""The agent as a process: its heap, the opening of its databases, and an end to whatever is computed.
+"""The agent as a process: heap, opening of databases, an end to whatever is computed, alarms on stderr.
 
-Imported by the service alone.
+Imported by the service and its rigs alone.
 """

@@ -32,7 +32,7 @@ from agent.types import FloatArray, IntArray
 log = logging.getLogger(__name__)
 _FIRST, _LAST = -(2**63), 2**63 - 1
 _MOST_POINTS = 50_000  # more points than this and a trend reads a coarser tier
-_ALL = 2**40
+_UNCOUNTED = 2**40
 
 
 class Rows(list[dict[str, Any]]):
@@ -320,7 +320,7 @@ def _tiered(
     connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], most: int
 ) -> tuple[Found, IntArray]:
     """Return rows from the finest tier that is not too long, then finer ones, and what each covers, s."""
-    bounds = {span: _bounds(connection, stretches, span, most if span < 3600 else _ALL) for span in (0, 60, 3600)}
+    bounds = {span: _bounds(connection, stretches, span, most if span < 3600 else _UNCOUNTED) for span in (0, 60, 3600)}
     oldest = min((b[0] for b in bounds.values() if b), default=0)
     fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= most]
     start = fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)

@@ -12,7 +12,7 @@ from agent.storage.read.proof import prove_listed, proven, row_of
 from agent.storage.read.queries import Rows, reading
 
 Row = dict[str, Any]
-_ALL = -(2**63)
+_FIRST = -(2**63)
 _HEALTH_ROWS = 400  # the newest rows of health that are looked through for sources: a row of each every 10 s
 
 
@@ -87,7 +87,7 @@ def sources(db: Path | str) -> Rows:
     with reading(db) as reader:
         tail = _highest(reader, "health") - _HEALTH_ROWS
         prove_listed(reader, "health", tail)
-        reader.listed["health"] = _ALL  # older rows are not asked for, so their index need not be compared
+        reader.listed["health"] = _FIRST  # older rows are not asked for, so their index need not be compared
         condition = f"{row_of('x')} > ? ORDER BY {row_of('x')}"
         newest_rows: dict[tuple[str, str], Row] = {}
         for row in _rows(reader, "v_health", condition, (tail,)):
@@ -149,7 +149,7 @@ def _rows_of_run(reader: Reader, run: int, instants: Mapping[int, int], first: i
     return list(found.items())
 
 
-def _rows(reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _ALL) -> list[Row]:
+def _rows(reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST) -> list[Row]:
     names, rows = proven(reader, view, condition, values, first_hop)
     return [dict(zip(names, cells, strict=True)) for cells in rows]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from agent.blocks.outlook import Outlook
-from agent.blocks.prognosis_alarms import PrognosisAlarms
+from agent.blocks.advisory.outlook import Outlook
+from agent.blocks.advisory.prognosis_alarms import PrognosisAlarms
 from agent.prognosis.change import Change, Rates
 from agent.prognosis.forecast import Forecast, Status
 from agent.types import AlarmTransition

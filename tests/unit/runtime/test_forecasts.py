@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import scoringrules
 
-from agent.blocks.prognosis_alarms import PrognosisAlarms
+from agent.blocks.advisory.prognosis_alarms import PrognosisAlarms
 from agent.config import Forecast as Asked
 from agent.config import RigConfig
 from agent.runtime.forecasts.making import Forecaster, Made

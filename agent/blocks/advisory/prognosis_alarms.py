@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from agent.blocks.outlook import Outlook
+from agent.blocks.advisory.outlook import Outlook
 from agent.prognosis.change import Rates
 from agent.prognosis.forecast import Forecast
 from agent.text import ahead, number, with_sd

@@ -93,7 +93,8 @@ def rates(announced: Iterable[Announced], standing: Mapping[Key, int], from_ns: 
 
 def most_within(times: Sequence[int], length_ns: int) -> int:
     """Return how many of some instants in order lie in the fullest stretch of a length, ns."""
-    recent, most = deque[int](), 0
+    recent = deque[int]()
+    most = 0
     for t_ns in times:
         recent.append(t_ns)
         while t_ns - recent[0] >= length_ns:
@@ -105,7 +106,8 @@ def most_within(times: Sequence[int], length_ns: int) -> int:
 def floods_of(times: Sequence[int]) -> list[Flood]:
     """Return the floods among instants in order, ns."""
     found: list[Flood] = []
-    recent, begun = deque[int](), False
+    recent = deque[int]()
+    begun = False
     for t_ns in times:
         while recent and t_ns - recent[0] >= TEN_MINUTES_NS:
             recent.popleft()

@@ -195,7 +195,8 @@ class _Judgement:
     def __init__(
         self, batch: EstimateBatch, columns: list[int], up: BoolArray, down: BoolArray, rules: tuple[LevelRule, ...]
     ) -> None:
-        value, sd = batch.value[:, columns], _deviation_sd(batch, columns)
+        value = batch.value[:, columns]
+        sd = _deviation_sd(batch, columns)
         self.batch, self.columns, self.rules = batch, columns, rules
         self.assessed: BoolArray = (batch.status[:, columns] == Status.VALID) & np.isfinite(value) & np.isfinite(sd)
         self.deviations = Deviations(value - batch.reference[columns], sd, batch.dof, up, down)
@@ -237,12 +238,16 @@ class _Judgement:
 
     def _sentence(self, i: int, delta: float, sd: float, *, raising: bool) -> str:
         column = self.columns[i]
+        unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
+        figures = f"{with_sd(abs(delta), sd)} {unit}{self._place(column, delta)} (limit {number(float(self.limit[i]))})"
+        return f"{self.rules[i].parameter} is {'' if raising else 'back within its limit: '}{figures}"
+
+    def _place(self, column: int, delta: float) -> str:
+        """Return in words on which side of what its deviation is counted from."""
+        side = "above" if delta > 0 else "below"
         learnt = self.batch.baseline_id is not None and self.batch.baseline_id[column] is not None
         origin = "its baseline" if learnt else "nominal"
-        place = f"{'above' if delta > 0 else 'below'} {origin} {number(float(self.batch.reference[column]))}"
-        unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
-        figures = f"{with_sd(abs(delta), sd)} {unit}{place} (limit {number(float(self.limit[i]))})"
-        return f"{self.rules[i].parameter} is {'' if raising else 'back within its limit: '}{figures}"
+        return f"{side} {origin} {number(float(self.batch.reference[column]))}"
 
 
 def _percent(delta: float, reference: float) -> float | None:

@@ -54,12 +54,14 @@ class _Look:
 
     def weak(self, model: Model, sigma: FloatArray) -> FloatArray:
         """Return the changes (k, q) that windows know no better than the parameters' own size."""
-        period_s, hold = 1.0 / self.config.rig.sample_rate_hz, straight(self.config.estimator.hold)
+        period_s = 1.0 / self.config.rig.sample_rate_hz
+        hold = straight(self.config.estimator.hold)
         discrete = discretise(model.continuous(model.nominal), period_s, hold)
         each = []
         starts = self.excitation.starts(self.length)
         for start in starts[:: -(-len(starts) // SEEN_WINDOWS)]:
-            x0, u = self.excitation.state(start, self.length), self.excitation.u[start : start + self.length]
+            x0 = self.excitation.state(start, self.length)
+            u = self.excitation.u[start : start + self.length]
             each.append(window_information(discrete, x0, u, sigma))
         mean = np.mean(each, axis=0)
         values, vectors = np.linalg.eigh(mean * np.outer(self.size, self.size))
@@ -109,7 +111,8 @@ def paper_conditions(
     first, end = max(recorded.pieces, key=lambda piece: piece[1] - piece[0]) if recorded is not None else (0, 0)
     if recorded is None or end - first < length:
         return None
-    y, u = recorded.y[first:end], with_constant(recorded.u[first:end], discrete.model.m)
+    y = recorded.y[first:end]
+    u = with_constant(recorded.u[first:end], discrete.model.m)
     x0 = recorded.first_state(discrete, first, first + length) - discrete.B1 @ u[0]
     x = observe(discrete.model, gain, y, u, x0)[-length - 1 :]
     states = state_batch(discrete.model, x, u[-length:])

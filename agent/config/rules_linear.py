@@ -54,13 +54,13 @@ def _check_time(draft: Draft, model: LinearModel) -> None:
     path, rate = "model.rate_hz", model.rate_hz
     if not readable(model.time) or _complained(path, draft.faults):
         return
-    if model.time == "continuous" and rate is not None:
+    if rate is None:
+        if model.time == "discrete":
+            advice = "give the rate at which it was sampled, 1 / Ts"
+            draft.faults.add(path, 'is missing: time = "discrete" needs it', advice)
+    elif model.time == "continuous":
         draft.faults.add(path, 'goes with time = "discrete"', "remove it, or say that the model is in discrete time")
-    elif model.time == "discrete" and rate is None:
-        draft.faults.add(
-            path, 'is missing: time = "discrete" needs it', "give the rate at which it was sampled, 1 / Ts"
-        )
-    elif rate is not None and draft.rate_hz is not None and abs(rate / draft.rate_hz - 1) > SAME_RATE:
+    elif draft.rate_hz is not None and abs(rate / draft.rate_hz - 1) > SAME_RATE:
         what = f"{rate:g} Hz is not the rate of the rig, {draft.rate_hz:g} Hz"
         draft.faults.add(path, what, "sample the model at the rig's rate, or give it in continuous time")
 
@@ -133,12 +133,15 @@ def _check_shape(path: str, matrix: Matrix | None, shape: tuple[int, int], fault
     optional = path in ("model.B", "model.D") or 0 in shape
     if matrix is None or (not matrix and optional) or _complained(path, faults):
         return
-    lengths = sorted({len(row) for row in matrix})
-    columns = f"{lengths[0]}" if len(lengths) == 1 else "uneven"
-    if (len(matrix), lengths) != (shape[0], [shape[1]]):
-        found = f"has {len(matrix)} rows of {columns if matrix else 0} columns"
+    if (len(matrix), {len(row) for row in matrix}) != (shape[0], {shape[1]}):
         wanted = f"{shape[0]} rows of {shape[1]} columns fit"
-        faults.add(path, found, f"{wanted}: {_count(path[-1], shape)}")
+        faults.add(path, f"has {_rows_and_columns(matrix)}", f"{wanted}: {_count(path[-1], shape)}")
+
+
+def _rows_and_columns(matrix: Matrix) -> str:
+    lengths = {len(row) for row in matrix} or {0}
+    columns = f"{lengths.pop()}" if len(lengths) == 1 else "uneven"
+    return f"{len(matrix)} rows of {columns} columns"
 
 
 def _count(letter: str, shape: tuple[int, int]) -> str:

@@ -263,6 +263,8 @@ class Forecast(Table):
     def beside(self, folder: Path) -> "Forecast":
         """Return the same with paths that start at a folder."""
         return self.model_copy(update={"like": tuple(folder / path for path in self.like)})
+
+
 class Metrics(Table):
     """Where the agent's figures can be read, in the text form of Prometheus; they are those of the whole agent."""
 
@@ -276,7 +278,7 @@ class Metrics(Table):
         host, _, port = listen.rpartition(":")
         if not host or not port.isdigit() or not 0 <= int(port) <= 65535:
             raise ValueError(f'must be "ADDRESS:PORT" such as "127.0.0.1:9464", not "{listen}"')
-        is_local = host == "localhost" or host.startswith("127.") or host == "[::1]"
+        is_local = host in {"localhost", "[::1]"} or host.startswith("127.")
         if not is_local and not info.data.get("unprotected"):
             raise ValueError(
                 f'"{listen}" is open to other machines, without a password; say unprotected = true, or use 127.0.0.1'

@@ -226,7 +226,8 @@ def _weighed(gram: FloatArray, p: int, strength: float | None) -> tuple[FloatArr
 def _line(whole: _Mixture, origin: float, size: float, span: float) -> Change:
     """Return what a line alone says."""
     level, level_sd = whole.moments(np.array([1.0, 0.0]))
-    row, per = np.array([0.0, 1.0]), size / span
+    row = np.array([0.0, 1.0])
+    per = size / span
     slope, slope_sd = (per * moment for moment in whole.moments(row))
     lower, upper = (per * end for end in whole.interval(row, 0.95))
     p = whole.improbable([1])
@@ -241,7 +242,8 @@ def _answer(whole: _Mixture, bent: _Mixture, half: _Mixture, origin: float, size
     slope, slope_sd = whole.moments(np.array([0.0, 1.0]))
     lower, upper = whole.interval(np.array([0.0, 1.0]), 0.95)
     curvature, curvature_sd = bent.moments(np.array([0.0, 0.0, 1.0]))
-    recent, per = np.array([0.0, 0.0, 0.0, 1.0]), size / span
+    recent = np.array([0.0, 0.0, 0.0, 1.0])
+    per = size / span
     newest, newest_sd = half.moments(recent)
     return Change(
         origin + size * level, size * level_sd, per * slope, per * slope_sd, per * lower, per * upper,

@@ -60,10 +60,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
         if writer is not None:
             stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
-            pipeline.adopt(writer.learnt[rig.rig.name])
-            for words in pipeline.count_from(writer.baselines[rig.rig.name]):
-                log.warning("%s", words)
-                summary.advise(words)
+            _go_on(pipeline, writer, summary)
         evidence = Evidence(rig.rig.sample_rate_hz)
         kept = None if writer is None or db is None else _Kept(writer, _forecasts(rig, db, writer), pipeline)
         for records in _records(pipeline, tracks, evidence):
@@ -76,6 +73,15 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
         log.warning("%s", fault)
         summary.advise(str(fault))
     return summary.document(time.monotonic() - started)
+
+
+def _go_on(pipeline: Pipeline, writer: StoreWriter, summary: RunSummary) -> None:
+    """Begin with what the database has of the rig: what was learnt, and its baselines."""
+    name = pipeline.config.rig.name
+    pipeline.adopt(writer.learnt[name])
+    for words in pipeline.count_from(writer.baselines[name]):
+        log.warning("%s", words)
+        summary.advise(words)
 
 
 class _Kept(NamedTuple):

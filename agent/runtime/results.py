@@ -65,14 +65,20 @@ class RunSummary:
             self._alarms.append(self._activation(change))
             del self._alarms[:-MOST_REPORTED]
             return
-        for alarm in reversed(self._alarms):
-            if (alarm["kind"], alarm["parameter"]) == (change.kind, change.parameter):
-                alarm["state"] = change.to_state
-                if change.cause == "acknowledge":
-                    alarm["acked_at"], alarm["acked_by"] = iso_time(change.t_ns), change.by
-                if change.cause == "clear":
-                    alarm["cleared_at"] = iso_time(change.t_ns)
-                return
+        alarm = self._newest(change)
+        if alarm is None:
+            return
+        alarm["state"] = change.to_state
+        if change.cause == "acknowledge":
+            alarm["acked_at"] = iso_time(change.t_ns)
+            alarm["acked_by"] = change.by
+        if change.cause == "clear":
+            alarm["cleared_at"] = iso_time(change.t_ns)
+
+    def _newest(self, change: AlarmTransition) -> dict[str, Any] | None:
+        """Return the newest activation of the alarm that a step is of; None where the run has seen none."""
+        key = (change.kind, change.parameter)
+        return next((alarm for alarm in reversed(self._alarms) if (alarm["kind"], alarm["parameter"]) == key), None)
 
     def _activation(self, change: AlarmTransition) -> dict[str, Any]:
         return {

@@ -121,10 +121,9 @@ class RigSet:
                 own = arrival if use.base is None else arrival._replace(counts=use.counts(arrival.counts))
                 self.rigs[use.rig].waiting.add(use, own)
         # samples first: those that came before a loss must not end it
-        for connection, _, events in taken:
-            for use in connection.uses:
-                for event in events:
-                    self.rigs[use.rig].waiting.add(use, event)
+        noted = [(use, event) for connection, _, events in taken for use in connection.uses for event in events]
+        for use, event in noted:
+            self.rigs[use.rig].waiting.add(use, event)
 
     def ledgers(self) -> None:
         """Publish where every sample went."""

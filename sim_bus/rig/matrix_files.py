@@ -33,7 +33,8 @@ def _filled(table: Mapping[str, Any], folder: Path, path: str) -> dict[str, Any]
 
 
 def _matrix(where: Mapping[str, Any], key: str, folder: Path, path: str) -> list[list[float]]:
-    file, name = folder / str(where.get("file", "")), str(where.get("name", key))
+    file = folder / str(where.get("file", ""))
+    name = str(where.get("name", key))
     try:
         arrays = _arrays(file)
         alone = len(arrays) == 1 and "name" not in where

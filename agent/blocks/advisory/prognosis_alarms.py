@@ -124,7 +124,9 @@ class PrognosisAlarms:
 def _foreseen(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
     """Return what a forecast says of its rule; None where it leaves open whether the limit is near."""
     made, within_s = outlook.forecast, rule.within
-    if made is None or within_s is None or made.status in {"too short", "crossed"}:
+    if made is None or within_s is None:
+        return None
+    if made.status in {"too short", "crossed"}:
         return None
     p50_s = np.inf if made.p50 is None else made.p50 * DAY_S
     is_near = made.status == "ok" and p50_s < within_s
@@ -163,7 +165,8 @@ def _drift(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
 
 def _faster(rates: Rates, side: str, rate: float) -> float:
     """Return the probability that a parameter moves faster than a rate to a side."""
-    rising, falling = rates.above(rate), 1.0 - rates.above(-rate)
+    rising = rates.above(rate)
+    falling = 1.0 - rates.above(-rate)
     return {"high": rising, "low": falling}.get(side, rising + falling)
 
 

@@ -122,5 +122,6 @@ def _write(to: Path, parts: Mapping[str, bytes]) -> None:
 def _members(parts: Mapping[str, bytes]) -> Iterator[tuple[tarfile.TarInfo, bytes]]:
     for name, content in sorted(parts.items()):
         info = tarfile.TarInfo(f"deltak-diag/{name}")
-        info.size, info.mode = len(content), 0o600
+        info.size = len(content)
+        info.mode = 0o600
         yield info, content

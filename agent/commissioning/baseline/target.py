@@ -19,17 +19,30 @@ class Target:
 
     def graph(self, first_ns: int | None = None, last_ns: int | None = None) -> str:
         """Return the graph that its rows of a stretch are of, empty where no run states one. Raises UsageError."""
-        bounds = () if first_ns is None or last_ns is None else (first_ns, last_ns)
-        found = baselines.graphs(self.db, self.rig, *bounds)
-        if len(found) > 1 and bounds:
+        if first_ns is None or last_ns is None:
+            found = baselines.graphs(self.db, self.rig)
+        else:
+            found = self._one_graph(first_ns, last_ns)
+        graph = found[-1] if found else ""
+        if graph and self.config is not None:
+            _check_graph(self.config, graph)
+        return graph
+
+    def _one_graph(self, first_ns: int, last_ns: int) -> list[str]:
+        """Return the graph of the rows of a stretch, if any. Raises UsageError for several."""
+        found = baselines.graphs(self.db, self.rig, first_ns, last_ns)
+        if len(found) > 1:
             what = f"the rows of {self.rig} are of {len(found)} graphs: {' | '.join(found)}"
             raise UsageError.at("--since", what, "learn from the time after the model was changed")
-        graph = found[-1] if found else ""
-        own = None if self.config is None else graph_of(self.config)
-        if own is not None and graph and graph != own:
-            what = f"its graph ({own}) is not that of the stored rows ({graph})"
-            raise UsageError.at(str(self.config and self.config.file), what, "learn when the agent has run with it")
-        return graph
+        return found
+
+
+def _check_graph(config: RigConfig, stored: str) -> None:
+    """Raise UsageError for a configuration whose graph is not that of the stored rows."""
+    own = graph_of(config)
+    if own != stored:
+        what = f"its graph ({own}) is not that of the stored rows ({stored})"
+        raise UsageError.at(str(config.file), what, "learn when the agent has run with it")
 
 
 def target_of(path: Path, rig: str | None) -> Target:
@@ -49,10 +62,9 @@ def configured(db: Path, config: Path) -> Target:
 def one_rig(db: Path, rig: str | None) -> str:
     """Return the rig that is meant. Raises StoreError; UsageError for none, several, or one that is not there."""
     known = queries.rigs(db)
-    if rig is not None and rig in known:
-        return rig
-    if rig is None and len(known) == 1:
-        return known[0]
+    meant = known if rig is None else [name for name in known if name == rig]
+    if len(meant) == 1:
+        return meant[0]
     listed = ", ".join(known) or "none yet"
-    what = "the database has several rigs" if rig is None and known else f'the database has no rig "{rig or ""}"'
+    what = "the database has several rigs" if meant else f'the database has no rig "{rig or ""}"'
     raise UsageError.at("--rig", what, f"rigs are {listed}")

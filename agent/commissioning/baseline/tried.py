@@ -82,10 +82,8 @@ def _batch(
     rows: Sequence[Row], header: tuple[Any, ...], config: RigConfig, rule: Alarm, baseline: Baseline | None
 ) -> EstimateBatch:
     _, method, unit, reference = header
-    columns: dict[str, Any] = {
-        name: np.array([[np.nan if row[name] is None else row[name]] for row in rows], dtype=np.float64)
-        for name in ("value", "sd", "lower", "upper", "sd_repeat", "window_s", "held", "held_age_s")
-    }
+    figures = ("value", "sd", "lower", "upper", "sd_repeat", "window_s", "held", "held_age_s")
+    columns: dict[str, Any] = {name: _column(rows, name) for name in figures}
     t_ns = np.array([row["t_ns"] for row in rows], dtype=np.int64)
     origin = np.nan if reference is None else float(reference)
     return EstimateBatch(
@@ -100,6 +98,11 @@ def _batch(
         n_missing=np.array([row["n_missing"] for row in rows], dtype=np.int64),
         dof=_dof(columns["upper"] - columns["value"], columns["sd"]), **columns,
     )  # fmt: skip
+
+
+def _column(rows: Sequence[Row], name: str) -> FloatArray:
+    """Return a figure of each row (N, 1), NaN where it has none."""
+    return np.array([[np.nan if row[name] is None else row[name]] for row in rows], dtype=np.float64)
 
 
 def _dof(half: FloatArray, sd: FloatArray) -> FloatArray:

@@ -133,7 +133,8 @@ def _designed(
     past = None if recorded is None else _of_recording(rig, recorded)
     names = [parameter.name for parameter in rig.model.parameters]
     named = list(_named(rig, lines, design.power, count))
-    force, stroke = _force(rig, u), _stroke(rig, u)
+    force = _force(rig, u)
+    stroke = _stroke(rig, u)
     document = {
         "rig": rig.config.rig.name, "seconds": bounds.seconds, "samples": count, "design_gap": max(design.gap, 0.0),
         "designed_for": [name for name, own in zip(names, kept.tolist(), strict=True) if own],

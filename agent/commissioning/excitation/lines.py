@@ -35,7 +35,8 @@ def candidate_lines(discrete: Discrete, count: int, inputs: int, band: tuple[flo
     modes = _modes(discrete)
     low, high = band or (BELOW * modes[0, 0], ABOVE * modes[-1, 0])
     low, high = max(low, 0.0), min(high, HIGHEST * rate)
-    first, last = max(int(np.ceil(low * count / rate - 1e-9)), 1), int(np.floor(high * count / rate + 1e-9))
+    first = max(int(np.ceil(low * count / rate - 1e-9)), 1)
+    last = int(np.floor(high * count / rate + 1e-9))
     if band is None and last - first < 2 * inputs:
         first, last = 1, max(last, min(3 * inputs, count // 3))
     if last - first + 1 < 2 * inputs:

@@ -81,7 +81,8 @@ def _vertices(at: Measure, count: int) -> list[FloatArray]:
 
 def _flipped(at: Measure, corner: FloatArray) -> FloatArray:
     """Return the vertex that no flip of one side makes worse."""
-    value, improved = at(corner), True
+    value = at(corner)
+    improved = True
     while improved:
         improved = False
         for i in range(len(corner)):

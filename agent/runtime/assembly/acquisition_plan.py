@@ -47,9 +47,14 @@ def make_acquisition(
         inputs = len(config.inputs)
         return SingleSource(plans[0], inputs, rig.clock, rig.sample_rate_hz, keep_incomplete=keep_incomplete)
     watch = _watch(config, groups, resolution) if groups else None
-    every = _all_groups(config)
-    remeasure = partial(_watch, config, every, resolution) if len(plans) > 1 and every else None
+    remeasure = _remeasure(config, resolution) if len(plans) > 1 else None
     return Alignment(_plan(config, plans, late), watch, remeasure, keep_incomplete=keep_incomplete)
+
+
+def _remeasure(config: RigConfig, resolution: FloatArray) -> Callable[[], SkewWatch] | None:
+    """Return what watches all skews from anew; None where there is none to watch."""
+    groups = _all_groups(config)
+    return partial(_watch, config, groups, resolution) if groups else None
 
 
 def channels_of(config: RigConfig) -> list[Channel]:

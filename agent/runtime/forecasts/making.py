@@ -93,33 +93,31 @@ class Forecaster:
         return Made((*scores, *record), (outlook,))
 
     def _look(self, cause: str, points: queries.Points) -> tuple[Outlook, list[ForecastRecord]]:
+        seen = self._seen(points)
+        rule = self._limits.get(points.parameter)
+        if rule is None:
+            return _outlook(seen, None, None), []
+        way = _way(rule, seen.reference)
+        side = _side(rule, seen.change, seen.level - seen.reference)
+        limit = seen.reference + side * way
+        made = self._forecast(seen, limit)
+        if made.status == "too short" and side * (seen.level - limit) >= 0.0:
+            made = Forecast("crossed", horizon=made.horizon, chance=1.0)
+        return _outlook(seen, way, made), [_record(cause, seen, made, limit)]
+
+    def _seen(self, points: queries.Points) -> "_Seen":
         window = self._window_s if self._window_s is not None else window_s(self._db, points.parameter)
         history = history_of(points, window)
         long_enough = history.span * 86_400.0 * MOMENT >= self._asked.every
         asked = change(without(history, find_steps(history))) if long_enough else None
         reference = points.reference if points.reference is not None else float(points.value[0])
-        rule, way, made = self._limits.get(points.parameter), None, None
-        records = []
-        if rule is not None:
-            way = rule.limit if rule.limit is not None else abs(reference) * (rule.limit_percent or 0.0) / 100.0
-            level = asked.level if asked is not None else float(points.value[-1])
-            side = _side(rule, asked, level - reference)
-            limit = reference + side * way
-            made = self._forecast(history, points.parameter, limit, long_enough=long_enough)
-            if made.status == "too short" and side * (level - limit) >= 0.0:
-                made = Forecast("crossed", horizon=made.horizon, chance=1.0)
-            records.append(_record(cause, points, made, level, limit, history.span))
-        outlook = Outlook(
-            points.parameter, points.unit, int(points.t_ns[-1]), float(points.value[-1]), float(points.sd[-1]),
-            reference, way, made, asked,
-        )  # fmt: skip
-        return outlook, records
+        return _Seen(points, history, long_enough, asked, reference)
 
-    def _forecast(self, history: History, parameter: str, limit: float, *, long_enough: bool) -> Forecast:
+    def _forecast(self, seen: "_Seen", limit: float) -> Forecast:
         horizon = None if self._asked.horizon is None else self._asked.horizon / 86_400.0
-        if not long_enough:
-            return Forecast("too short", horizon=history.span if horizon is None else horizon)
-        return forecast(history, limit, horizon, self._learnt(parameter, limit))
+        if not seen.long_enough:
+            return Forecast("too short", horizon=seen.history.span if horizon is None else horizon)
+        return forecast(seen.history, limit, horizon, self._learnt(seen.points.parameter, limit))
 
     def _learnt(self, parameter: str, limit: float) -> Learnt | None:
         """Return what like machines teach of a limit, looked at once."""
@@ -130,6 +128,42 @@ class Forecaster:
         return self._like[key]
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A parameter's rows, as its history says them.
+
+    Attributes:
+        points: the rows; history: the same in days.
+        long_enough: whether there is anything to forecast from.
+        change: None where there are too few rows for a slope.
+        reference: what a change is counted from.
+    """
+
+    points: queries.Points
+    history: History
+    long_enough: bool
+    change: Change | None
+    reference: float
+
+    @property
+    def level(self) -> float:
+        """Where the parameter is now: on its line, else at its newest row."""
+        return self.change.level if self.change is not None else float(self.points.value[-1])
+
+
+def _outlook(seen: _Seen, way: float | None, made: Forecast | None) -> Outlook:
+    points = seen.points
+    return Outlook(
+        points.parameter, points.unit, int(points.t_ns[-1]), float(points.value[-1]), float(points.sd[-1]),
+        seen.reference, way, made, seen.change,
+    )  # fmt: skip
+
+
+def _way(rule: Alarm, reference: float) -> float:
+    """Return |change| at an alarm's limit, in the unit."""
+    return rule.limit if rule.limit is not None else abs(reference) * (rule.limit_percent or 0.0) / 100.0
+
+
 def _side(rule: Alarm, asked: Change | None, delta: float) -> float:
     """Return the side on which the limit lies that matters: the one asked for, else that to which it moves."""
     if rule.side != "both":
@@ -138,18 +172,17 @@ def _side(rule: Alarm, asked: Change | None, delta: float) -> float:
     return 1.0 if moves > 0.0 else -1.0
 
 
-def _record(
-    cause: str, points: queries.Points, made: Forecast, level: float, limit: float, span: float
-) -> ForecastRecord:
+def _record(cause: str, seen: _Seen, made: Forecast, limit: float) -> ForecastRecord:
     """Return a forecast as it is stored; what lies past the last instant there is becomes that one."""
+    points = seen.points
     newest = int(points.t_ns[-1])
 
     def instant(days: float | None) -> int | None:
         return None if days is None else min(newest + round(days * DAY_NS), _LAST_NS)
 
-    draws = [float(f"{days * 86_400.0:.6g}") for days in representative(made.passages, FARTHEST * span)]
+    draws = [float(f"{days * 86_400.0:.6g}") for days in representative(made.passages, FARTHEST * seen.history.span)]
     return ForecastRecord(
-        points.rig, points.parameter, newest, level, limit, made.status, instant(made.p10), instant(made.p50),
+        points.rig, points.parameter, newest, seen.level, limit, made.status, instant(made.p10), instant(made.p50),
         instant(made.p90), made.chance, made.horizon * 86_400.0,
         json.dumps({name: round(weight, 4) for name, weight in made.family.items()}), json.dumps(draws), cause,
     )  # fmt: skip

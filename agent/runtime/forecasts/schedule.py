@@ -38,11 +38,11 @@ class Schedule:
     def at_alarms(self, records: Iterable[Record], now_ns: int | None = None) -> list[tuple[int, str]]:
         """Return when level alarms changed, and of which parameters; not those that changed a moment ago as well."""
         found = []
-        for record in records:
-            if isinstance(record, AlarmTransition) and record.kind == "level":
-                at = record.t_ns if now_ns is None else now_ns
-                before = self._alarmed.get(record.parameter)
-                if before is None or at - before >= self._apart_ns:
-                    self._alarmed[record.parameter] = at
-                    found.append((record.t_ns, record.parameter))
+        steps = [record for record in records if isinstance(record, AlarmTransition) and record.kind == "level"]
+        for step in steps:
+            at = step.t_ns if now_ns is None else now_ns
+            before = self._alarmed.get(step.parameter)
+            if before is None or at - before >= self._apart_ns:
+                self._alarmed[step.parameter] = at
+                found.append((step.t_ns, step.parameter))
         return found

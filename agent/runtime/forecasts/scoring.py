@@ -51,5 +51,5 @@ def _score(row: Row, now: int, crossed: int | None) -> ForecastScore:
     held = None
     if row["p10_ns"] is not None and row["status"] != "crossed":
         held = crossed is not None and row["p10_ns"] <= crossed <= row["p90_ns"]
-    made, crps = row["made_at_ns"], score(draws, came_s, censored=crossed is None)
-    return ForecastScore(row["rig"], row["parameter"], row["id"], made, now, crossed, crps, held)
+    crps = score(draws, came_s, censored=crossed is None)
+    return ForecastScore(row["rig"], row["parameter"], row["id"], row["made_at_ns"], now, crossed, crps, held)

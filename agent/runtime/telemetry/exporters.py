@@ -90,7 +90,8 @@ class TextfileExporter:
     """Writes a file anew each period, whole at any time."""
 
     def __init__(self, file: Path, status: Document) -> None:
-        self._file, self._registry = file, _registry(status)
+        self._file = file
+        self._registry = _registry(status)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="metrics", daemon=True)
         self._thread.start()

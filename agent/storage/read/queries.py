@@ -321,9 +321,7 @@ def _tiered(
 ) -> tuple[Found, IntArray]:
     """Return rows from the finest tier that is not too long, then finer ones, and what each covers, s."""
     bounds = {span: _bounds(connection, stretches, span, most if span < 3600 else _UNCOUNTED) for span in (0, 60, 3600)}
-    oldest = min((b[0] for b in bounds.values() if b), default=0)
-    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= most]
-    start = fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
+    start = _first_tier(bounds, most)
     tiers: list[Found] = []
     spans = sorted((s for s in bounds if s <= start), reverse=True)
     for span in spans:
@@ -334,6 +332,13 @@ def _tiered(
             reached = int(tiers[-1].t_ns[-1]) + span * 500_000_000 + (span == 0)
             stretches = [stretch.after(reached) for stretch in stretches]
     return joined(tiers), np.repeat(spans, [len(tier.t_ns) for tier in tiers])
+
+
+def _first_tier(bounds: Mapping[int, tuple[int, int] | None], most: int) -> int:
+    """Return the finest tier that reaches back far enough and is not too long, else the coarsest that holds rows."""
+    oldest = min((b[0] for b in bounds.values() if b), default=0)
+    fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= most]
+    return fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
 
 
 def _bounds(

@@ -6,7 +6,7 @@ import sqlite3
 from dataclasses import dataclass, replace
 from typing import get_args
 
-from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, after, cause_of, is_needless
+from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, cause_of, is_needless
 from agent.storage.database.checksum import Cell
 from agent.storage.database.schema import columns_of
 from agent.storage.tables.rows import Numbers, Plan
@@ -60,10 +60,13 @@ class AlarmRows:
         """
         row = self._open.get((step.kind, step.parameter))
         cause = cause_of(step.from_state, step.to_state)
-        if cause is not None and is_needless(Alarm() if row is None else alarm_of(row), cause):
+        known = Alarm() if row is None else alarm_of(row)
+        if cause is not None and is_needless(known, cause):
             return
-        step = step if row is None else _as_it_is(row, step)
-        if row is None or (step.to_state == "UNACK" and step.from_state in _CLEAR):  # an activation of its own
+        if row is not None:
+            step = _as_it_is(row, step)
+        is_new = step.to_state == "UNACK" and step.from_state in _CLEAR
+        if row is None or is_new:  # an activation of its own
             row = self._raised(step, numbers)
             _annotate(plan, row, step, numbers)
         row = _after(row, step)
@@ -117,8 +120,9 @@ def _as_it_is(row: AlarmRow, step: AlarmTransition) -> AlarmTransition:
     state = _STATES.get(row.state)
     if cause is None or state is None:
         return step
-    to = after(state, cause, stands=cause == "raise" or (cause != "clear" and row.cleared_ns is None))
-    return replace(step, from_state=state, to_state=to or state, cause=cause if state in SUPPRESSED else step.cause)
+    stepped = alarm_of(row).step(cause)
+    to = state if stepped is None else stepped.state
+    return replace(step, from_state=state, to_state=to, cause=cause if state in SUPPRESSED else step.cause)
 
 
 def _annotate(plan: Plan, row: AlarmRow, step: AlarmTransition, numbers: Numbers) -> None:
@@ -136,14 +140,10 @@ def _finite(figure: float | None) -> float | None:
 
 
 def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
-    """Return the row as a transition leaves it; a suppressed one keeps its state, but not what its condition does."""
+    """Return the row as a transition leaves it."""
     row = replace(row, state=step.to_state)
     if step.to_state in SUPPRESSED and step.to_state == step.from_state:
-        if step.cause == "raise" and row.cleared_ns is not None:
-            delta, sd, limit, probability = _figures(step)
-            row = replace(row, raised_ns=step.t_ns, delta=delta, sd=sd, limit_value=limit, probability=probability,
-                          message=step.message)  # fmt: skip
-        return replace(row, cleared_ns={"clear": step.t_ns, "raise": None}.get(step.cause, row.cleared_ns))
+        return _suppressed_after(row, step)
     if step.to_state in _CLEAR and row.cleared_ns is None:
         row = replace(row, cleared_ns=step.t_ns)
     if step.to_state == "UNACK":  # to be acknowledged again
@@ -152,6 +152,15 @@ def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
     if acknowledged and row.acked_ns is None:
         row = replace(row, acked_ns=step.t_ns, acked_by=step.by)
     return row
+
+
+def _suppressed_after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
+    """Return a suppressed row as its condition leaves it: its state stays."""
+    if step.cause == "raise" and row.cleared_ns is not None:
+        delta, sd, limit, probability = _figures(step)
+        row = replace(row, raised_ns=step.t_ns, delta=delta, sd=sd, limit_value=limit, probability=probability,
+                      message=step.message)  # fmt: skip
+    return replace(row, cleared_ns={"clear": step.t_ns, "raise": None}.get(step.cause, row.cleared_ns))
 
 
 def standing_alarms(connection: sqlite3.Connection, rig: str, kind: str) -> list[AlarmRow]:

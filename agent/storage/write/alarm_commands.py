@@ -47,13 +47,12 @@ class Request:
     def read(cls, asked: Mapping[str, Any]) -> "Request":
         """Return the request that a document holds. Raises StoreError for one that makes no sense."""
         cause = next((cause for cause in COMMANDS if cause == asked.get("cause")), None)
-        ids = asked.get("ids")
-        sound = isinstance(ids, list) and 0 < len(ids) <= MOST_ALARMS and all(type(one) is int for one in ids)
-        if cause is None or not isinstance(ids, list) or not sound:
+        ids = _sound_ids(asked.get("ids"))
+        if cause is None or not ids:
             advice = f"causes are {', '.join(COMMANDS)}; ids whole numbers"
             raise StoreError.at("alarm", "is no command on alarms", advice)
         by, comment, length_ns = (asked.get(key) for key in ("by", "comment", "length_ns"))
-        made = cls(cause, tuple(dict.fromkeys(ids)), str(by or ""), comment, length_ns)
+        made = cls(cause, ids, str(by or ""), comment, length_ns)
         faults = list(made.faults())
         if faults:
             raise StoreError(faults)
@@ -74,6 +73,13 @@ class Request:
             yield Fault("--by", "is empty", "say who does it")
         if self.cause == "shelve":
             yield from _length_faults(self.length_ns)
+
+
+def _sound_ids(ids: object) -> tuple[int, ...]:
+    """Return whole numbers, each once; none at all for what is no list of them or too long a one."""
+    if not isinstance(ids, list) or len(ids) > MOST_ALARMS:
+        return ()
+    return tuple(dict.fromkeys(ids)) if all(type(one) is int for one in ids) else ()
 
 
 def _is_unicode(text: str) -> bool:

@@ -23,6 +23,7 @@ class Rule:
     priority: str = "high"
     within: float | None = 30 * DAY
     rate_per_day: float | None = 0.5
+    advice: str | None = None
 
 
 def change(slope: float, sd: float) -> Change:

@@ -184,6 +184,8 @@ def test_schedule_asks_at_level_alarms_and_not_at_each_of_a_chattering_one() -> 
 class Slow:
     """A forecaster that waits until it may go on."""
 
+    rig = "press"
+
     def __init__(self) -> None:
         self.begun, self.free = threading.Event(), threading.Event()
         self.asked: list[tuple[str, Sequence[str]]] = []

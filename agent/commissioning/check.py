@@ -62,10 +62,15 @@ def check(*, config: Path, recording: Path | None, probe: bool, progress: Progre
         rig_config = load(config)
         resolution = resolution_of(rig_config)
     except ConfigError as error:
-        unknown = recording is None and not probe and _lacks_nominals_only(config)
-        faults = [_fault(fault) for fault in error.faults]
-        return {"ok": unknown, "errors": [] if unknown else faults, "warnings": faults if unknown else []} | _NOTHING
+        file_alone = recording is None and not probe
+        return _unread(error, accepted=file_alone and _lacks_nominals_only(config))
     return _document(rig_config, resolution, Evidence(recording, probe, progress or on_terminal()))
+
+
+def _unread(error: ConfigError, *, accepted: bool) -> dict[str, Any]:
+    """Return the document of a file with faults, which are warnings where it is accepted as it is."""
+    faults = [_fault(fault) for fault in error.faults]
+    return {"ok": accepted, "errors": [] if accepted else faults, "warnings": faults if accepted else []} | _NOTHING
 
 
 def _lacks_nominals_only(config: Path) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agent.commissioning.setup.plan import BUSES, ELEMENTS, NONE, Plan, Signal, channel_of, link_of, mass_of, number_of
+from agent.commissioning.setup.plan import BUSES, ELEMENTS, NONE, Plan, Signal, channel_of, links_of, mass_of, number_of
 from agent.commissioning.setup.signals import dbc_signals, placed
 from agent.commissioning.setup.text import text_of
 from agent.config.load import parse
@@ -105,8 +105,7 @@ def _ask_all(plan: Plan, ask: Ask) -> None:
     for kind in ("spring", "damper"):
         if plan.elements.get(kind) is None:
             answer = ask(f"{kind}s, such as a=ground,m1 b=m1,m2; empty for a chain from ground, none for none", "")
-            words = answer.split()
-            plan.elements[kind] = None if not words else [] if words == [NONE] else [link_of(w, kind) for w in words]
+            plan.elements[kind] = links_of(answer.split(), kind)
     if not plan.channels:
         plan.channels = _channels(ask)
     _ask_keys(plan, ask)

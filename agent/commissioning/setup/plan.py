@@ -83,15 +83,19 @@ class Plan:
         has = {key for key, value in self.keys.items() if value}
         if self.bus == "can" and "dbc" not in has:
             yield "--dbc", "the file that describes the frames, such as --dbc rig.dbc"
-        if self.bus == "serial" and "port" not in has:
-            yield "--port", "the line's device, such as --port /dev/serial/by-id/..."
-        if self.bus == "serial" and not has & {"columns", "fields"}:
-            advice = "lines of text: --columns n,force,x1; binary frames: --sync AA55 --fields force:int16:1e-3,..."
-            yield "--columns or --fields", advice
-        if self.bus == "serial" and "fields" in has and "sync" not in has:
-            yield "--sync", "the bytes that every binary frame begins with, such as --sync AA55"
+        if self.bus == "serial":
+            yield from self._missing_of_line(has)
         if self.bus == "modbus":
             yield from self._missing_registers(has)
+
+    def _missing_of_line(self, has: set[str]) -> Iterator[tuple[str, str]]:
+        if "port" not in has:
+            yield "--port", "the line's device, such as --port /dev/serial/by-id/..."
+        if not has & {"columns", "fields"}:
+            advice = "lines of text: --columns n,force,x1; binary frames: --sync AA55 --fields force:int16:1e-3,..."
+            yield "--columns or --fields", advice
+        if "fields" in has and "sync" not in has:
+            yield "--sync", "the bytes that every binary frame begins with, such as --sync AA55"
 
     def _missing_registers(self, has: set[str]) -> Iterator[tuple[str, str]]:
         if "fields" not in has:
@@ -138,13 +142,19 @@ def links_of(texts: Sequence[str], flag: str) -> list[Link] | None:
 def channel_of(text: str) -> Signal:
     """Read [NAME=]QUANTITY@MASS[:UNIT[:FIELD]]."""
     match = _CHANNEL.fullmatch(text.strip())
-    known = {} if match is None else {q: u for q, u in UNITS.items() if q.startswith(match[2])}
-    if match is None or len(known) != 1:
-        advice = "[NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as --channel x1=displacement@m1:mm; quantities are "
-        raise UsageError.at("--channel", f'"{text}" is none', advice + ", ".join(UNITS))
+    if match is None:
+        raise _no_channel(text)
+    known = {q: u for q, u in UNITS.items() if q.startswith(match[2])}
+    if len(known) != 1:
+        raise _no_channel(text)
     ((quantity, unit),) = known.items()
     name = match[1] or _LETTERS[quantity] + (re.sub(r"\D", "", match[3]) or f"_{match[3]}")
     return Signal(name, quantity, match[3], match[4] or unit, match[5] or name)
+
+
+def _no_channel(text: str) -> UsageError:
+    advice = "[NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as --channel x1=displacement@m1:mm; quantities are "
+    return UsageError.at("--channel", f'"{text}" is none', advice + ", ".join(UNITS))
 
 
 def number_of(text: str, flag: str, whole: str = "") -> float:

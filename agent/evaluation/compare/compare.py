@@ -49,7 +49,8 @@ def compare(
 def _ran(trial: Trial, name: str) -> tuple[dict[str, Any], Estimates]:
     method = tuned(name, trial)
     found = method.run()
-    left, motion = trial.left(found, trial.scored()), trial.motion(trial.scored())
+    left = trial.left(found, trial.scored())
+    motion = trial.motion(trial.scored())
     row = {
         "estimates": {p.name: _newest(found, i, p.unit) for i, p in enumerate(trial.rig.parameters)},
         "prediction_rms": float(np.sqrt(np.mean(left))),

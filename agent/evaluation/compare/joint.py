@@ -107,7 +107,8 @@ def likelihood(
     polynomial: Polynomial, sigma: float | FloatArray, tuning: Tuning, y: FloatArray, u: FloatArray
 ) -> float:  # fmt: skip
     """Return the logarithm of the innovations' likelihood, the first tenth left out as start."""
-    total, first = 0.0, len(y) // 10
+    total = 0.0
+    first = len(y) // 10
     for k, ekf in enumerate(ekf_steps(polynomial, sigma, tuning, y, u)):
         if k >= first:
             sign, size = np.linalg.slogdet(ekf.S)

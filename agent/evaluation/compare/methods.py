@@ -102,7 +102,9 @@ def of_product(trial: Trial, method: str) -> Estimates:
     """Run a method of the product as `replay` does."""
     inputs = trial.u[:, : len(trial.config.inputs) + len(getattr(trial.config.model, "friction", ()))]
     block = make_estimation(trial.config, np.zeros(trial.y.shape[1]))
-    batches, marks, step = [], [time.process_time()], min(BLOCK, -(-len(trial.y) // PARTS))
+    step = min(BLOCK, -(-len(trial.y) // PARTS))
+    batches = []
+    marks = [time.process_time()]
     for start in range(0, len(trial.y), step):
         index = np.arange(start, min(start + step, len(trial.y)), dtype=np.int64)
         t_ns = (index * (1e9 * trial.period_s)).astype(np.int64)
@@ -122,7 +124,8 @@ def of_product(trial: Trial, method: str) -> Estimates:
 def _joint(trial: Trial, *, unscented: bool) -> Tuned:
     from agent.evaluation.compare import joint
 
-    polynomial, best = _polynomial(trial), _most_likely(trial)
+    polynomial = _polynomial(trial)
+    best = _most_likely(trial)
     run = joint.run_ukf if unscented else joint.run_ekf
     words = f"walk {best.walk:g}, push {best.push:g} a sample"
     return Tuned(lambda: tracked(lambda: run(polynomial, trial.noise, best, trial.y, trial.u)), words)
@@ -132,7 +135,8 @@ def _joint(trial: Trial, *, unscented: bool) -> Tuned:
 def _most_likely(trial: Trial) -> rivals.Tuning:
     from agent.evaluation.compare import joint
 
-    polynomial, y, u = _polynomial(trial), trial.y[trial.tuning], trial.u[trial.tuning]
+    polynomial = _polynomial(trial)
+    y, u = trial.y[trial.tuning], trial.u[trial.tuning]
     tunings = [rivals.Tuning(walk, push=push) for walk, push in product(WALKS, PUSHES)]
     with np.errstate(all="ignore"):  # a badly tuned filter runs away, and is scored as such
         scores = [joint.likelihood(polynomial, trial.noise, tuning, y, u) for tuning in tunings]

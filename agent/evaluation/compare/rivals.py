@@ -113,7 +113,8 @@ def run_rls(
     # in units of the correction's own size, so that the start weighs like a hundredth of a sample whatever the units
     scale = float(np.sqrt(np.mean(b**2)))
     b, rows = b / scale, rows / scale
-    change, P = np.zeros(s.q), np.diag((10.0 * (model.nominal if size is None else size)) ** 2)
+    change = np.zeros(s.q)
+    P = np.diag((10.0 * (model.nominal if size is None else size)) ** 2)
     square, weight = 0.0, 0.0
     theta, sd = np.empty((len(y), s.q)), np.empty((len(y), s.q))
     eye = np.eye(s.n)
@@ -127,7 +128,8 @@ def run_rls(
         P = 0.5 * (P + P.T)
         left = bk - row @ change
         square, weight = forget * square + left @ error, forget * weight + s.n
-        theta[k], sd[k] = change, P.diagonal() * max(square, 0.0) / max(weight - s.q, 1.0)
+        theta[k] = change
+        sd[k] = P.diagonal() * max(square, 0.0) / max(weight - s.q, 1.0)
     return model.nominal + theta, np.sqrt(sd)
 
 
@@ -143,9 +145,11 @@ def run_observer(
     standard deviation: those returned are NaN.
     """
     poly, n = polynomial, polynomial.n
-    C, R = poly.C, 1.0 / np.square(sigma)
+    C = poly.C
+    R = 1.0 / np.square(sigma)
     z = y - u @ poly.D.T
-    x, change, spread = start_of(poly, y, u).x, np.zeros(poly.q), np.zeros((n, poly.q))
+    x = start_of(poly, y, u).x
+    change, spread = np.zeros(poly.q), np.zeros((n, poly.q))
     theta = np.empty((len(y), poly.q))
     G = poly.size**2
     xu = np.empty(n + poly.m)

@@ -122,7 +122,8 @@ class Trial:
     def _left(self, theta: FloatArray, start: int) -> FloatArray:
         """What a free run at theta leaves of a window; what predicts worse than nothing explains nothing."""
         rows = slice(start, start + self.window)
-        y, motion = self.y[rows], self._motion(start)
+        y = self.y[rows]
+        motion = self._motion(start)
         continuous = self.rig.model.continuous(theta)
         fastest = float(np.abs(np.linalg.eigvals(self.rig.model.continuous(self.nominal).A)).max())
         eigenvalues = np.linalg.eigvals(continuous.A)
@@ -138,7 +139,8 @@ def trial_of(config: RigConfig, recorded: Recorded) -> Trial:
     rig = rig_model(config)
     first, end = max(recorded.pieces, key=lambda piece: piece[1] - piece[0])
     end = min(end, first + MOST)
-    y, u = recorded.y[first:end], with_constant(recorded.u[first:end], _inputs(rig))
+    y = recorded.y[first:end]
+    u = with_constant(recorded.u[first:end], _inputs(rig))
     longest = round(windows_s(config)[-1] * config.rig.sample_rate_hz)
     window = max(hop_plan(config).window, min(longest, len(y) // (4 * LEAST_WINDOWS)))
     if len(y) < LEAST_WINDOWS * window:

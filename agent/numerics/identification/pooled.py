@@ -155,7 +155,8 @@ class _Sum:
         H, h = np.zeros((q + c, q + c)), np.zeros(q + c)
         H[q:, q:] = np.diag(sheet**-2.0)
         h[q:] = -known.eta * sheet**-2.0
-        said, costs = [], Costs.none(known.theta, H, h)
+        said = []
+        costs = Costs.none(known.theta, H, h)
         no_cuts: IntArray = np.zeros(0, dtype=np.int64)
         for window in windows:
             at = learner.lineariser.point(window, known, known.theta, no_cuts)

@@ -128,7 +128,8 @@ class Selector:
         return d, float(d @ H @ d - 2 * h @ d)
 
     def _fitted(self, kept: BoolArray) -> Choice:
-        costs, q, count = self._costs, len(kept), len(self._H)
+        costs = self._costs
+        q, count = len(kept), len(self._H)
         d, cost = self._minimum(kept)
         H = costs.prior + self._H.sum(axis=0)
         free = np.concatenate([kept, np.ones(len(H) - q, dtype=bool)])

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from agent.config.notify import Notify
 from agent.config.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
@@ -39,6 +40,7 @@ class Draft:
     sources: list[Entry[Source]] = field(default_factory=list)
     store: Store = field(default_factory=Store)
     columns: Columns = field(default_factory=Columns)
+    notify: list[Entry[Notify]] = field(default_factory=list)
 
     @property
     def rate_hz(self) -> float | None:

@@ -9,11 +9,13 @@ from typing import Any, Final
 from agent.config.draft import Draft
 from agent.config.fields import shown
 from agent.config.messages import join, listing, nearest
+from agent.config.notify import Notify
 from agent.config.parse import Faults, read_list, read_table
 from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator
 from agent.config.rules_model import check_model
+from agent.config.rules_notify import check_notify
 from agent.config.rules_sources import check_sources, read_sources
 from agent.config.secrets import check_no_plain_secrets
 from agent.config.tables import (
@@ -30,8 +32,8 @@ from agent.config.tables import (
 from agent.config.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, Fault
 
-TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns")
-RESERVED: Final = ("agent", "http", "mqtt", "metrics", "notify", "security")
+TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "notify")
+RESERVED: Final = ("agent", "http", "mqtt", "metrics", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
     ("alarm", "kind"): ("rate", "forecast", "sensor", "source", "mismatch"),
@@ -59,7 +61,8 @@ def parse(data: bytes, file: Path, *, identified: bool = False) -> RigConfig:
     raw = parse_toml(data, file)
     draft = Draft(file.parent, identified)
     _read(raw, draft)
-    for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources):
+    for check in (check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources,
+                  check_notify):  # fmt: skip
         check(draft)
     if draft.faults.found:
         raise ConfigError(_ordered(draft.faults.found))
@@ -103,7 +106,19 @@ def _conflicts(configs: list[RigConfig]) -> list[Fault]:
             if getattr(config.store, key) != getattr(first.store, key):
                 what = f"differs from that of {first.file}, which shares the store"
                 faults.append(Fault(f"{config.file}: store.{key}", what, "make them the same"))
+        faults += _other_targets(config, first)
     return faults
+
+
+def _other_targets(config: RigConfig, first: RigConfig) -> list[Fault]:
+    """Return a fault for each target that is another one in a configuration that shares the store."""
+    known = {target.name: target for target in first.notify}
+    what = f"is another target in {first.file}, which shares the store"
+    return [
+        Fault(f"{config.file}: notify[{i}].name", f"{shown(target.name)} {what}", "name them differently")
+        for i, target in enumerate(config.notify)
+        if known.get(target.name, target) != target
+    ]
 
 
 def _read(raw: Mapping[str, Any], draft: Draft) -> None:
@@ -124,6 +139,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.sources = read_sources(raw.get("source", []), faults)
     draft.store = read_table(Store, raw.get("store", {}), "store", faults)
     _read_columns(raw.get("columns", {}), draft)
+    draft.notify = read_list(Notify, raw.get("notify", []), "notify", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -203,6 +219,7 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         source=tuple(entry.table for entry in draft.sources),
         store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),
         columns=draft.columns,
+        notify=tuple(entry.table for entry in draft.notify),
         file=file,
         sha256=sha256,
     )

@@ -27,6 +27,7 @@ from agent.config.fields import (
     Text,
     Window,
 )
+from agent.config.notify import Notify
 from agent.config.units import Quantity, base_length, conversion, element_units
 
 GROUND = "ground"
@@ -269,6 +270,7 @@ class RigConfig(Table):
     source: tuple[Source, ...] = ()
     store: Store
     columns: Columns = Columns()
+    notify: tuple[Notify, ...] = ()
     file: Path
     sha256: str
 

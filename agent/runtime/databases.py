@@ -1,12 +1,15 @@
 """The databases of an agent: rigs that name the same file share one writer."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from agent import __version__
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig, learnt_key
+from agent.notification.routing import route
+from agent.storage.tables.notifications import nobody
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
@@ -36,7 +39,8 @@ def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind) -> StoreWri
                     c.rig.labels) for c in members]  # fmt: skip
     keep = _retention(members)
     every_s = min(c.store.every_s for c in members)
-    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=True)
+    targets = partial(route, members) if kind == "live" else nobody
+    return StoreWriter(lambda: Store.open(path, keep=keep, route=targets), runs, every_s=every_s, served=True)
 
 
 def _retention(members: Sequence[RigConfig]) -> Retention:

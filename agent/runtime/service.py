@@ -12,6 +12,7 @@ from typing import Any
 from agent.clock import monotonic_ns
 from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
+from agent.notification.notifier import Notifier
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
@@ -47,6 +48,7 @@ class Service:
         for writer in self.writers.values():
             writer.on_alarm = self._commanded
         self._event_writers = self._keep_events(configs, db) if kind == "live" else []
+        self._notifiers = self._notify(configs, db) if kind == "live" else []
         for config in configs:
             self.rigs[config.rig.name].summary.db = str(path_of(config, db))
 
@@ -77,6 +79,20 @@ class Service:
                 found.append(event_writer(config, path, publish))
                 rig.events = EventKeeper(config, found[-1], publish)
         return found
+
+    def _notify(self, configs: Sequence[RigConfig], db: Path | None) -> list[Notifier]:
+        """Return what keeps the targets of each database notified; of rigs that share a file those of one name are one.
+
+        They are woken by whoever stores something for them.
+        """
+        found: dict[tuple[Path, str], Notifier] = {}
+        for config in configs:
+            path = path_of(config, db)
+            for target in config.notify:
+                found.setdefault((path, target.name), Notifier(target, config.folder, self.writers[path].ask))
+        for path, writer in self.writers.items():
+            writer.on_outbox = partial(_wake, [one for (place, _), one in found.items() if place == path])
+        return list(found.values())
 
     def stop(self) -> None:
         """Ask `run` to return; from another thread than `run`'s."""
@@ -138,6 +154,8 @@ class Service:
             writer = self._writer_of[name]
             rig.summary.run_id = writer.run_ids.get(name)
             rig.restore(writer.standing.get(name, []), writer.learnt.get(name))
+        for notifier in self._notifiers:
+            notifier.start()
         release_free_pages()  # takes its time, in which a serial line would overflow
         for connection in self.connections:
             connection.start()
@@ -194,8 +212,13 @@ class Service:
         for rig in self.rigs.values():
             rig.ledger(self.connections)
 
+    def _end_notifications(self) -> None:
+        for notifier in self._notifiers:
+            notifier.stop()
+
     def _finish(self) -> None:
         begun = monotonic_ns()
+        self._end_notifications()
         for writer in self.writers.values():
             writer.hurry()
         for connection in self.connections:
@@ -242,6 +265,11 @@ def run(
     seconds = (monotonic_ns() - started) / 1e9
     documents = [rig.summary.document(seconds) for rig in service.rigs.values()]
     return documents[0] if len(documents) == 1 else {"runs": documents}
+
+
+def _wake(notifiers: Sequence[Notifier]) -> None:
+    for notifier in notifiers:
+        notifier.wake()
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:

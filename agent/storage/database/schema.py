@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, cast
 from agent import __version__
 from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
+from agent.storage.database.views_of_notifications import NOTIFICATIONS
 from agent.storage.database.views_of_operations import OPERATIONS
 from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 10
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -74,11 +75,14 @@ TABLES: dict[str, str] = {
     "t_ns INTEGER NOT NULL, length_ns INTEGER NOT NULL",
     "annotations": "alarm_id INTEGER NOT NULL, advice TEXT, percent REAL",
     "sites": "run_id INTEGER NOT NULL, site TEXT, labels TEXT",
+    "notifications": "alarm_event_id INTEGER NOT NULL, target TEXT NOT NULL, state TEXT NOT NULL, "
+    "attempts INTEGER NOT NULL, last_error TEXT, done_ns INTEGER",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
-_SINCE = {"event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "shelves": 8, "annotations": 8, "sites": 8}
+_SINCE = {"event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "shelves": 8, "annotations": 8, "sites": 8,
+          "notifications": 10}  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
@@ -189,6 +193,14 @@ def _operations(db: "Database") -> None:
     _mark(db.conn, 8)
 
 
+def _notifications(db: "Database") -> None:
+    """Version 10: which step of an alarm each target is to be notified of, and what became of it."""
+    _create(db.conn, "notifications")
+    for statement in NOTIFICATIONS:
+        db.conn.execute(statement)
+    _mark(db.conn, 10)
+
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
@@ -197,6 +209,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
     "0008_operations": _operations,
+    "0010_notifications": _notifications,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

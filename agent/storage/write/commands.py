@@ -10,14 +10,18 @@ from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import Request, carry_out
 from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.jobs import JobQueue
+from agent.storage.write.notifications import resend
 from agent.storage.write.store import Store
 from agent.types import AlarmTransition
 
 
-def serve(path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None]) -> CommandServer:
+def serve(
+    path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None], outbox: Callable[[], None]
+) -> CommandServer:
     """Listen on the database's socket. Raises OSError where no socket can be made.
 
     notify: called in the writer's thread with each step of an alarm that an operator made, once it is committed.
+    outbox: called where there may be something to notify targets of.
     """
 
     def through(act: Any) -> Handler:
@@ -34,7 +38,13 @@ def serve(path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None])
 
         return {"alarms": jobs.ask(act)}
 
-    server = CommandServer(path, {"compact": through(_compact), "repair": through(_repair), "alarm": alarm})
+    def again(asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        sent = jobs.ask(lambda store: resend(store, asked.get("ids")))
+        outbox()
+        return {"notifications": sent}
+
+    handlers = {"compact": through(_compact), "repair": through(_repair), "alarm": alarm, "resend": again}
+    server = CommandServer(path, handlers)
     server.start()
     return server
 

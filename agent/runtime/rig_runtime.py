@@ -13,6 +13,7 @@ from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
+from agent.recording.states import frozen
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.ledger import Conservation
 from agent.runtime.pending import COMPUTING, Lateness, Waiting
@@ -101,6 +102,8 @@ class RigRuntime:
 
     def take(self, use: Use, arrival: Arrival) -> None:
         """Take one block of one of the rig's sources; `compute` makes estimates of it."""
+        if self.events is not None and not self._taken:
+            self.events.begin_round(partial(frozen, self.pipeline))
         seen_s = arrival.block.arrival_ns / 1e9
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agent.config.notify import Notify
 from agent.config.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
@@ -13,6 +12,7 @@ from agent.config.tables import (
     LinearModel,
     MechanicsModel,
     Model,
+    Notify,
     Parameter,
     Rig,
     Source,

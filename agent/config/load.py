@@ -9,14 +9,12 @@ from typing import Any, Final
 from agent.config.draft import Draft
 from agent.config.fields import shown
 from agent.config.messages import join, listing, nearest
-from agent.config.notify import Notify
 from agent.config.parse import Faults, read_list, read_table
 from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator
 from agent.config.rules_model import check_model
-from agent.config.rules_notify import check_notify
-from agent.config.rules_sources import check_sources, read_sources
+from agent.config.rules_sources import check_notify, check_sources, read_sources
 from agent.config.secrets import check_no_plain_secrets
 from agent.config.tables import (
     Alarm,
@@ -25,6 +23,7 @@ from agent.config.tables import (
     Estimator,
     LinearModel,
     MechanicsModel,
+    Notify,
     Rig,
     RigConfig,
     Store,

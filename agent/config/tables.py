@@ -14,6 +14,7 @@ from pydantic import Field, Strict
 from agent.config.fields import (
     Duration,
     FilePath,
+    Hours,
     Intensities,
     Matrix,
     Name,
@@ -25,12 +26,16 @@ from agent.config.fields import (
     Skew,
     Table,
     Text,
+    Texts,
     Window,
 )
-from agent.config.notify import Notify
+from agent.config.secrets import Secret
 from agent.config.units import Quantity, base_length, conversion, element_units
+from agent.types import AlarmKind
 
 GROUND = "ground"
+Priority = Literal["low", "medium", "high", "critical"]
+PRIORITIES: tuple[Priority, ...] = ("low", "medium", "high", "critical")
 Nodes = Annotated[tuple[Name, Name], Strict(False)]
 
 
@@ -248,6 +253,28 @@ class Columns(Table):
 
     names: dict[str, str] = Field(default_factory=dict)
     delimiter: str | None = None
+
+
+class Notify(Table):
+    """One target. What a kind needs beside name and kind: command; url; host, sender and recipients."""
+
+    name: Name = Field(description='a name such as "shift"')
+    kind: Literal["command", "webhook", "smtp"]
+    priority: Priority = "low"
+    kinds: Annotated[tuple[AlarmKind, ...], Strict(False), Field(min_length=1)] | None = None
+    quiet: Hours | None = None
+    timeout_s: Positive = 30.0
+    attempts: int = Field(default=400, ge=1, le=100_000)
+    command: Texts | None = Field(default=None, description='a list such as ["/usr/local/bin/page", "--shift"]')
+    url: Text | Secret | None = None
+    token: Secret | None = None
+    host: Text | None = None
+    port: int | None = Field(default=None, ge=1, le=65535)
+    tls: Literal["starttls", "tls", "none"] = "starttls"
+    sender: Text | None = None
+    recipients: Texts | None = None
+    user: Text | None = None
+    password: Secret | None = None
 
 
 class Parameter(NamedTuple):

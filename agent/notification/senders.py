@@ -23,7 +23,8 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from agent import __version__
-from agent.config.notify import Notify, Secret
+from agent.config.secrets import Secret
+from agent.config.tables import Notify
 from agent.notification.message import Message
 
 _PORTS: Final = {"starttls": 587, "tls": 465, "none": 25}

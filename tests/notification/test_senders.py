@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from agent.config import load
-from agent.config.notify import Notify, Secret
+from agent.config.secrets import Secret
+from agent.config.tables import Notify
 from agent.errors import ConfigError
 from agent.notification.message import message_of
 from agent.notification.routing import quiet_s

@@ -1,4 +1,4 @@
-"""`deltak explain`: an alarm's verdict computed again from the samples kept around it, and in words what it rests on."""
+"""`deltak explain`: an alarm's verdict computed again from its record, and what it rests on in words."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -22,7 +22,8 @@ from agent.notification.routing import quiet_s
 from agent.notification.senders import SendError, send
 from agent.storage.tables.notifications import NotificationRow
 from agent.storage.write.jobs import Job
-from agent.storage.write.notifications import Due, due, note_done, note_failure
+from agent.storage.write.notifications import Due, catch_up, due, note_done, note_failure
+from agent.types import AlarmTransition
 
 PAUSE_S: Final = 1.0, 600.0
 """After a failed attempt, at least and, doubled each time, at most."""
@@ -49,6 +50,7 @@ class Notifier:
         target: whom.
         folder: where the configuration's relative paths start.
         ask: has something done with the store, in its writer's thread.
+        wanted: tells whether a step is for the target; what was done while no agent ran is caught up with by that.
         deliver: brings a message to the target.
         now: local time, for the quiet hours.
         pause_s: shortest and longest pause after a failed attempt.
@@ -59,6 +61,7 @@ class Notifier:
         target: Notify,
         folder: Path,
         ask: Callable[[Job], Any],
+        wanted: Callable[[AlarmTransition], bool] | None = None,
         deliver: Send = send,
         now: Callable[[], datetime] = _now,
         pause_s: tuple[float, float] = PAUSE_S,
@@ -66,6 +69,7 @@ class Notifier:
         self.target = target
         self._folder, self._ask, self._deliver, self._now = folder, ask, deliver, now
         self._shortest_s, self._longest_s = pause_s
+        self._wanted = wanted
         self._failures = 0
         self._delivered: deque[int] = deque(maxlen=_REMEMBERED)
         self._due = threading.Event()
@@ -106,6 +110,9 @@ class Notifier:
             return _STORE_S
 
     def _round(self) -> float:
+        if self._wanted is not None:
+            self._ask(partial(catch_up, target=self.target.name, wanted=self._wanted))
+            self._wanted = None
         quiet = quiet_s(self.target, self._now())
         most = _AT_NIGHT if quiet else _AT_ONCE
         found: Sequence[Due] = self._ask(partial(due, target=self.target.name, most=most))

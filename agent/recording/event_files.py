@@ -5,7 +5,7 @@ any recording: `t` (datetime64, the time stamps of the live run) and an array of
 them `index` (the sample's number), `counter` where the device counts, `meta`, a JSON text with the provenance, and
 `state` (see `states`), from which `deltak explain` computes the alarms in it again.
 A rig with several sources keeps a raw recording (see `blocks`) for each, "RIG-NNNNNNNN-KIND-PARAMETER.SOURCE.raw",
-which are replayed together.
+which are replayed together, and "RIG-NNNNNNNN-KIND-PARAMETER.state.npz" with the state.
 """
 
 import io
@@ -98,6 +98,18 @@ def npz_bytes(table: Table, channels: Sequence[str], meta: Mapping[str, Any], st
     arrays |= {name if name not in arrays else f"deltak.{name}": array for name, array in own.items()}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def state_name(name: str) -> str:
+    """Return the name of the file with the state, given the name of a record of several sources."""
+    return name.replace(".*.raw", ".state.npz")
+
+
+def alone(state: bytes) -> bytes:
+    """Return an NPZ file that holds the state of a record of several sources, with all that they delivered since."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, state=np.frombuffer(state, np.uint8))
     return buffer.getvalue()
 
 

@@ -17,9 +17,11 @@ from agent.recording.event_files import (
     EventFolder,
     Labels,
     Taken,
+    alone,
     npz_bytes,
     raw_bytes,
     read_meta,
+    state_name,
     table_of,
 )
 from agent.recording.folder import AGES, make_folder, room
@@ -179,6 +181,10 @@ class EventWriter:
             content = raw_bytes(own, items)
             self._folder.write(Path(job.record.file).name.replace("*", source), content)
             total, samples = total + len(content), samples + sum(len(item.block) for item in items)
+        state = alone(_state(job, whole=True)) if job.state is not None else b""
+        if state:
+            self._folder.write(state_name(Path(job.record.file).name), state)
+        total += len(state)
         stamps = [label.t_ns for label in job.labels]
         first, last = (int(stamps[0][0]), int(stamps[-1][-1])) if stamps else (job.record.t_ns, job.record.t_ns)
         return replace(job.record, from_ns=first, to_ns=last, samples=samples, bytes=total)
@@ -266,12 +272,15 @@ class EventWriter:
             self._publish([replace(self._rows.pop(file), state="purged")])
 
 
-def _state(job: Job) -> bytes:
-    """Return what was known before a record's samples, and the rounds up to its last alarm."""
+def _state(job: Job, *, whole: bool = False) -> bytes:
+    """Return what was known before a record's samples, and the rounds up to its last alarm.
+
+    whole: with their samples, which a record of one source holds beside it.
+    """
     if job.state is None:
         return b""
     items = [item for item in job.items if item.round <= job.last_round]
-    return state_bytes(job.state, Rounds(None, items, job.labels, job.moduli), job.span)
+    return state_bytes(job.state, Rounds(None, items, job.labels, job.moduli), (0, -1) if whole else job.span)
 
 
 def _after_restart(row: EventRecord, there: set[str]) -> EventRecord | None:

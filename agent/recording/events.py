@@ -131,8 +131,7 @@ class EventKeeper:
         self._moduli: dict[str, int | None] = {}
         self._moment = 0
         self._serial = self._round = 0
-        # of several sources a record has no place for it
-        self._states: deque[State] | None = deque(maxlen=STATES) if len(config.source) == 1 else None
+        self._states: deque[State] | None = deque(maxlen=STATES)
         self._open: Open | None = None
         self._baseline_id: int | None = None
         self._begun: deque[float] = deque()

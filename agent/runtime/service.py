@@ -13,6 +13,7 @@ from agent.clock import monotonic_ns
 from agent.config import RigConfig, driver_class, load_many
 from agent.errors import ConfigError, Fault
 from agent.notification.notifier import Notifier
+from agent.notification.routing import route
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
@@ -89,7 +90,8 @@ class Service:
         for config in configs:
             path = path_of(config, db)
             for target in config.notify:
-                found.setdefault((path, target.name), Notifier(target, config.folder, self.writers[path].ask))
+                wanted = partial(_is_for, configs, target.name)
+                found.setdefault((path, target.name), Notifier(target, config.folder, self.writers[path].ask, wanted))
         for path, writer in self.writers.items():
             writer.on_outbox = partial(_wake, [one for (place, _), one in found.items() if place == path])
         return list(found.values())
@@ -265,6 +267,10 @@ def run(
     seconds = (monotonic_ns() - started) / 1e9
     documents = [rig.summary.document(seconds) for rig in service.rigs.values()]
     return documents[0] if len(documents) == 1 else {"runs": documents}
+
+
+def _is_for(configs: Sequence[RigConfig], target: str, step: AlarmTransition) -> bool:
+    return target in route(configs, step)
 
 
 def _wake(notifiers: Sequence[Notifier]) -> None:

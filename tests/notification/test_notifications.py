@@ -15,9 +15,11 @@ import pytest
 from agent.config.tables import Notify
 from agent.errors import StoreError
 from agent.notification.message import Message
+from agent.notification.routing import concerns
 from agent.notification.senders import SendError
 from agent.storage.operations import command_alarms, resend_notifications
 from agent.storage.write.alarm_commands import Request
+from agent.types import AlarmTransition
 from tests.notification.targets import LATE_S, MailRoom, Post, agent, mail_server, webhook
 from tests.peers import ROOT
 from tests.scenario.live import wait_until
@@ -201,3 +203,22 @@ def test_what_an_operator_does_is_announced_and_what_a_shelved_alarm_does_is_not
         command_alarms(path, Request("unshelve", (1,), "tom"))
         wait_until(lambda: settled(path, 3), "all to be sent", 20)
     assert sent == [("UNACK", None), ("SHLVD", "eva"), ("ACKED", "tom")]
+
+
+def test_what_is_done_while_no_agent_runs_is_announced_by_the_next(memory: Path) -> None:
+    path, sent = memory / "rig.db", list[str]()
+
+    def deliver(_target: Notify, message: Message, _folder: Path) -> None:
+        sent.append(message.document["to_state"])
+
+    def wanted(step: AlarmTransition) -> bool:
+        return concerns(SHIFT, step)
+
+    with agent(path, [SHIFT], deliver=deliver, wanted=wanted) as (writer, _):
+        writer.publish(steps(1))
+        wait_until(lambda: settled(path, 1), "the alarm", 20)
+    command_alarms(path, Request("acknowledge", (1,), "eva"))
+    for _ in range(2):
+        with agent(path, [SHIFT], deliver=deliver, wanted=wanted):
+            wait_until(lambda: settled(path, 2), "the acknowledgement", 20)
+    assert sent == ["UNACK", "ACKED"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from agent.cli.operator import notify
 from agent.config import load
 from agent.config.secrets import Secret
 from agent.config.tables import Notify
@@ -15,8 +16,10 @@ from agent.errors import ConfigError
 from agent.notification.message import message_of
 from agent.notification.routing import quiet_s
 from agent.notification.senders import SendError, send
+from agent.storage.write.store import Store
 from tests.notification.targets import Post, webhook
 from tests.peers import ROOT
+from tests.storage.rows import run_info, step
 
 FACTS: dict[str, Any] = {
     "rig": "press-7", "site": "hall 2", "labels": '{"line": "3"}', "event_id": 9, "alarm_id": 4, "kind": "level",
@@ -109,3 +112,27 @@ def test_target_that_makes_no_sense_is_refused_by_its_key(tmp_path: Path, keys: 
     with pytest.raises(ConfigError) as error:
         configured(tmp_path, f'[[notify]]\nname = "a"\n{keys}\n')
     assert any(fault.path == path and words in fault.message for fault in error.value.faults), error.value.faults
+
+
+def test_test_message_reaches_every_target_and_says_which_it_does_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = '[[notify]]\nname = "a"\nkind = "command"\ncommand = ["true"]\n'
+    configured(tmp_path, table + table.replace('"a"', '"b"').replace("true", "false"))
+    found = notify.test(tmp_path / "rig.toml")
+    assert [(one["target"], one["error"]) for one in found["targets"]] == [("a", None), ("b", "exit code 1: ")]
+    assert not found["ok"]
+    notify.print_tested(found)
+    assert "has the message" in capsys.readouterr().out
+
+
+def test_notifications_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.db"
+    with Store.open(path, route=lambda _: ["shift"]) as store:
+        store.write(store.begin_run(run_info()), [step("NORM", "UNACK")])
+    notify.listed(path, "json", dead=False)
+    (row,) = json.loads(capsys.readouterr().out)["notifications"]
+    assert row == {"id": 1, "alarm_event_id": 1, "target": "shift", "state": "pending", "attempts": 0,
+                   "last_error": None, "done_at": None}  # fmt: skip
+    notify.listed(path, "table", dead=True)
+    assert "no notifications" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from agent.errors import StoreError
 from agent.evaluation.explain import words
 from agent.evaluation.explain.recompute import Kept, Recomputed, read_kept, recomputed
 from agent.evaluation.explain.tested import Tested, tested
+from agent.recording.event_files import state_name
 from agent.recording.states import StateError
 from agent.storage.read import queries
 from agent.storage.read.times import parse_time
@@ -65,9 +66,8 @@ def _unusable(db: Path, record: Row | None) -> str | None:
         return None
     if record["state"] in {"purged", "failed"}:
         return words.gone(record["state"], record["message"])
-    if "*" in record["file"]:
-        return words.several_sources(record["file"])
-    return None if (db.parent / record["file"]).exists() else words.removed(record["file"])
+    file = state_name(record["file"])
+    return None if (db.parent / file).exists() else words.removed(file)
 
 
 def _unexplained(alarm: Row, run: Row, why: str, record: Row | None) -> Explained:

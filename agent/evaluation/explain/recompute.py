@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.config import RigConfig
-from agent.recording.event_files import Labels, Taken
+from agent.recording.event_files import Labels, Taken, state_name
 from agent.recording.states import Rounds, StateError, thawed
 from agent.runtime.pipeline import Pipeline
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, IntArray, Record, Verdict
@@ -19,7 +19,10 @@ from drivers.port import SampleBlock
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """The samples of a record: numbers and time stamps (n,), readings (n, c) by channel, and the state before them."""
+    """The samples of a record: numbers and time stamps (n,), readings (n, c) by channel, and the state before them.
+
+    Of several sources there are none beside the state.
+    """
 
     number: IntArray
     t_ns: IntArray
@@ -40,15 +43,19 @@ class Recomputed:
 
 def read_kept(path: Path) -> Kept:
     """Return what a record's file holds. Raises StateError where it is not there or holds no state."""
+    if "*" in path.name:
+        path = path.with_name(state_name(path.name))
     try:
         with path.open("rb") as octets, np.load(octets, allow_pickle=False) as file:
             own = {name: f"deltak.{name}" if f"deltak.{name}" in file.files else name for name in OWN}
             if own["state"] not in file.files:
                 raise StateError("it holds no state of the estimation from before its samples")
             names = tuple(name for name in file.files if name != "t" and name not in own.values())
+            state = file[own["state"]].tobytes()
+            if "t" not in file.files:  # of several sources: the samples are in the state
+                return Kept(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 0)), (), state)
             values = np.stack([file[name] for name in names], axis=1)
-            stamps = file["t"].astype(np.int64)
-            return Kept(file[own["index"]], stamps, values, names, file[own["state"]].tobytes())
+            return Kept(file[own["index"]], file["t"].astype(np.int64), values, names, state)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise StateError(f"it cannot be read: {error}") from error
 
@@ -99,6 +106,8 @@ class _Stamps:
 
 def _filled(item: Taken, kept: Kept) -> SampleBlock:
     """Return a block with the readings that the record has of it."""
+    if not len(kept.number):
+        return item.block
     values = item.block.values.copy()
     rows = np.flatnonzero(item.kept)
     rows = rows[np.isin(item.number[rows], kept.number)]

@@ -82,11 +82,6 @@ def removed(file: str) -> str:
     return f"Its record {file} is not beside the database any more: it cannot be computed again."
 
 
-def several_sources(file: str) -> str:
-    """Say that a record of several sources holds samples only."""
-    return f"Its record {file} is of several sources, which hold no state: deltak replay computes it anew."
-
-
 def unusable(file: str, why: str) -> str:
     """Say why a record cannot be computed again."""
     return f"Its record {file} cannot be computed again: {why}."

@@ -1,6 +1,6 @@
 """What becomes of notifications: delivered, tried again, given up, sent once more when somebody asks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,6 +8,7 @@ from agent.errors import Fault, StoreError
 from agent.storage.tables.notifications import MOST_ERROR, NotificationRow, notification, pending
 from agent.storage.tables.rows import Plan
 from agent.storage.write.store import Store
+from agent.types import AlarmTransition
 
 MOST = 1000
 """Notifications that one command may name."""
@@ -44,6 +45,35 @@ def due(store: Store, target: str, most: int) -> list[Due]:
             continue
         found.append(Due(row, dict(zip((column[0] for column in cursor.description), cells, strict=True))))
     return found
+
+
+def catch_up(store: Store, target: str, wanted: Callable[[AlarmTransition], bool]) -> int:
+    """Add what operators did since a target's newest notification while no agent ran; return how much that is.
+
+    Whoever has no notification yet begins with what happens from now on.
+    """
+    newest = store.connection.execute("SELECT max(alarm_event_id) FROM notifications WHERE target = ?", (target,))
+    (after,) = newest.fetchone()
+    plan = Plan()
+    for event_id, step in _commanded_after(store, after, target) if after is not None else ():
+        if wanted(step):
+            NotificationRow(store.numbers.take("notifications"), event_id, target).add_to(plan)
+    added = len(plan.rows.get("notifications", ()))
+    if added:
+        store.commit([plan])
+    return added
+
+
+_COMMANDED = """SELECT n.seq, g.name, a.kind, a.parameter, a.priority, n.t_ns, n.from_state, n.to_state, n.cause,
+ a.message
+ FROM alarm_events n JOIN alarms a ON a.seq = n.alarm_id JOIN runs r ON r.seq = a.run_id JOIN rigs g ON g.seq = r.rig_id
+ WHERE n.seq > ? AND n.by_whom IS NOT NULL AND NOT EXISTS (
+ SELECT 1 FROM notifications x WHERE x.alarm_event_id = n.seq AND x.target = ?) ORDER BY n.seq"""
+
+
+def _commanded_after(store: Store, event_id: int, target: str) -> list[tuple[int, AlarmTransition]]:
+    rows = store.connection.execute(_COMMANDED, (event_id, target)).fetchall()
+    return [(seq, AlarmTransition(*cells)) for seq, *cells in rows]
 
 
 def note_done(store: Store, row: NotificationRow, t_ns: int) -> None:

@@ -16,14 +16,16 @@ from agent.errors import ConfigError, Fault
 
 COMMON: Final = tuple(key for key in Source.model_fields if key != "settings")
 
-_NEEDED: Final = {"command": ("command",), "webhook": ("url",), "smtp": ("host", "sender", "recipients")}
+_NEEDED: Final = {"command": ("command",), "webhook": ("url",), "smtp": ("host", "sender", "recipients"),
+           "apprise": ("url",)}  # fmt: skip
 """Keys that a kind cannot do without."""
 _OWN: Final = {
     "command": ("command",),
     "webhook": ("url", "token"),
+    "apprise": ("url",),
     "smtp": ("host", "port", "tls", "sender", "recipients", "user", "password"),
 }
-"""Keys that belong to one kind."""
+"""Keys that not every kind has."""
 
 
 def read_sources(raw: object, faults: Faults) -> list[Entry[Source]]:
@@ -133,12 +135,12 @@ def _target_faults(path: str, target: Notify) -> Iterator[Fault]:
             yield Fault(join(path, key), "is missing", f'kind = "{target.kind}" needs it')
     for kind, keys in _OWN.items():
         for key in keys if kind != target.kind else ():
-            if key in target.model_fields_set:
+            if key in target.model_fields_set and key not in _OWN[target.kind]:
                 yield Fault(join(path, key), f'belongs to kind = "{kind}"', "leave it out, or change the kind")
     for key in ("url", "token", "password"):
         secret = getattr(target, key)
         if isinstance(secret, Secret) and (secret.file is None) == (secret.env is None):
             yield Fault(join(path, key), "must name one place", '{ file = "..." } or { env = "..." }')
     url = target.url
-    if isinstance(url, str) and not url.startswith(("http://", "https://")):
+    if target.kind == "webhook" and isinstance(url, str) and not url.startswith(("http://", "https://")):
         yield Fault(join(path, "url"), f"{shown(url)} is no address", 'write "https://..."')

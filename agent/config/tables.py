@@ -259,7 +259,7 @@ class Notify(Table):
     """One target. What a kind needs beside name and kind: command; url; host, sender and recipients."""
 
     name: Name = Field(description='a name such as "shift"')
-    kind: Literal["command", "webhook", "smtp"]
+    kind: Literal["command", "webhook", "smtp", "apprise"]
     priority: Priority = "low"
     kinds: Annotated[tuple[AlarmKind, ...], Strict(False), Field(min_length=1)] | None = None
     quiet: Hours | None = None

@@ -40,7 +40,7 @@ Send = Callable[[Notify, Message, Path], None]
 
 
 def _now() -> datetime:
-    return datetime.now().astimezone()
+    return datetime.fromtimestamp(wall_ns() / 1e9).astimezone()
 
 
 class Notifier:

@@ -139,6 +139,19 @@ def _mail(target: Notify, message: Message) -> EmailMessage:
     return mail
 
 
+def _apprise(target: Notify, message: Message, folder: Path) -> None:
+    """Hand the text to a service that the package apprise knows by its address; it says yes or no, and takes no key."""
+    try:
+        from apprise import Apprise
+    except ImportError as error:
+        raise SendError('needs apprise: pip install "deltak[apprise]"') from error
+    services = Apprise()
+    if not services.add(_secret(target.url, folder)):
+        raise SendError("its url is none that apprise knows")
+    if not services.notify(body=message.text, title=message.subject):
+        raise SendError("apprise could not deliver it")
+
+
 _SENDERS: Final[Mapping[str, Callable[[Notify, Message, Path], None]]] = {
-    "command": _command, "webhook": _webhook, "smtp": _smtp,
+    "command": _command, "webhook": _webhook, "smtp": _smtp, "apprise": _apprise,
 }  # fmt: skip

@@ -66,6 +66,16 @@ def test_address_of_a_webhook_may_stand_in_a_file(tmp_path: Path) -> None:
     assert post.accepted == [MESSAGE.key]
 
 
+@pytest.mark.filterwarnings("ignore:.imghdr.:DeprecationWarning")  # of what it imports
+def test_service_that_apprise_knows_gets_the_text(tmp_path: Path) -> None:
+    post = Post()
+    with webhook(post) as url:
+        send(Notify(name="s", kind="apprise", url=url.replace("http", "json")), MESSAGE, tmp_path)
+    assert len(post.attempts) == 1
+    with pytest.raises(SendError, match="none that apprise knows"):
+        send(Notify(name="s", kind="apprise", url="nonsense"), MESSAGE, tmp_path)
+
+
 def test_text_of_others_makes_no_lines_nor_orders_of_its_own() -> None:
     assert "\n" not in MESSAGE.subject
     assert "\x1b" not in MESSAGE.text

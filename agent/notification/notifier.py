@@ -28,7 +28,7 @@ from agent.types import AlarmTransition
 PAUSE_S: Final = 1.0, 600.0
 """After a failed attempt, at least and, doubled each time, at most."""
 _AT_ONCE: Final = 100
-_AT_NIGHT: Final = 10_000
+_AT_NIGHT: Final = 1000
 """Messages that are looked at together, and in quiet hours, where a critical one may be far behind."""
 _IDLE_S: Final = 3600.0
 _STORE_S: Final = 2.0

@@ -69,7 +69,8 @@ def _draw_samples(axes: Any, found: Explained, zero: int) -> None:
         spread = float(np.nanstd(values)) or 1.0
         axes.plot(t, (values - np.nanmean(values)) / spread + 6.0 * place, lw=0.6, label=name)
     axes.set_yticks([])
-    axes.legend(frameon=False, loc="upper left")
+    if found.kept.channels:  # of several sources the record has them by source
+        axes.legend(frameon=False, loc="upper left")
 
 
 def _draw_estimate(axes: Any, found: Explained, zero: int) -> None:

@@ -428,6 +428,59 @@ def return_(db: Database, ids: Ids, by: By = None, comment: Comment = None, json
     _operate(db, "return", ids, (by, comment), json=json)
 
 
+notify = typer.Typer(help="Look after notifications of alarms.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(notify, name="notify")
+
+
+@notify.command("list")
+def notify_list(
+    db: Database,
+    dead: Annotated[bool, typer.Option("--dead", help="Only those that were given up.")] = False,
+    json: Json = False,
+    csv: Csv = False,
+) -> None:
+    """List what became of each notification."""
+    from agent.cli.operator import notify as body
+
+    body.listed(db, _form(json=json, csv=csv), dead=dead)
+
+
+@notify.command("resend")
+def notify_resend(
+    db: Database,
+    ids: Annotated[list[int], typer.Argument(metavar="ID...", help="Numbers that deltak notify list --dead shows.")],
+    json: Json = False,
+) -> None:
+    """Let notifications that were given up be tried anew by the agent."""
+    from agent.cli.operator import notify as body
+
+    _answer(body.resend(db, ids), body.print_resent, as_json=json)
+
+
+@notify.command("test")
+def notify_test(config: Config, json: Json = False) -> None:
+    """Send a test message to each target of a configuration."""
+    from agent.cli.operator import notify as body
+
+    document = body.test(config)
+    _answer(document, body.print_tested, as_json=json)
+    if not document["ok"]:
+        raise typer.Exit(2)
+
+
+@app.command()
+def explain(
+    db: Database,
+    alarm: Annotated[int, typer.Argument(metavar="ID", help="Number of an alarm, as deltak alarms lists it.")],
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Compute an alarm's verdict again from the samples kept around it, and say in words what it rests on."""
+    from agent.cli.operator import explain as body
+
+    _answer(body.explain(db, alarm, plot), body.print_explained, as_json=json)
+
+
 @app.command()
 def records(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False) -> None:
     """List the raw samples that were kept around alarms; deltak replay reads the files."""

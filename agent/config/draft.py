@@ -15,6 +15,7 @@ from agent.config.tables import (
     MechanicsModel,
     Metrics,
     Model,
+    Notify,
     Parameter,
     Rig,
     Source,
@@ -46,6 +47,7 @@ class Draft:
     forecast: Forecast = field(default_factory=Forecast)
     attached: list[str] = field(default_factory=list)
     metrics: Metrics = field(default_factory=Metrics)
+    notify: list[Entry[Notify]] = field(default_factory=list)
 
     @property
     def rate_hz(self) -> float | None:

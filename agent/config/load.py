@@ -18,7 +18,7 @@ from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model
-from agent.config.rules_sources import check_sources, read_sources
+from agent.config.rules_sources import check_notify, check_sources, read_sources
 from agent.config.tables import (
     Alarm,
     Channel,
@@ -27,14 +27,17 @@ from agent.config.tables import (
     Forecast,
     MechanicsModel,
     Metrics,
+    Notify,
     Rig,
     RigConfig,
     Store,
 )
 from agent.errors import ConfigError, Fault
 
-TABLES: Final = ("rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "metrics")
-RESERVED: Final = ("agent", "http", "mqtt", "notify", "security")
+TABLES: Final = (
+    "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "metrics", "notify",
+)  # fmt: skip
+RESERVED: Final = ("agent", "http", "mqtt", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
     ("alarm", "kind"): ("sensor", "source", "mismatch"),
@@ -45,6 +48,7 @@ _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
 }
 _RULES: Final = (
     check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast,
+    check_notify,
 )  # fmt: skip
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
 
@@ -110,7 +114,19 @@ def _conflicts(configs: list[RigConfig]) -> list[Fault]:
             if getattr(config.store, key) != getattr(first.store, key):
                 what = f"differs from that of {first.file}, which shares the store"
                 faults.append(Fault(f"{config.file}: store.{key}", what, "make them the same"))
+        faults += _other_targets(config, first)
     return faults
+
+
+def _other_targets(config: RigConfig, first: RigConfig) -> list[Fault]:
+    """Return a fault for each target that is another one in a configuration that shares the store."""
+    known = {target.name: target for target in first.notify}
+    what = f"is another target in {first.file}, which shares the store"
+    return [
+        Fault(f"{config.file}: notify[{i}].name", f"{shown(target.name)} {what}", "name them differently")
+        for i, target in enumerate(config.notify)
+        if known.get(target.name, target) != target
+    ]
 
 
 def _read(raw: Mapping[str, Any], draft: Draft) -> None:
@@ -133,6 +149,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     _read_columns(raw.get("columns", {}), draft)
     draft.forecast = read_table(Forecast, raw.get("forecast", {}), "forecast", faults)
     draft.metrics = read_table(Metrics, raw.get("metrics", {}), "metrics", faults)
+    draft.notify = read_list(Notify, raw.get("notify", []), "notify", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -216,6 +233,7 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         columns=draft.columns,
         forecast=draft.forecast.beside(draft.folder),
         metrics=_placed(draft.metrics, draft.folder),
+        notify=tuple(entry.table for entry in draft.notify),
         file=file,
         sha256=sha256,
     )

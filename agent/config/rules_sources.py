@@ -1,4 +1,4 @@
-"""What must hold in [[source]]: drivers and their own keys, names, and who delivers which channel."""
+"""What must hold in [[source]]: drivers and their own keys, names, who delivers which channel; and in [[notify]]."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
@@ -10,10 +10,22 @@ from agent.config.plugins import driver_class
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import faults_of, join, listing
 from agent.config.reading.parse import Entry, Faults, read_list, readable
-from agent.config.tables import Source
+from agent.config.reading.secrets import Secret
+from agent.config.tables import Notify, Source
 from agent.errors import ConfigError, Fault
 
 COMMON: Final = tuple(key for key in Source.model_fields if key != "settings")
+
+_NEEDED: Final = {"command": ("command",), "webhook": ("url",), "smtp": ("host", "sender", "recipients"),
+           "apprise": ("url",)}  # fmt: skip
+"""Keys that a kind cannot do without."""
+_OWN: Final = {
+    "command": ("command",),
+    "webhook": ("url", "token"),
+    "apprise": ("url",),
+    "smtp": ("host", "port", "tls", "sender", "recipients", "user", "password"),
+}
+"""Keys that not every kind has."""
 
 
 def read_sources(raw: object, faults: Faults) -> list[Entry[Source]]:
@@ -102,3 +114,33 @@ def _free_name(driver: str | None, taken: list[str]) -> str:
     while (name := stem if number == 1 else f"{stem}-{number}") in taken:
         number += 1
     return name
+
+
+def check_notify(draft: Draft) -> None:
+    """Note the faults of targets."""
+    taken: dict[str, str] = {}
+    for path, target in draft.notify:
+        if not readable(target.name, target.kind):
+            continue
+        if target.name in taken:
+            what = f"{shown(target.name)} is the name of {taken[target.name]}"
+            draft.faults.add(join(path, "name"), what, "names must differ")
+        taken.setdefault(target.name, path)
+        draft.faults.found += _target_faults(path, target)
+
+
+def _target_faults(path: str, target: Notify) -> Iterator[Fault]:
+    for key in _NEEDED[target.kind]:
+        if key not in target.model_fields_set:
+            yield Fault(join(path, key), "is missing", f'kind = "{target.kind}" needs it')
+    for kind, keys in _OWN.items():
+        for key in keys if kind != target.kind else ():
+            if key in target.model_fields_set and key not in _OWN[target.kind]:
+                yield Fault(join(path, key), f'belongs to kind = "{kind}"', "leave it out, or change the kind")
+    for key in ("url", "token", "password"):
+        secret = getattr(target, key)
+        if isinstance(secret, Secret) and (secret.file is None) == (secret.env is None):
+            yield Fault(join(path, key), "must name one place", '{ file = "..." } or { env = "..." }')
+    url = target.url
+    if target.kind == "webhook" and isinstance(url, str) and not url.startswith(("http://", "https://")):
+        yield Fault(join(path, "url"), f"{shown(url)} is no address", 'write "https://..."')

@@ -17,6 +17,7 @@ from agent.config.reading.fields import (
     Asked,
     Duration,
     FilePath,
+    Hours,
     Intensities,
     Name,
     Names,
@@ -27,12 +28,17 @@ from agent.config.reading.fields import (
     Skew,
     Table,
     Text,
+    Texts,
     Window,
 )
+from agent.config.reading.secrets import Secret
 from agent.config.reading.units import Quantity, base_length, conversion, element_units
+from agent.types import AlarmKind
 
 GROUND = "ground"
 Setting = TypeVar("Setting", str, Path)
+Priority = Literal["low", "medium", "high", "critical"]
+PRIORITIES: tuple[Priority, ...] = ("low", "medium", "high", "critical")
 Nodes = Annotated[tuple[Name, Name], Strict(False)]
 
 
@@ -299,6 +305,28 @@ def _with_library(value: Setting) -> Setting:
     return value
 
 
+class Notify(Table):
+    """One target. What a kind needs beside name and kind: command; url; host, sender and recipients."""
+
+    name: Name = Field(description='a name such as "shift"')
+    kind: Literal["command", "webhook", "smtp", "apprise"]
+    priority: Priority = "low"
+    kinds: Annotated[tuple[AlarmKind, ...], Strict(False), Field(min_length=1)] | None = None
+    quiet: Hours | None = None
+    timeout_s: Positive = 30.0
+    attempts: int = Field(default=400, ge=1, le=100_000)
+    command: Texts | None = Field(default=None, description='a list such as ["/usr/local/bin/page", "--shift"]')
+    url: Text | Secret | None = None
+    token: Secret | None = None
+    host: Text | None = None
+    port: int | None = Field(default=None, ge=1, le=65535)
+    tls: Literal["starttls", "tls", "none"] = "starttls"
+    sender: Text | None = None
+    recipients: Texts | None = None
+    user: Text | None = None
+    password: Secret | None = None
+
+
 class Parameter(NamedTuple):
     """Something that can be estimated."""
 
@@ -321,6 +349,7 @@ class RigConfig(Table):
     columns: Columns = Columns()
     forecast: Forecast = Forecast()
     metrics: Metrics = Metrics()
+    notify: tuple[Notify, ...] = ()
     file: Path
     sha256: str
 

@@ -2,9 +2,10 @@
 
 A rig with one source keeps one NPZ file an event, "RIG-NNNNNNNN-KIND-PARAMETER.npz", that `deltak replay` reads like
 any recording: `t` (datetime64, the time stamps of the live run) and an array of raw readings for each channel; beside
-them `index` (the sample's number), `counter` where the device counts, and `meta`, a JSON text with the provenance.
+them `index` (the sample's number), `counter` where the device counts, `meta`, a JSON text with the provenance, and
+`state` (see `states`), from which `deltak explain` computes the alarms in it again.
 A rig with several sources keeps a raw recording (see `blocks`) for each, "RIG-NNNNNNNN-KIND-PARAMETER.SOURCE.raw",
-which are replayed together.
+which are replayed together, and "RIG-NNNNNNNN-KIND-PARAMETER.state.npz" with the state.
 """
 
 import io
@@ -35,13 +36,18 @@ _PART = ".part"
 
 
 class Taken(NamedTuple):
-    """A block as the pipeline took it: its rows' numbers, which of them were taken, and how far the rig had come."""
+    """A block as the pipeline took it: its rows' numbers, which of them were taken, and how far the rig had come.
+
+    serial counts blocks; round is that in which it was computed.
+    """
 
     source: str
     block: SampleBlock
     number: IntArray
     kept: np.ndarray[tuple[int], np.dtype[np.bool_]]
     moment: int
+    serial: int = 0
+    round: int = 0
 
 
 class Labels(NamedTuple):
@@ -78,18 +84,32 @@ def _joined(parts: Sequence[IntArray]) -> IntArray:
     return np.concatenate([np.zeros(0, np.int64), *parts])
 
 
-def npz_bytes(table: Table, channels: Sequence[str], meta: Mapping[str, Any]) -> bytes:
-    """Return an NPZ file that `deltak replay` reads."""
+def npz_bytes(table: Table, channels: Sequence[str], meta: Mapping[str, Any], state: bytes = b"") -> bytes:
+    """Return an NPZ file that `deltak replay` reads; state: what was known before its samples."""
     arrays: dict[str, Any] = {"t": table.t_ns.astype("datetime64[ns]")}
     # a source that never came has no readings, nor a width of them
     values = table.values if len(table.t_ns) else np.zeros((0, len(channels)))
     arrays |= {name: values[:, place] for place, name in enumerate(channels)}
     own = {"index": table.number} | ({} if table.counter is None else {"counter": table.counter})
+    if state:
+        own["state"] = np.frombuffer(state, np.uint8)
     own["meta"] = np.array(json.dumps({"format": FORMAT, **meta}))
     # a channel may have any name; the file's own arrays give way
     arrays |= {name if name not in arrays else f"deltak.{name}": array for name, array in own.items()}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def state_name(name: str) -> str:
+    """Return the name of the file with the state, given the name of a record of several sources."""
+    return name.replace(".*.raw", ".state.npz")
+
+
+def alone(state: bytes) -> bytes:
+    """Return an NPZ file that holds the state of a record of several sources, with all that they delivered since."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, state=np.frombuffer(state, np.uint8))
     return buffer.getvalue()
 
 

@@ -17,13 +17,16 @@ from agent.recording.event_files import (
     EventFolder,
     Labels,
     Taken,
+    alone,
     npz_bytes,
     raw_bytes,
     read_meta,
+    state_name,
     table_of,
 )
 from agent.recording.folder import AGES, make_folder, room
 from agent.recording.header import RawHeader
+from agent.recording.states import Rounds, State, state_bytes
 from agent.types import EventRecord, HealthEvent, Record
 
 MOST_JOBS = 8
@@ -49,6 +52,7 @@ class Job:
     """One writing of a record: what is known of it, and everything that belongs into it so far.
 
     span: the numbers of the first and the last sample that are wanted.
+    state: what the rig knew before; last_round: in which the last alarm so far was raised.
     """
 
     record: EventRecord
@@ -56,6 +60,8 @@ class Job:
     labels: Sequence[Labels]
     span: tuple[int, int]
     moduli: dict[str, int | None]
+    state: State | None = None
+    last_round: int = 0
 
 
 class EventWriter:
@@ -171,7 +177,7 @@ class EventWriter:
         (channels,) = self._facts.channels.values()
         span = (int(table.t_ns[0]), int(table.t_ns[-1])) if len(table.t_ns) else (job.record.t_ns, job.record.t_ns)
         record = replace(job.record, from_ns=span[0], to_ns=span[1], samples=len(table.t_ns))
-        content = npz_bytes(table, channels, self._meta(record))
+        content = npz_bytes(table, channels, self._meta(record), _state(job))
         self._folder.write(Path(record.file).name, content)
         return replace(record, bytes=len(content))
 
@@ -186,6 +192,10 @@ class EventWriter:
             content = raw_bytes(own, items)
             self._folder.write(Path(job.record.file).name.replace("*", source), content)
             total, samples = total + len(content), samples + sum(len(item.block) for item in items)
+        state = alone(_state(job, whole=True)) if job.state is not None else b""
+        if state:
+            self._folder.write(state_name(Path(job.record.file).name), state)
+        total += len(state)
         stamps = [label.t_ns for label in job.labels]
         first, last = (int(stamps[0][0]), int(stamps[-1][-1])) if stamps else (job.record.t_ns, job.record.t_ns)
         return replace(job.record, from_ns=first, to_ns=last, samples=samples, bytes=total)
@@ -271,6 +281,17 @@ class EventWriter:
         numbers = {self._folder.number(path.name) for path in paths}
         for file in [file for file in self._rows if self._folder.number(Path(file).name) in numbers]:
             self._publish([replace(self._rows.pop(file), state="purged")])
+
+
+def _state(job: Job, *, whole: bool = False) -> bytes:
+    """Return what was known before a record's samples, and the rounds up to its last alarm.
+
+    whole: with their samples, which a record of one source holds beside it.
+    """
+    if job.state is None:
+        return b""
+    items = [item for item in job.items if item.round <= job.last_round]
+    return state_bytes(job.state, Rounds(None, items, job.labels, job.moduli), (0, -1) if whole else job.span)
 
 
 def _after_restart(row: EventRecord, there: set[str]) -> EventRecord | None:

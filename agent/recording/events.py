@@ -18,6 +18,7 @@ from agent.clock import wall_ns
 from agent.config import RigConfig
 from agent.recording.event_files import Labels, Taken
 from agent.recording.event_writer import Job
+from agent.recording.states import State
 from agent.types import AlarmTransition, EstimateBatch, EventRecord, HealthEvent, IntArray, Record
 from drivers.port import SampleBlock
 
@@ -28,6 +29,10 @@ OBJECT_BYTES = 1024
 """What a block takes beside its numbers: most of it, where a slow device delivers one sample at a time."""
 LONGEST = 4
 """Alarms raised meanwhile lengthen a record to at most so many times its after_s."""
+STATES = 4
+"""States of the pipeline that wait in memory for an alarm: one for each half of what a record holds before it."""
+LEAST_STATE_S = 0.25
+"""From one state to the next at least: each takes a few milliseconds."""
 PATIENCE_S = 2.0
 """A record ends this long after its time even if no samples come."""
 _HOUR_S = 3600.0
@@ -59,6 +64,8 @@ class Open:
     until_s: float
     last: int
     last_s: float
+    state: State | None = None
+    last_round: int = 0
 
 
 @dataclass(slots=True)
@@ -124,11 +131,14 @@ class EventKeeper:
         self._after = round(limits.after_s * rate)
         self._after_s = limits.after_s
         self._before = round(limits.before_s * rate)
-        self._memory = Memory(self._before + round(config.estimator.hop_s * rate))
+        self._state_every = max(1, self._before // 2, round(LEAST_STATE_S * rate))
+        self._memory = Memory(self._before + round(config.estimator.hop_s * rate) + self._state_every)
         origin = Origin()
         self._indexers = {source.name: Indexer(config.rig.clock, rate, origin) for source in config.source}
         self._moduli: dict[str, int | None] = {}
         self._moment = 0
+        self._serial = self._round = 0
+        self._states: deque[State] | None = deque(maxlen=STATES)
         self._open: Open | None = None
         self._baselines: dict[str, int | None] = {}
         self._begun: deque[float] = deque()
@@ -151,12 +161,24 @@ class EventKeeper:
 
         return remember
 
+    def begin_round(self, snapshot: Callable[[], bytes | None]) -> None:
+        """Note that what is taken from now on is computed together, and from time to time what is known before it."""
+        self._round += 1
+        if self._states is None or (self._states and self._moment - self._states[-1].moment < self._state_every):
+            return
+        content = snapshot()
+        if content is None:
+            self._states = None
+        else:
+            self._states.append(State(content, self._serial, self._moment))
+
     def take(self, source: str, block: SampleBlock, modulus: int | None) -> None:
         """Remember a block that the pipeline has taken."""
         indexer = self._indexers[source]
         indexer.modulus = self._moduli[source] = modulus
         index, kept = indexer.take(block)
-        item = Taken(source, block, index, kept, self._moment)
+        item = Taken(source, block, index, kept, self._moment, self._serial, self._round)
+        self._serial += 1
         self._memory.add(item)
         if self._open is not None:
             self._open.items.append(item)
@@ -193,6 +215,7 @@ class EventKeeper:
             self._begin(alarm, at, now)
             return
         event.record = replace(event.record, alarms=event.record.alarms + 1)
+        event.last_round = self._round
         event.until = min(at + self._after, event.last)
         event.until_s = min(now + self._after_s + PATIENCE_S, event.last_s)
 
@@ -206,10 +229,22 @@ class EventKeeper:
         until_s = now + self._after_s + PATIENCE_S
         last, last_s = at + LONGEST * self._after, now + LONGEST * self._after_s + PATIENCE_S
         since = at - self._before
-        items = [item for item in self._memory.items if item.moment >= since]
+        state = self._state_before(at, since)
+        first = self._serial if state is None else state.serial
+        items = [item for item in self._memory.items if item.moment >= since or item.serial >= first]
         labels = list(self._memory.labels)
-        self._open = Open(record, items, labels, since, at + self._after, until_s, last, last_s)
+        self._open = Open(record, items, labels, since, at + self._after, until_s, last, last_s, state, self._round)
         self._submit(record)
+
+    def _state_before(self, at: int, since: int) -> State | None:
+        """Return a state before an alarm at a sample, with all that came since in memory; it had come to `since`.
+
+        Where rounds are long, the newest one before that.
+        """
+        there = {item.serial for item in self._memory.items}
+        usable = [state for state in self._states or () if state.serial in there and state.moment < at]
+        recent = [state for state in usable if state.moment >= since]
+        return recent[0] if recent else usable[-1] if usable else None
 
     def _may_begin(self, now: float) -> bool:
         """Tell whether there may be one more record this hour; the first that may not be is told, once an hour."""
@@ -234,4 +269,5 @@ class EventKeeper:
         event = self._open
         if event is not None:
             span = (event.since, event.until)
-            self._writer.submit(Job(record, tuple(event.items), tuple(event.labels), span, dict(self._moduli)))
+            self._writer.submit(Job(record, tuple(event.items), tuple(event.labels), span, dict(self._moduli),
+                                    event.state, event.last_round))  # fmt: skip

@@ -8,6 +8,7 @@ from agent import __version__
 from agent.blocks.graph import graph_of
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig, learnt_key
+from agent.storage.tables.notifications import Route, nobody
 from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
@@ -23,13 +24,19 @@ def path_of(config: RigConfig, db: Path | None) -> Path:
 
 
 def writers_of(
-    configs: Sequence[RigConfig], db: Path | None, kind: RunKind, handlers: Mapping[str, Handler] | None = None
-) -> dict[Path, StoreWriter]:
-    """Return one writer a database, by its file; handlers: what it may be asked for beside it."""
+    configs: Sequence[RigConfig], db: Path | None, kind: RunKind, handlers: Mapping[str, Handler] | None = None,
+    route: Route = nobody,
+) -> dict[Path, StoreWriter]:  # fmt: skip
+    """Return one writer a database, by its file.
+
+    handlers: what it may be asked for beside it. route: whom steps of alarms are for.
+    """
     grouped: dict[Path, list[RigConfig]] = {}
     for config in configs:
         grouped.setdefault(path_of(config, db), []).append(config)
-    return {path: _writer(path, members, kind, handlers or {}) for path, members in grouped.items()}
+    announced = route if kind == "live" else nobody
+    return {path: _writer(path, runs_of(members, kind), members, handlers or {}, announced)
+            for path, members in grouped.items()}  # fmt: skip
 
 
 def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
@@ -45,10 +52,11 @@ def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
     ]  # fmt: skip
 
 
-def _writer(path: Path, members: Sequence[RigConfig], kind: RunKind, handlers: Mapping[str, Handler]) -> StoreWriter:
+def _writer(
+    path: Path, runs: Sequence[RunInfo], members: Sequence[RigConfig], handlers: Mapping[str, Handler], route: Route
+) -> StoreWriter:
     every_s, keep = density_of(members)
-    runs = runs_of(members, kind)
-    return StoreWriter(lambda: Store.open(path, keep=keep), runs, every_s=every_s, served=handlers)
+    return StoreWriter(lambda: Store.open(path, keep=keep, route=route), runs, every_s=every_s, served=handlers)
 
 
 def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention]:

@@ -14,6 +14,7 @@ from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
+from agent.recording.states import frozen
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
 from agent.runtime.forecasts.thread import ForecastThread
@@ -135,6 +136,8 @@ class RigRuntime:
 
     def take(self, use: Use, arrival: Arrival) -> None:
         """Take one block of one of the rig's sources; `compute` makes estimates of it."""
+        if self.events is not None and not self._taken:
+            self.events.begin_round(partial(frozen, self.pipeline))
         seen_s = arrival.block.arrival_ns / 1e9
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))

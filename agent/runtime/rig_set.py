@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from agent.config import RigConfig
+from agent.notification.targets import Targets
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
@@ -42,6 +43,7 @@ class RigSet:
         wake: set when something has arrived.
         handlers: what the agent may be asked for beside its databases.
         forecasts: makes those of all rigs that have alarms.
+        targets: what is notified of alarms.
     """
 
     db: Path | None
@@ -54,6 +56,7 @@ class RigSet:
     rigs: dict[str, RigRuntime] = field(default_factory=dict)
     event_writers: dict[str, EventWriter] = field(default_factory=dict)
     forecasts: ForecastThread = field(default_factory=ForecastThread)
+    targets: Targets = field(default_factory=Targets)
 
     def make(self, configs: Sequence[RigConfig], there: Collection[str] = ()) -> Parts:
         """Make what configurations need; there: keys of the connections that are to be shared.
@@ -62,7 +65,7 @@ class RigSet:
         """
         connections = connect(configs, self.wake, there)
         strange = [config for config in configs if path_of(config, self.db) not in self.writers]
-        writers = writers_of(strange, self.db, self.kind, self.handlers)
+        writers = writers_of(strange, self.db, self.kind, self.handlers, self.targets.route)
         for writer in writers.values():
             writer.on_alarm = self._commanded
         known = self.writers | writers
@@ -106,6 +109,15 @@ class RigSet:
             self.rigs[name].count_from(writer.baselines.get(name, ()))
             if name in self.event_writers:
                 self.event_writers[name].start()
+        if self.kind == "live":
+            self.targets.exchange(self._placed(), self.writers)
+
+    def _placed(self) -> Mapping[Path, Sequence[RigConfig]]:
+        """The configurations of each database."""
+        placed: dict[Path, list[RigConfig]] = {path: [] for path in self.writers}
+        for config in self.configs.values():
+            placed[path_of(config, self.db)].append(config)
+        return placed
 
     def take(self) -> None:
         """Hand out what has arrived, in the order of arrival over all sources, but for rigs that are behind.

@@ -267,6 +267,7 @@ class Service:
     def _finish(self) -> None:
         begun = monotonic_ns()
         self.rig_set.forecasts.stop()
+        self.rig_set.targets.stop()
         for writer in self.writers.values():
             writer.hurry()
         for connection in self.connections:

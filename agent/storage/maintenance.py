@@ -46,7 +46,8 @@ class Report:
     rows: dict[str, int]
 
 
-_COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events", "v_event_records")
+_COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events", "v_event_records",
+            "v_notifications")  # fmt: skip
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from agent.storage.maintenance import ask_holder, is_commanded
 from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import Request, carry_out
 from agent.storage.write.command_socket import ask
+from agent.storage.write.notifications import resend
 from agent.storage.write.store import Store
 
 
@@ -18,11 +19,8 @@ def command_alarms(path: Path | str, request: Request) -> list[dict[str, Any]]:
     Raises:
         StoreError: as `Store.open`; no such alarm, or one that refuses: then nothing is changed; no answer in 5 s.
     """
-    path = Path(path)
+    path = _existing(path)
     request = Request.read(request.document())
-    check_place(path)
-    if kind_of(path) is Kind.MISSING:
-        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
     asked = {"brief": True, **request.document()}
     if is_commanded(path):
         return list(ask(path, "alarm", **asked)["alarms"])
@@ -32,3 +30,27 @@ def command_alarms(path: Path | str, request: Request) -> list[dict[str, Any]]:
                     if found.step.cause == request.cause]  # fmt: skip
     except StoreHeldError as held:
         return list(ask_holder(path, "alarm", held, **asked)["alarms"])
+
+
+def resend_notifications(path: Path | str, ids: list[int]) -> list[dict[str, Any]]:
+    """Let notifications that were given up be tried anew; where no agent runs, by the next one.
+
+    Raises:
+        StoreError: as `Store.open`; no such notification, or one that is not dead: then nothing is changed.
+    """
+    path = _existing(path)
+    if is_commanded(path):
+        return list(ask(path, "resend", brief=True, ids=ids)["notifications"])
+    try:
+        with Store.open(path) as store:
+            return resend(store, ids)
+    except StoreHeldError as held:
+        return list(ask_holder(path, "resend", held, brief=True, ids=ids)["notifications"])
+
+
+def _existing(path: Path | str) -> Path:
+    path = Path(path)
+    check_place(path)
+    if kind_of(path) is Kind.MISSING:
+        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    return path

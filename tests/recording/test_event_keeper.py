@@ -174,8 +174,8 @@ def test_alarm_of_a_source_is_placed_at_the_newest_sample(rig: Rig) -> None:
 def test_memory_is_bounded_by_time_and_by_bytes(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     rig.feed(5000)
     memory = rig.keeper._memory
-    assert sum(len(item.block) for item in memory.items) <= 400
-    assert sum(len(labels.number) for labels in memory.labels) <= 400
+    assert sum(len(item.block) for item in memory.items) <= 650
+    assert sum(len(labels.number) for labels in memory.labels) <= 650
     monkeypatch.setattr(events, "MOST_BYTES", 10_000)
     rig.feed(1000)
     assert memory.held == sum(map(events.bytes_of, memory.items)) <= 10_000

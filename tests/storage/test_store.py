@@ -27,6 +27,7 @@ CONTRACT = {
     "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until "
     "delta sd limit_value probability message advice percent site labels",
     "v_alarm_events": "id alarm_id t_ns time from_state to_state cause by comment",
+    "v_notifications": "id alarm_event_id target state attempts last_error done_at",
     "v_health": "rig source t_ns time received used rejected dropped gaps lag_s drift_ppm drift_sd_ppm skew_s "
     "skew_sd_s",
     "v_health_reasons": "rig source t_ns kind reason count",
@@ -62,7 +63,7 @@ def test_views_of_a_new_file_have_exactly_the_promised_columns(path: Path, view:
 def test_tables_are_strict_and_have_a_growing_seq(path: Path) -> None:
     stored(path)
     tables = select(path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'")
-    assert len(tables) == 27
+    assert len(tables) == 28
     for name, sql in tables:
         assert sql.endswith("STRICT"), name
         assert "seq INTEGER PRIMARY KEY" in sql, name

@@ -13,6 +13,7 @@ GREATEST: Final = 1e30
 """Sizes of numbers beside 0: any quantity in any unit, far from where squares leave the floating-point numbers."""
 NAME: Final = r"^[A-Za-z][A-Za-z0-9_.-]{0,63}$"
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*([smhdwy])")
+_HOURS: Final = re.compile(r"([01]\d|2[0-3]):([0-5]\d)-([01]\d|2[0-3]):([0-5]\d)")
 _SECONDS: Final = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0, "w": 7 * 86400.0, "y": 365.25 * 86400.0}
 
 
@@ -110,6 +111,19 @@ def _duration(value: object) -> float:
     return seconds
 
 
+def _hours(value: object) -> tuple[int, int]:
+    """Read "22:00-06:00" as minutes of the day; a pair is one already read."""
+    if isinstance(value, tuple):
+        return value
+    match = _HOURS.fullmatch(value) if isinstance(value, str) else None
+    if not match:
+        raise ValueError(f'must be hours of the local day such as "22:00-06:00", not {shown(value)}')
+    first, last = 60 * int(match[1]) + int(match[2]), 60 * int(match[3]) + int(match[4])
+    if first == last:
+        raise ValueError(f"must begin and end at different times, not {shown(value)}")
+    return first, last
+
+
 def _one_line(value: str) -> str:
     if not value.strip() or not value.isprintable():
         raise ValueError("must be a text of printable characters, not empty")
@@ -140,6 +154,8 @@ Window = Annotated[float | tuple[float, ...] | Literal["auto"], PlainValidator(_
 Skew = Annotated[float | Literal["auto"], PlainValidator(_skew)]
 Intensities = Annotated[float | tuple[float, ...], PlainValidator(_intensities)]
 Duration = Annotated[float, PlainValidator(_duration)]
+Hours = Annotated[tuple[int, int], PlainValidator(_hours)]
+Texts = Annotated[tuple[Text, ...], Strict(False), Field(min_length=1)]
 FilePath = Annotated[Path, PlainValidator(_path)]
 Row = Annotated[tuple[Number, ...], Strict(False)]
 Matrix = Annotated[tuple[Row, ...], Strict(False)]

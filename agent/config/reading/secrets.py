@@ -2,8 +2,10 @@
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
+from agent.config.reading.fields import FilePath, Table, Text
 from agent.config.reading.messages import join
 from agent.config.reading.parse import Faults
 
@@ -13,6 +15,19 @@ _SECRET: Final = re.compile(r"(^|_)(password|passwd|passphrase|secret|token|api_
 def is_secret(key: str) -> bool:
     """Tell by a key's name whether its value is a secret."""
     return _SECRET.search(key) is not None
+
+
+class Secret(Table):
+    """Where a secret is: in a file or in an environment variable, never in the configuration."""
+
+    file: FilePath | None = None
+    env: Text | None = None
+
+    def read(self, folder: Path, environment: Mapping[str, str] | None = None) -> str:
+        """Return the secret; paths start at the folder. Raises OSError, KeyError where it is not there."""
+        if self.file is not None:
+            return (folder / self.file).read_text(encoding="utf-8").strip()
+        return (environment or {})[self.env or ""]
 
 
 def check_no_plain_secrets(raw: object, path: str, faults: Faults) -> None:

@@ -20,6 +20,7 @@ from agent.numerics.fitting.skew import Group, SkewMeter
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import modes
+from agent.numerics.model.stick_slip import FrictionInputs
 from agent.types import FloatArray
 
 Maps = Mapping[str, Mapping[str, str]]
@@ -117,17 +118,21 @@ def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatAr
 
 def complete_inputs(config: RigConfig, resolution: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return what makes all of the model's inputs of outputs and measured inputs: signs of dry friction, the 1."""
-    friction = friction_inputs(config, resolution)
     model = rig_model(config).model
-    columns = model.continuous(model.nominal).m
+    return _Complete(friction_inputs(config, resolution), model.continuous(model.nominal).m)
 
-    def complete(y: FloatArray, u: FloatArray) -> FloatArray:
-        if friction is not None:
-            friction.start_segment()
-            u = friction.beside(y, u)
-        return with_constant(u, columns)
 
-    return complete
+class _Complete:
+    """What `complete_inputs` returns; a class, since a pipeline is kept with its states."""
+
+    def __init__(self, friction: FrictionInputs | None, columns: int) -> None:
+        self._friction, self._columns = friction, columns
+
+    def __call__(self, y: FloatArray, u: FloatArray) -> FloatArray:
+        if self._friction is not None:
+            self._friction.start_segment()
+            u = self._friction.beside(y, u)
+        return with_constant(u, self._columns)
 
 
 def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewMeter:

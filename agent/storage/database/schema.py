@@ -19,6 +19,7 @@ from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
 from agent.storage.database.views_of_baselines import BASELINES
 from agent.storage.database.views_of_forecasts import FORECASTS
+from agent.storage.database.views_of_notifications import NOTIFICATIONS
 from agent.storage.database.views_of_operations import OPERATIONS
 from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
 
@@ -84,13 +85,15 @@ TABLES: dict[str, str] = {
     "limit_value REAL, status TEXT NOT NULL, p10_ns INTEGER, p50_ns INTEGER, p90_ns INTEGER, chance REAL, "
     "horizon_s REAL, family TEXT NOT NULL, draws TEXT NOT NULL, cause TEXT NOT NULL, scored_ns INTEGER, "
     "crossed_ns INTEGER, crps REAL, held INTEGER",
+    "notifications": "alarm_event_id INTEGER NOT NULL, target TEXT NOT NULL, state TEXT NOT NULL, "
+    "attempts INTEGER NOT NULL, last_error TEXT, done_ns INTEGER",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
 _SINCE = {
     "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7, "annotations": 7,
-    "sites": 7, "graphs": 7, "baselines": 7,
+    "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
@@ -193,15 +196,15 @@ def _repeat_and_verdicts(db: "Database") -> None:
     _mark(db.conn, 6)
 
 
-def _forecasts_operations_baselines(db: "Database") -> None:
-    """Version 7: forecasts and their scores; shelves, advice and site beside alarms; what healthy parameters are like.
+def _forecasts_operations_baselines_notifications(db: "Database") -> None:
+    """Version 7: forecasts; shelves, advice and site beside alarms; baselines; what targets are notified of.
 
     One step, so that a file is never of a version whose tables it has in part.
     """
-    for table in ("forecasts", "shelves", "annotations", "sites", "graphs", "baselines"):
+    for table in ("forecasts", "shelves", "annotations", "sites", "graphs", "baselines", "notifications"):
         _create(db.conn, table)
     db.conn.execute("CREATE INDEX graphs_by_run ON graphs (run_id)")
-    for statement in (FORECASTS, *OPERATIONS, *BASELINES):
+    for statement in (FORECASTS, *OPERATIONS, *BASELINES, *NOTIFICATIONS):
         db.conn.execute(statement)
     _mark(db.conn, 7)
 
@@ -213,7 +216,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0004_calibrations": _calibrations,
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
-    "0007_forecasts_operations_baselines": _forecasts_operations_baselines,
+    "0007_forecasts_operations_baselines_notifications": _forecasts_operations_baselines_notifications,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

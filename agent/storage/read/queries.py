@@ -185,6 +185,13 @@ def alarm_events(db: Path | str) -> Rows:
         return _rows(connection, "v_alarm_events", "1 = 1 ORDER BY id", ())
 
 
+def notifications(db: Path | str, state: str | None = None) -> Rows:
+    """Return rows of v_notifications, oldest first; state: only those pending, done or dead."""
+    with reading(db) as connection:
+        condition, values = _where(state=state)
+        return _rows(connection, "v_notifications", f"{condition} ORDER BY id", values)
+
+
 def health(db: Path | str, rig: str | None = None) -> Rows:
     """Return the newest row of v_health of each source; `reasons` is {"rejected": {..}, "dropped": {..}} and faults."""
     with reading(db) as connection:

@@ -9,6 +9,7 @@ from typing import get_args
 from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, cause_of, is_needless
 from agent.storage.database.checksum import Cell
 from agent.storage.database.schema import columns_of
+from agent.storage.tables.notifications import Outbox
 from agent.storage.tables.rows import Numbers, Plan
 from agent.types import AlarmKind, AlarmState, AlarmTransition
 
@@ -49,8 +50,8 @@ class AlarmRow:
 class AlarmRows:
     """The alarms of one run that are not back to normal, by kind and parameter."""
 
-    def __init__(self, run_id: int, standing: list[AlarmRow]) -> None:
-        self._run_id = run_id
+    def __init__(self, run_id: int, standing: list[AlarmRow], outbox: Outbox) -> None:
+        self._run_id, self._outbox = run_id, outbox
         self._open = {row.key: row for row in standing}
 
     def apply(self, plan: Plan, step: AlarmTransition, numbers: Numbers) -> None:
@@ -72,7 +73,9 @@ class AlarmRows:
         row = _after(row, step)
         self.take_up(row)
         plan.sealed("alarms", *row.cells())
-        plan.sealed("alarm_events", numbers.take("alarm_events"), row.seq, *event_cells(step))
+        event_id = numbers.take("alarm_events")
+        plan.sealed("alarm_events", event_id, row.seq, *event_cells(step))
+        self._outbox.add(plan, event_id, step, numbers)
 
     def take_up(self, row: AlarmRow) -> None:
         """Go on with a row as it is now."""

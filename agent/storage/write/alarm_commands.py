@@ -282,7 +282,9 @@ def _commit(store: Store, taken: Sequence[Taken]) -> None:
     plan = Plan()
     for one in taken:
         plan.sealed("alarms", *one.row.cells())
-        plan.sealed("alarm_events", store.numbers.take("alarm_events"), one.row.seq, *event_cells(one.step))
+        event_id = store.numbers.take("alarm_events")
+        plan.sealed("alarm_events", event_id, one.row.seq, *event_cells(one.step))
+        store.outbox.add(plan, event_id, one.step, store.numbers)
         if one.shelf is not None:
             one.shelf.add_to(plan, store.numbers)
     store.commit([plan])

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from agent.errors import StoreError
 from agent.storage.database.verify import problems
@@ -12,18 +12,27 @@ from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import Request, carry_out
 from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.jobs import JobQueue
+from agent.storage.write.notifications import resend
 from agent.storage.write.store import Store
 from agent.types import AlarmTransition, Baseline
 
 
-def serve(
-    path: Path, jobs: JobQueue, notify: Callable[[AlarmTransition], None], on_baselines: Callable[[Store], None],
-    handlers: Mapping[str, Handler],
-) -> CommandServer:  # fmt: skip
-    """Listen on the database's socket, for what changes it and for what others answer.
+class Listeners(NamedTuple):
+    """Who is called, in the writer's thread, of what commands did, once it is committed.
 
-    notify: called in the writer's thread with each step of an alarm that an operator made, once it is committed.
-    on_baselines: called there when some were stored.
+    Attributes:
+        alarm: each step of an alarm that an operator made.
+        baselines: some were stored.
+        outbox: there may be something to notify targets of.
+    """
+
+    alarm: Callable[[AlarmTransition], None]
+    baselines: Callable[[Store], None]
+    outbox: Callable[[], None]
+
+
+def serve(path: Path, jobs: JobQueue, listeners: Listeners, handlers: Mapping[str, Handler]) -> CommandServer:
+    """Listen on the database's socket, for what changes it and for what others answer.
 
     Raises OSError where no socket can be made.
     """
@@ -37,15 +46,23 @@ def serve(
         def act(store: Store) -> list[dict[str, Any]]:
             steps = carry_out(store, request, moment())
             for found in steps:
-                notify(found.step)
+                listeners.alarm(found.step)
             return [found.document() for found in steps if found.step.cause == request.cause]
 
         return {"alarms": jobs.ask(act)}
 
     def baselines(asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        return dict(jobs.ask(partial(_store_baselines, asked["baselines"], on_baselines)))
+        return dict(jobs.ask(partial(_store_baselines, asked["baselines"], listeners.baselines)))
 
-    own = {"alarm": alarm, "baseline": baselines, "compact": through(_compact), "repair": through(_repair)}
+    def again(asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        sent = jobs.ask(lambda store: resend(store, asked.get("ids")))
+        listeners.outbox()
+        return {"notifications": sent}
+
+    own = {
+        "alarm": alarm, "baseline": baselines, "compact": through(_compact), "repair": through(_repair),
+        "resend": again,
+    }  # fmt: skip
     server = CommandServer(path, {**own, **handlers})
     server.start()
     return server

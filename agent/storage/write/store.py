@@ -40,6 +40,7 @@ from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
 from agent.storage.tables.baselines import add_graph, plan_of, standing_baselines
 from agent.storage.tables.learnt import newest_learnt
+from agent.storage.tables.notifications import Outbox, Route, nobody
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows
 from agent.storage.tables.shelves import Shelf
@@ -62,7 +63,7 @@ class Store:
     acknowledged, and the same plans may be committed again after `reopen`.
     """
 
-    def __init__(self, path: Path, lock: Lock, keep: Retention) -> None:
+    def __init__(self, path: Path, lock: Lock, keep: Retention, route: Route = nobody) -> None:
         self.path = path
         self._lock = lock
         self._watermarks = Watermarks(lock.handle, private=lock.private)
@@ -79,6 +80,8 @@ class Store:
         self._scrubber = Scrubber()
         self._missing: str | None = None
         self._maintaining = False
+        self.outbox = Outbox(route)
+        """Adds to each step of an alarm whom to notify of it."""
         self.shelves: dict[int, Shelf | None] = {}
         """The shelves of alarms that were asked for, by alarm."""
         self.hurried = False
@@ -87,10 +90,11 @@ class Store:
         """What became of a damaged file that was found here; told in the next run that begins."""
 
     @classmethod
-    def open(cls, path: Path | str, keep: Retention = _FOR_EVER) -> Self:
+    def open(cls, path: Path | str, keep: Retention = _FOR_EVER, route: Route = nobody) -> Self:
         """Open or create the database at a path and take its lock.
 
         keep: how long rows are kept and how large the file may grow; without it, for ever.
+        route: names the targets that a step of an alarm is for.
 
         Raises:
             StoreError: a directory, no folder, no permission, not ours, newer, or another process writes to it.
@@ -101,7 +105,7 @@ class Store:
         refuse_links(path)
         refuse(path, kind_of(path))
         check_writable(path)
-        store = cls(path, Lock(path), keep)
+        store = cls(path, Lock(path), keep, route)
         try:
             store._attach()
         except BaseException:
@@ -246,7 +250,7 @@ class Store:
     def adopt_run(self, run_id: int, run: RunInfo) -> None:
         """Go on with a run that is in the file already."""
         standing = self.open_alarms(run.rig) if run.kind == "live" else []
-        self._run_rows.open(run_id, run, AlarmRows(run_id, standing))
+        self._run_rows.open(run_id, run, AlarmRows(run_id, standing, self.outbox))
 
     def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
         """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""

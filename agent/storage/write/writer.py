@@ -6,6 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from agent.clock import wall_ns
 from agent.errors import StoreError
@@ -16,9 +17,9 @@ from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import expire_shelves
 from agent.storage.write.backlog import Backlog, Pause, cells_of
 from agent.storage.write.command_socket import CommandServer, Handler
-from agent.storage.write.commands import serve
+from agent.storage.write.commands import Listeners, serve
 from agent.storage.write.decimation import Thinner
-from agent.storage.write.jobs import JobQueue
+from agent.storage.write.jobs import Job, JobQueue
 from agent.storage.write.latency import Histogram
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
@@ -81,6 +82,8 @@ class StoreWriter:
         self._server: CommandServer | None = None
         self.on_alarm: Callable[[AlarmTransition], None] = lambda _: None
         """Called, in the writer's thread, with each step that an alarm took by an operator or as a shelf ended."""
+        self.on_outbox: Callable[[], None] = lambda: None
+        """Called, in the writer's thread, when there may be something to notify targets of."""
         self._jobs = JobQueue("its agent", self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
@@ -142,6 +145,9 @@ class StoreWriter:
             self._exchange(leaving, entering, every_s)
 
         self._jobs.ask(act)
+    def ask(self, job: Job) -> Any:
+        """Have something done with the store in the writer's thread; returns what it returns. Raises StoreError."""
+        return self._jobs.ask(job)
 
     def flush(self, timeout_s: float = 30.0) -> bool:
         """Wait until everything published so far is committed; False when that did not happen in time."""
@@ -304,7 +310,7 @@ class StoreWriter:
                 self._write_once()
             if self._store is not None:
                 for ended in expire_shelves(self._store, moment()):
-                    self.on_alarm(ended.step)
+                    self._notify(ended.step)
                 self._store.maintain(finish=last)
                 self._report_spilling(self._store.spilling)
         except _FAILURE as error:
@@ -324,6 +330,8 @@ class StoreWriter:
             self._plans = [p for rig, records in self._flight.items() for p in store.encode(self.run_ids[rig], records)]
         store.commit(self._plans)
         self._note_latency()
+        if any("notifications" in plan.rows for plan in self._plans):
+            self.on_outbox()
         for rig, records in self._flight.items():
             self.written += sum(map(cells_of, records))
             self._report_stored(rig, records)
@@ -375,13 +383,18 @@ class StoreWriter:
 
     def _serve(self, store: Store, handlers: Mapping[str, Handler]) -> CommandServer | None:
         try:
-            return serve(store.path, self._jobs, self._notify, self._take_baselines, handlers)
+            listeners = Listeners(self._notify, self._take_baselines, self._announce)
+            return serve(store.path, self._jobs, listeners, handlers)
         except OSError as error:
             log.warning("%s: no socket for commands can be made beside it: %s", store.path, error)
             return None
 
     def _notify(self, step: AlarmTransition) -> None:
         self.on_alarm(step)
+        self._announce()
+
+    def _announce(self) -> None:
+        self.on_outbox()
 
     def _take_baselines(self, store: Store) -> None:
         """Note that baselines were stored."""

@@ -23,7 +23,6 @@ PRESS_TABLE = [
     ("[store]", "[agent]\n[store]", "agent", "not in this version"),
     ("[store]", "[http]\nport = 80\n[store]", "http", "not in this version"),
     ("[store]", "[mqtt]\n[store]", "mqtt", "not in this version"),
-    ("[store]", "[notify]\n[store]", "notify", "not in this version"),
     ("[store]", "[security]\n[store]", "security", "not in this version"),
     ("[[alarm]]", "[alarm]", "alarm", "must be a list of tables, not a table; write [[alarm]]"),
     ("[store]", "[store]\npassword = 'x'", "store.password", "secret"),

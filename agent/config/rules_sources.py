@@ -133,14 +133,24 @@ def _target_faults(path: str, target: Notify) -> Iterator[Fault]:
     for key in _NEEDED[target.kind]:
         if key not in target.model_fields_set:
             yield Fault(join(path, key), "is missing", f'kind = "{target.kind}" needs it')
-    for kind, keys in _OWN.items():
-        for key in keys if kind != target.kind else ():
-            if key in target.model_fields_set and key not in _OWN[target.kind]:
-                yield Fault(join(path, key), f'belongs to kind = "{kind}"', "leave it out, or change the kind")
-    for key in ("url", "token", "password"):
-        secret = getattr(target, key)
+    yield from _strange_keys(path, target)
+    yield from _vague_secrets(path, target)
+    url = target.url
+    is_address = not isinstance(url, str) or url.startswith(("http://", "https://"))
+    if target.kind == "webhook" and not is_address:
+        yield Fault(join(path, "url"), f"{shown(str(url))} is no address", 'write "https://..."')
+
+
+def _strange_keys(path: str, target: Notify) -> Iterator[Fault]:
+    """Keys that belong to targets of another kind."""
+    others = {key: kind for kind, keys in _OWN.items() for key in keys if key not in _OWN[target.kind]}
+    for key in sorted(target.model_fields_set & others.keys()):
+        yield Fault(join(path, key), f'belongs to kind = "{others[key]}"', "leave it out, or change the kind")
+
+
+def _vague_secrets(path: str, target: Notify) -> Iterator[Fault]:
+    """Secrets that name no place, or two."""
+    secrets = {key: getattr(target, key) for key in ("url", "token", "password")}
+    for key, secret in secrets.items():
         if isinstance(secret, Secret) and (secret.file is None) == (secret.env is None):
             yield Fault(join(path, key), "must name one place", '{ file = "..." } or { env = "..." }')
-    url = target.url
-    if target.kind == "webhook" and isinstance(url, str) and not url.startswith(("http://", "https://")):
-        yield Fault(join(path, "url"), f"{shown(url)} is no address", 'write "https://..."')

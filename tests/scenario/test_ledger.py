@@ -50,7 +50,7 @@ class Told:
     def ledger(self) -> list[tuple[int, ...]]:
         """Let the next ledger be told; return all that are stored."""
         self.service.process()
-        self.service._ledgers()
+        self.service.rig_set.ledgers()
         assert self.writer.flush()
         return rows(self.db, LEDGER)
 

@@ -13,7 +13,7 @@ import pytest
 from agent.blocks.acquisition.indexing import Indexer
 from agent.config import RigConfig, driver_class, load
 from agent.runtime.pipeline import Pipeline
-from agent.runtime.service import ROUND_S, Service, _rest_s, _stopper
+from agent.runtime.service import ROUND_S, Service, _caller, _rest_s
 from agent.types import EstimateBatch, FloatArray, Record
 from drivers.port import Driver, SampleBlock, SourceRequest
 from sim_bus.rig.scenario import load_scenario
@@ -75,7 +75,7 @@ def test_rounds_rest_three_times_as_long_as_they_take_where_none_waits_too_long_
 
 def test_signal_amid_a_wait_does_not_wait_for_the_lock_that_the_wait_holds(tmp_path: Path) -> None:
     service = Service([load(example("modbus", tmp_path))], tmp_path / "rig.db", "live")
-    handler = threading.Thread(target=_stopper(service), args=(signal.SIGTERM, None))
+    handler = threading.Thread(target=_caller(service.stop), args=(signal.SIGTERM, None))
     with service._wake._cond, service._stop._cond:
         handler.start()
         handler.join(5.0)

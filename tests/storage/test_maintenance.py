@@ -12,8 +12,8 @@ import pytest
 from agent.cli import db as commands_db
 from agent.errors import StoreError, UsageError
 from agent.storage import maintenance
+from agent.storage.database import compaction
 from agent.storage.read import queries
-from agent.storage.write import compaction
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from tests.storage.rows import START, batch, ledger, run_info, select, step

@@ -78,9 +78,10 @@ def _unexplained(alarm: Row, run: Row, why: str, record: Row | None) -> Explaine
 def _explained(alarm: Row, run: Row, record: Row, kept: Kept, again: Recomputed) -> Explained:
     raised_ns = parse_time(alarm["raised_at"], None)
     step = _same_step(again.steps, alarm, raised_ns)
-    found = None if step is None else {name: getattr(step, name) for name in (*FIGURES, "limit_value", "message")}
+    found = _figures(step)
     digits = 0 if found is None else agreeing(alarm, found)
-    same = step is not None and step.t_ns == raised_ns and _is_near(alarm, found or {})
+    is_then = step is not None and step.t_ns == raised_ns
+    same = is_then and _is_near(alarm, found or {})
     seen = tested(again, alarm, raised_ns)
     said = [
         words.stored(alarm),
@@ -95,6 +96,10 @@ def _explained(alarm: Row, run: Row, record: Row, kept: Kept, again: Recomputed)
         "limit_confidence": seen.confidence,
     }  # fmt: skip
     return Explained(document, alarm, kept, again)
+
+
+def _figures(step: AlarmTransition | None) -> dict[str, Any] | None:
+    return None if step is None else {name: getattr(step, name) for name in (*FIGURES, "limit_value", "message")}
 
 
 def _document(alarm: Row, run: Row, record: Row | None) -> dict[str, Any]:

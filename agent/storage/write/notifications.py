@@ -96,19 +96,19 @@ def resend(store: Store, ids: object) -> list[dict[str, Any]]:
     """
     if not _are_numbers(ids):
         raise StoreError.at("notification", "is no list of numbers", f"name 1 to {MOST} of deltak notify list --dead")
-    faults = list[Fault]()
-    rows = list[NotificationRow]()
-    for seq in dict.fromkeys(ids):  # type: ignore[call-overload]  # checked just now
-        row = notification(store.connection, seq) if 0 < seq < 2**63 else None
-        if row is None or row.state != "dead":
-            what = "there is no such notification" if row is None else f"is not dead, but {row.state}"
-            faults.append(Fault(f"notification {seq}", what, f"deltak notify list {store.path} --dead lists them"))
-        else:
-            rows.append(replace(row, state="pending", attempts=0))
-    if faults:
-        raise StoreError(faults)
+    asked = {seq: notification(store.connection, seq) if 0 < seq < 2**63 else None
+             for seq in dict.fromkeys(ids)}  # type: ignore[call-overload]  # checked just now  # fmt: skip
+    dead = [row for row in asked.values() if row is not None and row.state == "dead"]
+    if len(dead) < len(asked):
+        raise StoreError([_refusal(store, seq, row) for seq, row in asked.items() if row not in dead])
+    rows = [replace(row, state="pending", attempts=0) for row in dead]
     _keep(store, rows)
     return [{"id": row.seq, "target": row.target, "state": row.state} for row in rows]
+
+
+def _refusal(store: Store, seq: int, row: NotificationRow | None) -> Fault:
+    what = "there is no such notification" if row is None else f"is not dead, but {row.state}"
+    return Fault(f"notification {seq}", what, f"deltak notify list {store.path} --dead lists them")
 
 
 def _are_numbers(ids: object) -> bool:

@@ -11,6 +11,7 @@ from typing import Self
 
 from agent.errors import StoreError
 from agent.storage.database.checksum import row_crc
+from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.database.connect import (
     FRAME_BYTES,
     WAL_BOUND,
@@ -44,7 +45,6 @@ from agent.storage.tables.notifications import Outbox, Route, nobody
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows
 from agent.storage.tables.shelves import Shelf
-from agent.storage.write.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks

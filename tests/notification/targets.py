@@ -113,7 +113,7 @@ def agent(path: Path, targets: Sequence[Notify], **settings: Any) -> Iterator[tu
     def names(step: Any) -> list[str]:
         return [target.name for target in targets if concerns(target, step)]
 
-    writer = StoreWriter(lambda: Store.open(path, route=names), [run_info()], served=True)
+    writer = StoreWriter(lambda: Store.open(path, route=names), [run_info()], served={})
     notifiers = [Notifier(target, path.parent, writer.ask, pause_s=(0.01, 0.05), **settings) for target in targets]
 
     def wake() -> None:

@@ -25,6 +25,7 @@ class Rule:
     deadband: float | None = None
     off_delay_s: float | None = None
     priority: str = "high"
+    advice: str | None = None
 
 
 def rule(found: Limit) -> Rule:

@@ -57,7 +57,7 @@ def test_rig_change_carries_the_physical_state() -> None:
     np.testing.assert_allclose(stepped.states[500:], later.states, atol=1e-16)
 
 
-@pytest.mark.parametrize("name", built_in_names())
+@pytest.mark.parametrize("name", [name for name in built_in_names() if name != "voice-coil"])  # of a rig of its own
 def test_rig_same_seed_is_played_alike_whatever_the_chunks(name: str) -> None:
     one, other = (Rig(rig(ring_config(1)), load_scenario(name, {})) for _ in range(2))
     whole = one.advance(2000)

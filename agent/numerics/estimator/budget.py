@@ -7,7 +7,7 @@ tries.
 
 from agent.numerics.fitting.work import Budget
 
-BURST = 600
+BURST = 480
 """Evaluations that may follow one another: the first windows, or a step and its aftermath."""
 SAMPLES_AN_EVALUATION = 512
 """Samples that pay for one evaluation: what bounds the cost of a rig that nothing fits."""

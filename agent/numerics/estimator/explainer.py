@@ -34,7 +34,9 @@ VERDICT_WINDOWS = 3
 REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
 FREE = 32
-"""Windows that are learnt from whatever it costs."""
+"""Windows that are learnt from whatever it costs, as long as they can be solved."""
+EASY = 6
+"""Evaluations that learning from a window takes where the model fits; the first windows pay for more only."""
 MOVING = 8
 """What moving the bank costs, in evaluations."""
 MOVED_SD = 0.3
@@ -185,18 +187,19 @@ class Explainer:
     def learn(self, record: Record, reading: Reading, i: int) -> bool:
         """Learn from a row's window; return whether the bank moved.
 
-        The first windows are free; a rig whose noise never settles pays for those after them.
+        The first windows are free as far as the model fits; a rig whose noise never settles pays for those after them.
         """
         newest = int(reading.index[i])
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
-        free = known.noise.windows < FREE
+        free = known.noise.windows < FREE and not self.schedule.failed
         if not self._may_begin(newest) and not free:
             self.schedule.later(newest)
             return False
         moved = self._learnt(record, reading, i, known)
-        if not free:
-            self._pay()
+        if free:
+            self._counted += EASY
+        self._pay()
         return moved
 
     def _learnt(self, record: Record, reading: Reading, i: int, known: Knowledge) -> bool:
@@ -233,7 +236,7 @@ class Explainer:
     def _pay(self, least: int = 0) -> None:
         """Take what was evaluated since it began, and `least` at the least, out of the budget."""
         done = self.learner.lineariser.evaluations
-        self.budget.spend(max(done - self._counted, least) * samples_an_evaluation(self.settings.plan.window))
+        self.budget.spend(max(done - self._counted, least, 0) * samples_an_evaluation(self.settings.plan.window))
         self._counted = done
 
     def _is_elsewhere(self, reading: Reading, i: int, posterior: Posterior) -> bool:

@@ -24,6 +24,8 @@ INSIDE = 32
 """Points inside the box that are tried."""
 STARTS = 2
 """Of the worst points so many are searched from."""
+NUDGE = 1e-3
+"""How far inwards from a vertex a measure is looked at, in halves of the box."""
 SEED = 19
 
 Measure = Callable[[FloatArray], float]
@@ -62,7 +64,11 @@ def worst_in_box(
         return Worst(nominal, at(np.zeros(0)), at_vertex=True)
     points = [*_vertices(at, len(moving)), *(_inside(len(moving)) if inside else ())]
     found = sorted(((at(point), point) for point in points), key=lambda pair: -pair[0])
-    searched = [_searched(at, point, rounds) for _, point in found[:STARTS] if inside]
+    worst, *others = [point for _, point in found[:STARTS]]
+    # from a vertex that is not the worst a search goes to one that is worse, and those have all been tried
+    promising = [point for point in others if not _is_vertex(point)]
+    starts = [point for point in (worst, *promising) if inside and not _is_peak(at, point)]
+    searched = [_searched(at, point, rounds) for point in starts]
     value, shares = max([found[0], *searched], key=lambda pair: pair[0])
     theta = nominal.astype(float).copy()
     theta[moving] += shares * half[moving]
@@ -108,6 +114,19 @@ def _primes(count: int) -> FloatArray:
             found.append(number)
         number += 1
     return np.array(found, dtype=float)
+
+
+def _is_vertex(point: FloatArray) -> bool:
+    return bool(np.all(np.abs(point) == 1.0))
+
+
+def _is_peak(at: Measure, point: FloatArray) -> bool:
+    """Tell whether a measure grows along no parameter from a vertex inwards: no search leads away from there."""
+    if not _is_vertex(point):
+        return False
+    inwards = [point - NUDGE * side * point for side in np.eye(len(point))]
+    value = at(point)
+    return all(at(other) <= value for other in inwards)
 
 
 def _searched(at: Measure, start: FloatArray, rounds: int) -> tuple[float, FloatArray]:

@@ -35,7 +35,7 @@ REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
 FREE = 32
 """Windows that are learnt from whatever it costs, as long as they can be solved."""
-EASY = 6
+USUAL = 6
 """Evaluations that learning from a window takes where the model fits; the first windows pay for more only."""
 MOVING = 8
 """What moving the bank costs, in evaluations."""
@@ -198,7 +198,7 @@ class Explainer:
             return False
         moved = self._learnt(record, reading, i, known)
         if free:
-            self._counted += EASY
+            self._counted += USUAL
         self._pay()
         return moved
 

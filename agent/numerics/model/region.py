@@ -24,7 +24,7 @@ INSIDE = 32
 """Points inside the box that are tried."""
 STARTS = 2
 """Of the worst points so many are searched from."""
-INWARDS = 1e-3
+OFFSET = 1e-3
 """How far inwards from a vertex a measure is looked at, in halves of the box."""
 SEED = 19
 
@@ -124,7 +124,7 @@ def _is_peak(at: Measure, point: FloatArray) -> bool:
     """Tell whether a measure grows along no parameter from a vertex inwards: no search leads away from there."""
     if not _is_vertex(point):
         return False
-    inwards = [point - INWARDS * side * point for side in np.eye(len(point))]
+    inwards = [point - OFFSET * side * point for side in np.eye(len(point))]
     value = at(point)
     return all(at(other) <= value for other in inwards)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
-LONGEST = "tests/statistical/"
+LONGEST = ("tests/statistical/", "tests/property/")
 """Files here have few tests that compute for long; begun last, one of them would run on with nothing beside it."""
 
 BESIDE = (

@@ -169,10 +169,10 @@ def _constants(config: RigConfig, built: RigModel, masses: tuple[str, ...]) -> t
     sensed = built.model if isinstance(built.model, SensedModel) else SensedModel(built.model, ())
     if not isinstance(sensed.model, AffineModel):
         return constants
-    return tuple(replace(c, shows=c.shows and _told_apart(config, sensed, c)) for c in constants)
+    return tuple(replace(c, shows=c.shows and _is_separable(config, sensed, c)) for c in constants)
 
 
-def _told_apart(config: RigConfig, model: SensedModel, constant: Constant) -> bool:
+def _is_separable(config: RigConfig, model: SensedModel, constant: Constant) -> bool:
     """Whether a gain can be told from the estimated parameters."""
     if constant.kind == "delay":
         return True

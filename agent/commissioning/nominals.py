@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, table_around
+from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, shown, table_around
 from agent.config import MechanicsModel, RigConfig
 from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.errors import UsageError
@@ -33,11 +33,7 @@ def write_nominals(file: Path, values: Mapping[str, float]) -> None:
 
     Raises UsageError where the file cannot be written, or its text is not one in which the values can be placed.
     """
-    try:
-        replace_file(file, edited(read_bytes(file).decode("utf-8"), values, file))
-    except OSError as error:
-        words = f"{file} cannot be written: {error.strerror or error}"
-        raise UsageError.at("--write", words, "nothing was changed; make it writable, or copy the values") from error
+    replace_file(file, edited(read_bytes(file).decode("utf-8"), values, file))
 
 
 def edited(text: str, values: Mapping[str, float], file: Path) -> str:
@@ -62,21 +58,20 @@ def _wanted(raw: dict[str, Any], name: str, value: float) -> dict[str, Any]:
 
 def _candidates(text: str, name: str, value: float) -> Iterator[str]:
     """Yield the text with the value put beside each place where the name stands."""
-    shown = f"{value:.6g}"
-    shown = shown if re.search(r"[.e]", shown) else f"{shown}.0"
+    number = shown(value)
     for place in re.finditer(rf"""\bname[ \t]*=[ \t]*["']{re.escape(name)}["']""", text):
         start, end = table_around(text, place.start(), place.end())
         table = text[start:end]
-        for new in _replaced(table, shown):
+        for new in _replaced(table, number):
             yield text[:start] + new + text[end:]
         inline = text[start] == "{"
         at = start + len(table.rstrip("}").rstrip()) if inline else place.end()
-        yield text[:at] + (", " if inline else "\n") + f"nominal = {shown}" + text[at:]
+        yield text[:at] + (", " if inline else "\n") + f"nominal = {number}" + text[at:]
 
 
-def _replaced(table: str, shown: str) -> Iterator[str]:
+def _replaced(table: str, number: str) -> Iterator[str]:
     """Yield a table's text with the number in the place of each that may be the nominal."""
     for key in ("nominal", "value"):
-        new, count = re.subn(rf"(?m)(\b{key}[ \t]*=[ \t]*){NUMBER}", rf"\g<1>{shown}", table, count=1)
+        new, count = re.subn(rf"(?m)(\b{key}[ \t]*=[ \t]*){NUMBER}", rf"\g<1>{number}", table, count=1)
         if count:
             yield new

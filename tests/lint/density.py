@@ -18,12 +18,13 @@ HARDEST = 10
 PACKAGES = ("agent", "drivers", "sim_bus")
 READ = (ast.Name, ast.Attribute, ast.Subscript, ast.Constant, ast.UnaryOp)
 COLLECTION = (ast.List, ast.Dict, ast.Set, ast.Tuple, ast.ListComp, ast.DictComp, ast.SetComp, ast.GeneratorExp)
+FUNCTION = (ast.FunctionDef, ast.AsyncFunctionDef)
 CONDITION = (ast.Compare, ast.BoolOp)
 
 
 def findings(source: str) -> Iterator[tuple[int, str]]:
     """Yield the lines of a module that are too dense, and in words why."""
-    for function in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)):
+    for function in (node for node in ast.walk(ast.parse(source)) if isinstance(node, FUNCTION)):
         operators = sum(_operators(node) for node in _body(function))
         hardness = get_cognitive_complexity(function)
         if operators > MOST:
@@ -40,7 +41,7 @@ def findings(source: str) -> Iterator[tuple[int, str]]:
 def _body(node: ast.AST) -> Iterator[ast.AST]:
     """Yield what is in a function and in none inside it."""
     for child in ast.iter_child_nodes(node):
-        if not isinstance(child, ast.FunctionDef | ast.ClassDef):
+        if not isinstance(child, (*FUNCTION, ast.ClassDef)):
             yield child
             yield from _body(child)
 

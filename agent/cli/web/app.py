@@ -135,14 +135,16 @@ async def _events(request: "Request", hub: Hub, names: list[str]) -> "Response":
         return refusal(429, "events", f"{MOST_LISTENERS} listen already", "come again later")
     said = request.headers.get("last-event-id") or request.query_params.get("from") or ""
     position = Position.read(said[:1000], len(names)) if said else None
+    is_unreadable = bool(said) and position is None
     following = hub.follow(position)
     first = await anext(following)
+    if is_unreadable:
+        first = Event("reset", first.position)
 
     async def lines() -> AsyncIterator[str]:
         hub.listeners += 1
         try:
-            reset = said and position is None
-            yield _line(Event("reset", first.position) if reset else first, names)
+            yield _line(first, names)
             async for event in following:
                 yield _line(event, names)
         finally:

@@ -133,6 +133,18 @@ def _after(cursor: Cursor, change: Change) -> Cursor:
     return cursor._replace(hops=max(cursor.hops, change.cursor.hops))
 
 
+def _first_event(said: Position | None, now: Position) -> Event:
+    """Return what a listener is greeted with: it goes on where it was, begins now, or has missed too much."""
+    if said is None:
+        return Event("hello", now)
+    return Event("hello", said) if _can_resume(said, now) else Event("reset", now)
+
+
+async def _is_idle(changed: asyncio.Event, *, quiet: bool) -> bool:
+    """Wait for news where there were none; tell whether none came."""
+    return quiet and not await _within(changed, _ALIVE_S)
+
+
 class Hub:
     """Reads databases while anybody listens or not; listeners wait for it and hold nothing of a file."""
 
@@ -156,23 +168,21 @@ class Hub:
         Without a position, or with one from too long ago, it begins now.
         """
         now = Position([await _now(tail) for tail in self._tails])
-        resumed = said is not None and _can_resume(said, now)
-        position = said if said is not None and resumed else now
+        first = _first_event(said, now)
+        position = first.position
         generation = self._generation()
-        yield Event("hello" if resumed or said is None else "reset", position)
+        yield first
         while True:
-            changed = self._changed
-            quiet = True
+            changed, before = self._changed, position
             for place, tail in enumerate(self._tails):
                 page, end = await self._page(tail, position[place])
                 for change in page:
                     position = position.moved(place, _after(position[place], change))
                     yield Event(change.kind, position, place, change)
-                quiet = quiet and end == position[place] and not page
                 position = position.moved(place, end)
             if self._generation() != generation:
                 return  # whoever comes again begins with the other file
-            if quiet and not await _within(changed, _ALIVE_S):
+            if await _is_idle(changed, quiet=position == before):
                 yield Event("alive", position)
 
     async def _page(self, tail: _Tail, cursor: Cursor) -> tuple[list[Change], Cursor]:

@@ -51,7 +51,8 @@ class Writes:
         """Answer POST /api/v1/session with {"name", "password"}; five wrong ones a minute from an address, then 429."""
         try:
             asked = await _object(request)
-            name, password = _name(asked), asked.get("password")
+            name = _name(asked)
+            password = asked.get("password")
             if self.secret is None:
                 advice = "start deltak serve with --password-file or --token-file"
                 raise _RefusedError(403, "session", "this server has no password", advice)

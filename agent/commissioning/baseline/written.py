@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, table_around
+from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, shown, table_around
 from agent.config import parse
 from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.errors import ConfigError, UsageError
@@ -23,13 +23,10 @@ def write_limits(file: Path, limits: Mapping[str, Values]) -> None:
     text = with_limits(read_bytes(file).decode("utf-8"), limits, file)
     try:
         parse(text.encode("utf-8"), file)
-        replace_file(file, text)
     except ConfigError as error:
         words = f"with these limits {file} would be faulty: {error}"
         raise UsageError.at("--write", words, "nothing was changed; mend that first") from error
-    except OSError as error:
-        words = f"{file} cannot be written: {error.strerror or error}"
-        raise UsageError.at("--write", words, "nothing was changed; make it writable, or copy the values") from error
+    replace_file(file, text)
 
 
 def with_limits(text: str, limits: Mapping[str, Values], file: Path) -> str:
@@ -64,20 +61,15 @@ def _candidates(text: str, parameter: str, values: Values) -> Iterator[str]:
         for key, value in values.items():
             table = _set(table, key, value, inline=inline)
         yield text[:start] + table + text[end:]
-    lines = [f'parameter = "{parameter}"', *(f"{key} = {_shown(value)}" for key, value in values.items())]
+    lines = [f'parameter = "{parameter}"', *(f"{key} = {shown(value)}" for key, value in values.items())]
     yield text.rstrip("\n") + "\n\n[[alarm]]\n" + "\n".join(lines) + "\n"
 
 
 def _set(table: str, key: str, value: float, *, inline: bool) -> str:
     """Return a table's text with a key set: in its place, else before the limit."""
-    text, count = re.subn(rf"(?m)(\b{key}[ \t]*=[ \t]*){NUMBER}", rf"\g<1>{_shown(value)}", table, count=1)
+    text, count = re.subn(rf"(?m)(\b{key}[ \t]*=[ \t]*){NUMBER}", rf"\g<1>{shown(value)}", table, count=1)
     if count:
         return text
     if inline:
-        return re.sub(r"\blimit[ \t]*=", f"{key} = {_shown(value)}, limit =", table, count=1)
-    return re.sub(r"(?m)^([ \t]*)(limit[ \t]*=)", rf"\g<1>{key} = {_shown(value)}\n\g<1>\g<2>", table, count=1)
-
-
-def _shown(value: float) -> str:
-    text = f"{value:.6g}"
-    return text if re.search(r"[.e]", text) else f"{text}.0"
+        return re.sub(r"\blimit[ \t]*=", f"{key} = {shown(value)}, limit =", table, count=1)
+    return re.sub(r"(?m)^([ \t]*)(limit[ \t]*=)", rf"\g<1>{key} = {shown(value)}\n\g<1>\g<2>", table, count=1)

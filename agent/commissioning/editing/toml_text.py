@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.reading.toml_file import parse_toml
-from agent.errors import ConfigError
+from agent.errors import ConfigError, UsageError
 
 NUMBER = r"[-+]?[\w.]+(?:[-+]\d+)?"
 """Pattern of a number as TOML writes it."""
@@ -33,8 +33,21 @@ def table_around(text: str, start: int, end: int) -> tuple[int, int]:
 
 
 def replace_file(file: Path, text: str) -> None:
-    """Put a new text in a file's place, whole or not at all."""
-    target = Path(os.path.realpath(file))
+    """Put a new text in a file's place, whole or not at all. Raises UsageError where it cannot be written."""
+    try:
+        _replace(Path(os.path.realpath(file)), text)
+    except OSError as error:
+        words = f"{file} cannot be written: {error.strerror or error}"
+        raise UsageError.at("--write", words, "nothing was changed; make it writable, or copy the values") from error
+
+
+def shown(value: float) -> str:
+    """Return a number of six digits as TOML writes a float."""
+    text = f"{value:.6g}"
+    return text if re.search(r"[.e]", text) else f"{text}.0"
+
+
+def _replace(target: Path, text: str) -> None:
     if not os.access(target, os.W_OK):
         raise PermissionError(13, "it is read-only")
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")

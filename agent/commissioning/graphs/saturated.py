@@ -22,11 +22,11 @@ def saturated(config: RigConfig) -> RigConfig:
         raise TypeError("not a mass-spring-damper model")
     unseen = Sensing.of(mechanics(with_blanks(config))).unseen
     nodes = [GROUND, *(mass.name for mass in model.mass if mass.name not in unseen)]
-    more = {kind: tuple(_lacking(getattr(model, kind), nodes, letter)) for kind, letter in KINDS.items()}
+    more = {kind: tuple(_missing(getattr(model, kind), nodes, letter)) for kind, letter in KINDS.items()}
     return _with(config, {kind: (*getattr(model, kind), *rows) for kind, rows in more.items()})
 
 
-def _lacking(rows: Sequence[Element], nodes: Sequence[str], letter: str) -> Iterator[Element]:
+def _missing(rows: Sequence[Element], nodes: Sequence[str], letter: str) -> Iterator[Element]:
     there = {frozenset(element.between) for element in rows}
     for pair in combinations(nodes, 2):
         if frozenset(pair) not in there:

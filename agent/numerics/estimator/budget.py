@@ -10,7 +10,7 @@ from agent.numerics.fitting.work import Budget
 BURST = 480
 """Evaluations that may follow one another: the first windows, or a step and its aftermath."""
 SAMPLES_AN_EVALUATION = 512
-"""Samples that pay for one evaluation: what bounds the cost of a rig that nothing fits."""
+"""Samples that pay for one evaluation: what bounds the cost of a rig that nothing fits, its first windows apart."""
 EVALUATIONS_A_WINDOW = 8
 """Evaluations that a window pays for at the most: where windows are long each evaluation costs more."""
 

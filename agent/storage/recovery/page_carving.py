@@ -32,8 +32,8 @@ def _shape(table: str) -> _Key:
 _BY_SHAPE: dict[_Key, list[str]] = {}
 for _name in _SCANNED:
     _cells, _texts = _shape(_name)
-    for _lacking in range(len(ADDED.get(_name, ())) + 1):
-        _BY_SHAPE.setdefault((_cells - _lacking, _texts), []).append(_name)
+    for _absent in range(len(ADDED.get(_name, ())) + 1):
+        _BY_SHAPE.setdefault((_cells - _absent, _texts), []).append(_name)
 _TEXTS = {
     table: [i for i, column in enumerate(TABLES[table].split(", "), 1) if column.endswith(" TEXT NOT NULL")]
     for table in _SCANNED

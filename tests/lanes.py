@@ -1,6 +1,7 @@
 """How processes that share a test run divide the tests among them."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import pytest
 from xdist.scheduler import LoadScopeScheduling
@@ -24,3 +25,9 @@ class Lanes(LoadScopeScheduling):
 def in_order(items: Iterable[pytest.Item]) -> list[pytest.Item]:
     """Return tests with those of the longest files first, else as they were."""
     return sorted(items, key=lambda item: not item.nodeid.startswith(LONGEST))
+
+
+def has_no_pace(path: Path) -> bool | None:
+    """Return True for a file of tests none of which is marked realtime; None leaves it to pytest."""
+    is_tests = path.name.startswith("test_") and path.suffix == ".py"
+    return True if is_tests and "realtime" not in path.read_text(encoding="utf-8") else None

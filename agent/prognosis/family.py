@@ -28,6 +28,8 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "saturation": ("saturation",),
 }
 """What each member has beyond rate, walk, wander and scatter."""
+LEAST_LEFT = 0.05
+"""Share of the way below which what is left counts as no shorter."""
 STEEPEST = 30.0
 """|κ| and exponents beyond this are cut: exp(30) is past every rate there is."""
 
@@ -105,6 +107,11 @@ def way_share(z: float, scale: Scale) -> float:
         return z / scale.limit
     sign = float(np.sign(scale.origin))
     return float(np.log(max(1.0 + sign * z, 1e-6)) / np.log(1.0 + sign * scale.limit))
+
+
+def way_left(z: float, scale: Scale) -> float:
+    """Return the share of the way to the limit that is left, never less than LEAST_LEFT."""
+    return max(1.0 - way_share(z, scale), LEAST_LEFT)
 
 
 def life_way(bend: FloatArray, way: float, scale: Scale) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from agent.prognosis.change import FEWEST, change
-from agent.prognosis.family import MEMBERS, Scale, scale_of
+from agent.prognosis.family import MEMBERS, Scale, scale_of, way_left
 from agent.prognosis.history import History, blocks, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
 from agent.prognosis.passage import FARTHEST, first_passages
@@ -68,8 +68,8 @@ def forecast(
     if scale.limit == 0.0 or _past_limit(readings, scale):
         return Forecast("crossed", horizon=horizon, chance=1.0)
     rng = np.random.default_rng(SEED)
-    prior = plain_prior(readings)
     newest = float(readings.smooth[-1])
+    prior = plain_prior(readings, way_left(newest, scale))
     if like is not None:
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
@@ -128,8 +128,12 @@ def readings_of(thin: History, limit: float) -> tuple[Readings, Scale]:
     return Readings(t, z, thin.sd / scale.size, level, breadth, usual, float(np.sign(scale.limit))), scale
 
 
-def plain_prior(readings: Readings) -> Prior:
-    """Return what is believed without like machines: sizes from the history's own scatter, shapes as machines have."""
+def plain_prior(readings: Readings, left: float) -> Prior:
+    """Return what is believed without like machines: sizes from the history's own scatter, shapes as machines have.
+
+    left: share of the way that is not gone yet. However short it is, the rate at the limit may differ as much from
+    what the law says: parts fail faster than they wore.
+    """
     second = np.diff(readings.z, 2)
     scatter = max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0), 1e-6 * max(float(np.ptp(readings.z)), 1e-9))
     of = {
@@ -143,7 +147,7 @@ def plain_prior(readings: Readings) -> Prior:
         "ramp": Student(1.0, 1.2),
     }
     members = dict(zip(MEMBERS, (0.15, 0.35, 0.15, 0.1, 0.15, 0.1), strict=True))
-    return Prior(of, members, later=Student(0.8, 1.4))
+    return Prior(of, members, later=Student(0.8 / left, 1.4 / left))
 
 
 def learn_from(histories: Sequence[History], limit: float | None = None) -> Learnt:

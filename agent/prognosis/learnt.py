@@ -16,6 +16,8 @@ from agent.types import FloatArray
 
 USUAL = {"life": 0.3, "exponent": 0.5, "wander": 0.5}
 """Spread between machines of a kind before any is seen, in natural logarithms; of the exponent, in κ."""
+FEWEST = 6
+"""Means from which on a law is sought of a part of a life."""
 COUNT = 1.0
 """How many machines that counts for."""
 LIGHT = 2.0
@@ -67,22 +69,41 @@ def specimen(t: FloatArray, z: FloatArray, scale: Scale) -> Specimen:
 
     What share of the way in u is gone is held against what share of the time is, for each κ.
     """
+    span = float(t[-1] - t[0])
+    gone = (t - t[0]) / span
+    bend, misfit = _closest(gone, z, scale)
+    wander = float(np.log(np.clip(WANDER * misfit, 0.02, 2.0))) - 0.5 * float(np.log(span))
+    later = tuple(_later(gone, z, bend, share_of_life, scale) for share_of_life in SEEN)
+    return Specimen(float(np.log(span)), bend / scale.reach, wander, scale.reach, later)
+
+
+def _closest(t: FloatArray, z: FloatArray, scale: Scale) -> tuple[float, float]:
+    """Return the κ of the law nearest to levels at shares t of a time, and the rms of the share by which it misses."""
     u, _ = bent(z[:, None], GRID, scale)
     share = (u - u[0]) / (u[-1] - u[0])
-    span = float(t[-1] - t[0])
-    misfit = np.sqrt(np.mean((share - ((t - t[0]) / span)[:, None]) ** 2, axis=0))
+    misfit = np.sqrt(np.mean((share - t[:, None]) ** 2, axis=0))
     best = int(np.argmin(misfit))
-    wander = float(np.log(np.clip(WANDER * misfit[best], 0.02, 2.0))) - 0.5 * float(np.log(span))
-    later = tuple(_later((t - t[0]) / span, z, float(GRID[best]), share_of_life, scale) for share_of_life in SEEN)
-    return Specimen(float(np.log(span)), float(GRID[best]) / scale.reach, wander, scale.reach, later)
+    return float(GRID[best]), float(misfit[best])
 
 
-def _later(t: FloatArray, z: FloatArray, bend: float, seen: float, scale: Scale) -> tuple[float, float]:
-    """Return the way gone after a share of the life, and by how much κ differed for the rest to take its time."""
+def _later(t: FloatArray, z: FloatArray, whole: float, seen: float, scale: Scale) -> tuple[float, float]:
+    """Return the way gone after a share of the life, and by how much κ differed for the rest to take its time.
+
+    Differed from what a forecast made there would take it for: the κ of like machines, whole lives, as long as little
+    of the way is gone, and of the rows up to then the more of it is.
+    """
     now = float(np.interp(seen, t, z))
+    way = way_share(now, scale)
+    until = t <= seen
+    part, _ = _closest(t[until] / seen, z[until], scale) if _has_moved(z[until]) else (whole, 0.0)
+    bend = whole + way * way * (part - whole)
     gone = float(bent(np.array(now), np.array(bend), scale)[0] - bent(z[0], np.array(bend), scale)[0])
     left = onward(now, np.full(len(GRID), bend), bend + GRID, scale)
-    return way_share(now, scale), float(GRID[int(np.argmin(np.abs(left - gone * (1.0 - seen) / seen)))])
+    return way, float(GRID[int(np.argmin(np.abs(left - gone * (1.0 - seen) / seen)))])
+
+
+def _has_moved(z: FloatArray) -> bool:
+    return len(z) >= FEWEST and bool(z[-1] != z[0])
 
 
 def learn(specimens: Sequence[Specimen]) -> Learnt:
@@ -101,13 +122,19 @@ def learn(specimens: Sequence[Specimen]) -> Learnt:
 
 
 def _later_of(later: FloatArray) -> tuple[tuple[float, float, float], ...]:
-    """Return place, mean and spread of later κ at each of SEEN, of (n, len(SEEN), 2)."""
+    """Return place, mean and spread of later κ at each of SEEN, of (n, len(SEEN), 2).
+
+    The spread is that between machines, and half the way to the neighbours' means: the next machine's stages fall
+    elsewhere.
+    """
     n = len(later)
-    mean = later.mean(axis=0)
-    pooled = float(np.var(later[..., 1]))  # over machines and shares alike: the next machine's stages fall elsewhere
-    spread = float(np.sqrt((n * pooled + COUNT * LATER**2) / (n - 1 + COUNT) * (1.0 + 1.0 / n)))
-    order = np.argsort(mean[:, 0])
-    return tuple((float(share), float(loc), spread) for share, loc in mean[order].tolist())
+    later = later[:, np.argsort(later[..., 0].mean(axis=0))]
+    place, mean = later.mean(axis=0).T
+    apart = 0.5 * np.abs(np.diff(mean))
+    elsewhere = np.maximum(np.r_[0.0, apart], np.r_[apart, 0.0])
+    between = np.var(later[..., 1], axis=0) + elsewhere**2
+    spread = np.sqrt((n * between + COUNT * LATER**2) / (n - 1 + COUNT) * (1.0 + 1.0 / n))
+    return tuple(zip(place.tolist(), mean.tolist(), spread.tolist(), strict=True))
 
 
 def as_prior(like: Learnt, plain: Prior, scale: Scale, span: float, newest: float) -> Prior:

@@ -9,7 +9,7 @@ import pytest
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
-from agent.numerics.model import margins_box
+from agent.numerics.model import margins_box, region
 from tests.property.random_rigs import written
 
 RIGS, SOAK = 200, 5000
@@ -19,13 +19,15 @@ FAULT = re.compile(r"deltak: error: (rig|model|channel|estimator)[\w.\[\]]*: \S.
 
 
 @pytest.fixture(autouse=True)
-def _without_design_tools(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Check as where the extra `design` is not installed: its solver takes seconds for a rig, and has its own tests."""
+def _without_what_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check as where the extra `design` is not installed, with few points of the region: both have their own tests."""
 
     def missing() -> None:
         raise margins_box.DesignToolsMissingError
 
     monkeypatch.setattr(margins_box, "_cvxpy", missing)
+    monkeypatch.setattr(region, "MOST_VERTICES", 16)
+    monkeypatch.setattr(region, "INSIDE", 4)
 
 
 def run(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, str]:

@@ -107,6 +107,7 @@ def test_cracks_with_a_prior_from_other_cracks_are_forecast_better_than_by_their
     for share, score in found.items():
         rate, lives = np.mean(score.rivals, axis=0)
         assert np.mean(score.crps) < (min(rate, lives) if share >= 0.7 else rate)
+        assert np.mean(score.held) >= 0.7, share
 
 
 def test_joints_and_batteries_are_covered_or_too_short() -> None:

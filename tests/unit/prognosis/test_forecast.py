@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from agent.prognosis.forecast import Forecast, forecast, learn_from
+from agent.prognosis.family import way_left
+from agent.prognosis.forecast import Forecast, forecast, learn_from, plain_prior, readings_of
 from agent.prognosis.history import History
 from agent.prognosis.posterior import BRIEF, FULL
 from agent.prognosis.scores import pit
 from tests.figures import figure
 from tests.unit.prognosis.histories import LIMIT, bent, straight
+from tests.unit.prognosis.laws import cracking, of_the_family
 
 
 def transforms(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -34,6 +36,42 @@ def test_forecast_transforms_of_many_histories_are_uniform(rng: np.random.Genera
     share, p = float(np.mean(np.abs(found - 0.5) <= 0.4)), float(kstest(found, "uniform").pvalue)
     figure(f"forecasts of a steady fall: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.3f}")
     assert share >= 0.75
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+def test_forecast_transforms_of_parts_that_follow_the_family_are_uniform(rng: np.random.Generator) -> None:
+    found = np.array([transform for _ in range(500) if (transform := of_one_part(rng)) is not None])
+    share, p = float(np.mean(np.abs(found - 0.5) <= 0.4)), float(kstest(found, "uniform").pvalue)
+    figure(f"forecasts of parts of the family: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.2f}")
+    assert 0.75 <= share <= 0.85
+    assert p > 0.01
+
+
+def of_one_part(rng: np.random.Generator) -> float | None:
+    """Where the true passage lies among the draws, from 0 to 1; drawn evenly among those of no passage at all."""
+    _, history, limit, remains = of_the_family(rng)
+    found = forecast(history, limit).passages
+    if not len(found):
+        return None
+    return pit(found, remains) if np.isfinite(remains) else 1.0 - float(np.mean(np.isinf(found))) * rng.uniform()
+
+
+def test_like_machines_that_fail_faster_than_they_wore_teach_so_of_the_end_alone(rng: np.random.Generator) -> None:
+    early, *_, late = learn_from([cracking(rng) for _ in range(6)], None).later
+    assert abs(early[1]) < 0.5
+    assert late[1] > 1.5
+    assert early[2] < 0.5 * late[2]
+
+
+@pytest.mark.parametrize("gone", [0.0, 0.9])
+def test_rate_at_the_limit_is_as_uncertain_however_near_it_is(gone: float) -> None:
+    """The law's κ counts over the whole way, so what may change over the rest of it is more by as much."""
+    readings, scale = readings_of(History(np.arange(9.0), 25.0 - np.arange(9.0), np.full(9, 0.1)), LIMIT)
+    level = np.expm1(gone * np.log1p(scale.limit))
+    later = plain_prior(readings, way_left(float(level), scale)).later
+    assert later.loc * (1.0 - gone) == pytest.approx(0.8)
+    assert later.scale * (1.0 - gone) == pytest.approx(1.4)
 
 
 def test_forecast_knows_nothing_of_later_rows(rng: np.random.Generator) -> None:

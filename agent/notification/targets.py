@@ -22,7 +22,7 @@ class Targets:
 
     def __init__(self) -> None:
         self._configs: tuple[RigConfig, ...] = ()
-        self._notifiers: dict[_Key, "Notifier"] = {}
+        self._notifiers: dict[_Key, Notifier] = {}
         self._made_for: dict[_Key, tuple[Notify, Path]] = {}
 
     def route(self, step: AlarmTransition) -> Sequence[str]:

@@ -1,6 +1,7 @@
 """Matrices of a linear model that stand in files: { file = "plant.mat", name = "A" } becomes lists of numbers."""
 
 import hashlib
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -76,6 +77,8 @@ class _Reader:
         read = _READERS.get(file.suffix.lower())
         if read is None:
             raise _UnreadableError(f"{shown(file.suffix)} is no kind of file that is read; {listing(_READERS)} are")
+        if file.exists() and not file.is_file():
+            raise _UnreadableError("is no file, its end may never come; name a file there is")
         try:
             data = file.read_bytes() if file.stat().st_size <= LIMIT_BYTES else None
         except OSError as error:
@@ -111,11 +114,22 @@ def _rows(matrix: Any, name: str) -> list[list[float]]:
 def _npz(file: Path) -> Mapping[str, Any]:
     import numpy as np
 
+    if _unpacked_bytes(file) > LIMIT_BYTES:
+        raise _UnreadableError(f"unpacks to more than {LIMIT_BYTES // 1_000_000} MB; a plant's matrices are small")
     try:
         with np.load(file, allow_pickle=False) as arrays:
             return {str(name): arrays[name] for name in arrays.files}
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, MemoryError) as error:
         raise _UnreadableError("is no NPZ file of matrices; write it with numpy.savez") from error
+
+
+def _unpacked_bytes(file: Path) -> int:
+    """Return what an archive says that it unpacks to; 0 for none."""
+    try:
+        with zipfile.ZipFile(file) as packed:
+            return sum(member.file_size for member in packed.infolist())
+    except (OSError, zipfile.BadZipFile):
+        return 0
 
 
 def _mat(file: Path) -> Mapping[str, Any]:

@@ -3,13 +3,16 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from agent.config import RigConfig
 from agent.config.tables import Notify
-from agent.notification.notifier import Notifier
 from agent.notification.routing import route
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition
+
+if TYPE_CHECKING:
+    from agent.notification.notifier import Notifier
 
 _Key = tuple[Path, str]
 
@@ -47,6 +50,8 @@ class Targets:
             writer.on_outbox = partial(self._wake, path)
 
     def _begin(self, key: _Key, target: Notify, folder: Path, writer: StoreWriter) -> None:
+        from agent.notification.notifier import Notifier  # with it come mail, HTTP and TLS: 2 MB of a small gateway
+
         self._notifiers[key] = Notifier(target, folder, writer.ask, partial(self._is_for, target.name))
         self._notifiers[key].start()
 

@@ -5,3 +5,5 @@ streaming bank) beside `inference` (one window, in the frequency domain), `fitti
 (the product's own), `paper` (the method it grew from). Beside them what is done with estimates: `trend`, `exceedance`.
 Imported by blocks and by whatever stands above them.
 """
+
+from agent.numerics import scipy_alone as scipy_alone  # before anything imports scipy

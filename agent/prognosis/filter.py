@@ -38,21 +38,29 @@ class Walk:
     rate: FloatArray
     cross: FloatArray
 
+    def after(self, steps: int) -> "Walk":
+        """Return the walk without its first steps."""
+        return Walk(self.h[steps:], self.level[steps:], self.rate[steps:], self.cross[steps:])
 
-def run_filter(y: FloatArray, variance: FloatArray, walk: Walk, start: State) -> tuple[State, FloatArray]:
+
+def run_filter(
+    y: FloatArray, variance: FloatArray, walk: Walk, start: State, total: FloatArray | float = 0.0
+) -> tuple[State, FloatArray]:
     """Return the state at the newest reading and the log likelihood of all readings, (N,).
 
     y, variance: (n, N) readings and the variance of ε. start: the state at the first reading before it is read.
+    total: the log likelihood of readings before these.
     """
-    state, total = _read(start, y[0], variance[0])
+    state, gained = _read(start, y[0], variance[0])
+    total = total + gained
     for k in range(1, len(y)):
-        moved = _move(state, walk, k - 1)
-        state, gained = _read(moved, y[k], variance[k])
+        state, gained = _read(moved(state, walk, k - 1), y[k], variance[k])
         total += gained
     return state, total
 
 
-def _move(state: State, walk: Walk, k: int) -> State:
+def moved(state: State, walk: Walk, k: int) -> State:
+    """Return the state at the next reading before it is read; k: the place of the step to it."""
     h = walk.h[k]
     lean = state.ub + h * state.bb
     level = state.uu + h * (state.ub + lean) + walk.level[k]

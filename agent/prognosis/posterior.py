@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.prognosis.family import MEMBERS, SHAPES, Scale, bent, instant, life_way, progress
-from agent.prognosis.filter import State, Walk, run_filter
+from agent.prognosis.filter import State, Walk, moved, run_filter
 from agent.prognosis.prior import Prior
 from agent.types import FloatArray
 
 WIDE = 960
 """Particles that one filter takes along: fewer cost nearly as much; more take memory that a gateway may not have."""
+AT_ONCE = 20
+"""Readings whose numbers are made at once: of all 160 they took 12 MB while a forecast was made."""
 WITHIN = -40.0, 25.0
 """Logarithms that a proposal may reach; beyond, numbers overflow."""
 RUN_IN = 50.0
@@ -189,15 +191,34 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
 def filtered(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> list[tuple[State, FloatArray]]:
     """Return states at the newest reading and log likelihoods of the particles of each swarm, from one filter."""
     columns = [_columns(readings, scale, swarm) for swarm in swarms]
-    seen = [_seen(readings, scale, column) for column in columns]
-    walks = [_walk(readings, s.member, c, s.theta) for s, c in zip(swarms, columns, strict=True)]
-    starts = [_start(readings, u[0], c) for (u, _, _), c in zip(seen, columns, strict=True)]
-    u, variance = (np.concatenate([one[k] for one in seen], axis=1) for k in range(2))
-    state, likelihood = run_filter(u, variance, _beside(walks), _joined(starts))
-    ends = np.cumsum([len(swarm.theta) for swarm in swarms])[:-1]
+    slopes = [np.zeros(len(swarm.theta)) for swarm in swarms]
+    first = (_seen(readings, scale, column, slice(1))[0][0] for column in columns)
+    state = _joined([_start(readings, u, column) for u, column in zip(first, columns, strict=True)])
+    likelihood = np.zeros(len(state.u))
+    for row in range(0, len(readings.t), AT_ONCE):
+        seen = [_seen(readings, scale, column, slice(row, row + AT_ONCE)) for column in columns]
+        t = readings.t[max(row - 1, 0) : row + AT_ONCE]
+        walk = _beside([_walk(t, readings, *one) for one in zip(swarms, columns, strict=True)])
+        if row > 0:
+            state = moved(state, walk, 0)
+            walk = walk.after(1)
+        u, variance = (np.concatenate([one[k] for one in seen], axis=1) for k in range(2))
+        state, likelihood = run_filter(u, variance, walk, state, likelihood)
+        slopes = [_summed(total, np.log(slope)) for total, (_, _, slope) in zip(slopes, seen, strict=True)]
+    return _apart(state, likelihood, slopes)
+
+
+def _summed(total: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return a sum that rows (n, N) are added to one after the other, so that it does not depend on their division."""
+    summed: FloatArray = np.add.reduce([total, *rows])
+    return summed
+
+
+def _apart(state: State, likelihood: FloatArray, slopes: list[FloatArray]) -> list[tuple[State, FloatArray]]:
+    """Return what one filter found for the particles of each swarm, with the slopes' logarithms."""
+    ends = np.cumsum([len(slope) for slope in slopes])[:-1]
     parts = [np.split(getattr(state, name), ends) for name in _STATE]
     states = [State(*cells) for cells in zip(*parts, strict=True)]
-    slopes = (np.log(slope).sum(axis=0) for _, _, slope in seen)
     return [(s, one + more) for s, one, more in zip(states, np.split(likelihood, ends), slopes, strict=True)]
 
 
@@ -222,22 +243,27 @@ def _columns(readings: Readings, scale: Scale, swarm: _Swarm) -> dict[str, Float
     return column
 
 
-def _seen(readings: Readings, scale: Scale, column: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _seen(
+    readings: Readings, scale: Scale, column: dict[str, FloatArray], rows: slice
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return readings and their variances in the scale in which each particle's law is a line, and its slope."""
     bend = column.get("bend", np.zeros(len(column["walk"])))
-    u, slope = bent(readings.smooth[:, None], bend, scale)
-    u = u + slope * (readings.z - readings.smooth)[:, None]
-    return u, slope**2 * (readings.sd[:, None] ** 2 + np.exp(2.0 * column["scatter"])), slope
+    smooth, sd = readings.smooth[rows, None], readings.sd[rows, None]
+    u, slope = bent(smooth, bend, scale)
+    u = u + slope * (readings.z[rows, None] - smooth)
+    return u, slope**2 * (sd**2 + np.exp(2.0 * column["scatter"])), slope
 
 
-def _walk(readings: Readings, member: str, column: dict[str, FloatArray], theta: FloatArray) -> Walk:
-    shape = np.column_stack([column[name] for name in SHAPES[member]]) if SHAPES[member] else np.zeros((len(theta), 0))
-    h = np.diff(progress(readings.t, member, shape), axis=0)
-    dt = np.diff(readings.t)[:, None]
+def _walk(t: FloatArray, readings: Readings, swarm: _Swarm, column: dict[str, FloatArray]) -> Walk:
+    """Return the steps between instants t (n,) of some of the readings."""
+    member, count = swarm.member, len(swarm.theta)
+    shape = np.column_stack([column[name] for name in SHAPES[member]]) if SHAPES[member] else np.zeros((count, 0))
+    h = np.diff(progress(t, member, shape), axis=0)
+    dt = np.diff(t)[:, None]
     usual = np.exp(column["rate"]) if "rate" in column else readings.usual
     rate = np.broadcast_to((np.exp(column["wander"]) * usual) ** 2, h.shape)
     if "run_in" in column:
-        rate = np.where(readings.t[1:, None] < instant(column["run_in"]), (RUN_IN * usual) ** 2, rate)
+        rate = np.where(t[1:, None] < instant(column["run_in"]), (RUN_IN * usual) ** 2, rate)
     return Walk(h, np.exp(2.0 * column["walk"]) * dt + rate * h * h * dt / 3.0, rate * dt, rate * h * dt / 2.0)
 
 

@@ -29,8 +29,9 @@ OBJECT_BYTES = 1024
 """What a block takes beside its numbers: most of it, where a slow device delivers one sample at a time."""
 LONGEST = 4
 """Alarms raised meanwhile lengthen a record to at most so many times its after_s."""
-STATES = 4
-"""States of the pipeline that wait in memory for an alarm: one for each half of what a record holds before it."""
+STATES = 3
+"""States of the pipeline that wait in memory for an alarm, more than a megabyte each: one for each half of what a
+record holds before it, and one for alarms of samples that are not the newest."""
 LEAST_STATE_S = 0.25
 """From one state to the next at least: each takes a few milliseconds."""
 PATIENCE_S = 2.0

@@ -132,6 +132,65 @@ def test_flipped_bit_anywhere_shows_no_changed_row(
     assert silent == []
 
 
+def numbers_of(path: Path, table: str) -> list[tuple[int, int]]:
+    """Return the places and widths, in octets, of what numbers the rows in the last leaf of a table: their count first.
+
+    The format is in https://www.sqlite.org/fileformat2.html#b_tree_pages.
+    """
+    octets = path.read_bytes()
+    with closing(sqlite3.connect(path)) as file:
+        size = file.execute("PRAGMA page_size").fetchone()[0]
+        page = file.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()[0]
+    interior, leaf = 0x05, 0x0D
+    while octets[start := (page - 1) * size] == interior:
+        page = int.from_bytes(octets[start + 8 : start + 12])
+    assert octets[start] == leaf
+    count = int.from_bytes(octets[start + 3 : start + 5])
+    places = [(start + 3, 2)]
+    for cell in range(count):
+        pointer = start + 8 + 2 * cell
+        at = start + int.from_bytes(octets[pointer : pointer + 2])
+        places.append((at + _varint(octets, at), _varint(octets, at + _varint(octets, at))))
+    return places
+
+
+def test_run_that_is_not_live_any_more_is_missed(
+    whole: Path, memory: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    place, width = numbers_of(path, "runs")[-1]
+    kind = path.read_bytes().index(bytes([13 + 2 * len("live")]), place + width)  # its type: a text of four letters
+    assert kind < place + width + 8
+    flip(path, kind, 2)
+    assert [name for name, rows in asked(path, caplog).items() if rows is not None] == []
+
+
+def _varint(octets: bytes, at: int) -> int:
+    return next(n for n in range(1, 10) if octets[at + n - 1] < 0x80)
+
+
+SELDOM = [pytest.param(table, marks=pytest.mark.soak) for table in ("clocks", "overlaps")]
+
+
+@pytest.mark.parametrize("table", ["runs", "series", "rigs", "alarms", *SELDOM])
+def test_row_that_its_page_no_longer_numbers_is_missed(
+    whole: Path, memory: Path, caplog: pytest.LogCaptureFixture, table: str
+) -> None:
+    path = memory / "rig.db"
+    shutil.copy(whole, path)
+    truth = asked(path, caplog)
+    count, *cells = numbers_of(path, table)
+    places = [place + octet for place, width in (count, cells[-1]) for octet in range(width)]
+    passed = []
+    for place, bit in ((place, bit) for place in places for bit in range(8)):
+        flip(path, place, bit)
+        found = asked(path, caplog)
+        passed += [(place, bit, name) for name, rows in found.items() if rows not in (None, truth[name])]
+        flip(path, place, bit)
+    assert passed == []
+
+
 @pytest.mark.parametrize("count", FEW_AND_MANY)
 def test_flipped_bit_in_the_text_of_a_view_is_noticed_by_check_and_by_every_question(
     whole: Path, memory: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture, count: int

@@ -1,7 +1,18 @@
 """An agent that is behind its samples says so once, with an alarm that names the rig, and once when it keeps up."""
 
+from pathlib import Path
+
+import pytest
+
+from agent.config import load
+from agent.runtime import rig_runtime
 from agent.runtime.pending import Lateness
+from agent.runtime.rig_runtime import RigRuntime
+from agent.runtime.sources import Arrival, Use
 from agent.types import AlarmTransition, HealthEvent, Record
+from drivers.port import Counts
+from tests.scenario.live import example
+from tests.scenario.test_isolation import blocks
 
 S = 1_000_000_000
 
@@ -35,3 +46,22 @@ def test_lateness_is_not_what_two_clocks_differ_by() -> None:
     assert not lateness.step(2700 * S, 0)
     assert not lateness.step(2701 * S, 0)
     assert lateness.step(2703 * S, 0)
+
+
+@pytest.mark.parametrize("bus", ["can", "serial", "modbus"])
+def test_lateness_on_each_bus_is_one_event_and_one_alarm_that_names_the_rig(
+    bus: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = load(example(bus, tmp_path))
+    published: list[Record] = []
+    rig = RigRuntime(config, published.extend)
+    use = Use(config.rig.name, config.source[0].name, (0, 1, 2))
+    for number, block in enumerate(blocks(1)):
+        late_ns = 3 * S if 5 <= number < 15 else 0
+        monkeypatch.setattr(rig_runtime, "monotonic_ns", lambda at=block.arrival_ns + late_ns: at)
+        rig.waiting.add(use, Arrival(block, Counts(), None))
+        rig.work()
+    assert said([record for record in published if "computing" in getattr(record, "message", "")]) == [
+        ("behind", "two-mass-rig: computing is 3.0 s behind its samples"), ("source computing", "UNACK"),
+        ("recovered", "two-mass-rig: computing keeps up again"), ("source computing", "RTNUN"),
+    ]  # fmt: skip

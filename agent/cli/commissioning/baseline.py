@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.terminal.output import print_table, show
+from agent.cli.terminal.output import print_table, show, stdout_text
 from agent.commissioning.baseline.target import target_of
 from agent.errors import UsageError
 from agent.storage.read import baselines
@@ -87,7 +87,7 @@ def write_export(document: Document, to: Path | None) -> None:
     """Write an export to a file, or to stdout. Raises UsageError where the file cannot be written."""
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     if to is None:
-        sys.stdout.write(text)
+        stdout_text().write(text)
         return
     try:
         to.write_text(text, encoding="utf-8")

@@ -3,6 +3,7 @@
 import gzip
 import io
 import json
+import os
 import platform
 import sqlite3
 import tarfile
@@ -20,6 +21,7 @@ from agent.cli.terminal.output import json_ready, show
 from agent.config import files_of
 from agent.errors import AgentError, UsageError
 from agent.storage.database.connect import connect_reader
+from agent.storage.database.files import opened
 
 Document = Mapping[str, Any]
 _QUERIES = {
@@ -29,8 +31,8 @@ _QUERIES = {
     "ledger_reasons": "SELECT * FROM v_health_reasons ORDER BY t_ns DESC LIMIT 200",
     "events": "SELECT * FROM v_events ORDER BY t_ns DESC LIMIT 500",
     "alarms": "SELECT * FROM v_alarms ORDER BY id DESC LIMIT 500",
-    "schema": "SELECT type, name, sql FROM sqlite_master ORDER BY type, name",
 }
+_SCHEMA = "SELECT type, name, sql FROM sqlite_master ORDER BY type, name"
 
 
 def diag(named: Path | None, to: Path) -> Document:
@@ -49,6 +51,7 @@ def diag(named: Path | None, to: Path) -> Document:
     }
     parts |= {f"config/{n}-{file.name}": file.read_bytes for n, file in enumerate(configs)}
     parts |= {f"database/{name}.json": _query(db, query) for name, query in _QUERIES.items()}
+    parts["database/schema.json"] = _query(db, _SCHEMA, any_schema=True)
     texts = {name: redaction.cleaned(_made(make)) for name, make in parts.items()}
     samples = {f"samples/{name}": content for name, content in newest_samples(db)}
     try:
@@ -87,9 +90,11 @@ def _versions() -> Document:
     }  # fmt: skip
 
 
-def _query(db: Path, query: str) -> Callable[[], bytes]:
+def _query(db: Path, query: str, *, any_schema: bool = False) -> Callable[[], bytes]:
+    """Return what makes a part; any_schema: where a schema that is not ours may do no harm, since no view is asked."""
+
     def rows() -> bytes:
-        with closing(connect_reader(db, any_schema=True)) as connection:
+        with closing(connect_reader(db, any_schema=any_schema)) as connection:
             cursor = connection.execute(query)
             names = [column[0] for column in cursor.description]
             return _json([dict(zip(names, row, strict=True)) for row in cursor])
@@ -115,8 +120,9 @@ def _write(to: Path, parts: Mapping[str, bytes]) -> None:
     with gzip.GzipFile(fileobj=packed, mode="wb") as zipped, tarfile.open(fileobj=zipped, mode="w") as archive:
         for info, content in _members(parts):
             archive.addfile(info, io.BytesIO(content))
-    to.touch(mode=0o600)
-    to.write_bytes(packed.getvalue())
+    with os.fdopen(opened(to, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
+        os.fchmod(file.fileno(), 0o600)
+        file.write(packed.getvalue())
 
 
 def _members(parts: Mapping[str, bytes]) -> Iterator[tuple[tarfile.TarInfo, bytes]]:

@@ -39,8 +39,9 @@ def _object(value: Mapping[Any, Any]) -> dict[str, Any]:
 
 def print_json(document: Mapping[str, Any]) -> None:
     """Print one JSON document on stdout."""
-    json.dump(json_ready(document), sys.stdout, allow_nan=False, ensure_ascii=False)
-    sys.stdout.write("\n")
+    out = stdout_text()
+    out.write(json.dumps(json_ready(document), allow_nan=False, ensure_ascii=False))
+    out.write("\n")
 
 
 def print_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -58,10 +59,11 @@ def print_rows(key: str, columns: Sequence[str], rows: Iterable[Mapping[str, Any
     if form == "csv":
         print_csv(columns, rows)
         return
-    sys.stdout.write(f'{{"{key}": [')
+    out = stdout_text()
+    out.write(f'{{"{key}": [')
     for i, row in enumerate(rows):
-        sys.stdout.write((",\n" if i else "\n") + json.dumps(dict(row), allow_nan=False, ensure_ascii=False))
-    sys.stdout.write(f'], "refused": {refused}}}\n')
+        out.write((",\n" if i else "\n") + json.dumps(dict(row), allow_nan=False, ensure_ascii=False))
+    out.write(f'], "refused": {refused}}}\n')
 
 
 class _Shown:

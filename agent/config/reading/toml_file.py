@@ -35,6 +35,9 @@ def _files(path: Path) -> list[Path]:
         raise ConfigError.at(str(path), f"cannot be read: {error.strerror}", "let the agent's user read it") from error
     if not found:
         raise ConfigError.at(str(path), "holds no *.toml", "put the configuration of a rig there")
+    for file in found:
+        if file.exists() and not file.is_file():
+            raise ConfigError.at(str(file), "is no file, its end may never come", "take it out of the folder")
     return found
 
 

@@ -1,6 +1,7 @@
 """Where metrics go: an HTTP address that is scraped, a file that node_exporter's textfile collector reads."""
 
 import logging
+import os
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from agent.config import Metrics, RigConfig
+from agent.storage.database.files import opened
 
 Document = Callable[[], Mapping[str, Any]]
 TEXTFILE_S = 15.0
@@ -104,12 +106,20 @@ class TextfileExporter:
             self._file.unlink(missing_ok=True)
 
     def _work(self) -> None:
-        from prometheus_client.exposition import write_to_textfile
-
         while True:
             try:
-                write_to_textfile(str(self._file), self._registry)
+                self._write()
             except OSError as error:
                 log.warning("metrics: %s cannot be written: %s", self._file, error.strerror or error)
             if self._stop.wait(TEXTFILE_S):
                 return
+
+    def _write(self) -> None:
+        """Write the file under another name first; through a symbolic link in that place nothing is written."""
+        from prometheus_client.exposition import generate_latest
+
+        part = self._file.with_name(f"{self._file.name}.part")
+        part.unlink(missing_ok=True)
+        with os.fdopen(opened(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644), "wb") as file:
+            file.write(generate_latest(self._registry))
+        part.replace(self._file)

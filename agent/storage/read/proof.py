@@ -69,19 +69,36 @@ def prove_whole(reader: Reader, table: str) -> None:
 def prove_listed(reader: Reader, table: str, first: int = _FIRST) -> None:
     """See that the indexes of a table list its rows from a number on, once; raises sqlite3.DatabaseError.
 
-    A row that none lists would not be shown, and an older one in its place.
+    A row that none lists would not be shown, and an older one in its place. So would a row that an index lists and
+    its page does not hold any more, which is looked for where all rows are asked for.
     """
     if first >= reader.listed.get(table, _LAST):
         return
     reader.listed[table] = first
     names = columns_of(table)
     for index, columns in _indexes(table):
+        if first == _FIRST and reader.execute(_NOT_HELD.format(table, index)).fetchone() is not None:
+            raise damaged("an index lists what its table does not hold")
         same = " AND ".join(f"i.{name} = t.{name}" for name in (*columns, "seq"))
         query = f"""SELECT {", ".join(names)} FROM {table} t NOT INDEXED WHERE t.seq >= ? AND NOT EXISTS (
  SELECT 1 FROM {table} i INDEXED BY {index} WHERE {same}) LIMIT {_AT_ONCE}"""
         # one whose checksum is wrong is refused where the index says what it was
         if good_rows(table, reader.execute(query, (first,)).fetchall()).any():
             raise damaged("an index does not list what its table holds")
+
+
+_NOT_HELD = """SELECT 1 FROM {0} i INDEXED BY {1} WHERE NOT EXISTS (
+ SELECT 1 FROM {0} t NOT INDEXED WHERE t.seq = i.seq) LIMIT 1"""
+
+def prove_names(reader: Reader) -> None:
+    """See that every rig and run is there and as it was written, and every series there.
+
+    A run that is gone, or not live any more, would leave the newest row of an older one to be shown as the newest.
+    Counts the rows that are wrong; raises sqlite3.DatabaseError where one is gone.
+    """
+    for table in ("rigs", "runs"):
+        prove_whole(reader, table)
+    prove_listed(reader, "series")
 
 
 @cache
@@ -221,22 +238,37 @@ def sound_points(
     prove_whole(reader, "overlaps")
     query = _POINTS.format(", ".join(map(str, series)))
     period_ns = max(span, 1) * 1_000_000_000
-    rows = reader.execute(query, (run, span, first, last, period_ns, each)).fetchall() if series else []
-    if not rows:
+    cursor = reader.execute(query, (run, span, first, last, period_ns, each))
+    pieces = []
+    while rows := cursor.fetchmany(_POINTS_AT_ONCE):
+        pieces.append(_sound_piece(reader, run, span, list(zip(*rows, strict=True))))
+    if not pieces:
         return NOTHING
-    columns = list(zip(*rows, strict=True))
-    right = _right(reader, run, span, columns) & _first_ones(columns[3])
+    numbers, right = (np.concatenate([piece[k] for piece in pieces]) for k in range(2))
+    once = _first_ones(numbers)
+    reader.refuse(int((~(right & once)).sum()))
+    found = joined([piece[2] for piece in pieces])
+    return found if once.all() else found.at(once[right])
+
+
+_POINTS_AT_ONCE = 4000
+"""A row in Python's objects takes ten times as much memory as in arrays."""
+
+
+def _sound_piece(
+    reader: Reader, run: int, span: int, columns: Sequence[Cells]
+) -> tuple[IntArray, NDArray[np.bool_], Found]:
+    """Return of rows of `_POINTS` their numbers, which of them prove themselves, and those."""
+    right = _right(reader, run, span, columns)
     said = (1, *(3 + _SAID.index(name) for name in ("value", "sd", "repeat", "series_id")))
-    stamps, values, sds, repeats, numbers = (columns[place] for place in said)
-    if not right.all():
-        reader.refuse(int((~right).sum()))
-        kept = (tuple(compress(column, right)) for column in (stamps, values, sds, repeats, numbers))
-        stamps, values, sds, repeats, numbers = kept
+    kept = (columns[place] if right.all() else tuple(compress(columns[place], right)) for place in said)
+    stamps, values, sds, repeats, series = kept
     middle = np.array(stamps, dtype=np.int64) + span * 500_000_000
     sd = np.array(sds, dtype=np.float64)
     share = 1e-4 * np.array(repeats, dtype=np.float64)
     sd_repeat = np.where(np.isnan(share), sd, sd * share)
-    return Found(middle, np.array(values, dtype=np.float64), sd, sd_repeat, np.array(numbers, dtype=np.int64))
+    found = Found(middle, np.array(values, dtype=np.float64), sd, sd_repeat, np.array(series, dtype=np.int64))
+    return np.array(columns[3], dtype=np.int64), right, found
 
 
 def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDArray[np.bool_]:
@@ -255,7 +287,7 @@ def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDA
     return right
 
 
-def _first_ones(numbers: Cells) -> NDArray[np.bool_]:
+def _first_ones(numbers: IntArray) -> NDArray[np.bool_]:
     """Tell of each row whether none before it has its number."""
     first = np.zeros(len(numbers), dtype=bool)
     first[np.unique(numbers, return_index=True)[1]] = True

@@ -19,6 +19,7 @@ from agent.storage.read.proof import (
     Found,
     differing,
     joined,
+    prove_names,
     prove_parts,
     proven,
     row_of,
@@ -99,6 +100,7 @@ def reading(db: Path | str) -> Iterator[Reader]:
     with closing(connect_reader(Path(db))) as connection:
         try:
             connection.execute("BEGIN")  # rows and what proves them are of one state
+            prove_names(connection)
             yield connection
             tell_refused(db, connection.refused)
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:

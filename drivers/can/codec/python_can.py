@@ -1,9 +1,24 @@
-"""python-can without what it imports beside itself: its MF4 reader takes asammdf, and that pandas, 80 MB in all."""
+"""python-can without what it imports beside itself: its MF4 reader takes asammdf, and that pandas, 80 MB in all.
+
+Its listeners for asyncio, of which we use none, take that and TLS: 2 MB of an agent.
+"""
 
 import importlib
 import sys
+from types import ModuleType
+from typing import Any
 
 MEASUREMENTS = "asammdf"
+EVENT_LOOPS = "asyncio"
+
+
+class _Later(ModuleType):
+    """Stands for a module that is imported once something of it is used; annotations need no more than a name."""
+
+    AbstractEventLoop = object
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self.__name__), name)
 
 
 def import_lean() -> None:
@@ -11,10 +26,13 @@ def import_lean() -> None:
     if "can" in sys.modules or MEASUREMENTS in sys.modules:
         return
     sys.modules[MEASUREMENTS] = None  # type: ignore[assignment]  # which makes importing it an ImportError
+    later = sys.modules.setdefault(EVENT_LOOPS, _Later(EVENT_LOOPS))
     try:
         importlib.import_module("can")
     finally:
         del sys.modules[MEASUREMENTS]
+        if isinstance(later, _Later):
+            del sys.modules[EVENT_LOOPS]
 
 
 def import_measurements() -> None:

@@ -1,14 +1,21 @@
 """The bundle for support: the newest minute of raw samples, and texts without a secret."""
 
+import json
+import sqlite3
+import tarfile
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent.cli.gateway.diag import diag
 from agent.cli.gateway.newest_samples import newest_samples
 from agent.cli.gateway.redaction import Redaction
+from agent.errors import UsageError
 from agent.recording import blocks
 from agent.recording.header import RawHeader
+from agent.storage.write.store import Store
 from drivers.port import SampleBlock
 
 S = 1_000_000_000
@@ -61,3 +68,38 @@ def test_no_secret_is_left_however_it_is_written(tmp_path: Path, monkeypatch: py
 def test_what_is_no_secret_stays_to_the_letter(tmp_path: Path) -> None:
     text = '[mqtt]\npassword = { file = "key" }\n[rig]\nname = "press-7" # the tokens of hall 2\nk = [1.5e-3]\n'
     assert Redaction([]).cleaned(text.encode()).decode() == text
+
+
+RECURSIVE = "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"
+
+
+@pytest.mark.timeout(20)
+def test_bundle_of_a_file_with_views_of_others_asks_none_of_them(tmp_path: Path) -> None:
+    db, to = tmp_path / "rig.db", tmp_path / "bundle.tar.gz"
+    Store.open(db).close()
+    with closing(sqlite3.connect(db)) as file:
+        file.execute("DROP VIEW v_meta")
+        file.execute(RECURSIVE.format("v_meta"))
+        file.commit()
+    diag(db, to)
+    with tarfile.open(to) as archive:
+        meta, schema = (archive.extractfile(f"deltak-diag/database/{name}.json") for name in ("meta", "schema"))
+        assert meta is not None
+        assert b"the text of view v_meta is not its own" in meta.read()
+        assert schema is not None
+        assert "v_meta" in {row["name"] for row in json.load(schema)}
+
+
+def test_bundle_is_readable_by_nobody_else_and_written_through_no_link(tmp_path: Path) -> None:
+    db, to, others = tmp_path / "rig.db", tmp_path / "bundle.tar.gz", tmp_path / "others"
+    Store.open(db).close()
+    to.write_text("an older one")
+    to.chmod(0o644)
+    diag(db, to)
+    assert to.stat().st_mode & 0o777 == 0o600
+    others.write_text("as it was")
+    to.unlink()
+    to.symlink_to(others)
+    with pytest.raises(UsageError, match="bundle"):
+        diag(db, to)
+    assert others.read_text() == "as it was"

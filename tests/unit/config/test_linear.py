@@ -1,5 +1,6 @@
 """kind = "linear": discrete time, D, dC, dD, uncertain entries, files; every fault with its key path and advice."""
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -86,6 +87,14 @@ def test_matrix_in_a_file_reads_as_one_in_the_configuration(tmp_path: Path, kind
     filed = read(tmp_path, MODEL.replace("A = [[0.9, 0.1], [-0.1, 0.9]]", f'A = {{ file = "plant.{kind}" }}'))
     assert isinstance(filed.model, LinearModel)
     assert filed.model == inline.model
+
+
+def test_matrix_file_that_is_a_pipe_or_unpacks_without_end_is_refused_unread(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.npz")
+    np.savez_compressed(tmp_path / "bomb.npz", A=np.zeros((3000, 3000)))
+    for name, words in (("pipe", "is no file, its end may never come"), ("bomb", "unpacks to more than 50 MB")):
+        text = MODEL.replace("A = [[0.9, 0.1], [-0.1, 0.9]]", f'A = {{ file = "{name}.npz" }}')
+        assert words in faults(tmp_path, text)[0].message
 
 
 def test_configuration_whose_matrix_file_changes_has_another_sum(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """First passages: as sure as they say, blind to what comes later, and silent where nothing can be said."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -181,3 +183,17 @@ def test_forecast_without_a_horizon_is_not_beyond_it(rng: np.random.Generator) -
     assert found.p50 is not None
     assert found.p50 > 100.0
     assert found.status == "ok"
+
+
+def test_forecast_takes_little_memory_beside_what_an_agent_has(rng: np.random.Generator) -> None:
+    history, _ = straight(rng, 200)
+    forecast(history[:40], LIMIT)  # what a first call imports
+    tracemalloc.start()
+    try:
+        made = forecast(history, LIMIT)
+        peak = tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()
+    figure(f"most memory while a forecast is made: {peak:.1f} MB")
+    assert len(made.passages)
+    assert peak < 5.0

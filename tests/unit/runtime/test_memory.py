@@ -12,7 +12,10 @@ from tests.scenario.live import example
 MOST_MB = 110
 LIBRARIES = {"can": ["can", "cantools"], "modbus": ["pymodbus"], "serial": ["serial"]}
 """What reads each bus; numpy and scipy compute, on all of them, and pydantic checks the configuration."""
-ASKED = {"can", "cantools", "pymodbus", "serial", "asammdf", "pandas", "pyarrow", "matplotlib", "sim_bus", "rich"}
+ASKED = {
+    "can", "cantools", "pymodbus", "serial", "asammdf", "pandas", "pyarrow", "matplotlib", "sim_bus", "rich", "smtplib",
+    "unittest", "charset_normalizer",
+}  # fmt: skip
 
 PROGRAM = f"""
 import sys
@@ -21,6 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from agent.config import load
+from agent.prognosis.forecast import forecast
+from agent.prognosis.history import History
 from agent.runtime.process.memory import keep_heap_small, release_free_pages
 from agent.runtime.service import Service
 from drivers.port import SampleBlock
@@ -35,6 +40,8 @@ for start in range(0, 1000, 100):
     v = np.column_stack([rng.normal(0.0, 5.0, 100), rng.normal(0.0, 1e-3, (100, 2))])
     rig.pipeline.take(source, SampleBlock(v, (start + 100) * 1_000_000, np.arange(start, start + 100)), None, None)
     rig.pipeline.compute()
+now = np.linspace(-10.0, 0.0, 3600)
+forecast(History(now, 25.0 - 0.3 * (now + 10.0) + rng.normal(0.0, 0.1, 3600), np.full(3600, 0.1)), 20.0)
 service._finish()
 lines = Path("/proc/self/status").read_text().splitlines()
 print(next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")))

@@ -92,6 +92,19 @@ def test_metrics_are_written_to_a_file_that_goes_with_the_agent(tmp_path: Path) 
     assert not file.exists()
 
 
+def test_metrics_file_is_written_through_no_symbolic_link(tmp_path: Path) -> None:
+    file, others = tmp_path / "deltak.prom", tmp_path / "others"
+    others.write_text("as it was")
+    for name in (file.name, f"{file.name}.part"):
+        (tmp_path / name).symlink_to(others)
+    exporter = TextfileExporter(file, status)
+    try:
+        wait_until(lambda: not file.is_symlink() and file.exists(), "the file")
+    finally:
+        exporter.stop()
+    assert others.read_text() == "as it was"
+
+
 def exposed() -> set[str]:
     registry = CollectorRegistry(auto_describe=False)
     registry.register(AgentCollector(status))

@@ -18,7 +18,6 @@ from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.assembly.source_faults import source_error
-from agent.runtime.forecasts.making import Forecaster
 from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.ledger import Conservation
 from agent.runtime.limits import HEALTH_PERIOD_NS
@@ -103,7 +102,7 @@ class _Kept(NamedTuple):
 
 
 def _forecasts(rig: RigConfig, db: Path, writer: StoreWriter) -> ReplayedForecasts:
-    return ReplayedForecasts(Forecaster(rig, db), rig.forecast.every, lambda: writer.flush(600.0))
+    return ReplayedForecasts(rig, db, lambda: writer.flush(600.0))
 
 
 def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:

@@ -17,8 +17,9 @@ def _jitter(size: int) -> FloatArray:
 
 def scales(M: FloatArray) -> FloatArray:
     """Return 1/√diag(M) (..., k), 1 where the diagonal is not positive."""
-    diagonal = np.diagonal(M, axis1=-2, axis2=-1)
-    return np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    diagonal = M.diagonal(axis1=-2, axis2=-1)
+    positive = diagonal > 0
+    return np.where(positive, 1.0 / np.sqrt(np.where(positive, diagonal, 1.0)), 1.0)
 
 
 def inverse(M: FloatArray) -> FloatArray:

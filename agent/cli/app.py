@@ -15,6 +15,7 @@ import typer
 
 from agent import __version__
 from agent.cli.group import CommandGroup
+from agent.cli.terminal.imports import uncollected
 from agent.cli.terminal.signals import done_when_terminated
 
 if TYPE_CHECKING:
@@ -152,8 +153,9 @@ def run(
     kind: Annotated[RunKind, typer.Option(hidden=True, help="What the run is marked as.")] = RunKind.LIVE,
 ) -> None:
     """Run the agent in the foreground until SIGTERM, SIGINT or the end of --duration."""
-    from agent.cli import results as commands_results
-    from agent.runtime import service
+    with uncollected():
+        from agent.cli import results as commands_results
+        from agent.runtime import service
 
     document = service.run(configs=configs, db=db, duration_s=duration, kind=kind.value)
     _answer(document, commands_results.print_results, as_json=json)
@@ -195,8 +197,9 @@ def replay(
     json: Json = False,
 ) -> None:
     """Run recordings through the same pipeline as the live agent, as fast as it goes."""
-    from agent.cli import results as commands_results
-    from agent.runtime import replay as body
+    with uncollected():
+        from agent.cli import results as commands_results
+        from agent.runtime import replay as body
 
     document = body.replay(config=config, recordings=recordings, db=db)
     _answer(document, commands_results.print_results, as_json=json)

@@ -76,7 +76,7 @@ def test_minute_of_overlapping_windows_claims_no_more_than_independent_ones() ->
     def claim(step_s: float) -> float:
         n = round(60 / step_s)
         t_ns = (np.arange(n) * step_s * 1e9).astype(np.int64)
-        plain = [np.full(n, c) for c in (1, 256, 25.0, 0.1, 0.25, 250, 0, 1, 1, 25.0, 25.0, 256, 0.1)]
+        plain = [np.full(n, c) for c in (1, 256, 25.0, 0.1, 0.25, 250, 0, 0.1, 1, 1, 25.0, 25.0, 256)]
         return float(grouped([t_ns, *plain], MINUTE, 0).sd[0])
 
     assert claim(0.05) == pytest.approx(claim(0.25), rel=0.01)

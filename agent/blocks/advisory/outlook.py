@@ -1,9 +1,11 @@
 """What is known of a parameter's future when its alarms are looked at."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from agent.prognosis.change import Change
-from agent.prognosis.forecast import Forecast
+if TYPE_CHECKING:  # who makes none need not load what makes them
+    from agent.prognosis.change import Change
+    from agent.prognosis.forecast import Forecast
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,5 +27,5 @@ class Outlook:
     sd: float
     reference: float
     way: float | None
-    forecast: Forecast | None
-    change: Change | None
+    forecast: "Forecast | None"
+    change: "Change | None"

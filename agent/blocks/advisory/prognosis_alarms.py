@@ -10,15 +10,17 @@ A history that is too short to say raises and clears nothing, nor does a limit t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from agent.blocks.advisory.outlook import Outlook
-from agent.prognosis.change import Rates
-from agent.prognosis.forecast import Forecast
 from agent.text import ahead, number, with_sd
 from agent.types import AlarmKind, AlarmState, AlarmTransition
+
+if TYPE_CHECKING:
+    from agent.prognosis.change import Rates
+    from agent.prognosis.forecast import Forecast
 
 DAY_S: Final = 86_400.0
 DEADBAND: Final = 0.1
@@ -138,7 +140,7 @@ def _foreseen(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
     )  # fmt: skip
 
 
-def _forecast_words(outlook: Outlook, made: Forecast, within_s: float, *, near: bool) -> str:
+def _forecast_words(outlook: Outlook, made: "Forecast", within_s: float, *, near: bool) -> str:
     limit = f"its limit {number(outlook.way)}{_unit(outlook.unit)}"
     if made.p10 is None or made.p50 is None or made.p90 is None:
         return f"{outlook.parameter}: nothing leads to {limit} any more"
@@ -163,7 +165,7 @@ def _drift(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
     )
 
 
-def _faster(rates: Rates, side: str, rate: float) -> float:
+def _faster(rates: "Rates", side: str, rate: float) -> float:
     """Return the probability that a parameter moves faster than a rate to a side."""
     rising = rates.above(rate)
     falling = 1.0 - rates.above(-rate)

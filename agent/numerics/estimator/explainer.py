@@ -5,7 +5,7 @@
     far from point  -> solved about itself; the bank goes there
     broken          -> other parameters, parameters that run on, a channel, or other noise
 
-Each but the first windows, which are learnt from in any case, is paid for out of the budget.
+Each is paid for out of the budget.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.numerics.estimator.bank import Bank
-from agent.numerics.estimator.budget import samples_an_evaluation
+from agent.numerics.estimator.budget import LONGEST, samples_an_evaluation
 from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.estimator.faults import WHOLE, Faults
 from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
@@ -33,10 +33,6 @@ VERDICT_WINDOWS = 3
 """Windows that must have been learnt from before verdicts are given: the first tell of noise and constants at once."""
 REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
-FREE = 32
-"""Windows that are learnt from whatever it costs, as long as they can be solved."""
-USUAL = 6
-"""Evaluations that learning from a window takes where the model fits; the first windows pay for more only."""
 MOVING = 8
 """What moving the bank costs, in evaluations."""
 MOVED_SD = 0.3
@@ -185,20 +181,14 @@ class Explainer:
         return np.asarray(((index >= self.schedule.due) | quiet) & (not self.budget.closed))
 
     def learn(self, record: Record, reading: Reading, i: int) -> bool:
-        """Learn from a row's window; return whether the bank moved.
-
-        The first windows are free as far as the model fits; a rig whose noise never settles pays for those after them.
-        """
+        """Learn from a row's window; return whether the bank moved."""
         newest = int(reading.index[i])
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
-        free = known.noise.windows < FREE and not self.schedule.failed
-        if not self._may_begin(newest) and not free:
+        if not self._may_begin(newest):
             self.schedule.later(newest)
             return False
         moved = self._learnt(record, reading, i, known)
-        if free:
-            self._counted += USUAL
         self._pay()
         return moved
 
@@ -229,12 +219,17 @@ class Explainer:
         return True
 
     def _may_begin(self, newest: int) -> bool:
-        """Whether there is something left to spend at sample `newest`; what is begun is finished, and then paid for."""
-        self._counted = self.learner.lineariser.evaluations
-        return self.budget.allows(newest)
+        """Whether there is something left to spend at sample `newest`; what is begun then ends with `_pay`."""
+        if not self.budget.allows(newest):
+            return False
+        lineariser = self.learner.lineariser
+        self._counted = lineariser.evaluations
+        lineariser.most = lineariser.evaluations + LONGEST
+        return True
 
     def _pay(self, least: int = 0) -> None:
         """Take what was evaluated since it began, and `least` at the least, out of the budget."""
+        self.learner.lineariser.most = np.inf
         done = self.learner.lineariser.evaluations
         self.budget.spend(max(done - self._counted, least, 0) * samples_an_evaluation(self.settings.plan.window))
         self._counted = done
@@ -304,9 +299,8 @@ class Explainer:
         disturbance.tried(newest, length)
         if not self._may_begin(newest):
             return False
-        if self._moves and self._runs_on(self.window(record, newest)[0], newest):
-            return False
-        moved = self._explained(record, newest)
+        runs_on = self._moves and self._runs_on(self.window(record, newest)[0], newest)
+        moved = not runs_on and self._explained(record, newest)
         self._pay()
         return moved
 

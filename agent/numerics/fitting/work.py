@@ -23,17 +23,18 @@ WORK = Work()
 class Budget:
     """A token bucket: work that may be begun now, counted in samples, so that live and replay stay equal.
 
-    What is begun is finished, and may leave a debt that the samples to come pay first; so what is spent in the long run
-    is at most `rate` a sample, whatever a rig asks for.
+    What is begun is finished, and may leave a debt that the samples to come pay first; so what N samples spend is at
+    most capital + once + rate N and what was begun last, whatever a rig asks for.
 
     Args:
         capital: what there is at first, and what may be saved up at most.
         rate: what each sample adds.
+        once: what there is at first beyond the capital.
     """
 
-    def __init__(self, capital: float, rate: float) -> None:
+    def __init__(self, capital: float, rate: float, once: float = 0.0) -> None:
         self._capital, self._rate = capital, rate
-        self._left, self._index = capital, 0
+        self._left, self._index = capital + once, 0
         self._closed = False
 
     @property
@@ -44,7 +45,8 @@ class Budget:
     def allows(self, index: int) -> bool:
         """Tell whether work may begin at sample number `index`."""
         if index > self._index:
-            self._left = min(self._left + self._rate * (index - self._index), self._capital)
+            saved = min(self._left + self._rate * (index - self._index), self._capital)
+            self._left = max(self._left, saved)
             self._index = index
         return self._left > 0 and not self._closed
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.numerics.inference.learner import Learner
-from agent.numerics.inference.linearise import eliminated
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window
@@ -160,7 +159,7 @@ class _Sum:
         no_cuts: IntArray = np.zeros(0, dtype=np.int64)
         for window in windows:
             at = learner.lineariser.point(window, known, known.theta, no_cuts)
-            S, g, alone, V, Z = eliminated(at)
+            S, g, alone, V, Z = at.eliminated
             precision = inverse(V)
             J = np.hstack([np.eye(q), Z])
             H_w, h_w = J.T @ precision @ J, J.T @ (precision @ alone)

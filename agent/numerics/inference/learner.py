@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants, hypotheses_of
 from agent.numerics.inference.friction import column, friction
-from agent.numerics.inference.linearise import Linearised, Lineariser, eliminated
+from agent.numerics.inference.linearise import Linearised, Lineariser
 from agent.numerics.inference.lines import with_lines
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, first_nodes, learn, louder
@@ -88,9 +88,9 @@ class Learner:
         known = self.lineariser.prepared(window, known)
         predicted = replace(known, constants=known.constants.predicted(later))
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
-        posterior = self._posterior(at, predicted)
-        if (posterior.changing and not believe) or not posterior.converged:
-            return posterior, known
+        jump, raw, (excess, beyond), *_ = self._tests(at, predicted)
+        if (self._jumps(jump) and not believe) or not at.converged:
+            return self._posterior(at, predicted), known
         for _ in range(tuning.ROUNDS):
             noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
             constants = self._constants_after(settled, predicted)
@@ -106,8 +106,7 @@ class Learner:
         learnt = replace(predicted, theta=theta, information=information, noise=noise, scatter=scatter)
         posterior = replace(
             self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
-            jump=posterior.jump, jump_raw=posterior.jump_raw, excess=posterior.excess,
-            beyond_jump=posterior.beyond_jump,
+            jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
         )  # fmt: skip
         posterior = replace(posterior, rubs=self._rubs(settled, learnt, posterior))
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
@@ -211,7 +210,7 @@ class Learner:
 
     # ------------------------------------------------------------------ what it says
     def _constants_after(self, at: Linearised, known: Knowledge) -> Constants:
-        S, g, *_ = eliminated(at)
+        S, g, *_ = at.eliminated
         temper = max(1.0, float(np.mean(known.scatter.factor)))
         return known.constants.updated(S / temper, g / temper, known.eta)
 
@@ -219,7 +218,7 @@ class Learner:
         """Marginal posterior of the parameters over the hypotheses on the constants."""
         if after is None:
             after = self._constants_after(at, known)
-        _, _, alone, V, Z = eliminated(at)
+        _, _, alone, V, Z = at.eliminated
         u = at.unit
         own = np.diag(V)
         means = _moved(at.theta + u * alone, u * ((after.mean - known.eta) @ -Z.T))
@@ -239,8 +238,12 @@ class Learner:
             linear=at.theta + u * (alone - Z @ (after.standing[0] - known.eta)),
             sd_repeat=np.sqrt(np.maximum(u**2 * own + extra, 0.3 * u**2 * own)), sensitivity=-u[:, None] * Z,
             converged=at.converged, jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
-            changing=bool(len(jump) and jump.max() > self.threshold), dof=dof,
+            changing=self._jumps(jump), dof=dof,
         )  # fmt: skip
+
+    def _jumps(self, jump: FloatArray) -> bool:
+        """Whether a statistic of jumps (cuts,) tells one."""
+        return bool(len(jump) and jump.max() > self.threshold)
 
     def _tests(
         self, at: Linearised, known: Knowledge
@@ -322,7 +325,7 @@ class Learner:
 
 def _estimate(at: Linearised, eta: FloatArray) -> Estimate:
     """Return what a window says with the constants eta (c,) at which it is linearised."""
-    _, _, alone, V, Z = eliminated(at)
+    _, _, alone, V, Z = at.eliminated
     unit = at.unit
     return Estimate(at.theta + unit * alone, np.outer(unit, unit) * V, -unit[:, None] * Z, eta)
 

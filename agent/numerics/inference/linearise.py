@@ -1,6 +1,7 @@
 """A window linearised about parameters and constants: Gauss-Newton, the prior of its columns, the bins kept."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from agent.numerics.model.uncertain import Rig, sampled, unit_of
 from agent.types import ComplexArray, FloatArray, IntArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Linearised:
     """A window at the end of Gauss-Newton.
 
@@ -38,6 +39,20 @@ class Linearised:
     ridge: Ridge
     converged: bool
 
+    @cached_property
+    def eliminated(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """All but the constants eliminated: their information and score, θ at η = 0, its variance, dθ/dη."""
+        layout = self.regression.layout
+        na, nb, psi = layout.xi.start, layout.base, layout.psi
+        M = self.G[:na, :na] + self.ridge.R[:na, :na]
+        V = inverse(M)
+        rest = self.G[:na, na:nb]
+        alone = refined(M, V, self.G[:na, -1] + self.ridge.b[:na])
+        Z = refined(M, V, rest)  # what the constants are known by is a small difference of large numbers
+        S = self.G[na:nb, na:nb] - rest.T @ Z
+        g = self.G[na:nb, -1] - rest.T @ alone
+        return *shown(S, g, np.diag(self.G)[na:nb]), alone[psi], V[psi, psi], Z[psi]
+
 
 class Lineariser:
     """Linearises windows of one rig and one length.
@@ -51,6 +66,7 @@ class Lineariser:
 
     Attributes:
         evaluations: of the model so far, or what costs as much: linearisations, trials of steps, passes over the noise.
+        most: of them from which on no descent goes any further.
     """
 
     def __init__(self, rig: Rig, window: int, outputs: int, sources: tuple[Source, ...], cuts: IntArray) -> None:
@@ -58,6 +74,7 @@ class Lineariser:
         self._response: Response | None = None
         self._cells: tuple[FloatArray, Cells] | None = None
         self.evaluations = 0
+        self.most: float = np.inf
 
     def prepared(self, window: Window, known: Knowledge) -> Knowledge:
         """Return what is known with the bins to keep chosen, to be linearised where the constants are now."""
@@ -112,6 +129,8 @@ class Lineariser:
             far = ~held & (np.abs(delta) > np.maximum(sd, np.sqrt(tuning.CURVATURE * sd)))
             if not far.any():
                 return at
+            if self.evaluations >= self.most:
+                break
             lower = self._lower(window, known, at, delta, given)
             if lower is None:
                 break
@@ -181,7 +200,7 @@ class Lineariser:
     def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, FloatArray]:
         """The step (q,), constants estimated beside it or given, and the sd (q,) with them given."""
         at = self._anchored(at, known.theta)
-        _, _, alone, V, Z = eliminated(at)
+        _, _, alone, V, Z = at.eliminated
         sd = np.sqrt(np.diag(V))
         if given:
             return alone - Z @ (known.constants.expected - known.eta), sd
@@ -247,7 +266,7 @@ class Lineariser:
 
         Where they disagree the window alone is the next point.
         """
-        _, _, alone, V, _ = eliminated(self._anchored(at, known.theta))
+        _, _, alone, V, _ = self._anchored(at, known.theta).eliminated
         here, sd = at.theta + at.unit * alone, at.unit * np.sqrt(np.diag(V))
         information = inverse(V * np.outer(at.unit, at.unit))
         agree = np.all(np.abs(here - known.theta) < tuning.AGREE_SD * sd)
@@ -268,12 +287,12 @@ class Lineariser:
         ladder = np.unique(np.round(np.geomspace(10, top, 24)).astype(np.int64))
         layout = at.regression.layout
         least = 2 * layout.n + 4
-        sds = [self._sd_of(at, window, gram) for gram in self._running(at, ladder)]
-        enough = [
-            kept for kept, sd in zip(ladder, sds, strict=True)
-            if kept > least and np.all(sd < (1 + tuning.INFORMATION_LOSS) * sds[-1])
-        ]  # fmt: skip
-        best = int(enough[0]) if enough else top
+        priors = self._priors(at, window)
+        grams = self._running(at, ladder)
+        most = (1 + tuning.INFORMATION_LOSS) * _sd_of(layout, grams[-1], priors)
+        rungs = zip(ladder.tolist(), grams, strict=True)
+        enough = (kept for kept, gram in rungs if kept > least and np.all(_sd_of(layout, gram, priors) < most))
+        best = next(enough, top)
         return total if best > 0.8 * total else best
 
     def _running(self, at: Linearised, ladder: IntArray) -> list[FloatArray]:
@@ -290,30 +309,20 @@ class Lineariser:
             start = int(stop)
         return out
 
-    def _sd_of(self, at: Linearised, window: Window, gram: FloatArray) -> FloatArray:
-        """Sds of the parameters with constants as good as given, then at their data sheet."""
-        layout = at.regression.layout
+    def _priors(self, at: Linearised, window: Window) -> list[FloatArray]:
+        """Prior precisions of the base columns with constants as good as given, then at their data sheet."""
         sheet = np.array([max(c.sheet, 1e-6) for c in self.rig.constants])
-        out = []
-        for share in (0.1 * tuning.AS_CONFIGURED, 1.0):
-            P = np.diag((share * sheet) ** 2)
-            R = self.ridge(layout, window, P, np.zeros(len(sheet)), np.full(len(self.sources), 1e-150)).R
-            M = gram + R
-            d = scales(M)
-            V = np.linalg.pinv(M * np.outer(d, d), rcond=1e-14, hermitian=True)
-            out.append(np.sqrt(np.abs(np.diag(V))[layout.psi]) * d[layout.psi])
-        return np.concatenate(out)
+        none = np.full(len(self.sources), 1e-150)
+        spreads = [np.diag((share * sheet) ** 2) for share in (0.1 * tuning.AS_CONFIGURED, 1.0)]
+        return [self.ridge(at.regression.layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
 
 
-def eliminated(at: Linearised) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return, all but the constants eliminated, their information and score, θ at η = 0, its variance, dθ/dη."""
-    layout = at.regression.layout
-    na, nb, psi = layout.xi.start, layout.base, layout.psi
-    M = at.G[:na, :na] + at.ridge.R[:na, :na]
-    V = inverse(M)
-    rest = at.G[:na, na:nb]
-    alone = refined(M, V, at.G[:na, -1] + at.ridge.b[:na])
-    Z = refined(M, V, rest)  # what the constants are known by is a small difference of large numbers
-    S = at.G[na:nb, na:nb] - rest.T @ Z
-    g = at.G[na:nb, -1] - rest.T @ alone
-    return *shown(S, g, np.diag(at.G)[na:nb]), alone[psi], V[psi, psi], Z[psi]
+def _sd_of(layout: Layout, gram: FloatArray, priors: list[FloatArray]) -> FloatArray:
+    """Sds of the parameters under each prior precision of the base columns."""
+    out = []
+    for R in priors:
+        M = gram + R
+        d = scales(M)
+        V = np.linalg.pinv(M * np.outer(d, d), rcond=1e-14, hermitian=True)
+        out.append(np.sqrt(np.abs(np.diag(V))[layout.psi]) * d[layout.psi])
+    return np.concatenate(out)

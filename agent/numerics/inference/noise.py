@@ -304,6 +304,8 @@ class Scan:
 
     def __init__(self, fit: NoiseFit, carried: FloatArray, nodes: FloatArray, every: bool, pred: Ridge | None) -> None:
         self.fit, self.carried, self.nodes, self.every, self.pred = fit, carried, nodes, every, pred
+        self.ends = np.arange(fit.layout.ends.start, fit.layout.ends.stop)
+        self.one = np.eye(fit.layout.base + 1)
         self.log_weight: dict[int, FloatArray] = {}
         self.spread: dict[int, FloatArray] = {}
 
@@ -315,7 +317,8 @@ class Scan:
         self.Sh = (fit.Si @ h[..., None])[..., 0]
         self.hSh = (h.conj() * self.Sh).sum(axis=1).real
         row = (self.Sh[:kept].conj()[:, None, :] @ fit.X)[:, 0]
-        outer = row.real[:, :, None] * row.real[:, None, :] + row.imag[:, :, None] * row.imag[:, None, :]
+        outer = row.real[:, :, None] * row.real[:, None, :]
+        outer += row.imag[:, :, None] * row.imag[:, None, :]
         self.outer = outer.reshape(kept, -1)
         high = self.Sh[kept:]
         self.high = np.einsum("ka,kab,kb->k", high.conj(), fit.high.R, high).real
@@ -354,20 +357,20 @@ class Scan:
         change = (v[:, None] ** 2 - fit.intensity[a] ** 2) * shape
         growth = 1 + change * self.hSh
         grams = self._changed(change / growth)
-        intensity = np.tile(fit.intensity, (len(v), 1))
+        intensity = np.empty((len(v), len(fit.intensity)))
+        intensity[:] = fit.intensity
         intensity[:, a] = v
         ends = fit.ends.precision(intensity)
         M = grams.copy()
         M[:, :nb, :nb] += fit.R0
-        at = range(fit.layout.ends.start, fit.layout.ends.stop)
-        M[:, at, at] += ends
+        M[:, self.ends, self.ends] += ends
         M[:, nb, :nb] += fit.b
         M[:, :nb, nb] += fit.b
         # where the source would drown everything the rank-one change has no digits left
-        drowned = np.einsum("gii->gi", grams)[:, -1] < DROWNED * fit.G[-1, -1]
-        M[drowned] = np.eye(nb + 1)
-        d = 1.0 / np.sqrt(np.maximum(np.einsum("gii->gi", M), 1e-300))
-        scaled = M * d[:, :, None] * d[:, None, :] + 1e-12 * np.eye(nb + 1)
+        drowned = grams[:, -1, -1] < DROWNED * fit.G[-1, -1]
+        M[drowned] = self.one
+        d = 1.0 / np.sqrt(np.maximum(M.diagonal(axis1=1, axis2=2), 1e-300))
+        scaled = M * d[:, :, None] * d[:, None, :] + 1e-12 * self.one
         pivot = _log_pivots(scaled) - np.log(d)
         drowned |= ~np.isfinite(pivot).all(axis=1)
         pivot[drowned] = 0.0
@@ -393,12 +396,12 @@ class Scan:
         near = int(np.argmin(np.abs(np.log(nodes) - np.log(fit.intensity[a]))))
         use = np.union1d(np.flatnonzero(weight > 2e-3), [near])
         M = grams[use][:, :nb, :nb] + pred.R
-        at = range(fit.layout.ends.start, fit.layout.ends.stop)
+        at = self.ends
         # put, not added and taken away: before the first window the precision is 1e300 and would leave no digit
         M[:, at, at] = grams[use][:, at, at] + ends[use]
         V = inverse(M)
         delta = (V[:, psi] @ (grams[use][:, :nb, nb] + pred.b)[..., None])[..., 0]
-        variance = np.einsum("gii->gi", V)[:, psi]
+        variance = V.diagonal(axis1=1, axis2=2)[:, psi]
         w = weight[use] / weight[use].sum()
         mean = w @ delta
         total = w @ (variance + (delta - mean) ** 2)
@@ -418,7 +421,7 @@ class Scan:
 def _log_pivots(M: FloatArray) -> FloatArray:
     """Return log diagonals (g, k) of the Cholesky factors of M (g, k, k); NaN where one has no digits left."""
     try:
-        return np.asarray(np.log(np.einsum("gii->gi", np.linalg.cholesky(M))))
+        return np.asarray(np.log(np.linalg.cholesky(M).diagonal(axis1=1, axis2=2)))
     except np.linalg.LinAlgError:
         out = np.full(M.shape[:2], np.nan)
         for i in np.flatnonzero(np.linalg.eigvalsh(M)[:, 0] > 1e-13):

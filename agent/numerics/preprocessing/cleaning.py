@@ -124,7 +124,8 @@ class Cleaner:
         stream = np.concatenate([self._block, v])
         before = len(stream) - len(v)
         whole = max(0, len(stream) - 2) // BLOCK
-        sizes = np.abs(np.diff(stream[: 2 + whole * BLOCK], n=2, axis=0)).reshape(whole, BLOCK, v.shape[1])[:, ::THIN]
+        first, second, third = (stream[place : place + whole * BLOCK : THIN] for place in range(3))
+        sizes = np.abs((third - second) - (second - first)).reshape(whole, BLOCK // THIN, v.shape[1])
         known = np.concatenate([self._usual, _medians(sizes)])
         usual = np.lib.stride_tricks.sliding_window_view(known, MEMORY, axis=0).max(axis=2)  # one more than blocks
         self._usual, self._block = known[-MEMORY:], stream[whole * BLOCK :]
@@ -140,7 +141,7 @@ class Cleaner:
         """
         if self._step.all():
             return np.tile(self._step, (whole + 1, 1))
-        changes = np.abs(np.diff(stream, axis=0)).reshape(whole, BLOCK, len(self._step))[:, ::THIN]
+        changes = np.abs(stream[1::THIN] - stream[:-1:THIN]).reshape(whole, BLOCK // THIN, len(self._step))
         least = np.where(changes > 0, changes, np.inf).min(axis=1)
         seen = np.minimum.accumulate(np.vstack([self._seen, least]))
         self._seen = seen[-1]
@@ -151,8 +152,9 @@ class Cleaner:
         x = self._raw
         first = max(self._decided, 2)
         if len(x) > first:
-            size = np.abs(x[first:] - 2 * x[first - 1 : -1] + x[first - 2 : -2])
-            doubtful = ~(size <= self._limits[first:])
+            size = x[first:] - 2 * x[first - 1 : -1]
+            size += x[first - 2 : -2]
+            doubtful = ~(np.abs(size, out=size) <= self._limits[first:])
             for place in (np.flatnonzero(rows_with(doubtful)) + first).tolist():
                 if place + LOOK_AHEAD >= len(x) and not end:
                     self._decided = place

@@ -7,11 +7,12 @@ sd_repeat) is common to all rows: it is not averaged away.
 """
 
 import sqlite3
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent.storage.database.schema import COLUMN_BITS, numbers_crc
 from agent.storage.tables.estimates import repeat_cells
@@ -26,17 +27,23 @@ _LEAST_SD = 1e-150  # a noise-free replay may claim an sd of zero, whose weight 
 _NORMAL_DOF = 1e9
 
 _FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used, f.n_missing,
- 1, e.verdict_id = 256, e.value, e.value, e.verdict_id, coalesce(e.sd * e.repeat * 1e-4, e.sd)
+ coalesce(e.sd * e.repeat * 1e-4, e.sd)
  FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN fits f ON f.seq = e.fit_id
- WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? AND f.chosen = 1 ORDER BY e.series_id, h.t_ns"""
+ WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? AND f.chosen = 1"""
 
 _MINUTE_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used,
- f.n_missing, p.n, p.n_valid, p.low, p.high, p.worst_id, coalesce(e.sd * e.repeat * 1e-4, e.sd)
+ f.n_missing, coalesce(e.sd * e.repeat * 1e-4, e.sd), p.n, p.n_valid, p.low, p.high, p.worst_id
  FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN fits f ON f.seq = e.fit_id
  CROSS JOIN spreads p ON p.seq = e.seq
- WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? ORDER BY e.series_id, h.t_ns"""
+ WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ?"""
+
+_FULL = np.dtype([
+    ("t_ns", "i8"), ("series", "i8"), ("verdict", "i8"), ("value", "f8"), ("sd", "f8"), ("window_s", "f8"),
+    ("n_used", "i8"), ("n_missing", "i8"), ("sd_repeat", "f8"),
+])  # fmt: skip
+_MINUTES = np.dtype([*_FULL.descr, ("n", "i8"), ("n_valid", "i8"), ("low", "f8"), ("high", "f8"), ("worst", "i8")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,22 +68,29 @@ class Groups:
 def aggregate(connection: sqlite3.Connection, run_id: int, span: int, first_ns: int, end_ns: int) -> Groups | None:
     """Return the aggregates of a run's rows with first_ns <= t < end_ns; minutes from rows, hours from minutes."""
     query, source = (_FULL_ROWS, 0) if span == MINUTE else (_MINUTE_ROWS, MINUTE)
-    rows = connection.execute(query, (run_id, source, first_ns, end_ns)).fetchall()
-    if not rows:
+    found = connection.execute(query, (run_id, source, first_ns, end_ns))
+    rows = np.fromiter(found, dtype=_MINUTES if source else _FULL)
+    if not len(rows):
         return None
-    return grouped(list(zip(*rows, strict=True)), span, source)
+    rows = rows[np.lexsort((rows["t_ns"], rows["series"]))]
+    columns = [rows[name] for name in rows.dtype.names or ()]
+    if not source:
+        value = rows["value"]
+        verdict = rows["verdict"]
+        columns += [np.ones(len(rows)), verdict == _VALID, value, value, verdict]
+    return grouped(columns, span, source)
 
 
-def grouped(columns: list[tuple[Any, ...]], span: int, source: int) -> Groups:
+def grouped(columns: Sequence[ArrayLike], span: int, source: int) -> Groups:
     """Aggregate rows to periods.
 
-    columns: t_ns, series, verdict, value, sd, window_s, n_used, n_missing, n, n_valid, low, high, worst, sd_repeat.
+    columns: t_ns, series, verdict, value, sd, window_s, n_used, n_missing, sd_repeat, n, n_valid, low, high, worst.
     The rows are in order of series, then time. span, source: lengths of the new periods and of the rows' own, s.
     """
     t_ns, series, verdict = (np.array(c, dtype=np.int64) for c in columns[:3])
     value, sd, window = (np.array(c, dtype=np.float64) for c in columns[3:6])
-    used, missing, n, n_valid = (np.array(c, dtype=np.int64) for c in columns[6:10])
-    low, high, sd_repeat = (np.array(columns[place], dtype=np.float64) for place in (10, 11, 13))
+    sd_repeat, low, high = (np.array(columns[place], dtype=np.float64) for place in (8, 11, 12))
+    used, missing, n, n_valid, worst = (np.array(columns[place], dtype=np.int64) for place in (6, 7, 9, 10, 13))
     period = (t_ns // (span * SECOND)) * (span * SECOND)
     starts = np.flatnonzero(np.r_[True, (series[1:] != series[:-1]) | (period[1:] != period[:-1])])
     valid = (verdict == _VALID) & np.isfinite(value) & np.isfinite(sd)
@@ -89,7 +103,7 @@ def grouped(columns: list[tuple[Any, ...]], span: int, source: int) -> Groups:
         period[starts], series[starts], mean, mean_sd, mean_repeat,
         _least(np.where(valid, low, np.nan), starts, np.fmin), _least(np.where(valid, high, np.nan), starts, np.fmax),
         np.add.reduceat(n, starts), np.add.reduceat(n_valid, starts),
-        np.maximum.reduceat(_ranked(np.array(columns[12], dtype=np.int64)), starts) & 0xFFFF,
+        np.maximum.reduceat(_ranked(worst), starts) & 0xFFFF,
         np.maximum.reduceat(window, starts), np.add.reduceat(used, starts), np.add.reduceat(missing, starts),
     )  # fmt: skip
 

@@ -35,7 +35,7 @@ from agent.storage.database.files import (
     renew,
     sync_folder,
 )
-from agent.storage.database.schema import insert_sql, upgrade
+from agent.storage.database.schema import insert_rows, upgrade
 from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
@@ -313,7 +313,7 @@ class Store:
         with self.transaction(self._side) as connection:
             for source in (self.names.fresh, plan):
                 for table, rows in source.rows.items():
-                    connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows)
+                    insert_rows(connection, table, rows)
         self.names.saved()
         self._watermarks.note(plan.rows)
         self._since_checkpoint[0] += 1

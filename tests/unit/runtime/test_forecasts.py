@@ -224,7 +224,7 @@ def test_life_of_a_part_is_forecast_alarmed_and_scored(rig: RigConfig, tmp_path:
     path = tmp_path / "life.db"
     writer = StoreWriter(lambda: Store.open(path), [run_info(kind="replay")], lossless=True)
     writer.start()
-    forecasts = ReplayedForecasts(Forecaster(rig, path), rig.forecast.every, lambda: writer.flush(60.0))
+    forecasts = ReplayedForecasts(rig, path, lambda: writer.flush(60.0))
     alarms = PrognosisAlarms("press-7", rig.alarm)
     for first in range(0, 54, 3):
         rows = falling(first, 3)

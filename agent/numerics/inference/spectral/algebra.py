@@ -1,5 +1,7 @@
 """Small dense algebra with columns of very different size: everything is scaled to unit diagonals first."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from agent.types import FloatArray
@@ -8,10 +10,16 @@ JITTER = 1e-13
 """Added to unit diagonals: a direction that the data do not show at all stays finite."""
 
 
+@lru_cache
+def _jitter(size: int) -> FloatArray:
+    return JITTER * np.eye(size)
+
+
 def scales(M: FloatArray) -> FloatArray:
     """Return 1/√diag(M) (..., k), 1 where the diagonal is not positive."""
-    diagonal = np.diagonal(M, axis1=-2, axis2=-1)
-    return np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    diagonal = M.diagonal(axis1=-2, axis2=-1)
+    positive = diagonal > 0
+    return np.where(positive, 1.0 / np.sqrt(np.where(positive, diagonal, 1.0)), 1.0)
 
 
 def inverse(M: FloatArray) -> FloatArray:
@@ -20,7 +28,7 @@ def inverse(M: FloatArray) -> FloatArray:
     Where rounding left M indefinite, eigenvalues below the jitter are raised to it.
     """
     d = scales(M)
-    scaled = M * d[..., :, None] * d[..., None, :] + JITTER * np.eye(M.shape[-1])
+    scaled = M * d[..., :, None] * d[..., None, :] + _jitter(M.shape[-1])
     try:
         half = np.linalg.inv(np.linalg.cholesky(scaled))
     except np.linalg.LinAlgError:
@@ -64,7 +72,7 @@ def refined(M: FloatArray, V: FloatArray, rest: FloatArray) -> FloatArray:
 def log_determinant(M: FloatArray) -> FloatArray:
     """Return log det of symmetric positive M (..., k, k)."""
     d = scales(M)
-    scaled = M * d[..., :, None] * d[..., None, :] + JITTER * np.eye(M.shape[-1])
+    scaled = M * d[..., :, None] * d[..., None, :] + _jitter(M.shape[-1])
     return np.asarray(np.linalg.slogdet(scaled)[1] - 2 * np.log(d).sum(axis=-1))
 
 

@@ -15,6 +15,7 @@ import pytest
 
 from agent.cli.app import app
 from agent.cli.web.documents import DOCUMENTS, thinned
+from agent.cli.web.forecasts import spread, words_of
 from agent.errors import StoreError, UsageError
 from agent.storage.read import queries
 from agent.storage.write.command_socket import CommandServer
@@ -343,3 +344,41 @@ def test_reading_holds_nothing_of_the_file(client: Client, folder: Path) -> None
     with Store.open(folder / "rig.db") as store:
         store.begin_run(run_info(started_ns=time.time_ns()))
         assert store.connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0] == 0
+
+
+def test_forecasts_are_those_of_sql_with_their_record_in_words(client: Client, folder: Path) -> None:
+    found = client.get("forecasts?rig=press-7")
+    with sqlite3.connect(folder / "rig.db") as connection:
+        connection.row_factory = sqlite3.Row
+        said = [dict(row) for row in connection.execute("SELECT * FROM v_forecast WHERE rig = 'press-7'")]
+    connection.close()
+    assert [{**row, "draws": said[0]["draws"]} for row in found["forecasts"]] == [{**r, "db": "rig"} for r in said]
+    (record,) = found["records"]
+    assert record["words"] == "reached in 5 days (80 %: 3 days … 8 days); chance within 6 days 75 %"
+    assert record["record_words"] == ["of 2 made here, 1 held within the 80 % band; CRPS 3.43 hours"]
+    assert (record["parameter"], record["made"], record["held"], record["waiting"]) == ("k1", 2, 1, 1)
+
+
+def test_forecast_without_a_band_says_why(client: Client, folder: Path) -> None:
+    row = queries.forecasts(folder / "rig.db")[-1]
+    nothing = dict.fromkeys(("p10_ns", "p50_ns", "p90_ns", "chance"))
+    assert words_of({**row, **nothing, "status": "too short"}) == "no forecast: the history is too short to say"
+    assert words_of({**row, "p90_ns": None}).startswith("not reached in twenty times the history's span")
+
+
+def test_many_forecasts_are_spread_and_the_newest_is_always_there() -> None:
+    rows = [{"id": n} for n in range(1050)]
+    found = [row["id"] for row in spread(rows, 100)]
+    assert (len(found), found[-1], set(np.diff(found))) == (96, 1049, {11})
+    assert spread(rows[:7], 100) == rows[:7]
+
+
+def test_overview_says_what_could_be_known_now(client: Client) -> None:
+    rig = next(one for one in client.get("overview")["rigs"] if one["rig"] == "press-7")
+    assert rig["known"] == "resolved now: k1, k2, B1; not B2: nothing moves"
+    known = {row["parameter"]: row["known"] for row in rig["parameters"]}
+    row = next(one for one in rig["parameters"] if one["parameter"] == "k1")
+    half = (row["upper"] - row["lower"]) / 2.0
+    assert known["k1"]["words"] == f"known to ± {half:.2g} N/m, {100.0 * half / 15.0:.2g} % of its limit"
+    assert (known["B2"]["resolved"], known["B2"]["of_limit"]) == (False, None)
+    assert known["B2"]["words"].startswith("not known: nothing moves; ± ")

@@ -1,6 +1,7 @@
 """The page in a real browser: its numbers are those of SQL, alarms come at once, and it needs no mouse."""
 
 import json
+import re
 import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -20,6 +21,14 @@ from tests.web.server import PASSWORD, Client, password_file, serving
 
 pytestmark = pytest.mark.realtime
 PATIENCE_S = 15.0
+PAINTED = """
+const canvas = document.querySelector("#chart canvas"), style = getComputedStyle(document.documentElement);
+const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+return arguments[0].filter((name) => {
+  const text = style.getPropertyValue(`--${name}`).trim(), wanted = [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16));
+  for (let i = 0; i < data.length; i += 4) if (data[i + 3] > 200 && wanted.every((part, j) => Math.abs(part - data[i + j]) < 8)) return true;
+});
+"""
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +116,27 @@ def test_rigs_stand_worst_first_and_the_model_is_drawn(browser: webdriver.Chrome
     ((newest,),) = connection.execute("SELECT value FROM v_latest WHERE rig = 'press-7' AND parameter = 'k1'")
     connection.close()
     assert words.startswith(f"100 rows; newest {newest:.6g} N/m")
+
+
+def test_page_says_what_could_be_known_now_and_what_was_forecast(browser: webdriver.Chrome) -> None:
+    assert until(lambda: texts(browser, "#known")) == ["resolved now: k1, k2, B1; not B2: nothing moves"]
+    k1, *_, b2 = texts(browser, "#parameter-list .known")
+    assert re.fullmatch(r"known to ± [0-9.]+ N/m, [0-9.]+ % of its limit", k1)
+    assert b2.startswith("not known: nothing moves")
+    (forecast,) = until(lambda: texts(browser, "#forecast-list li"))
+    assert forecast.startswith("k1: reached in 5 days (80 %: 3 days … 8 days); chance within 6 days 75 %, limit 10; made")
+    assert "of 2 made here, 1 held within the 80 % band" in forecast
+
+
+def test_chart_shows_reference_limits_and_the_fan_with_forecasts_of_the_past(browser: webdriver.Chrome) -> None:
+    def legend() -> list[str]:
+        return texts(browser, ".u-legend .u-label")
+
+    assert [name for name in ("nominal", "limit", "P50") if name in legend()] == ["nominal", "limit"]
+    browser.execute_script('document.querySelector("#chart").focus()')
+    webdriver.ActionChains(browser).send_keys(Keys.HOME).perform()
+    until(lambda: legend()[-5:] == ["limit", "limit", "P10", "P50", "P90"])
+    assert browser.execute_script(PAINTED, ["fan", "good", "bad"]) == ["fan", "bad"]  # no baseline is learnt
 
 
 def test_planted_alarm_appears_within_two_seconds(browser: webdriver.Chrome, folder: Path) -> None:

@@ -25,8 +25,10 @@ PAINTED = """
 const canvas = document.querySelector("#chart canvas"), style = getComputedStyle(document.documentElement);
 const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
 return arguments[0].filter((name) => {
-  const text = style.getPropertyValue(`--${name}`).trim(), wanted = [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16));
-  for (let i = 0; i < data.length; i += 4) if (data[i + 3] > 200 && wanted.every((part, j) => Math.abs(part - data[i + j]) < 8)) return true;
+  const text = style.getPropertyValue(`--${name}`).trim();
+  const wanted = [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16));
+  const isThere = (i) => data[i + 3] > 200 && wanted.every((part, j) => Math.abs(part - data[i + j]) < 8);
+  for (let i = 0; i < data.length; i += 4) if (isThere(i)) return true;
 });
 """
 
@@ -124,7 +126,8 @@ def test_page_says_what_could_be_known_now_and_what_was_forecast(browser: webdri
     assert re.fullmatch(r"known to ± [0-9.]+ N/m, [0-9.]+ % of its limit", k1)
     assert b2.startswith("not known: nothing moves")
     (forecast,) = until(lambda: texts(browser, "#forecast-list li"))
-    assert forecast.startswith("k1: reached in 5 days (80 %: 3 days … 8 days); chance within 6 days 75 %, limit 10; made")
+    said = "k1: reached in 5 days (80 %: 3 days … 8 days); chance within 6 days 75 %, limit 10; made"
+    assert forecast.startswith(said)
     assert "of 2 made here, 1 held within the 80 % band" in forecast
 
 

@@ -50,6 +50,11 @@ def test_who_may_read_the_database_may_not_therefore_command(found: dict[str, An
     assert found["commander"] == {"read": True, "write": False, "command": True}
 
 
+def test_page_reads_signs_in_by_a_credential_and_reaches_the_agent_inside_its_sandbox(found: dict[str, Any]) -> None:
+    page = {"rigs": ["can", "line", "plc"], "signed in": 200, "refused": [409, True], "user": "deltak-page"}
+    assert found["page"] == page
+
+
 def test_reload_starts_only_the_rig_anew_whose_file_changed(found: dict[str, Any]) -> None:
     assert found["runs"] == [["can", 1], ["line", 1], ["plc", 2]]
 

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 from agent.cli.app import app
+from agent.cli.glance.files import several
 from agent.cli.web.documents import DOCUMENTS, thinned
 from agent.cli.web.forecasts import spread, words_of
+from agent.cli.web.secret import from_files
 from agent.errors import StoreError, UsageError
 from agent.storage.read import queries
 from agent.storage.write.command_socket import CommandServer
@@ -382,3 +384,27 @@ def test_overview_says_what_could_be_known_now(client: Client) -> None:
     assert known["k1"]["words"] == f"known to ± {half:.2g} N/m, {100.0 * half / 15.0:.2g} % of its limit"
     assert (known["B2"]["resolved"], known["B2"]["of_limit"]) == (False, None)
     assert known["B2"]["words"].startswith("not known: nothing moves; ± ")
+
+
+def test_folder_of_configurations_belongs_to_the_database_that_is_named(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "conf.d").mkdir()
+    (tmp_path / "conf.d" / "press-7.toml").write_text(files.CONFIG)  # it names a rig.db that nobody writes
+    (database,) = several([folder / "rig.db"], [tmp_path / "conf.d"])
+    assert (database.path, list(database.configs)) == (folder / "rig.db", ["press-7"])
+    (tmp_path / "conf.d" / "rig.db").touch()
+    assert len(several([folder / "rig.db"], [tmp_path / "conf.d"])) == 2
+
+
+def test_password_that_the_service_manager_hands_over_may_be_readable_to_its_group(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "page.password"
+    shutil.copy(password_file(tmp_path), path)
+    path.chmod(0o440)  # so it looks where an access list names the user
+    with pytest.raises(UsageError, match="may be used by others"):
+        from_files(path, None)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    assert from_files(path, None) is not None
+    path.chmod(0o444)
+    with pytest.raises(UsageError, match="may be used by others"):
+        from_files(path, None)

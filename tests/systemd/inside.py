@@ -94,12 +94,15 @@ RestartSec={pause}
 """
 TOKEN = "a token of the page in a guest"
 PAGE = """
-LoadCredential=page.token:/etc/deltak/secrets/page.token
+RuntimeDirectory=deltak-page
+ExecStartPre=+/bin/cp /etc/deltak/secrets/page.token /run/deltak-page
+ExecStartPre=+/bin/chown --reference=/run/deltak-page /run/deltak-page/page.token
 ExecStart=
 ExecStart=/opt/deltak/bin/deltak serve --db /var/lib/deltak/deltak.db --config /etc/deltak/conf.d \\
-  --token-file ${CREDENTIALS_DIRECTORY}/page.token
+  --token-file /run/deltak-page/page.token
 """
-"""What the runbook says of who is to acknowledge."""
+"""As the runbook has it, but for LoadCredential: the guest's kernel has neither of what systemd hands a credential to
+another user than root by (a file system of its own, access lists)."""
 
 
 def until(condition: Callable[[], object], what: str) -> float:
@@ -221,7 +224,7 @@ def asked(method: str, path: str, body: object = None, headers: dict[str, str] |
 
 
 def use_page() -> dict[str, object]:
-    """Read the page's API, sign in by the token that systemd hands over, and have the agent refuse an alarm."""
+    """Read the page's API, sign in by a token, and have the agent refuse an alarm."""
     systemctl("start", "deltak-page")
     until(lambda: asked("GET", "latest")[0] == 200, "the page")
     rigs = {row["rig"] for row in json.loads(asked("GET", "latest")[2])["rows"]}

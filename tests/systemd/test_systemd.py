@@ -10,7 +10,7 @@ import pytest
 from tests import figures, peers
 from tests.vcan import guest
 
-LIMIT_S = 180.0
+LIMIT_S = 300.0
 TRIES = 3
 """Of booting a guest: its kernel dies now and then under systemd (it cannot read a register of process 1 any more)."""
 pytestmark = [pytest.mark.realtime, pytest.mark.soak, pytest.mark.timeout(TRIES * LIMIT_S)]
@@ -50,7 +50,7 @@ def test_who_may_read_the_database_may_not_therefore_command(found: dict[str, An
     assert found["commander"] == {"read": True, "write": False, "command": True}
 
 
-def test_page_reads_signs_in_by_a_credential_and_reaches_the_agent_inside_its_sandbox(found: dict[str, Any]) -> None:
+def test_page_reads_signs_in_and_reaches_the_agent_inside_its_sandbox(found: dict[str, Any]) -> None:
     page = {"rigs": ["can", "line", "plc"], "signed in": 200, "refused": [409, True], "user": "deltak-page"}
     assert found["page"] == page
 

@@ -16,6 +16,7 @@ from asyncua import Client, ua
 
 from agent.cli.app import app
 from agent.cli.glance.files import several
+from agent.cli.opcua import quality
 from agent.cli.opcua.access import UserDirectory, read_users
 from agent.cli.opcua.serve import Options, running
 from agent.cli.web.secret import Secret
@@ -91,9 +92,11 @@ class Scene:
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     found = Scene(tmp_path_factory.mktemp("opcua"))
-    found.start()
-    yield found
-    found.stop()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quality, "STALE_S", 3600.0)  # no row comes while the tests run
+        found.start()
+        yield found
+        found.stop()
 
 
 def signed_in(address: str, name: str = "anna", password: str = PASSWORD) -> Client:

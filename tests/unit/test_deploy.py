@@ -12,7 +12,7 @@ from tests import peers
 DEPLOY = peers.ROOT / "deploy"
 UNITS = {
     "deltak@.service": ("deltak@press-7.service", "run"), "deltak.service": ("deltak.service", "run"),
-    "deltak-page.service": ("deltak-page.service", "serve"),
+    "deltak-page.service": ("deltak-page.service", "serve"), "deltak-opcua.service": ("deltak-opcua.service", "opcua"),
 }  # fmt: skip
 """By file: what an instance is called, and the command that it runs."""
 

@@ -29,11 +29,16 @@ def known_now(row: Row, limit: float | None) -> dict[str, Any]:
     half_width: half of the 95 % interval of the newest window, in the parameter's unit; of_limit: its share of the
     limit. Both are None where there is no interval, or no limit.
     """
-    half = None if row["lower"] is None or row["upper"] is None else (row["upper"] - row["lower"]) / 2.0
+    half = _half_width(row)
     resolved = row["status"] == "valid"
     share = half / limit if limit and half is not None else None
-    found = {"resolved": resolved, "half_width": half, "of_limit": share}
-    return found | {"words": _words(row, half, share) if resolved else _why(row, half, share)}
+    words = _words(row, half, share) if resolved else _why(row, half, share)
+    return {"resolved": resolved, "half_width": half, "of_limit": share, "words": words}
+
+
+def _half_width(row: Row) -> float | None:
+    ends = row["lower"], row["upper"]
+    return None if None in ends else float(ends[1] - ends[0]) / 2.0
 
 
 def _words(row: Row, half: float | None, share: float | None) -> str:
@@ -48,9 +53,11 @@ def _why(row: Row, half: float | None, share: float | None) -> str:
 
 def reason_words(row: Row) -> str:
     """Say why the newest row of a parameter is not valid."""
-    if row["reason"] is None:
-        return {"unexcited": _UNEXCITED, "warming": _WARMING}.get(row["status"], row["status"])
-    return _REASONS.get(row["reason"], row["reason"])
+    status = str(row["status"])
+    reason = row["reason"]
+    if reason is None:
+        return {"unexcited": _UNEXCITED, "warming": _WARMING}.get(status, status)
+    return _REASONS.get(reason, str(reason))
 
 
 def _with_unit(half: float, row: Row) -> str:

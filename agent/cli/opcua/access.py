@@ -9,7 +9,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Final
 
-from agent.cli.web.secret import Secret, closed_content, write_closed
+from agent.cli.web.secret import Secret, check_closed, closed_content, write_closed
 from agent.cli.web.sessions import Attempts
 from agent.clock import wall_ns
 from agent.errors import UsageError
@@ -148,5 +148,4 @@ def check_key(path: Path) -> None:
         mode = os.stat(path).st_mode  # noqa: PTH116 - a link is followed, as the key is read
     except OSError as error:
         raise UsageError.at(str(path), f"cannot be read ({error})", "name the file of a private key") from error
-    if mode & 0o077:
-        raise UsageError.at(str(path), f"may be used by others (mode {mode & 0o7777:04o})", f"chmod 600 {path}")
+    check_closed(path, mode)

@@ -8,6 +8,7 @@ from agent.cli.opcua.space import instant
 Row = Mapping[str, Any]
 SEVERITIES: Final[Mapping[str, int]] = {"low": 250, "medium": 500, "high": 750, "critical": 1000}
 _PROCESS: Final = frozenset({"level", "rate", "forecast"})
+_SILENT: Final = ("Suppressed", "OutOfService", "Shelved")
 _ACKED: Final = frozenset({"NORM", "ACKED"})
 _MOST_SHELVED_MS: Final = 7 * 86_400_000.0
 
@@ -50,9 +51,10 @@ def fields_of(alarm: Row, step: Row, places: Mapping[str, Any]) -> dict[str, Any
     """
     from asyncua import ua
 
-    kinds, state = ua.VariantType, states_of(alarm)
-    is_process = alarm["kind"] in _PROCESS
-    of_class = ua.ObjectIds.ProcessConditionClassType if is_process else ua.ObjectIds.SystemConditionClassType
+    kinds = ua.VariantType
+    state = states_of(alarm)
+    of_class = "Process" if alarm["kind"] in _PROCESS else "System"
+    class_id = ua.NodeId(getattr(ua.ObjectIds, f"{of_class}ConditionClassType"))
     severity = ua.Variant(SEVERITIES.get(alarm["priority"], 500), kinds.UInt16)
     time = ua.Variant(instant(step["t_ns"]), kinds.DateTime)
     found = {
@@ -63,8 +65,7 @@ def fields_of(alarm: Row, step: Row, places: Mapping[str, Any]) -> dict[str, Any
         "SourceName": ua.Variant(places["name"], kinds.String),
         "Time": time, "ReceiveTime": time,
         "Message": _text(_message(alarm)), "Severity": severity, "LastSeverity": severity,
-        "ConditionClassId": ua.Variant(ua.NodeId(of_class), kinds.NodeId),
-        "ConditionClassName": _text("Process" if is_process else "System"),
+        "ConditionClassId": ua.Variant(class_id, kinds.NodeId), "ConditionClassName": _text(of_class),
         "ConditionName": ua.Variant(f"{alarm['kind']} {alarm['parameter']}", kinds.String),
         "BranchId": ua.Variant(ua.NodeId(), kinds.NodeId),
         "Retain": ua.Variant(alarm["state"] != "NORM", kinds.Boolean),
@@ -72,14 +73,12 @@ def fields_of(alarm: Row, step: Row, places: Mapping[str, Any]) -> dict[str, Any
         "Comment": _text(step["comment"] or ""),
         "ClientUserId": ua.Variant(step["by"] or "", kinds.String),
         "EnabledState": _text("Enabled"), "EnabledState/Id": ua.Variant(True, kinds.Boolean),
-        "SuppressedOrShelved": ua.Variant(
-            state["Suppressed"] or state["OutOfService"] or state["Shelved"], kinds.Boolean
-        ),
+        "SuppressedOrShelved": ua.Variant(any(state[name] for name in _SILENT), kinds.Boolean),
         "MaxTimeShelved": ua.Variant(_MOST_SHELVED_MS, kinds.Double),
         "ShelvingState/CurrentState": _text("TimedShelved" if state["Shelved"] else "Unshelved"),
     }  # fmt: skip
     for name, words in _WORDS.items():
-        found[f"{name}State"] = _text(words[0] if state[name] else words[1])
+        found[f"{name}State"] = _text(words[not state[name]])
         found[f"{name}State/Id"] = ua.Variant(state[name], kinds.Boolean)
     return found
 

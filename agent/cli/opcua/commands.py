@@ -93,19 +93,19 @@ class Commands:
         if len(said) != 2:
             return _status("BadArgumentsMissing" if len(said) < 2 else "BadTooManyArguments")
         event, comment = (argument.Value for argument in said)
-        words = getattr(comment, "Text", None) or None
-        if words is not None and len(words) > _LONGEST_COMMENT:
+        words = str(getattr(comment, "Text", None) or "")
+        if len(words) > _LONGEST_COMMENT:
             return _status("BadOutOfRange")
         found = self._conditions.find(place)
-        is_known = found is None or (isinstance(event, bytes) and event.rpartition(b"/")[0] == _activation(found))
-        if not is_known:
+        if found is not None and not _is_of(event, found):
             return _status("BadEventIdUnknown")
-        return await self._do(method, cause, place, comment=words)
+        return await self._do(method, cause, place, comment=words or None)
 
     async def _do(
         self, method: str, cause: str, place: Any, *, comment: str | None = None, length_ns: int | None = None
     ) -> Any:
-        by, found = caller.get(), self._conditions.find(place)
+        by = caller.get()
+        found = self._conditions.find(place)
         if by is None:
             return _status("BadUserAccessDenied")
         if found is None:
@@ -113,10 +113,9 @@ class Commands:
         refused = _refused(method, found.alarm["state"])
         if refused is not None:
             return _status(refused)
-        path, ids = self._paths[found.db], [found.alarm["id"]]
-        asked = partial(
-            ask, path, "alarm", cause=cause, ids=ids, by=by, comment=comment, length_ns=length_ns, brief=True
-        )
+        path = self._paths[found.db]
+        what = {"cause": cause, "ids": [found.alarm["id"]], "by": by, "comment": comment, "length_ns": length_ns}
+        asked = partial(ask, path, "alarm", **what, brief=True)
         try:
             await asyncio.to_thread(asked)
         except AgentError:
@@ -133,8 +132,9 @@ def _refused(method: str, state: str) -> str | None:
     return _REFUSED.get((method, state))
 
 
-def _activation(found: Condition) -> bytes:
-    return found.step.rpartition(b"/")[0]
+def _is_of(event: object, found: Condition) -> bool:
+    """Tell whether an event's id is one of a condition's activation."""
+    return isinstance(event, bytes) and event.rpartition(b"/")[0] == found.step.rpartition(b"/")[0]
 
 
 async def _not_supported(_place: Any, *_said: Any) -> Any:

@@ -53,7 +53,8 @@ class Conditions:
         if found is None:
             found = self._by_name[name] = await self._made(name, db, alarm)
         self._by_name.move_to_end(name)
-        found.alarm, found.step = alarm, event_id(db, alarm, step["id"])
+        found.alarm = alarm
+        found.step = event_id(db, alarm, step["id"])
         fields = fields_of(alarm, {**step, "event_id": found.step}, self._places(found))
         await self._write(name, fields)
         await self._say(found, fields)
@@ -74,7 +75,8 @@ class Conditions:
         from asyncua import ua
         from asyncua.common.events import get_event_obj_from_type_node
 
-        rig, server = await self.space.rig(db, alarm["rig"]), self.space.server
+        server = self.space.server
+        rig = await self.space.rig(db, alarm["rig"])
         of_type = ua.NodeId(ua.ObjectIds.AlarmConditionType)
         shown = f"{self.space.index}:{alarm['kind']} {alarm['parameter']} {alarm['id']}"
         node = await rig.add_object(self.space.node_id(name), shown, objecttype=of_type, instantiate_optional=False)

@@ -42,6 +42,11 @@ class Options:
     trusted: Path | None = None
     private: bool = False
 
+    def address(self, port: int) -> str:
+        """Return the URL under which clients reach it."""
+        host = self.hostname or (f"[{self.host}]" if ":" in self.host else self.host)
+        return f"opc.tcp://{host}:{port}/deltak/"
+
     @property
     def is_local(self) -> bool:
         """Whether nobody but this machine can reach it."""
@@ -113,7 +118,7 @@ async def running(watched: Sequence[Watched], options: Options, users: Users) ->
         raise UsageError.at("--host", what, "take others") from error
     task = asyncio.create_task(following.run())
     try:
-        yield f"opc.tcp://{options.hostname or options.host}:{server.bserver.port}/deltak/"
+        yield options.address(server.bserver.port)
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -135,10 +140,10 @@ async def _made(options: Options, users: Users) -> Any:
     server.set_server_name("deltak")
     await server.set_build_info(APPLICATION_URI, "deltak", "deltak", __version__, __version__, datetime.now(UTC))
     server.socket_address = (options.host, options.port)
-    server.set_endpoint(f"opc.tcp://{options.hostname or options.host}:{options.port}/deltak/")
-    is_open = options.is_local and not options.private
-    tokens = [ua.AnonymousIdentityToken] if is_open else []
-    server.set_identity_tokens([*tokens, *([ua.UserNameIdentityToken] if users else [])])
+    server.set_endpoint(options.address(options.port))
+    anybody = [ua.AnonymousIdentityToken] if options.is_local and not options.private else []
+    somebody = [ua.UserNameIdentityToken] if users else []
+    server.set_identity_tokens([*anybody, *somebody])
     server.set_security_policy(await _policies(server, options), Rules())
     return server
 

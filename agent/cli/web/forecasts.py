@@ -49,7 +49,8 @@ def _shown(row: Row, name: str) -> Row:
 
 def _record(made: list[Row], name: str) -> Row:
     """Return what is said of one parameter's forecasts, oldest first."""
-    newest, record = made[-1], record_of(made)
+    newest = made[-1]
+    record = record_of(made)
     return {
         "db": name,
         **{key: newest[key] for key in ("rig", "parameter", "limit_value", "status", "made_at", "made_at_ns")},

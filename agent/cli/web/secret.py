@@ -103,15 +103,19 @@ def closed_content(path: Path) -> str:
             content = file.read(_MOST_BYTES_OF_FILE).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError.at(str(path), f"cannot be read ({error})", "name a file with a password or a token") from error
-    if mode & (_OTHERS if _is_handed_over(path) else _OTHERS | _GROUP):
-        raise UsageError.at(str(path), f"may be used by others (mode {mode:04o})", f"chmod 600 {path}")
+    check_closed(path, mode)
     return content
 
 
-def _is_handed_over(path: Path) -> bool:
-    """Tell whether systemd made a file for this service: its access list then stands where a group's rights do."""
+def check_closed(path: Path, mode: int) -> None:
+    """Raise UsageError where others may use a file.
+
+    Of a file that systemd made for this service a group's rights are passed over: its access list stands there.
+    """
     folder = os.environ.get("CREDENTIALS_DIRECTORY")
-    return folder is not None and path.parent == Path(folder)
+    is_handed_over = folder is not None and path.parent == Path(folder)
+    if mode & (_OTHERS if is_handed_over else _OTHERS | _GROUP):
+        raise UsageError.at(str(path), f"may be used by others (mode {mode & 0o7777:04o})", f"chmod 600 {path}")
 
 
 def _password(path: Path) -> Secret:

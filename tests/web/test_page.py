@@ -15,7 +15,6 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
 from agent.storage.write.command_socket import CommandServer
-from tests import peers
 from tests.web import files
 from tests.web.server import PASSWORD, Client, password_file, serving
 
@@ -61,17 +60,9 @@ def server(folder: Path) -> Iterator[Client]:
 
 
 @pytest.fixture(scope="module")
-def browser(server: Client) -> Iterator[webdriver.Chrome]:
-    options = webdriver.ChromeOptions()
-    options.binary_location = peers.program("chromium", "chromium")
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu",
-                     "--disable-background-networking", "--disable-component-update", "--no-first-run"):  # fmt: skip
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
-    driver = webdriver.Chrome(options, webdriver.ChromeService(peers.program("chromedriver", "chromium-driver")))
+def browser(server: Client, driver: webdriver.Chrome) -> webdriver.Chrome:
     driver.get(f"http://localhost:{server.port}/")
-    yield driver
-    driver.quit()
+    return driver
 
 
 def until(found: Callable[[], Any]) -> Any:

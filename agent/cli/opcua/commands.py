@@ -114,7 +114,7 @@ class Commands:
         if refused is not None:
             return _status(refused)
         path = self._paths[found.db]
-        what = {"cause": cause, "ids": [found.alarm["id"]], "by": by, "comment": comment, "length_ns": length_ns}
+        what: dict[str, Any] = {"cause": cause, "ids": [found.alarm["id"]], "by": by, "comment": comment, "length_ns": length_ns}
         asked = partial(ask, path, "alarm", **what, brief=True)
         try:
             await asyncio.to_thread(asked)

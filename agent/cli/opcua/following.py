@@ -90,7 +90,7 @@ class Following:
             await self.space.rig(db, rig["rig"])
             await self.space.show(rig, now_ns)
             for alarm in rig["alarms"] if found.is_first else ():
-                step = {"id": 0, "t_ns": now_ns, "by": alarm["acked_by"], "comment": None}
-                await self.conditions.step(db, alarm, step)
+                before = {"id": 0, "t_ns": now_ns, "by": alarm["acked_by"], "comment": None}
+                await self.conditions.step(db, alarm, before)
         for step in found.steps:
             await self.conditions.step(db, step.document["alarm"], step.document)

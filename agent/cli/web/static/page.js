@@ -109,8 +109,8 @@ function item(rig, p) {
       " ", value, ` ${p.unit ?? ""}`),
     make("div", {}, bar(p), make("span", { class: "quiet" }, limit)),
     make("p", {}, make("span", { class: "word" }, words), make("span", { class: "quiet" }, held)),
-    make("p", { class: "quiet known" }, p.known.words),
     make("p", { class: "quiet" }, "reference ", number(p.reference), p.baseline_id === null ? " (nominal)" : ` (baseline ${p.baseline_id})`),
+    make("p", { class: "quiet known" }, p.known.words),
   );
 }
 

@@ -11,6 +11,7 @@ import pwd
 import shutil
 import socket
 import sqlite3
+import struct
 import subprocess
 import sys
 import sysconfig
@@ -132,7 +133,7 @@ def ended_by_watchdog() -> bool:
 
 def install() -> None:
     """Put everything where the runbook puts it; the program is this machine's, under /opt."""
-    for unit in ("deltak.service", "deltak-page.service"):
+    for unit in ("deltak.service", "deltak-page.service", "deltak-opcua.service"):
         shutil.copy(ROOT / "deploy/systemd" / unit, f"/etc/systemd/system/{unit}")
     shutil.copy(ROOT / "deploy/systemd/deltak.sysusers", "/usr/lib/sysusers.d/deltak.conf")
     shutil.copy(ROOT / "deploy/systemd/deltak.tmpfiles", "/usr/lib/tmpfiles.d/deltak.conf")
@@ -149,7 +150,8 @@ def install() -> None:
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     command.write_text(f'#!/bin/sh\nexec /opt/python/bin/{version} -m agent "$@"\n')
     command.chmod(0o755)
-    own = {"deltak": DROP_IN.format(watchdog=WATCHDOG_S, pause=0.2 if WHOLE else 300), "deltak-page": PAGE}
+    watched = DROP_IN.format(watchdog=WATCHDOG_S, pause=0.2 if WHOLE else 300)
+    own = {"deltak": watched, "deltak-page": PAGE, "deltak-opcua": ""}
     for name, text in own.items():
         drop_in = Path(f"/etc/systemd/system/{name}.service.d/test.conf")
         drop_in.parent.mkdir()
@@ -237,6 +239,26 @@ def use_page() -> dict[str, object]:
             "user": user}  # fmt: skip
 
 
+def greets() -> bool:
+    """Tell whether the OPC UA server answers Hello with Acknowledge (Part 6, 7.1.2)."""
+    url = b"opc.tcp://127.0.0.1:4840/deltak/"
+    body = struct.pack("<5II", 0, 65536, 65536, 0, 0, len(url)) + url
+    try:
+        with socket.create_connection(("127.0.0.1", 4840), timeout=30) as peer:
+            peer.sendall(b"HELF" + struct.pack("<I", 8 + len(body)) + body)
+            return peer.recv(8)[:4] == b"ACKF"
+    except ConnectionError:
+        return False
+
+
+def use_opcua() -> bool:
+    """Start the OPC UA server and be greeted by it."""
+    systemctl("start", "deltak-opcua")
+    until(greets, "a greeting over OPC UA")
+    systemctl("stop", "deltak-opcua")
+    return True
+
+
 def live(found: dict[str, object]) -> None:
     """Go through it all and note what is found."""
     begun = time.monotonic()
@@ -250,6 +272,7 @@ def live(found: dict[str, object]) -> None:
     found["reader"], found["commander"] = as_user(["deltak"]), as_user(["deltak", "deltak-command"])
 
     found["page"] = use_page()
+    found["opcua"] = use_opcua()
     text = (CONFIGS / "plc.toml").read_text()
     (CONFIGS / "plc.toml").write_text(text.replace("noise_sd = 1e-3", "noise_sd = 2e-3"))
     systemctl("reload", "deltak")

@@ -55,6 +55,10 @@ def test_page_reads_signs_in_and_reaches_the_agent_inside_its_sandbox(found: dic
     assert found["page"] == page
 
 
+def test_opcua_server_answers_inside_its_sandbox(found: dict[str, Any]) -> None:
+    assert found["opcua"]
+
+
 def test_reload_starts_only_the_rig_anew_whose_file_changed(found: dict[str, Any]) -> None:
     assert found["runs"] == [["can", 1], ["line", 1], ["plc", 2]]
 

@@ -114,8 +114,8 @@ class Commands:
         if refused is not None:
             return _status(refused)
         path = self._paths[found.db]
-        what: dict[str, Any] = {"cause": cause, "ids": [found.alarm["id"]], "by": by, "comment": comment, "length_ns": length_ns}
-        asked = partial(ask, path, "alarm", **what, brief=True)
+        to_do = partial(ask, path, "alarm", cause=cause, ids=[found.alarm["id"]], brief=True)
+        asked = partial(to_do, by=by, comment=comment, length_ns=length_ns)
         try:
             await asyncio.to_thread(asked)
         except AgentError:

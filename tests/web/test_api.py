@@ -31,12 +31,13 @@ from tests.web.server import PASSWORD, Client, password_file, serving
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("served")
     files.make(folder)
+    password_file(folder)
     return folder
 
 
 @pytest.fixture(scope="module")
 def server(folder: Path) -> Iterator[Client]:
-    with serving("--config", folder / "rig.toml", "--password-file", password_file(folder)) as client:
+    with serving("--config", folder / "rig.toml", "--password-file", folder / "password") as client:
         yield client
 
 
@@ -399,7 +400,7 @@ def test_password_that_the_service_manager_hands_over_may_be_readable_to_its_gro
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "page.password"
-    shutil.copy(password_file(tmp_path), path)
+    shutil.copy(folder / "password", path)
     path.chmod(0o440)  # so it looks where an access list names the user
     with pytest.raises(UsageError, match="may be used by others"):
         from_files(path, None)

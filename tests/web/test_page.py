@@ -142,7 +142,7 @@ def test_planted_alarm_appears_within_two_seconds(browser: webdriver.Chrome, fol
     assert time.monotonic() - committed < 2.0
 
 
-def test_alarm_is_acknowledged_by_keyboard_alone(
+def test_alarm_is_acknowledged_and_shelved_by_keyboard_alone(
     browser: webdriver.Chrome, agent: list[Mapping[str, Any]], folder: Path
 ) -> None:
     def press(*keys: str) -> None:
@@ -169,6 +169,9 @@ def test_alarm_is_acknowledged_by_keyboard_alone(
     line = agent[-1]
     assert (line["cause"], line["by"], f"rig/{line['ids'][0]}") == ("acknowledge", "anna", first)
     until(lambda: focused() == first)  # where one was is where one stays
+    press("s")
+    until(lambda: agent[-1]["cause"] == "shelve")
+    assert (agent[-1]["by"], agent[-1]["ids"], agent[-1]["length_ns"]) == ("anna", line["ids"], 8 * 3600 * 10**9)
 
 
 def test_narrow_page_in_both_schemes_has_no_horizontal_scroll_and_axe_finds_nothing(browser: webdriver.Chrome) -> None:

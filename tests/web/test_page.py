@@ -9,12 +9,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from selenium import webdriver
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
+from agent.storage.read import queries
 from agent.storage.write.command_socket import CommandServer
+from agent.storage.write.store import Store
+from tests.storage.rows import HOP, PARAMETERS, batch, run_info
 from tests.web import files
 from tests.web.server import PASSWORD, Client, password_file, serving
 
@@ -195,3 +199,30 @@ def test_browser_asked_no_other_origin_and_found_no_fault(browser: webdriver.Chr
     assert len(sent) > 10
     assert {url for url in sent if not url.startswith(f"http://localhost:{server.port}/")} == set()
     assert browser.get_log("browser") == []
+
+
+@pytest.mark.soak
+def test_two_hundred_rows_are_shown_with_the_numbers_of_sql_as_they_are_committed(
+    browser: webdriver.Chrome, folder: Path
+) -> None:
+    until(lambda: texts(browser, "#connection") == ["live"])
+    rng = np.random.default_rng(3)
+    with Store.open(folder / "rig.db") as store:
+        run = store.begin_run(run_info(started_ns=time.time_ns()))
+        for number in range(50):
+            value = rng.normal(25.0, 10.0 ** rng.integers(-3, 4), (1, 4))
+            sd = np.abs(rng.normal(0.0, 10.0 ** rng.integers(-6, 1), (1, 4)))
+            now = time.time_ns() - number * HOP  # the row's own number adds as much
+            rows = batch(1, first=number, start=now, value=value, sd=sd, lower=value - 2 * sd, upper=value + 2 * sd)
+            store.write(run, [rows])
+            wanted = [[name, *pair] for name, *pair in zip(PARAMETERS, value[0], sd[0], strict=True)]
+            until(lambda wanted=wanted: shown(browser) == wanted)
+            stored = queries.latest(folder / "rig.db", "press-7")
+            assert [[row["parameter"], row["value"], row["sd"]] for row in stored] == wanted
+
+
+def shown(browser: webdriver.Chrome) -> list[list[Any]]:
+    """Return name, value and standard deviation of each parameter, as the page has them."""
+    script = """return [...document.querySelectorAll("#parameter-list li")].map((li) =>
+        [li.dataset.key, Number(li.querySelector("data").value), Number(li.querySelector("data").dataset.sd)])"""
+    return list(browser.execute_script(script))

@@ -605,6 +605,41 @@ def serve(  # noqa: PLR0913, PLR0917 the signature is the command line
 
 
 @app.command()
+def opcua(  # noqa: PLR0913, PLR0917 the signature is the command line
+    target: Annotated[
+        list[Path] | None, typer.Argument(metavar="DB|CONFIG...", help="What to serve; a configuration its database.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for a free one.")] = 4840,
+    hostname: Annotated[
+        str | None, typer.Option("--hostname", metavar="NAME", help="The name under which clients reach it.")
+    ] = None,
+    users: Annotated[
+        Path | None, typer.Option("--users", metavar="FILE", help="Users that may act, with hashes of passwords.")
+    ] = None,
+    new_user: Annotated[
+        str | None, typer.Option("--new-user", metavar="NAME", help="Ask for a password, add it to --users, stop.")
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option("--certificate", metavar="FILE", help="The server's certificate, PEM or DER.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option("--key", metavar="FILE", help="Its private key.")] = None,
+    trusted: Annotated[
+        Path | None, typer.Option("--trusted", metavar="FOLDER", help="Certificates of clients; others are refused.")
+    ] = None,
+    private: Annotated[bool, typer.Option("--private", help="Reading needs a user too.")] = False,
+) -> None:
+    """Serve parameters and alarms over OPC UA; a process of its own that only reads the databases."""
+    from agent.cli.opcua import serve as commands_opcua
+
+    if new_user is not None:
+        commands_opcua.add_user(users, new_user)
+        return
+    options = commands_opcua.Options(host, port, hostname, users, certificate, key, trusted, private)
+    commands_opcua.serve(target or [], options)
+
+
+@app.command()
 def export(
     db: Database,
     what: Annotated[

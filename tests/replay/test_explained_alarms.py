@@ -15,7 +15,10 @@ from agent.evaluation.explain.explain import Explained, agreeing, explain
 from agent.recording.states import StateError, thawed
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import columns_of
-from tests.replay.test_event_replays import Live, asked, deltak, live
+from tests.figures import figure
+from tests.replay.test_event_replays import Live, asked, configured, deltak, live
+from tests.scenario.live import agent, hops, wait_until
+from tests.sim.rigs import simulator
 
 __all__ = ["live"]
 
@@ -116,3 +119,35 @@ def test_state_runs_nothing_but_what_computes(name: str) -> None:
 def test_digits_are_those_in_which_all_figures_agree(one: Any, other: Any, digits: int) -> None:
     stored = {"delta": one, "sd": 0.5, "probability": 0.9, "message": "a"}
     assert agreeing(stored, stored | {"delta": other}) == digits
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1200)
+def test_fifty_alarms_of_random_changes_are_explained_to_the_same_digits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digits: list[int] = []
+    for seed in range(100):
+        if len(digits) >= 50:
+            break
+        monkeypatch.setenv("DELTAK_SEED", str(seed))
+        for alarm, document in played(tmp_path / f"{seed}", ("can", "serial", "modbus")[seed % 3]):
+            assert document["same"], (seed, alarm, document["words"])
+            digits.append(document["digits"])
+    figure(f"{len(digits)} alarms of random changes over three buses explained: all the same, to {min(digits)} digits")
+    assert len(digits) >= 50
+    assert min(digits) >= 12
+
+
+def played(folder: Path, bus: str) -> list[tuple[int, dict[str, Any]]]:
+    """Return the level alarms of a live run of the scenario `random`, each with its explanation."""
+    folder.mkdir()
+    db = folder / "live.db"
+    with (
+        simulator(folder, configured(bus, folder), "--scenario", "random", "--fast") as device,
+        agent(device.config, options=["--db", str(db)]) as running,
+    ):
+        wait_until(lambda: hops(db) == 60, "60 rows", 60)
+        running.document()
+    found = alarms(Live(device.config, db))
+    return [(alarm["id"], explain(db, alarm["id"]).document) for alarm in found]

@@ -10,7 +10,11 @@ import pytest
 from tests import peers
 
 DEPLOY = peers.ROOT / "deploy"
-UNITS = {"deltak@.service": "deltak@press-7.service", "deltak.service": "deltak.service"}
+UNITS = {
+    "deltak@.service": ("deltak@press-7.service", "run"), "deltak.service": ("deltak.service", "run"),
+    "deltak-page.service": ("deltak-page.service", "serve"), "deltak-opcua.service": ("deltak-opcua.service", "opcua"),
+}  # fmt: skip
+"""By file: what an instance is called, and the command that it runs."""
 
 
 def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -21,11 +25,16 @@ def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(params=UNITS)
 def unit(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     """Each unit, the template as an instance, with programs that exist."""
-    path = tmp_path / UNITS[request.param]
+    name, command = UNITS[request.param]
+    path = tmp_path / name
     text = (DEPLOY / "systemd" / request.param).read_text()
-    assert "/opt/deltak/bin/deltak run" in text
+    assert f"/opt/deltak/bin/deltak {command} " in text
     path.write_text(text.replace("/opt/deltak/bin/deltak", "/bin/true"))
     return path
+
+
+def test_every_unit_is_looked_at() -> None:
+    assert {file.name for file in (DEPLOY / "systemd").glob("*.service")} == set(UNITS)
 
 
 def test_unit_is_taken_without_a_word(unit: Path) -> None:

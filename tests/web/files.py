@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from agent.storage.write.store import Store
-from agent.types import Reason, Status
+from agent.types import ForecastRecord, ForecastScore, Reason, Status
 from tests.storage.rows import HOP, batch, ledger, run_info, step, verdict
 
+DAY = 86_400 * 10**9
 EVIL = '<img src=x onerror=alert(1)>"\x1b[31m'
 """What a message must never be more than: text."""
 CONFIG = """
@@ -66,9 +67,30 @@ def make(folder: Path, hops: int = 100) -> Path:
         alarm = step("NORM", "UNACK", newest - 10**9, message=f"k1 fell by 16 N/m {EVIL}")
         rows = batch(hops, start=start, status=status, reason=reason)
         store.write(one, [rows, alarm, ledger(newest - 10**10), ledger(newest, received=3000), verdict(newest)])
+        store.write(one, forecasts(newest))
+        store.write(one, scores(newest))
         two = store.begin_run(run_info("press-8", started_ns=start))
         store.write(two, [batch(hops, start=start, rig="press-8", parameters=("k1", "c9"))])
     return path
+
+
+def forecasts(newest: int) -> list[ForecastRecord]:
+    """Return three forecasts of k1: of two the time has come."""
+    return [
+        ForecastRecord(
+            "press-7", "k1", t_ns, 24.0, 10.0, "ok", t_ns + 3 * DAY, t_ns + 5 * DAY, t_ns + 8 * DAY, 0.75,
+            6 * 86_400.0, '{"constant": 1.0}', "[259200.0, 432000.0, 691200.0]", "due",
+        )
+        for t_ns in (newest - 40 * DAY, newest - 20 * DAY, newest)
+    ]  # fmt: skip
+
+
+def scores(newest: int) -> list[ForecastScore]:
+    """Return that the first forecast held and the second did not."""
+    return [
+        ForecastScore("press-7", "k1", number, t_ns, t_ns + 9 * DAY, t_ns + 4 * DAY, 12_345.5, held)
+        for number, t_ns, held in ((1, newest - 40 * DAY, True), (2, newest - 20 * DAY, False))
+    ]
 
 
 def plant(path: Path, parameter: str = "k2") -> None:

@@ -10,12 +10,14 @@ from PIL import Image
 from selenium import webdriver
 
 from agent.storage.write.store import Store
+from agent.types import ForecastRecord, Reason, Status
 from tests import peers
 from tests.storage.rows import batch, ledger, run_info, step, verdict
 from tests.web import files
 from tests.web.server import serving
 
 HOUR_NS = 3600 * 10**9
+DAY_NS = 24 * HOUR_NS
 HOURS = 60 * 24
 PICTURES = {"page.png": (1280, "light"), "page-phone.png": (360, "dark")}
 
@@ -34,10 +36,30 @@ def wear(folder: Path) -> None:
         "NORM", "UNACK", newest, parameter="k2", message="k2 is 2.7 N/m above nominal 26 (limit 2.6)", delta=2.7,
         limit_value=2.6,
     )  # fmt: skip
-    rows = batch(HOURS, start=start, hop_ns=HOUR_NS, value=value, sd=sd, lower=value - 2 * sd, upper=value + 2 * sd)
+    status, reason = np.full((HOURS, 4), Status.VALID, np.uint8), np.zeros((HOURS, 4), np.uint8)
+    status[-1, 3], reason[-1, 3] = Status.UNEXCITED, Reason.STANDSTILL
+    rows = batch(
+        HOURS, start=start, hop_ns=HOUR_NS, value=value, sd=sd, lower=value - 2 * sd, upper=value + 2 * sd,
+        status=status, reason=reason,
+    )  # fmt: skip
     with Store.open(folder / "rig.db") as store:
         run = store.begin_run(run_info(started_ns=start))
         store.write(run, [rows, alarm, ledger(newest - 10**10), ledger(newest, received=11_000), verdict(newest)])
+        store.write(run, forecasts(start))
+
+
+def forecasts(start: int) -> list[ForecastRecord]:
+    """Return what the agent forecast of k1 every five days: 14 N/m under its reference is reached on day 84."""
+    rng = np.random.default_rng(2)
+    made = []
+    for day in range(20, 61, 5):
+        t_ns, left = start + day * DAY_NS, (84 - day) * rng.uniform(0.9, 1.15)
+        ends = (t_ns + round(share * left * DAY_NS) for share in (0.8, 1.0, 1.3))
+        now = 25.0 - day / 6.0
+        made.append(
+            ForecastRecord("press-7", "k1", t_ns, now, 11.0, "ok", *ends, 0.9, 60 * 86_400.0, "{}", "[]", "due")
+        )
+    return made
 
 
 def take(folder: Path, target: Path) -> None:

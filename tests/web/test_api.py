@@ -14,7 +14,10 @@ import numpy as np
 import pytest
 
 from agent.cli.app import app
+from agent.cli.glance.files import several
 from agent.cli.web.documents import DOCUMENTS, thinned
+from agent.cli.web.forecasts import spread, words_of
+from agent.cli.web.secret import from_files
 from agent.errors import StoreError, UsageError
 from agent.storage.read import queries
 from agent.storage.write.command_socket import CommandServer
@@ -28,12 +31,13 @@ from tests.web.server import PASSWORD, Client, password_file, serving
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("served")
     files.make(folder)
+    password_file(folder)
     return folder
 
 
 @pytest.fixture(scope="module")
 def server(folder: Path) -> Iterator[Client]:
-    with serving("--config", folder / "rig.toml", "--password-file", password_file(folder)) as client:
+    with serving("--config", folder / "rig.toml", "--password-file", folder / "password") as client:
         yield client
 
 
@@ -343,3 +347,65 @@ def test_reading_holds_nothing_of_the_file(client: Client, folder: Path) -> None
     with Store.open(folder / "rig.db") as store:
         store.begin_run(run_info(started_ns=time.time_ns()))
         assert store.connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0] == 0
+
+
+def test_forecasts_are_those_of_sql_with_their_record_in_words(client: Client, folder: Path) -> None:
+    found = client.get("forecasts?rig=press-7")
+    with sqlite3.connect(folder / "rig.db") as connection:
+        connection.row_factory = sqlite3.Row
+        said = [dict(row) for row in connection.execute("SELECT * FROM v_forecast WHERE rig = 'press-7'")]
+    connection.close()
+    assert [{**row, "draws": said[0]["draws"]} for row in found["forecasts"]] == [{**r, "db": "rig"} for r in said]
+    (record,) = found["records"]
+    assert record["words"] == "reached in 5 days (80 %: 3 days … 8 days); chance within 6 days 75 %"
+    assert record["record_words"] == ["of 2 made here, 1 held within the 80 % band; CRPS 3.43 hours"]
+    assert (record["parameter"], record["made"], record["held"], record["waiting"]) == ("k1", 2, 1, 1)
+
+
+def test_forecast_without_a_band_says_why(client: Client, folder: Path) -> None:
+    row = queries.forecasts(folder / "rig.db")[-1]
+    nothing = dict.fromkeys(("p10_ns", "p50_ns", "p90_ns", "chance"))
+    assert words_of({**row, **nothing, "status": "too short"}) == "no forecast: the history is too short to say"
+    assert words_of({**row, "p90_ns": None}).startswith("not reached in twenty times the history's span")
+
+
+def test_many_forecasts_are_spread_and_the_newest_is_always_there() -> None:
+    rows = [{"id": n} for n in range(1050)]
+    found = [row["id"] for row in spread(rows, 100)]
+    assert (len(found), found[-1], set(np.diff(found))) == (96, 1049, {11})
+    assert spread(rows[:7], 100) == rows[:7]
+
+
+def test_overview_says_what_could_be_known_now(client: Client) -> None:
+    rig = next(one for one in client.get("overview")["rigs"] if one["rig"] == "press-7")
+    assert rig["known"] == "resolved now: k1, k2, B1; not B2: nothing moves"
+    known = {row["parameter"]: row["known"] for row in rig["parameters"]}
+    row = next(one for one in rig["parameters"] if one["parameter"] == "k1")
+    half = (row["upper"] - row["lower"]) / 2.0
+    assert known["k1"]["words"] == f"known to ± {half:.2g} N/m, {100.0 * half / 15.0:.2g} % of its limit"
+    assert (known["B2"]["resolved"], known["B2"]["of_limit"]) == (False, None)
+    assert known["B2"]["words"].startswith("not known: nothing moves; ± ")
+
+
+def test_folder_of_configurations_belongs_to_the_database_that_is_named(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "conf.d").mkdir()
+    (tmp_path / "conf.d" / "press-7.toml").write_text(files.CONFIG)  # it names a rig.db that nobody writes
+    (database,) = several([folder / "rig.db"], [tmp_path / "conf.d"])
+    assert (database.path, list(database.configs)) == (folder / "rig.db", ["press-7"])
+    (tmp_path / "conf.d" / "rig.db").touch()
+    assert len(several([folder / "rig.db"], [tmp_path / "conf.d"])) == 2
+
+
+def test_password_that_the_service_manager_hands_over_may_be_readable_to_its_group(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "page.password"
+    shutil.copy(folder / "password", path)
+    path.chmod(0o440)  # so it looks where an access list names the user
+    with pytest.raises(UsageError, match="may be used by others"):
+        from_files(path, None)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    assert from_files(path, None) is not None
+    path.chmod(0o444)
+    with pytest.raises(UsageError, match="may be used by others"):
+        from_files(path, None)

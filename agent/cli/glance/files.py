@@ -51,12 +51,19 @@ def one(target: Path | None) -> Watched:
 
 
 def several(databases: Sequence[Path], configs: Iterable[Path]) -> list[Watched]:
-    """Return databases with what their configurations say; those that only a configuration names come last."""
+    """Return databases with what their configurations say; those that only a configuration names come last.
+
+    configs: files, or folders of them. Where one database is named, a configuration whose own is not there belongs to
+    it: so writes an agent that runs with --db.
+    """
     from agent.config.load import load_many
+    from agent.config.reading.toml_file import files_of
 
     known: dict[Path, dict[str, RigConfig]] = {path.absolute(): {} for path in databases}
-    for config in load_many(configs):
-        known.setdefault(config.store.path.absolute(), {})[config.rig.name] = config
+    for config in load_many(files_of(configs)):
+        own = config.store.path.absolute()
+        is_elsewhere = len(databases) == 1 and not own.exists()
+        known.setdefault(databases[0].absolute() if is_elsewhere else own, {})[config.rig.name] = config
     found: list[Watched] = []
     for path, rigs in known.items():
         found.append(Watched(_free_name(path.stem, {other.name for other in found}), path, rigs))

@@ -47,6 +47,8 @@ def _rig(rig: Mapping[str, Any]) -> "Iterable[RenderableType]":
     yield _table(
         ("parameter", "value ± sd", "", "of limit", "status", "alarm"), map(_parameter, rig["parameters"])
     )
+    if rig["parameters"]:
+        yield _line(rig["known"])
     if rig["alarms"]:
         yield _table(("alarm", "priority", "state", "raised", "what"), map(_alarm, rig["alarms"]))
     if rig["sources"]:

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from agent.cli.glance.files import Watched
+from agent.cli.glance.known import known_now, known_words
 from agent.errors import StoreError
 from agent.storage.read import queries, recent
 
@@ -62,6 +63,7 @@ def _rig(database: Watched, name: str, tables: Mapping[str, Sequence[Row]], now_
         "t_ns": newest,
         "lag_s": None if newest is None else (now_ns - newest) / 1e9,
         "parameters": parameters,
+        "known": known_words(parameters),
         "alarms": sorted(alarms, key=urgency, reverse=True),
         "sources": [{**row, "stale": (now_ns - row["t_ns"]) / 1e9 > _STALE_S} for row in tables["sources"]],
     }
@@ -86,6 +88,7 @@ def _parameter(row: Row, limit: Row | None, alarms: Iterable[Row]) -> dict[str, 
         "side": None if limit is None else limit["side"],
         "used": abs(row["delta"]) / size if known and size else None,  # share of the limit
         "alarm": next((a["state"] for a in alarms if a["parameter"] == row["parameter"]), None),
+        "known": known_now(row, size),
     }
 
 

@@ -11,10 +11,12 @@ from agent.cli.glance.files import Watched
 from agent.cli.glance.state import overview
 from agent.cli.prognosis.trend import document as trend_document
 from agent.cli.terminal.output import json_ready
+from agent.cli.web.forecasts import forecasts
 from agent.cli.web.model import drawing
 from agent.clock import wall_ns
 from agent.errors import UsageError
 from agent.storage.read import queries, recent
+from agent.storage.read.baselines import baselines
 from agent.storage.read.queries import Points, Rows
 
 Asked = Mapping[str, str]
@@ -208,6 +210,14 @@ def _verdicts(database: Watched, asked: Asked) -> Rows:
     return queries.verdicts(database.path, asked.get("rig"))
 
 
+def _forecasts(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
+    return forecasts(_chosen(watched, asked), asked.get("rig"), asked.get("parameter"))
+
+
+def _baselines(database: Watched, asked: Asked) -> Rows:
+    return baselines(database.path, asked.get("rig"))
+
+
 _RIG: Final = ("db", "rig")
 _PARAMETER: Final = (*_RIG, "parameter", "since", "until")
 _POINTS_OF = "Valid estimates for a chart, out of the tier that the time needs: t_ns, value, sd, lowest, highest."
@@ -222,6 +232,11 @@ DOCUMENTS: Final[Mapping[str, Document]] = {
     "alarm_events": Document("Steps of alarms, oldest first.", _RIG, _rows_of("alarm_events", _alarm_events)),
     "verdicts": Document("What is believed of the rigs' constants.", _RIG, _rows_of("verdicts", _verdicts)),
     "health": Document("The newest ledger row of each source, with its rate.", _RIG, _rows_of("sources", _health)),
+    "baselines": Document("Rows of v_baselines, oldest first.", _RIG, _rows_of("baselines", _baselines)),
+    "forecasts": Document(
+        "Stored forecasts, oldest first, the newest and at most 99 before it of each parameter; and their record.",
+        (*_RIG, "parameter"), _forecasts,
+    ),
     "trend": Document("Whether a parameter changes, and when it reaches a limit.", (*_PARAMETER, "limit"), _trend),
     "points": Document(_POINTS_OF, (*_PARAMETER, "points"), _points),
     "model": Document("Masses, springs and dampers of a rig, to be drawn.", _RIG, _model),

@@ -15,6 +15,8 @@ _COST = (16384, 8, 1)  # n, r, p: 16 MB and some 50 ms a try
 _SHORTEST = 8
 _MOST_BYTES_OF_SECRET = 1024
 _SHORTEST_TOKEN = 16
+_MOST_BYTES_OF_FILE = 65536
+_GROUP, _OTHERS = 0o070, 0o007
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +47,18 @@ class Secret:
         salt = os.urandom(16)
         return cls(password=(salt, _hash(said, salt)))
 
+    @classmethod
+    def read(cls, line: str) -> Self | None:
+        """Return the secret whose `line` this is; None where it is none."""
+        parts = line.split(":")
+        if parts[:4] != ["scrypt", *map(str, _COST)] or len(parts) != 6:
+            return None
+        try:
+            salt, known = (base64.b64decode(part, validate=True) for part in parts[4:])
+        except ValueError:
+            return None
+        return cls(password=(salt, known))
+
     def line(self) -> str:
         """Return a password's hash as a file holds it."""
         parts = [base64.b64encode(part).decode() for part in self.password or ()]
@@ -62,12 +76,16 @@ def from_files(password: Path | None, token: Path | None) -> Secret | None:
 
 def write_password(path: Path, text: str) -> None:
     """Write a password's hash to a file that only its owner can read. Raises UsageError where that cannot be."""
-    line = Secret.of_password(text).line()
+    write_closed(path, f"{Secret.of_password(text).line()}\n")
+
+
+def write_closed(path: Path, content: str) -> None:
+    """Write a file that only its owner can read. Raises UsageError where that cannot be."""
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
         with os.fdopen(handle, "w", encoding="ascii") as file:
             os.fchmod(file.fileno(), 0o600)
-            file.write(f"{line}\n")
+            file.write(content)
     except OSError as error:
         raise UsageError.at(str(path), f"cannot be written ({error})", "name a file that can be written") from error
 
@@ -77,32 +95,39 @@ def _hash(text: bytes, salt: bytes) -> bytes:
     return hashlib.scrypt(text, salt=salt, n=n, r=r, p=p, maxmem=64 * 1024 * 1024)
 
 
-def _content(path: Path) -> str:
+def closed_content(path: Path) -> str:
+    """Return what a file of secrets holds. Raises UsageError where it cannot be read, or others can read it."""
     try:
         with path.open(encoding="utf-8") as file:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            content = file.read(4096).strip()
+            content = file.read(_MOST_BYTES_OF_FILE).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError.at(str(path), f"cannot be read ({error})", "name a file with a password or a token") from error
-    if mode & 0o077:
-        raise UsageError.at(str(path), f"may be used by others (mode {mode:04o})", f"chmod 600 {path}")
+    check_closed(path, mode)
     return content
 
 
+def check_closed(path: Path, mode: int) -> None:
+    """Raise UsageError where others may use a file.
+
+    Of a file that systemd made for this service a group's rights are passed over: its access list stands there.
+    """
+    folder = os.environ.get("CREDENTIALS_DIRECTORY")
+    is_handed_over = folder is not None and path.parent == Path(folder)
+    if mode & (_OTHERS if is_handed_over else _OTHERS | _GROUP):
+        raise UsageError.at(str(path), f"may be used by others (mode {mode & 0o7777:04o})", f"chmod 600 {path}")
+
+
 def _password(path: Path) -> Secret:
-    parts = _content(path).split(":")
-    advice = f"make it with `deltak serve --new-password {path}`"
-    if parts[:4] != ["scrypt", *map(str, _COST)] or len(parts) != 6:
+    secret = Secret.read(closed_content(path))
+    if secret is None:
+        advice = f"make it with `deltak serve --new-password {path}`"
         raise UsageError.at(str(path), "holds no hash of a password", advice)
-    try:
-        salt, known = (base64.b64decode(part, validate=True) for part in parts[4:])
-    except ValueError as error:
-        raise UsageError.at(str(path), f"holds no hash of a password ({error})", advice) from error
-    return Secret(password=(salt, known))
+    return secret
 
 
 def _token(path: Path) -> Secret:
-    content = _content(path)
+    content = closed_content(path)
     if len(content) < _SHORTEST_TOKEN:
         what = f"holds a token of {len(content)} characters"
         raise UsageError.at(str(path), what, f"take at least {_SHORTEST_TOKEN}, such as `openssl rand -hex 32`")

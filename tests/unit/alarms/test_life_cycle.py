@@ -143,19 +143,3 @@ def test_table_is_total_and_stands_in_the_alarm_document() -> None:
 )
 def test_cause_of_a_detectors_step_is_what_the_process_did(before: str, to: str, cause: str | None) -> None:
     assert cause_of(before, to) == cause  # type: ignore[arg-type]
-
-
-ALERTA = {
-    # (state, act, condition stands): what alerta-server 9 (alerta/models/alarms/isa_18_2.py) does; why it differs here
-    ("SHLVD", "unshelve", True): ("UNACK", "whoever unshelves by hand knows of the alarm: its acknowledgement is his"),
-    ("OOSRV", "shelve", True): ("SHLVD", "out of service ends by a return only (clause 5.4), never by itself"),
-    ("SHLVD", "shelve", True): ("SHLVD", "a shelf is prolonged by nobody unawares"),
-}
-
-
-@pytest.mark.parametrize(("place", "other"), ALERTA.items())
-def test_life_cycle_differs_from_alerta_only_where_it_says_why(
-    place: tuple[str, str, bool], other: tuple[str, str]
-) -> None:
-    state, cause, stands = place
-    assert after(state, cause, stands=stands) != other[0]  # type: ignore[arg-type]

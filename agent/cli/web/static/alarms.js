@@ -14,6 +14,7 @@ export class Alarms {
     this.session = { signed_in: false, possible: false };
     byId("alarm-list").addEventListener("keydown", (event) => this.key(event));
     byId("sign").addEventListener("click", () => this.signOrOut());
+    byId("sign-dialog").addEventListener("close", () => this.focusAgain());
     byId("sign-cancel").addEventListener("click", () => byId("sign-dialog").close());
     byId("sign-form").addEventListener("submit", (event) => { event.preventDefault(); this.signIn(); });
   }
@@ -74,8 +75,16 @@ export class Alarms {
     acts[event.key]();
   }
 
+  /** Go back to the alarm that was dealt with last, where the list was drawn anew meanwhile and nothing has the focus. */
+  focusAgain() {
+    if (this.dealtWith && document.activeElement === document.body) {
+      (byId("alarm-list").querySelector(`[data-key="${CSS.escape(this.dealtWith)}"]`) ?? byId("alarms")).focus();
+    }
+  }
+
   async act(alarm, action, body) {
     const notice = byId("notice");
+    this.dealtWith = `${alarm.db}/${alarm.id}`;
     notice.textContent = "";
     if (!this.session.signed_in) {
       if (!this.session.possible) {
@@ -89,6 +98,7 @@ export class Alarms {
     try {
       await this.send(`alarms/${encodeURIComponent(alarm.db)}/${alarm.id}/${action}`, "POST", body);
       await this.load();
+      this.focusAgain();
     } catch (error) {
       notice.textContent = error.message;
       if (error.status === 401) this.take(await ask("session"));

@@ -1,11 +1,14 @@
 // One parameter over time, from seconds to years: value, interval, extremes, reference, limits, forecast. Drawn by uPlot.
 import { ask, byId, make, number, query } from "./dom.js";
+import { drawPast, fanOf } from "./fan.js";
 
 const SPANS = [["1 min", 60], ["10 min", 600], ["1 h", 3600], ["1 d", 86400], ["1 week", 604800], ["30 d", 2592000], ["1 year", 31557600], ["all", null]];
 const LEAST_S = 2, MOST_S = 50 * 31557600;
 
 export class Chart {
   constructor() {
+    this.past = []; // rows of v_forecast but the newest
+    this.spread = null; // sd of the healthy machine's estimates about the baseline
     this.shown = null; // {db, rig, parameter, reference, limit, delta}
     this.span = 600;
     this.end = null; // s since the epoch; null follows the newest row
@@ -40,9 +43,11 @@ export class Chart {
     this.shown = shown;
     if (same) return;
     this.fan = null;
+    this.past = [];
     byId("chart-title").textContent = `Chart of ${shown.parameter} of ${shown.rig}`;
     this.load();
-    this.forecast();
+    this.forecast(true);
+    this.learnt();
   }
 
   show(span, end) {
@@ -78,11 +83,13 @@ export class Chart {
     return this.limits.getAttribute("aria-pressed") === "true";
   }
 
-  /** Return the instants of the forecast, where it lies within a few times of what is shown. */
+  /** Return the instants to come of the fan, where it lies within a few times of what is shown; the newest row first. */
   ahead() {
     if (!this.fan || this.end !== null || !this.hasLimits()) return [];
-    const times = [this.fan.from[0] / 1e9, ...this.fan.times].filter(Number.isFinite);
-    return this.span === null || times.at(-1) - times[0] < 3 * this.span ? times : [];
+    const newest = Math.max(this.fan.from[0] / 1e9, (this.points.at(-1)?.[0] ?? 0) / 1e9);
+    const times = this.fan.times.filter((t) => t > newest);
+    const isNear = this.span === null || times.at(-1) - newest < 3 * this.span;
+    return times.length && isNear ? [newest, ...times] : [];
   }
 
   /** Take in that new rows came: what is followed is read anew, but not more often than a pixel needs. */
@@ -111,18 +118,34 @@ export class Chart {
     }
   }
 
-  async forecast() {
-    const { db, rig, parameter, reference, limit, delta, t_ns, value } = this.shown;
-    if (!limit || reference === null || delta === null) return;
-    const crossed = reference + Math.sign(delta || 1) * limit;
+  /** Take in the stored forecasts of what is shown, or where there is none, one that is made now. */
+  async forecast(anew = false) {
+    if (!this.shown) return;
     const shown = this.shown;
+    const { db, rig, parameter } = shown;
+    const isOther = () => ["db", "rig", "parameter"].some((key) => this.shown[key] !== shown[key]);
     try {
-      const found = await ask(`trend?${query({ db, rig, parameter, limit: crossed })}`);
-      const times = ["p10_at", "p50_at", "p90_at"].map((key) => Date.parse((found.forecast?.[key] ?? "").slice(0, 23) + "Z") / 1e3);
-      if (this.shown.parameter !== shown.parameter || found.forecast?.status !== "ok" || !Number.isFinite(times[0])) return;
-      this.fan = { from: [t_ns, value], limit: crossed, times };
-      this.draw();
-    } catch { /* no forecast is drawn where none can be made; the trend's own words are in the API */ }
+      const { forecasts } = await ask(`forecasts?${query({ db, rig, parameter })}`);
+      const newest = forecasts.at(-1);
+      if (isOther() || (!anew && newest?.id === this.newest)) return;
+      const fan = await fanOf(shown, newest);
+      if (isOther()) return;
+      this.newest = newest?.id;
+      this.past = forecasts.slice(0, -1).filter((row) => row.p50_ns !== null);
+      this.fan = fan;
+      if (this.points) this.draw();
+    } catch { /* no forecast is drawn where none can be made; the list of forecasts has its words */ }
+  }
+
+  /** Take in what the healthy machine's estimates spread by, where the reference is a baseline. */
+  async learnt() {
+    const { db, rig, parameter, baseline_id: learntAs } = this.shown;
+    this.spread = null;
+    if (learntAs === null) return;
+    const { baselines } = await ask(`baselines?${query({ db, rig })}`);
+    if (this.shown.parameter !== parameter) return;
+    this.spread = baselines.find((one) => one.baseline_id === learntAs)?.spread_sd ?? null;
+    if (this.points) this.draw();
   }
 
   say(found) {
@@ -146,7 +169,7 @@ export class Chart {
     const options = {
       ...this.size(), series, bands, axes: [axis, { ...axis, size: 62, label: this.unit, labelSize: 18 }],
       cursor: { drag: { x: true, y: false, setScale: false } }, legend: { live: false },
-      hooks: { setSelect: [(plot) => this.dragged(plot)] },
+      hooks: { setSelect: [(plot) => this.dragged(plot)], draw: [(plot) => this.hasLimits() && drawPast(plot, this.past, colour("fan"))] },
     };
     this.plot = new uPlot(options, data, byId("chart"));
   }
@@ -172,15 +195,25 @@ export class Chart {
       line("highest", colour("quiet"), past((p) => p[4]), { dash: [2, 4] }),
       line("lowest", colour("quiet"), past((p) => p[3]), { dash: [2, 4] }),
     ];
-    if (reference !== null && this.hasLimits()) lines.push(line("reference", colour("quiet"), flat(reference), { dash: [8, 4] }));
-    if (limit && reference !== null && this.hasLimits()) for (const side of [-1, 1]) lines.push(line("limit", colour("bad"), flat(reference + side * limit), { dash: [4, 2] }));
-    ahead.slice(1).forEach((end, i) => {
-      const [start, value] = [ahead[0], this.fan.from[1]];
+    const bands = [{ series: [1, 2], fill: `${colour("mark")}2a` }];
+    const between = (low, high, fill) => { bands.push({ series: [lines.length + 1, lines.length + 2], fill: `${fill}1c` }); lines.push(high, low); };
+    if (reference !== null && this.hasLimits()) {
+      const edge = (words, way, stroke, dash) => line(words, stroke, flat(reference + way), { dash });
+      lines.push(edge(this.shown.baseline_id === null ? "nominal" : `baseline ${this.shown.baseline_id}`, 0, colour("quiet"), [8, 4]));
+      if (this.spread) between(...[-2, 2].map((n) => edge("healthy, 2 sd", n * this.spread, `${colour("good")}88`, [2, 2])), colour("good"));
+      const sides = limit ? { low: [-1], high: [1] }[this.shown.side] ?? [-1, 1] : [];
+      const limits = sides.map((way) => edge("limit", way * limit, colour("bad"), [4, 2]));
+      if (limits.length === 2) between(...limits, colour("quiet"));
+      else lines.push(...limits);
+    }
+    if (ahead.length) bands.push({ series: [lines.length + 3, lines.length + 1], fill: `${colour("fan")}2a` });
+    for (const [i, end] of ahead.length ? this.fan.times.entries() : []) {
+      const [start, value] = [this.fan.from[0] / 1e9, this.fan.from[1]];
       const at = (t) => value + (this.fan.limit - value) * Math.min(1, (t - start) / (end - start));
       const values = [...this.points.map(() => null), ...ahead.map(at)];
       lines.push(line(["P10", "P50", "P90"][i], colour("fan"), values, { dash: i === 1 ? [] : [3, 3] }));
-    });
-    return { data: [x, ...lines.map((l) => l.values)], series: [{}, ...lines.map((l) => l.options)], bands: [{ series: [1, 2], fill: `${colour("mark")}2a` }] };
+    }
+    return { data: [x, ...lines.map((l) => l.values)], series: [{}, ...lines.map((l) => l.options)], bands };
   }
 }
 

@@ -57,11 +57,25 @@ async function showRig() {
   const states = Object.fromEntries(rig.parameters.map((p) => [p.parameter, p]));
   const model = await modelOf(rig);
   byId("model").replaceChildren(...(model?.masses.length ? [drawing(model, states)] : []));
+  byId("known").textContent = rig.known;
+  chart.forecast();
+  await showForecasts(rig);
   const { verdicts } = await ask(`verdicts?${query({ db: rig.db, rig: rig.rig })}`);
   const items = verdicts.slice(-5).reverse().map((v) => make(
     "li", {}, `${v.hypothesis} is off by ${withSd(v.size, v.sd)} ${v.unit}, probability ${number(v.probability, 3)}, `, instant(v.time),
   ));
   replaceItems(byId("verdict-list"), items.length ? items : [make("li", {}, "nothing but what is configured")]);
+}
+
+/** Show what was forecast of each parameter, and how good the forecasts that are scored were. */
+async function showForecasts(rig) {
+  const { records } = await ask(`forecasts?${query({ db: rig.db, rig: rig.rig })}`);
+  const items = records.map((r) => make(
+    "li", { "data-key": r.parameter },
+    make("p", {}, make("span", { class: "word" }, r.parameter), `: ${r.words}, limit ${number(r.limit_value)}; made `, instant(r.made_at)),
+    ...r.record_words.map((words) => make("p", { class: "quiet" }, words)),
+  ));
+  replaceItems(byId("forecast-list"), items.length ? items : [make("li", {}, "none is made yet")]);
 }
 
 async function modelOf(rig) {
@@ -96,6 +110,7 @@ function item(rig, p) {
     make("div", {}, bar(p), make("span", { class: "quiet" }, limit)),
     make("p", {}, make("span", { class: "word" }, words), make("span", { class: "quiet" }, held)),
     make("p", { class: "quiet" }, "reference ", number(p.reference), p.baseline_id === null ? " (nominal)" : ` (baseline ${p.baseline_id})`),
+    make("p", { class: "quiet known" }, p.known.words),
   );
 }
 
@@ -104,7 +119,8 @@ function showSources(rig) {
     "li", { class: s.stale ? "bad" : s.dropped || s.rejected || s.gaps ? "doubt" : "good", "data-key": s.source },
     make("p", {}, `${s.source}: `, make("span", { class: "word" }, s.stale ? "silent" : "reads"), ` ${number(s.rate_hz, 4)} samples/s, lag ${number(s.lag_s, 3)} s`),
     make("p", { class: "quiet" }, `received ${s.received}, used ${s.used}, rejected ${s.rejected}, dropped ${s.dropped}, gaps ${s.gaps}`
-      + (s.drift_ppm === null ? "" : `; clock ${withSd(s.drift_ppm, s.drift_sd_ppm)} ppm`)),
+      + (s.drift_ppm === null ? "" : `; clock ${withSd(s.drift_ppm, s.drift_sd_ppm)} ppm fast`)
+      + (s.skew_s === null ? "" : `; ${withSd(1e3 * s.skew_s, 1e3 * s.skew_sd_s)} ms behind the first source`)),
   ));
   replaceItems(byId("source-list"), items.length ? items : [make("li", {}, "no ledger yet")]);
 }
@@ -116,6 +132,7 @@ function takeRows(document) {
   for (const row of document.rows) {
     const p = rig.parameters.find((one) => one.parameter === row.parameter);
     if (!p || row.t_ns < p.t_ns) continue;
+    if (row.status !== p.status || row.reason !== p.reason) soon(); // what is known now is said anew
     Object.assign(p, row, { used: p.limit && row.delta !== null ? Math.abs(row.delta) / p.limit : null });
   }
   rig.lag_s = 0;

@@ -1,0 +1,76 @@
+"""Stored forecasts as the page draws them: the newest beside those of the past, and how good those were."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+from agent.cli.glance.files import Watched
+from agent.cli.prognosis.words import forecast_words, record_words
+from agent.runtime.forecasts.record import record_of
+from agent.storage.read import queries
+
+Row = Mapping[str, Any]
+MOST_PAST: Final = 100
+"""Forecasts of one parameter that are given; of more every second, third ... is, and the newest always."""
+
+
+def forecasts(databases: Iterable[Watched], rig: str | None, parameter: str | None) -> dict[str, Any]:
+    """Return {"forecasts": rows of v_forecast without their draws, "records": one a parameter, "refused"}.
+
+    A record says in `words` what the newest forecast is, and in `record_words` what became of earlier ones.
+    Raises StoreError; UsageError for an unknown rig.
+    """
+    rows: list[Row] = []
+    records: list[Row] = []
+    refused = 0
+    for database in databases:
+        found = queries.forecasts(database.path, rig, parameter)
+        refused += found.refused
+        for made in _by_parameter(found):
+            rows += [_shown(row, database.name) for row in spread(made)]
+            records.append(_record(made, database.name))
+    return {"forecasts": rows, "records": records, "refused": refused}
+
+
+def _by_parameter(rows: Iterable[Row]) -> list[list[Row]]:
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row["rig"], row["parameter"]), []).append(row)
+    return list(found.values())
+
+
+def spread(rows: list[Row], most: int = MOST_PAST) -> list[Row]:
+    """Return at most so many rows, evenly spread, the last one always."""
+    return rows[::-1][:: max(1, -(-len(rows) // most))][::-1]
+
+
+def _shown(row: Row, name: str) -> Row:
+    return {key: value for key, value in row.items() if key != "draws"} | {"db": name}
+
+
+def _record(made: list[Row], name: str) -> Row:
+    """Return what is said of one parameter's forecasts, oldest first."""
+    newest = made[-1]
+    record = record_of(made)
+    return {
+        "db": name,
+        **{key: newest[key] for key in ("rig", "parameter", "limit_value", "status", "made_at", "made_at_ns")},
+        **record,
+        "words": words_of(newest),
+        "record_words": record_words({"record": record}),
+    }
+
+
+def words_of(row: Row) -> str:
+    """Say in a sentence what a row of v_forecast forecasts, counted from when it was made."""
+    ahead = {f"{name}_s": _seconds(row, name) for name in ("p10", "p50", "p90")}
+    is_dated = all(seconds is not None for seconds in ahead.values())
+    status = "beyond" if row["status"] == "ok" and not is_dated else row["status"]
+    forecast = {**ahead, "status": status, "chance": row["chance"], "horizon_s": row["horizon_s"], "like": None}
+    if not is_dated:
+        forecast["p50_s"] = None
+    return forecast_words({"forecast": forecast, "slope_per_day": None, "limit": row["limit_value"]})
+
+
+def _seconds(row: Row, name: str) -> float | None:
+    at = row[f"{name}_ns"]
+    return None if at is None else (at - row["made_at_ns"]) / 1e9

@@ -1,0 +1,21 @@
+"""Kinds of peers by name; what a kind imports is imported when the first of it is made."""
+
+from collections.abc import Callable
+from typing import Final
+
+from agent.config.north.tables import North
+from agent.northbound.interface.peer import Peer, Place
+
+
+def make_peer(consumer: North, place: Place) -> Peer:
+    """Return a connection to a consumer that is yet to be opened."""
+    return _KINDS[consumer.kind](consumer, place)
+
+
+def _mqtt(consumer: North, place: Place) -> Peer:
+    from agent.northbound.mqtt.json_peer import JsonPeer
+
+    return JsonPeer(consumer, place)
+
+
+_KINDS: Final[dict[str, Callable[[North, Place], Peer]]] = {"mqtt": _mqtt}

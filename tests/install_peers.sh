@@ -3,7 +3,7 @@
 # Where it cannot, the tests that need them say so in the run's last lines.
 set -eu
 
-wanted="can-utils user-mode-linux kmod iproute2 mbpoll socat strace systemd libmodbus-dev gcc libc6-dev chromium chromium-driver mosquitto"
+wanted="can-utils user-mode-linux kmod iproute2 mbpoll socat strace systemd libmodbus-dev gcc libc6-dev chromium chromium-driver mosquitto postgresql"
 
 if ! command -v apt-get >/dev/null || [ "$(id -u)" -ne 0 ]; then
     echo "install_peers: not root on Debian; nothing installed" >&2
@@ -17,6 +17,7 @@ done
 [ -n "$lacking" ] || exit 0
 
 export DEBIAN_FRONTEND=noninteractive
+export RUNLEVEL=1  # brokers and databases are started by the tests that need them, and by nothing else
 echo "install_peers: installing$lacking" >&2
 apt-get update -qq
 # A package that a release does not have must not keep the others from being installed.

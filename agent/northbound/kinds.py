@@ -18,4 +18,10 @@ def _mqtt(consumer: North, place: Place) -> Peer:
     return JsonPeer(consumer, place)
 
 
-_KINDS: Final[dict[str, Callable[[North, Place], Peer]]] = {"mqtt": _mqtt}
+def _postgres(consumer: North, place: Place) -> Peer:
+    from agent.northbound.postgres.peer import PostgresPeer
+
+    return PostgresPeer(consumer, place)
+
+
+_KINDS: Final[dict[str, Callable[[North, Place], Peer]]] = {"mqtt": _mqtt, "postgres": _postgres}

@@ -1,8 +1,10 @@
 """A line to a server that can be cut and frozen, and servers that are started for a test."""
 
 import contextlib
+import os
 import select
 import shutil
+import signal
 import socket
 import subprocess
 import threading
@@ -106,6 +108,34 @@ def mosquitto(folder: Path, settings: str = "allow_anonymous true") -> Iterator[
             yield port
         finally:
             process.kill()
+
+
+@contextmanager
+def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
+    """Run a database server on loopback, as nobody where the tests are root; its superuser is `deltak`."""
+    places = ":".join(sorted(str(found) for found in Path("/usr/lib/postgresql").glob("*/bin")))
+    os.environ["PATH"] = f"{os.environ['PATH']}:{places}"
+    initdb, server = program("initdb", "postgresql"), program("postgres", "postgresql")
+    port, home = free_port(), folder / "postgres"
+    home.mkdir()
+    folder.chmod(0o755)
+    word = home / "word"
+    word.write_text(password or "none", encoding="utf-8")
+    if os.getuid() == 0:
+        for one in (home, word):
+            shutil.chown(one, "nobody", "nogroup")
+    user = {"user": "nobody", "group": "nogroup", "extra_groups": []} if os.getuid() == 0 else {}
+    way = "scram-sha-256" if password else "trust"
+    subprocess.run([initdb, "-D", home / "data", "-U", "deltak", "-A", way, "--pwfile", word, "-N", "-E", "UTF8"],
+                   check=True, capture_output=True, cwd=home, **user)  # fmt: skip
+    command = [server, "-D", home / "data", "-p", str(port), "-k", home, "-h", "127.0.0.1", "-F", "-c",
+               "shared_buffers=1MB", "-c", "logging_collector=off"]  # fmt: skip
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, cwd=home, **user) as process:
+        try:
+            wait_for_port(port)
+            yield port
+        finally:
+            process.send_signal(signal.SIGQUIT)
 
 
 def wait_for_port(port: int, limit_s: float = 20) -> None:

@@ -133,7 +133,8 @@ def disturb(path: Path, folder: Path, rows: int, cuts: int, every_s: float) -> t
 def test_line_cut_and_frozen_loses_no_row_and_keeps_the_order(memory: Path) -> None:
     disturb(memory / "rig.db", memory, 300, 4, 0.1)
     causes = [cause for cause, _ in events(memory / "rig.db")]
-    assert causes == ["consumer failed", "consumer recovered"] * (len(causes) // 2)
+    assert causes == (["consumer failed", "consumer recovered"] * len(causes))[: len(causes)]
+    assert causes
 
 
 def said_of(path: Path) -> list[str]:

@@ -7,13 +7,22 @@ ends again: up to last_seq, from `.1` to `.2`, and so on; the last is the newest
 
 import sqlite3
 from collections.abc import Collection, Mapping
+from contextlib import AbstractContextManager
+from typing import Protocol
 
 from agent.storage.write.consumers.unsent import TABLE_OF, announced, counter_of
-from agent.storage.write.store import Store
 
 Edges = tuple[int, ...]
 _KEEP = """INSERT INTO consumers (name, topic, last_seq) VALUES (?, ?, ?)
  ON CONFLICT (name, topic) DO UPDATE SET last_seq = excluded.last_seq"""
+
+
+class Transactions(Protocol):
+    """What is asked of the store here: its connection, and its transactions."""
+
+    @property
+    def connection(self) -> sqlite3.Connection: ...
+    def transaction(self) -> AbstractContextManager[sqlite3.Connection]: ...
 
 
 def edges_of(connection: sqlite3.Connection, name: str, topic: str) -> Edges | None:
@@ -29,13 +38,13 @@ def edges_of(connection: sqlite3.Connection, name: str, topic: str) -> Edges | N
     return tuple(edges) if is_sound else (edges[0],)
 
 
-def begin(store: Store, name: str, firsts: Mapping[str, int]) -> dict[str, Edges]:
+def begin(store: Transactions, name: str, firsts: Mapping[str, int]) -> dict[str, Edges]:
     """Return how far a consumer has each topic that it gets, from now on of no other; the first edge of new ones."""
     _drop_others(store, name, firsts)
     return {topic: edges_of(store.connection, name, topic) or (first,) for topic, first in firsts.items()}
 
 
-def keep(store: Store, name: str, positions: Mapping[str, Edges], numbers: Mapping[str, int]) -> int:
+def keep(store: Transactions, name: str, positions: Mapping[str, Edges], numbers: Mapping[str, int]) -> int:
     """Store how far a consumer has each topic, and numbers of its own; return how many rows it lost since last asked.
 
     Those were purged before it had them, since the file or a table of it reached its bound.
@@ -52,7 +61,7 @@ def keep(store: Store, name: str, positions: Mapping[str, Edges], numbers: Mappi
     return lost
 
 
-def forget_others(store: Store, names: Collection[str]) -> list[str]:
+def forget_others(store: Transactions, names: Collection[str]) -> list[str]:
     """Drop the cursors of consumers that are none any more, whose rows would be kept for ever; return their names."""
     known = {name for (name,) in store.connection.execute("SELECT DISTINCT name FROM consumers")}
     gone = sorted(known - set(names))
@@ -62,7 +71,7 @@ def forget_others(store: Store, names: Collection[str]) -> list[str]:
     return gone
 
 
-def _drop_others(store: Store, name: str, topics: Collection[str]) -> None:
+def _drop_others(store: Transactions, name: str, topics: Collection[str]) -> None:
     held = [topic for (topic,) in store.connection.execute("SELECT topic FROM consumers WHERE name = ?", (name,))]
     others = {*TABLE_OF} - {*topics}
     strange = [(name, topic) for topic in held if topic.split(".")[0] in others]

@@ -70,8 +70,9 @@ class Forwarder:
         self._pause_s, self._late_s, self._keep_s = pause_s, late_s, keep_s
         self._feed = Feed(place.db, consumer.parameters)
         self._place = replace(
-            place, newest=self._feed.newest, number=self._number, keep_number=self._keep_number, waiting=self._go_on
-        )
+            place, newest=self._feed.newest, number=self._number, keep_number=self._keep_number, waiting=self._go_on,
+            wake=self.wake,
+        )  # fmt: skip
         self._peer: Peer | None = None
         self._positions: dict[str, Position] | None = None
         self._numbers: dict[str, int] = {}

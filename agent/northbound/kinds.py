@@ -24,4 +24,12 @@ def _postgres(consumer: North, place: Place) -> Peer:
     return PostgresPeer(consumer, place)
 
 
-_KINDS: Final[dict[str, Callable[[North, Place], Peer]]] = {"mqtt": _mqtt, "postgres": _postgres}
+def _sparkplug(consumer: North, place: Place) -> Peer:
+    from agent.northbound.sparkplug.peer import SparkplugPeer
+
+    return SparkplugPeer(consumer, place)
+
+
+_KINDS: Final[dict[str, Callable[[North, Place], Peer]]] = {
+    "mqtt": _mqtt, "postgres": _postgres, "sparkplug": _sparkplug,
+}  # fmt: skip

@@ -48,6 +48,7 @@ class Place:
         number: returns a number that the consumer keeps in the database; 0 at first.
         keep_number: has one kept with the next cursor.
         waiting: called again and again while a peer is waited for; tells whether to go on.
+        wake: has the peer looked at soon; from any thread.
     """
 
     db: Path
@@ -57,6 +58,7 @@ class Place:
     number: Callable[[str], int] = lambda _: 0
     keep_number: Callable[[str, int], None] = lambda _key, _number: None
     waiting: Callable[[], bool] = lambda: True
+    wake: Callable[[], None] = lambda: None
 
 
 class Peer(Protocol):

@@ -18,6 +18,7 @@ from paho.mqtt.enums import CallbackAPIVersion, LogLevel, MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from agent.config.north.tables import North
 from agent.northbound.interface.certificate import refuse_expired
@@ -40,7 +41,6 @@ class Connection:
         place: the agent around it.
         will: topic, payload, quality of service and retention of what the broker says when this connection is gone.
         on_message: gets topic and payload of what arrives, in the library's thread.
-        has_will_at_end: whether the will is to be said when this connection is left, too.
     """
 
     def __init__(
@@ -49,11 +49,8 @@ class Connection:
         place: Place,
         will: tuple[str, bytes, int, bool],
         on_message: Callable[[str, bytes], None] = lambda _topic, _payload: None,
-        *,
-        has_will_at_end: bool = True,
     ) -> None:
         self._consumer, self._place = consumer, place
-        self._has_will_at_end = has_will_at_end
         self._changed = threading.Condition()
         self._answer: ReasonCode | None = None
         self._lost: str | None = None
@@ -87,7 +84,7 @@ class Connection:
         except (OSError, ValueError) as error:
             raise PeerError(cause_of(error), credentials.hidden(f"{host}:{port}: {error}")) from error
         self._client.loop_start()
-        self._wait(lambda: self._answer is not None, "no answer to the connection")
+        self.wait(lambda: self._answer is not None, "no answer to the connection")
         answer = self._answer
         if answer is not None and answer.is_failure:
             cause = "credentials" if str(answer) in _CREDENTIALS else "refused"
@@ -102,7 +99,7 @@ class Connection:
 
     def acknowledged(self, numbers: set[int]) -> None:
         """Wait until the broker has acknowledged messages. Raises PeerError."""
-        self._wait(lambda: numbers <= self._acknowledged.keys(), "no acknowledgement")
+        self.wait(lambda: numbers <= self._acknowledged.keys(), "no acknowledgement")
         with self._changed:
             answers = [self._acknowledged.pop(number) for number in numbers]
         refused = [answer for answer in answers if answer is not None and answer.is_failure]
@@ -110,35 +107,19 @@ class Connection:
             cause = "full" if str(refused[0]) == "Quota exceeded" else "refused"
             raise PeerError(cause, f"the broker refuses messages: {refused[0]}")
 
-    def subscribe(self, topic: str) -> None:
-        """Subscribe, and wait for the answer: then the broker has all that was sent before. Raises PeerError."""
-        result, number = self._client.subscribe(topic, 1)
+    def subscribe(self, topic: str, *, retained: bool = False) -> None:
+        """Subscribe, and wait for the answer: then the broker has all that was sent before. Raises PeerError.
+
+        retained: whether what the broker holds of the topic is wanted.
+        """
+        handling = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if retained else SubscribeOptions.RETAIN_DO_NOT_SEND
+        result, number = self._client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=handling))
         if result is not MQTTErrorCode.MQTT_ERR_SUCCESS or number is None:
             raise self._failure(f"subscribing failed ({result.name})")
         self.acknowledged({number})
 
-    def check(self) -> None:
-        """Raise PeerError where the connection is gone."""
-        if self._lost is not None:
-            raise self._failure(self._lost)
-
-    def close(self) -> None:
-        """Leave, saying so where that is possible; a broker that hangs is not waited for."""
-        if self._lost is None and self._answer is not None:
-            with suppress(OSError, ValueError):
-                words = _WITH_WILL if self._has_will_at_end else "Normal disconnection"
-                self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, words))
-            with self._changed:
-                self._changed.wait_for(lambda: self._lost is not None, _LEAVE_S)
-        raw = self._client.socket()
-        if isinstance(raw, socket.socket):
-            with suppress(OSError):
-                raw.shutdown(socket.SHUT_RDWR)
-        ending = threading.Thread(target=self._client.loop_stop, name="mqtt end", daemon=True)
-        ending.start()
-        ending.join(_LEAVE_S)
-
-    def _wait(self, done: Callable[[], bool], words: str) -> None:
+    def wait(self, done: Callable[[], bool], words: str) -> None:
+        """Wait until something is so, for as long as the consumer may take. Raises PeerError."""
         left = self._consumer.timeout_s
         while True:
             with self._changed:
@@ -151,6 +132,30 @@ class Connection:
                 raise PeerError("timeout", f"{words} within {self._consumer.timeout_s:g} s")
         if not done():
             raise self._failure(self._lost or "")
+
+    def check(self) -> None:
+        """Raise PeerError where the connection is gone."""
+        if self._lost is not None:
+            raise self._failure(self._lost)
+
+    def close(self, *, with_will: bool = True) -> None:
+        """Leave, saying so where that is possible; a broker that hangs is not waited for.
+
+        with_will: whether the broker is to say the will.
+        """
+        if self._lost is None and self._answer is not None:
+            with suppress(OSError, ValueError):
+                words = _WITH_WILL if with_will else "Normal disconnection"
+                self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, words))
+            with self._changed:
+                self._changed.wait_for(lambda: self._lost is not None, _LEAVE_S)
+        raw = self._client.socket()
+        if isinstance(raw, socket.socket):
+            with suppress(OSError):
+                raw.shutdown(socket.SHUT_RDWR)
+        ending = threading.Thread(target=self._client.loop_stop, name="mqtt end", daemon=True)
+        ending.start()
+        ending.join(_LEAVE_S)
 
     def _failure(self, words: str) -> PeerError:
         said = f" ({self._said})" if self._said else ""
@@ -173,6 +178,7 @@ class Connection:
         with self._changed:
             self._lost = f"the connection ended: {reason}"
             self._changed.notify_all()
+        self._place.wake()
 
     def _published(
         self, _client: Client, _data: Any, number: int, reason: ReasonCode, _properties: Properties | None
@@ -188,6 +194,9 @@ class Connection:
 
     def _arrived(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
         self._on_message(message.topic, bytes(message.payload))
+        with self._changed:
+            self._changed.notify_all()
+        self._place.wake()
 
     def _logged(self, _client: Client, _data: Any, level: int, words: str) -> None:
         if level in {LogLevel.MQTT_LOG_ERR, LogLevel.MQTT_LOG_WARNING}:

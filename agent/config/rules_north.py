@@ -1,5 +1,6 @@
 """What must hold in [[north]]: keys that each kind needs and has, addresses without secrets, names that fit."""
 
+import math
 import re
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -56,6 +57,8 @@ def _faults(path: str, consumer: North) -> Iterator[Fault]:
     needed = "folder" if consumer.kind == "parquet" else "url"
     if needed not in consumer.model_fields_set:
         yield Fault(join(path, needed), "is missing", f'kind = "{consumer.kind}" needs it')
+    if consumer.every == math.inf:
+        yield Fault(join(path, "every"), "must be a time, not for ever", 'write "1d"')
     yield from _strange_keys(path, consumer)
     if is_vague(consumer.password):
         yield Fault(join(path, "password"), "must name one place", '{ file = "..." } or { credential = "..." }')

@@ -203,7 +203,7 @@ class Forwarder:
         late_to = self._late_to.get(topic, 0)
         is_late = position.live < late_to
         until = late_to if is_late else None
-        chunk = self._feed.after(topic, position.live, until, self.consumer.batch)
+        chunk = self._feed.after(topic, position.live, until, self.consumer.at_once)
         is_through = until is not None and not chunk.more
         reached = late_to if is_through else chunk.reached
         self._deliver(Batch(topic, chunk.rows, position.live, backfill=is_late), position.advanced(reached))
@@ -236,7 +236,7 @@ class Forwarder:
             position = self._position(topic)
             if position.gap is None:
                 continue
-            chunk = self._feed.after(topic, *position.gap, self.consumer.batch)
+            chunk = self._feed.after(topic, *position.gap, self.consumer.at_once)
             after, until = position.gap
             position = position.filled(chunk.reached if chunk.more else until)
             self._deliver(Batch(topic, chunk.rows, after, backfill=True), position)

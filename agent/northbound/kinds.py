@@ -30,6 +30,12 @@ def _sparkplug(consumer: North, place: Place) -> Peer:
     return SparkplugPeer(consumer, place)
 
 
+def _parquet(consumer: North, place: Place) -> Peer:
+    from agent.northbound.parquet.peer import ParquetPeer
+
+    return ParquetPeer(consumer, place)
+
+
 _KINDS: Final[dict[str, Callable[[North, Place], Peer]]] = {
-    "mqtt": _mqtt, "postgres": _postgres, "sparkplug": _sparkplug,
+    "mqtt": _mqtt, "parquet": _parquet, "postgres": _postgres, "sparkplug": _sparkplug,
 }  # fmt: skip

@@ -17,8 +17,8 @@ from psycopg import sql
 
 from agent.config.north.tables import North
 from agent.northbound.interface.certificate import refuse_expired
+from agent.northbound.interface.layout import COLUMNS, NAMES, STEADY
 from agent.northbound.interface.peer import Batch, Credentials, PeerError, Place
-from agent.northbound.postgres.layout import COLUMNS, NAMES, STEADY
 
 _CAUSES: Final = {"28P01": "credentials", "28000": "credentials", "53100": "full", "53200": "full", "53300": "full",
                   "42501": "credentials"}  # fmt: skip

@@ -4,20 +4,22 @@ import hashlib
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from agent.config.draft import Draft
 from agent.config.linear import LinearModel
 from agent.config.linear_files import with_matrices
+from agent.config.north.tables import North
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Faults, read_list, read_table
-from agent.config.reading.secrets import check_no_plain_secrets
+from agent.config.reading.secrets import without_plain_secrets
 from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.config.rules_channels import check_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model
+from agent.config.rules_north import check_north
 from agent.config.rules_sources import check_notify, check_sources, read_sources
 from agent.config.tables import (
     Alarm,
@@ -36,6 +38,7 @@ from agent.errors import ConfigError, Fault
 
 TABLES: Final = (
     "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "metrics", "notify",
+    "north",
 )  # fmt: skip
 RESERVED: Final = ("agent", "http", "mqtt", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
@@ -48,7 +51,7 @@ _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
 }
 _RULES: Final = (
     check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast,
-    check_notify,
+    check_notify, check_north,
 )  # fmt: skip
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
 
@@ -119,21 +122,23 @@ def _conflicts(configs: list[RigConfig]) -> list[Fault]:
 
 
 def _other_targets(config: RigConfig, first: RigConfig) -> list[Fault]:
-    """Return a fault for each target that is another one in a configuration that shares the store."""
-    known = {target.name: target for target in first.notify}
-    what = f"is another target in {first.file}, which shares the store"
-    return [
-        Fault(f"{config.file}: notify[{i}].name", f"{shown(target.name)} {what}", "name them differently")
-        for i, target in enumerate(config.notify)
-        if known.get(target.name, target) != target
-    ]
+    """Return a fault for each target and consumer that is another one in a configuration that shares the store."""
+    faults = []
+    for table, what in (("notify", "target"), ("north", "consumer")):
+        known = {one.name: one for one in getattr(first, table)}
+        words = f"is another {what} in {first.file}, which shares the store"
+        faults += [
+            Fault(f"{config.file}: {table}[{i}].name", f"{shown(one.name)} {words}", "name them differently")
+            for i, one in enumerate(getattr(config, table))
+            if known.get(one.name, one) != one
+        ]
+    return faults
 
 
 def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     faults = draft.faults
     _check_names(raw, faults)
-    check_no_plain_secrets(raw, "", faults)
-    raw = _without_later(raw, draft)
+    raw = _without_later(cast("dict[str, Any]", without_plain_secrets(raw, "", faults)), draft)
     for key, table in (("rig", "[rig]"), ("model", "[model]"), ("channel", "[[channel]]")):
         if key not in raw:
             faults.add(key, "is missing", f"add {table}")
@@ -150,6 +155,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.forecast = read_table(Forecast, raw.get("forecast", {}), "forecast", faults)
     draft.metrics = read_table(Metrics, raw.get("metrics", {}), "metrics", faults)
     draft.notify = read_list(Notify, raw.get("notify", []), "notify", faults)
+    draft.north = read_list(North, raw.get("north", []), "north", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -234,6 +240,7 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         forecast=draft.forecast.beside(draft.folder),
         metrics=_placed(draft.metrics, draft.folder),
         notify=tuple(entry.table for entry in draft.notify),
+        north=tuple(entry.table for entry in draft.north),
         file=file,
         sha256=sha256,
     )

@@ -10,7 +10,7 @@ from agent.config.plugins import driver_class
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import faults_of, join, listing
 from agent.config.reading.parse import Entry, Faults, read_list, readable
-from agent.config.reading.secrets import Secret
+from agent.config.reading.secrets import is_vague
 from agent.config.tables import Notify, Source
 from agent.errors import ConfigError, Fault
 
@@ -152,5 +152,5 @@ def _vague_secrets(path: str, target: Notify) -> Iterator[Fault]:
     """Secrets that name no place, or two."""
     secrets = {key: getattr(target, key) for key in ("url", "token", "password")}
     for key, secret in secrets.items():
-        if isinstance(secret, Secret) and (secret.file is None) == (secret.env is None):
+        if is_vague(secret):
             yield Fault(join(path, key), "must name one place", '{ file = "..." } or { env = "..." }')

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from pydantic import Field, Strict, ValidationInfo, field_validator
 
 from agent.config.linear import ENTRY, LinearModel, LinearParameter
+from agent.config.north.tables import North
 from agent.config.reading.fields import (
     Asked,
     Duration,
@@ -350,6 +351,7 @@ class RigConfig(Table):
     forecast: Forecast = Forecast()
     metrics: Metrics = Metrics()
     notify: tuple[Notify, ...] = ()
+    north: tuple[North, ...] = ()
     file: Path
     sha256: str
 

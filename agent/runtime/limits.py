@@ -35,6 +35,8 @@ LOOK_S = 1.0
 """Threads are looked at this often at least."""
 WRITER_PATIENCE = 2.0
 """Intervals of the watchdog that a thread that writes may be silent, others one: a slow disk is no hang."""
+PEER_PATIENCE = 10.0
+"""Of those that supply consumers beyond the gateway: each wait for one is bounded by its timeout_s, 60 s at most."""
 
 # ------------------------------------------------------------------ exchanging rigs
 LEAVE_S = 3.0

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from agent.config import RigConfig
+from agent.northbound.forwarding import Forwarding
 from agent.notification.targets import Targets
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
@@ -44,6 +45,7 @@ class RigSet:
         handlers: what the agent may be asked for beside its databases.
         forecasts: makes those of all rigs that have alarms.
         targets: what is notified of alarms.
+        forwarding: what brings rows to consumers beyond the gateway.
     """
 
     db: Path | None
@@ -57,6 +59,7 @@ class RigSet:
     event_writers: dict[str, EventWriter] = field(default_factory=dict)
     forecasts: ForecastThread = field(default_factory=ForecastThread)
     targets: Targets = field(default_factory=Targets)
+    forwarding: Forwarding = field(default_factory=Forwarding)
 
     def make(self, configs: Sequence[RigConfig], there: Collection[str] = ()) -> Parts:
         """Make what configurations need; there: keys of the connections that are to be shared.
@@ -111,6 +114,7 @@ class RigSet:
                 self.event_writers[name].start()
         if self.kind == "live":
             self.targets.exchange(self._placed(), self.writers)
+            self.forwarding.exchange(self._placed(), self.writers)
 
     def _placed(self) -> Mapping[Path, Sequence[RigConfig]]:
         """The configurations of each database."""

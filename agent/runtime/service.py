@@ -30,6 +30,7 @@ from agent.runtime.limits import (
     IDLE_S,
     LOG_LINES,
     LOOK_S,
+    PEER_PATIENCE,
     RELOAD_S,
     ROUND_S,
     SILENCE_S,
@@ -111,6 +112,9 @@ class Service:
         for path, writer in list(self.rig_set.writers.items()):
             is_watched = writer.is_alive() and not writer.occupied
             found.append(Thread(f"write {path}", writer.progress, is_watched, WRITER_PATIENCE))
+        for forwarder in self.rig_set.forwarding.forwarders:
+            name = forwarder.consumer.name
+            found.append(Thread(f"north {name}", forwarder.progress, forwarder.is_alive(), PEER_PATIENCE))
         events = list(self.rig_set.event_writers.items())
         return found + [_disk_thread(f"events {name}", writer) for name, writer in events]
 
@@ -268,6 +272,7 @@ class Service:
         begun = monotonic_ns()
         self.rig_set.forecasts.stop()
         self.rig_set.targets.stop()
+        self.rig_set.forwarding.stop()
         for writer in self.writers.values():
             writer.hurry()
         for connection in self.connections:

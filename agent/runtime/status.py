@@ -52,6 +52,7 @@ class Status:
             "uptime_s": (monotonic_ns() - self._started_ns) / 1e9,
             "rigs": [self._rig(rig, standing.get(name, {})) for name, rig in dict(self._rigs.rigs).items()],
             "stores": [_store(path, writer) for path, writer in dict(self._rigs.writers).items()],
+            "north": self._rigs.forwarding.documents(),
             "threads": self._threads(),
             "configs": [str(config.file) for config in list(self._rigs.configs.values())],
         }

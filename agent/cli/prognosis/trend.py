@@ -77,7 +77,7 @@ def _asked(
         points = queries.points(db, rig, parameter, *times)
         past = queries.forecasts(db, points.rig, parameter)
         return _document(points, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
-    points, backward = table_points(db, *times)
+    points, backward = table_points(db, *times, parameter)
     points = replace(points, parameter=parameter or points.parameter)
     return _document(points, 0.0, limit, ahead) | {"backward": backward}, ()
 

@@ -17,37 +17,61 @@ def is_secret(key: str) -> bool:
     return _SECRET.search(key) is not None
 
 
+_PLACES: Final = ("file", "env", "credential")
+
+
 class Secret(Table):
-    """Where a secret is: in a file or in an environment variable, never in the configuration."""
+    """Where a secret is: a file, an environment variable or a credential of systemd, never in the configuration."""
 
     file: FilePath | None = None
     env: Text | None = None
+    credential: Text | None = None
 
     def read(self, folder: Path, environment: Mapping[str, str] | None = None) -> str:
         """Return the secret; paths start at the folder. Raises OSError, KeyError where it is not there."""
         if self.file is not None:
             return (folder / self.file).read_text(encoding="utf-8").strip()
+        if self.credential is not None:
+            place = Path((environment or {})["CREDENTIALS_DIRECTORY"])
+            return (place / Path(self.credential).name).read_text(encoding="utf-8").strip()
         return (environment or {})[self.env or ""]
 
 
-def check_no_plain_secrets(raw: object, path: str, faults: Faults) -> None:
-    """Note every secret, at any depth, that is not of the form { file = "..." } or { env = "..." }."""
+def is_vague(secret: object) -> bool:
+    """Tell whether a secret names no place, or several."""
+    places = () if not isinstance(secret, Secret) else (secret.file, secret.env, secret.credential)
+    return isinstance(secret, Secret) and sum(place is not None for place in places) != 1
+
+
+def without_plain_secrets(raw: object, path: str, faults: Faults) -> object:
+    """Return what was read without the secrets that stand in it, and note each, at any depth.
+
+    Only places of secrets may: { file = "..." }, or the same with env or credential. No other fault quotes one then.
+    """
     if isinstance(raw, list):
-        for i, item in enumerate(raw):
-            check_no_plain_secrets(item, join(path, i), faults)
+        return [without_plain_secrets(item, join(path, i), faults) for i, item in enumerate(raw)]
     if not isinstance(raw, dict):
-        return
+        return raw
+    kept = {}
     for key, value in raw.items():
         if not is_secret(key):
-            check_no_plain_secrets(value, join(path, key), faults)
-        elif not _is_reference(value):
+            kept[key] = without_plain_secrets(value, join(path, key), faults)
+            continue
+        if _names_places(value):
+            kept[key] = value
+        if not _is_reference(value):
             what = "a secret must not stand in a configuration"
             faults.add(join(path, key), what, 'name where it is: { file = "..." } or { env = "..." }')
+    return kept
+
+
+def _names_places(value: object) -> bool:
+    return isinstance(value, dict) and not {*value} - {*_PLACES}
 
 
 def _is_reference(value: object) -> bool:
     return (
         isinstance(value, Mapping)
         and len(value) == 1
-        and all(key in ("file", "env") and isinstance(where, str) and where for key, where in value.items())
+        and all(key in _PLACES and isinstance(where, str) and where for key, where in value.items())
     )

@@ -74,7 +74,7 @@ def like_machines(
 
 def _histories(path: Path, parameter: str | None) -> list[History]:
     if is_table(path):
-        return [history_of(table_points(path)[0], 0.0)]
+        return [history_of(table_points(path, parameter=parameter)[0], 0.0)]
     if parameter is None:
         raise UsageError.at("--parameter", f"{path} holds several parameters", "name the one to learn from")
     window = window_s(path, parameter)

@@ -35,11 +35,12 @@ _FIRST, _LAST = -(2**63), 2**63 - 1
 
 
 def proven(
-    reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST
+    reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST, *, numbered: str = ""
 ) -> tuple[list[str], Iterator[Cells]]:
     """Return the columns of a view and those of its rows under a condition that prove themselves.
 
     first_hop: from which row of `hops` on their index is compared with them; older ones are not asked for.
+    numbered: the alias of the table whose numbers follow the view's columns, as `seq`.
     """
     query, parts = _traced(view)
     width = sum(1 + len(_INDEXED.get(table, ())) for table in parts)
@@ -48,7 +49,8 @@ def proven(
             prove_whole(reader, table)
     for table in parts:
         prove_listed(reader, table, first_hop if table == "hops" else _FIRST)
-    cursor = reader.execute(f"SELECT * FROM ({query}) WHERE {condition}", tuple(values))
+    more = f", {row_of(numbered)} AS seq" if numbered else ""
+    cursor = reader.execute(f"SELECT *{more} FROM ({query}) WHERE {condition}", tuple(values))
     once = "json_each" not in query  # a row of a table may make several of those
     return [column[0] for column in cursor.description][width:], _sound(reader, cursor, parts, width, once=once)
 

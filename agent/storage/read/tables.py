@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +19,22 @@ _ADVICE = "a history has the columns time (ISO 8601, or seconds), value and, whe
 
 
 def is_table(path: Path) -> bool:
-    """Tell whether a file is a table by its name's end."""
-    return path.suffix.lower() in ENDINGS
+    """Tell whether a file is a table by its name's end; a folder is one where it holds Parquet files."""
+    is_archive = path.is_dir() and next(path.rglob("*.parquet"), None) is not None
+    return is_archive or path.suffix.lower() in ENDINGS
 
 
-def table_points(path: Path, since: str | None = None, until: str | None = None) -> tuple[Points, int]:
+def table_points(
+    path: Path, since: str | None = None, until: str | None = None, parameter: str | None = None
+) -> tuple[Points, int]:
     """Return the history in a table in order of time, and how many rows stood before an earlier one.
 
-    Rows without a number are left out. Raises UsageError for a file that cannot be read or is no history.
+    parameter: the one meant, where the table has a column of that name. Rows without a number are left out, and those
+    whose status, where there is such a column, is not valid.
+
+    Raises UsageError for a file that cannot be read or is no history.
     """
-    columns = _columns(path)
+    columns = _meant(path, _columns(path), parameter)
     clock = next(filter(columns.__contains__, _TIMES), None)
     if clock is None or "value" not in columns:
         raise UsageError.at(str(path), f"has the columns {', '.join(columns) or 'none'}", _ADVICE)
@@ -47,6 +54,24 @@ def table_points(path: Path, since: str | None = None, until: str | None = None)
     t_ns, value, sd = t_ns[kept], value[kept], sd[kept]
     found = Points(path.stem, "value", "1", t_ns, value, sd, sd, np.zeros_like(t_ns), first, last, None, 0)
     return found, backward
+
+
+def _meant(path: Path, columns: Mapping[str, Sequence[Any]], parameter: str | None) -> Mapping[str, Sequence[Any]]:
+    """Return the rows of one parameter of one rig that are valid, of a table that says of which they are."""
+    wanted = {"rig": _only(path, "rig", columns), "status": "valid"}
+    wanted["parameter"] = _only(path, "parameter", columns) if parameter is None else parameter
+    keep = [True] * max(map(len, columns.values()), default=0)
+    for name in wanted.keys() & columns.keys():
+        keep = [kept and cell == wanted[name] for kept, cell in zip(keep, columns[name], strict=True)]
+    return {name: list(compress(cells, keep)) for name, cells in columns.items()}
+
+
+def _only(path: Path, name: str, columns: Mapping[str, Sequence[Any]]) -> Any:
+    """Return what a column holds throughout. Raises UsageError where that differs."""
+    there = sorted({str(cell) for cell in columns.get(name, ())})
+    if len(there) > 1:
+        raise UsageError.at(str(path), f"holds several of {name}: {', '.join(there[:20])}", f"name the {name}")
+    return there[0] if there else None
 
 
 def _bound(text: str | None, t_ns: "np.ndarray[Any, np.dtype[np.int64]]") -> int | None:

@@ -12,6 +12,16 @@ _OVER = {"events": "", "hypotheses": "", "forecasts": "", "notifications": "", "
 """What of a table may go: an alarm that stands and a record whose file is there stay, however old."""
 
 
+def surplus(connection: sqlite3.Connection, kept: int = KEPT) -> dict[str, list[int]]:
+    """Return the numbers of what `purge_logs` would delete, by the topic of consumers that it is of."""
+    events, alarms = (_OLD.format(table=table) + _OVER[table] for table in ("events", "alarms"))
+    queries = {
+        "events": f"SELECT seq FROM events WHERE {events}",
+        "alarms": f"SELECT seq FROM alarm_events WHERE alarm_id IN (SELECT seq FROM alarms WHERE {alarms})",
+    }
+    return {topic: [seq for (seq,) in connection.execute(query, (kept,))] for topic, query in queries.items()}
+
+
 def purge_logs(connection: sqlite3.Connection, kept: int = KEPT) -> None:
     """Delete the oldest rows of what happened beyond a number; inside a transaction."""
     for table, over in _OVER.items():

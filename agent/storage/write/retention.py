@@ -14,7 +14,8 @@ from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
 from agent.storage.tables.ages import Part, parts_of, shifts
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.write.log_bounds import purge_logs
+from agent.storage.write.consumers.unsent import acknowledged, count_unsent
+from agent.storage.write.log_bounds import purge_logs, surplus
 from agent.storage.write.rollups import HOUR, MINUTE, SECOND, add_groups, aggregate
 
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
@@ -85,7 +86,7 @@ class TierKeeper:
     """Keeps the tiers of a store; called between commits, does a little each time.
 
     Purging never takes a row that a consumer (northbound) has not taken yet, but that the size of the file wins; such
-    rows are counted in `counters` as "purged unsent".
+    rows are counted in `counters` as "purged unsent", and for each consumer as "purged unsent: <its name>".
     """
 
     def __init__(self, store: Database, keep: Retention) -> None:
@@ -185,9 +186,14 @@ class TierKeeper:
         hours = {run_id: (self._newest(run_id, 0) or 0) // _STRETCH_NS for run_id in self._runs}
         if hours != self._purged_at:
             self._purge_old()
-            with self._store.transaction() as connection:
-                purge_logs(connection)
+            self._purge_logs()
             self._purged_at = hours
+
+    def _purge_logs(self) -> None:
+        for topic, purged in surplus(self._store.connection).items():
+            count_unsent(self._store.connection, topic, purged, self._store.count)
+        with self._store.transaction() as connection:
+            purge_logs(connection)
 
     def _purge_old(self) -> None:
         tiers = (0, self._keep.full_s), (MINUTE, self._keep.minute_s), (HOUR, self._keep.hour_s)
@@ -211,9 +217,8 @@ class TierKeeper:
 
     def _sent(self) -> int:
         """Return the newest hop that every consumer has taken; a large number without consumers."""
-        query = "SELECT min(last_seq) FROM consumers WHERE topic = 'estimates'"
-        taken = self._store.connection.execute(query).fetchone()[0]
-        return 2**62 if taken is None else int(taken) >> COLUMN_BITS
+        taken = acknowledged(self._store.connection, "estimates")
+        return 2**62 if taken is None else taken >> COLUMN_BITS
 
     def _purge_size(self) -> None:
         """Drop the oldest rows, finest tier first, until the file is well within its bound."""
@@ -278,6 +283,8 @@ class TierKeeper:
                 _thin_health(connection, run_id, found[-1][1] + 1)
         if unsent:
             self._store.count("purged unsent", unsent)
+        if span == 0:
+            count_unsent(self._store.connection, "estimates", hops, self._store.count, COLUMN_BITS)
         return len(found) == _HOPS_A_PURGE
 
     def _note_purge(self, connection: sqlite3.Connection, run_id: int, span: int, reached: int) -> None:
@@ -316,7 +323,8 @@ def _ages(connection: sqlite3.Connection) -> list[tuple[Part, int]]:
 
 
 def _thin_health(connection: sqlite3.Connection, run_id: int, before: int) -> None:
-    """Keep of old health rows the last of each hour and source."""
+    """Keep of old health rows the last of each hour and source, and those that a consumer does not have yet."""
+    taken = acknowledged(connection, "health")
     kept = "SELECT max(seq) FROM health WHERE run_id = ?1 AND t_ns < ?2 GROUP BY source, t_ns / 3600000000000"
-    query = f"DELETE FROM health WHERE run_id = ?1 AND t_ns < ?2 AND seq NOT IN ({kept})"  # noqa: S608 - own text
-    connection.execute(query, (run_id, before))
+    query = f"DELETE FROM health WHERE run_id = ?1 AND t_ns < ?2 AND seq <= ?3 AND seq NOT IN ({kept})"  # noqa: S608 - own text
+    connection.execute(query, (run_id, before, 2**62 if taken is None else taken))

@@ -84,6 +84,8 @@ class StoreWriter:
         """Called, in the writer's thread, with each step that an alarm took by an operator or as a shelf ended."""
         self.on_outbox: Callable[[], None] = lambda: None
         """Called, in the writer's thread, when there may be something to notify targets of."""
+        self.on_stored: Callable[[], None] = lambda: None
+        """Called, in the writer's thread, when records were committed."""
         self._jobs = JobQueue("its agent", self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
@@ -336,6 +338,7 @@ class StoreWriter:
             self.written += sum(map(cells_of, records))
             self._report_stored(rig, records)
         self._flight, self._plans = {}, []
+        self.on_stored()
 
     def _note_latency(self) -> None:
         now = wall_ns()

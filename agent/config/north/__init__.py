@@ -1,0 +1,1 @@
+"""Consumers beyond the gateway ([[north]]): their table."""

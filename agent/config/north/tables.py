@@ -1,0 +1,52 @@
+"""The table of one consumer: what it gets of the database's rows, and how it is reached."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, Strict
+
+from agent.config.reading.fields import Duration, FilePath, Name, Names, Positive, Table, Text
+from agent.config.reading.secrets import Secret
+
+Kind = Literal["mqtt", "sparkplug", "postgres", "parquet"]
+Topic = Literal["alarms", "estimates", "events", "health"]
+TOPICS: tuple[Topic, ...] = ("alarms", "estimates", "events", "health")
+"""In the order in which what is new of them is sent."""
+
+_ARCHIVED = 2000
+"""Instants of an archive's file: of four parameters some 8,000 rows, 400 kB."""
+
+
+class North(Table):
+    """One consumer. What a kind needs beside name and kind: url; folder of parquet."""
+
+    name: Name = Field(description='a name such as "plant-broker"')
+    kind: Kind
+    topics: Annotated[tuple[Topic, ...], Strict(False), Field(min_length=1)] = TOPICS
+    parameters: Names | None = None
+    backfill: bool = True
+    batch: int = Field(default=200, ge=1, le=100_000, description="instants or rows that are sent together")
+    timeout_s: Positive = Field(default=10.0, le=60.0)
+    url: Text | None = Field(default=None, description='an address such as "mqtts://broker.example.org"')
+    prefix: Text = "deltak"
+    client_id: Text | None = None
+    user: Text | None = None
+    password: Secret | None = None
+    ca: FilePath | None = None
+    cert: FilePath | None = None
+    key: FilePath | None = None
+    discovery: Text | None = None
+    node: Text | None = None
+    primary_host: Text | None = None
+    folder: FilePath | None = None
+    every: Duration = 86400.0
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether it gets its rows by schedule rather than as they come."""
+        return self.kind == "parquet"
+
+    @property
+    def at_once(self) -> int:
+        """Instants or rows of a batch: where nothing is said, many of an archive, whose files are not to be small."""
+        is_stated = "batch" in self.model_fields_set
+        return _ARCHIVED if self.is_periodic and not is_stated else self.batch

@@ -1,0 +1,1 @@
+"""What consumers are to the forwarder: peers, and what all kinds of them share."""

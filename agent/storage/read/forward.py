@@ -1,0 +1,175 @@
+# ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
+"""Rows stored after a cursor, by their growing numbers, for consumers beyond the gateway; read-only.
+
+The columns are those of the views (CONTRACT section 7) with `seq` behind them, the number by which a consumer knows a
+row again. Rows that a view does not show (covered by a newer run, aggregates, wrong checksums) move the cursor all the
+same.
+"""
+
+import sqlite3
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from agent.errors import StoreError
+from agent.storage.database.connect import Reader, connect_reader, unreadable
+from agent.storage.database.schema import COLUMN_BITS
+from agent.storage.read.proof import proven, row_of
+
+Row = dict[str, Any]
+_BATCHES_A_CONNECTION: Final = 200
+"""After so many the file is opened anew, and its small tables are proved anew."""
+_LAST_COLUMN: Final = (1 << COLUMN_BITS) - 1
+_TABLES: Final = {"alarms": "alarm_events", "estimates": "hops", "events": "events", "health": "health"}
+_STEP: Final = ("kind", "parameter", "priority", "message", "delta", "sd", "limit_value", "probability")
+"""What a step of an alarm says of the alarm itself."""
+
+
+class Chunk(NamedTuple):
+    """Rows in the order of their numbers, the cursor of whoever has them, and whether there may be more."""
+
+    rows: list[Row]
+    reached: int
+    more: bool
+
+
+class Feed:
+    """Reads one database for one consumer; a file that was replaced meanwhile is opened anew.
+
+    Args:
+        path: of the database.
+        parameters: those whose estimates and alarms are read; None for all.
+    """
+
+    def __init__(self, path: Path, parameters: Sequence[str] | None = None) -> None:
+        self._path, self._parameters = path, parameters
+        self._reader: Reader | None = None
+        self._file: tuple[int, int] | None = None
+        self._batches = 0
+
+    def head(self, topic: str) -> int:
+        """Return the cursor of whoever has all that there is of a topic. Raises StoreError."""
+        return int(self._asked(lambda reader: _head(reader, topic)))
+
+    def after(self, topic: str, cursor: int, until: int | None, most: int) -> Chunk:
+        """Return what was stored of a topic after a cursor: instants of estimates, or rows, `most` at once.
+
+        until: the cursor after which nothing is wanted; None for all that there is. Raises StoreError.
+        """
+        last = 2**62 if until is None else until
+        chunk: Chunk = self._asked(lambda reader: _READERS[topic](reader, cursor, last, most))
+        if self._parameters is None or topic not in {"estimates", "alarms"}:
+            return chunk
+        return chunk._replace(rows=[row for row in chunk.rows if row["parameter"] in self._parameters])
+
+    def newest(self) -> list[Row]:
+        """Return v_latest of all rigs. Raises StoreError."""
+        rows: list[Row] = self._asked(lambda reader: _rows(reader, "v_latest", "1 = 1", (), "e"))
+        return [row for row in rows if self._parameters is None or row["parameter"] in self._parameters]
+
+    def close(self) -> None:
+        """Close the file; it is opened again when something is asked."""
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = None
+
+    def _asked(self, question: Any) -> Any:
+        """Return the answer to a question, in one state of the file."""
+        try:
+            reader = self._opened()
+            reader.execute("BEGIN")
+            try:
+                return question(reader)
+            finally:
+                reader.execute("ROLLBACK")
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            self.close()
+            raise unreadable(self._path, error) from error
+        except StoreError:
+            self.close()
+            raise
+
+    def _opened(self) -> Reader:
+        found = self._path.stat() if self._path.exists() else None
+        file = None if found is None else (found.st_dev, found.st_ino)
+        if file != self._file or self._batches >= _BATCHES_A_CONNECTION:
+            self.close()
+        if self._reader is None:
+            self._reader = connect_reader(self._path)
+            self._batches = 0
+        self._file = file
+        self._batches += 1
+        return self._reader
+
+
+def _head(reader: Reader, topic: str) -> int:
+    table = _TABLES[topic]
+    newest = int(reader.execute(f"SELECT coalesce(max(seq), 0) FROM {table}").fetchone()[0])
+    return newest << COLUMN_BITS | _LAST_COLUMN if topic == "estimates" else newest
+
+
+def _rows(
+    reader: Reader, view: str, condition: str, values: Sequence[object], alias: str, first_hop: int = -(2**63)
+) -> list[Row]:
+    names, rows = proven(reader, view, condition, values, first_hop, numbered=alias)
+    return [dict(zip(names, cells, strict=True)) for cells in rows]
+
+
+def _estimates(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
+    """Return the rows of so many instants; the parts of a run are asked one by one, each by its index of times."""
+    bounds = (cursor >> COLUMN_BITS, until >> COLUMN_BITS, most)
+    query = "SELECT seq, run_id, span, t_ns FROM hops WHERE seq > ? AND seq <= ? ORDER BY seq LIMIT ?"
+    hops = reader.execute(query, bounds).fetchall()
+    if not hops:
+        return Chunk([], cursor, more=False)
+    stamps: dict[int, list[int]] = {}
+    for _, run, span, t_ns in hops:
+        if span == 0:
+            stamps.setdefault(run, []).append(t_ns)
+    first, last = hops[0][0], hops[-1][0]
+    condition = f"{row_of('r')} = ? AND span_s = 0 AND t_ns BETWEEN ? AND ? AND {row_of('h')} BETWEEN ? AND ?"
+    found = [
+        row
+        for run, times in stamps.items()
+        for row in _rows(reader, "v_estimates", condition, (run, min(times), max(times), first, last), "e", first)
+    ]
+    return Chunk(sorted(found, key=_seq), last << COLUMN_BITS | _LAST_COLUMN, len(hops) == most)
+
+
+def _numbered(reader: Reader, topic: str, cursor: int, until: int, most: int) -> tuple[int, bool]:
+    """Return the number of the last of the rows that come next, and whether there may be more."""
+    query = f"SELECT seq FROM {_TABLES[topic]} WHERE seq > ? AND seq <= ? ORDER BY seq LIMIT ?"
+    found = reader.execute(query, (cursor, until, most)).fetchall()
+    return (found[-1][0] if found else cursor), len(found) == most
+
+
+def _alarms(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
+    last, more = _numbered(reader, "alarms", cursor, until, most)
+    steps = _rows(reader, "v_alarm_events", "id > ? AND id <= ? ORDER BY id", (cursor, last), "n")
+    numbers = ",".join(str(row["alarm_id"]) for row in steps)
+    known = {row["id"]: row for row in _rows(reader, "v_alarms", f"id IN ({numbers})", (), "a")} if steps else {}
+    rows = [_step(row, known[row["alarm_id"]]) for row in steps if row["alarm_id"] in known]
+    return Chunk(rows, last, more)
+
+
+def _step(row: Row, alarm: Mapping[str, Any]) -> Row:
+    return {"rig": alarm["rig"], **row, **{name: alarm[name] for name in _STEP}}
+
+
+def _events(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
+    last, more = _numbered(reader, "events", cursor, until, most)
+    return Chunk(_rows(reader, "v_events", "id > ? AND id <= ? ORDER BY id", (cursor, last), "n"), last, more)
+
+
+def _health(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
+    last, more = _numbered(reader, "health", cursor, until, most)
+    number = row_of("x")
+    condition = f"{number} > ? AND {number} <= ? ORDER BY {number}"
+    return Chunk(_rows(reader, "v_health", condition, (cursor, last), "x"), last, more)
+
+
+def _seq(row: Row) -> int:
+    return int(row["seq"])
+
+
+_READERS: Final = {"alarms": _alarms, "estimates": _estimates, "events": _events, "health": _health}

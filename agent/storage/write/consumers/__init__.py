@@ -1,0 +1,1 @@
+"""Consumers of rows beyond the gateway: how far each has them, and what was purged before it had."""

@@ -1,0 +1,188 @@
+"""A line to a server that can be cut and frozen, and servers that are started for a test."""
+
+import contextlib
+import os
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.peers import program
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+class Line:
+    """Carries bytes between whoever connects to `port` and a server; `cut` ends what is connected."""
+
+    def __init__(self, to: int) -> None:
+        self._to = to
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._server.getsockname()[1]
+        self.frozen = False
+        self.down = False
+        self.cuts = 0
+        self._pairs: list[tuple[socket.socket, socket.socket]] = []
+        self._over = False
+        self._thread = threading.Thread(target=self._accept, daemon=True)
+        self._thread.start()
+
+    def _accept(self) -> None:
+        while not self._over:
+            try:
+                near, _ = self._server.accept()
+                far = socket.create_connection(("127.0.0.1", self._to), 5)
+            except OSError:
+                with contextlib.suppress(UnboundLocalError):
+                    near.close()
+                continue
+            if self.down:
+                near.close()
+                far.close()
+                continue
+            self._pairs.append((near, far))
+            threading.Thread(target=self._carry, args=(near, far), daemon=True).start()
+
+    def _carry(self, near: socket.socket, far: socket.socket) -> None:
+        other = {near: far, far: near}
+        try:
+            while True:
+                ready, _, _ = select.select([near, far], [], [], 0.05)
+                if self.frozen:
+                    time.sleep(0.02)
+                    continue
+                for one in ready:
+                    data = one.recv(65536)
+                    if not data:
+                        return
+                    other[one].sendall(data)
+        except (OSError, ValueError):
+            pass
+        finally:
+            near.close()
+            far.close()
+
+    def cut(self) -> None:
+        self.cuts += 1
+        pairs, self._pairs = self._pairs, []
+        for pair in pairs:
+            for one in pair:
+                with contextlib.suppress(OSError):
+                    one.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._over = True
+        self.cut()
+        with contextlib.suppress(OSError):
+            self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+
+
+@contextmanager
+def line_to(port: int) -> Iterator[Line]:
+    line = Line(port)
+    try:
+        yield line
+    finally:
+        line.close()
+
+
+@contextmanager
+def mosquitto(folder: Path, settings: str = "allow_anonymous true") -> Iterator[int]:
+    """Run a broker on loopback; settings: lines of its configuration."""
+    path, port = program("mosquitto", "mosquitto"), free_port()
+    file = folder / f"mosquitto-{port}.conf"
+    file.write_text(f"user root\nlistener {port} 127.0.0.1\nmax_queued_messages 0\n{settings}\n", encoding="utf-8")
+    with subprocess.Popen([path, "-c", str(file)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
+        try:
+            wait_for_port(port)
+            yield port
+        finally:
+            process.kill()
+
+
+@contextmanager
+def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
+    """Run a database server on loopback, as nobody where the tests are root; its superuser is `deltak`."""
+    places = ":".join(sorted(str(found) for found in Path("/usr/lib/postgresql").glob("*/bin")))
+    os.environ["PATH"] = f"{os.environ['PATH']}:{places}"
+    initdb, server = program("initdb", "postgresql"), program("postgres", "postgresql")
+    port, home = free_port(), folder / "postgres"
+    home.mkdir()
+    folder.chmod(0o755)
+    word = home / "word"
+    word.write_text(password or "none", encoding="utf-8")
+    if os.getuid() == 0:
+        for one in (home, word):
+            shutil.chown(one, "nobody", "nogroup")
+    user = {"user": "nobody", "group": "nogroup", "extra_groups": []} if os.getuid() == 0 else {}
+    way = "scram-sha-256" if password else "trust"
+    subprocess.run([initdb, "-D", home / "data", "-U", "deltak", "-A", way, "--pwfile", word, "-N", "-E", "UTF8"],
+                   check=True, capture_output=True, cwd=home, **user)  # fmt: skip
+    command = [server, "-D", home / "data", "-p", str(port), "-k", home, "-h", "127.0.0.1", "-F", "-c",
+               "shared_buffers=1MB", "-c", "logging_collector=off"]  # fmt: skip
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, cwd=home, **user) as process:
+        try:
+            wait_for_port(port)
+            yield port
+        finally:
+            process.send_signal(signal.SIGQUIT)
+
+
+def wait_for_port(port: int, limit_s: float = 20) -> None:
+    deadline = time.monotonic() + limit_s
+    while True:
+        try:
+            with socket.create_connection(("127.0.0.1", port), 1):
+                return
+        except OSError:
+            assert time.monotonic() < deadline, f"nobody listens on port {port}"
+            time.sleep(0.02)
+
+
+_CA = """[ca]
+default_ca = d
+[d]
+database = {folder}/index
+new_certs_dir = {folder}
+serial = {folder}/serial
+default_md = sha256
+policy = p
+copy_extensions = copy
+[p]
+commonName = supplied
+[req]
+distinguished_name = n
+[n]
+"""
+
+
+def certificates(folder: Path) -> None:
+    """Make ca.pem, and certificates with keys of that authority: server, client, expired."""
+    openssl = program("openssl", "openssl")
+
+    def run(*words: str) -> None:
+        subprocess.run([openssl, *words], check=True, capture_output=True, cwd=folder)
+
+    (folder / "ca.cnf").write_text(_CA.format(folder=folder), encoding="utf-8")
+    (folder / "index").touch()
+    (folder / "serial").write_text("01\n", encoding="utf-8")
+    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-config", "ca.cnf")
+    run("req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test authority", "-days", "9")
+    spans = {"server": ("240101000000Z", "490101000000Z"), "expired": ("240101000000Z", "240102000000Z")}
+    for name in ("server", "client", "expired"):
+        alternative = ("-addext", "subjectAltName=IP:127.0.0.1")
+        run("req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}", *alternative)
+        first, last = spans.get(name, spans["server"])
+        run("ca", "-batch", "-config", "ca.cnf", "-cert", "ca.pem", "-keyfile", "ca.key", "-in", f"{name}.csr", "-out",
+            f"{name}.pem", "-notext", "-startdate", first, "-enddate", last)  # fmt: skip
+    shutil.copy(folder / "ca.pem", folder / "ca-copy.pem")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from agent.config.linear import LinearModel
+from agent.config.process.settings import Agent
 from agent.config.reading.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
@@ -48,6 +49,7 @@ class Draft:
     attached: list[str] = field(default_factory=list)
     metrics: Metrics = field(default_factory=Metrics)
     notify: list[Entry[Notify]] = field(default_factory=list)
+    agent: Agent = field(default_factory=Agent)
 
     @property
     def rate_hz(self) -> float | None:

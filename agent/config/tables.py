@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from pydantic import Field, Strict, ValidationInfo, field_validator
 
 from agent.config.linear import ENTRY, LinearModel, LinearParameter
+from agent.config.process.settings import Agent
 from agent.config.reading.fields import (
     Asked,
     Duration,
@@ -242,6 +243,7 @@ class Store(Table):
 
     path: FilePath = Path()
     every_s: NotNegative = 1.0
+    commit_s: Annotated[float, Field(ge=0.02, le=60.0, description="seconds from 0.02 to 60")] = 1.0
     keep: Keep = Keep()
     max_mb: Positive = 1024.0
     recordings: Recordings = Recordings()
@@ -350,6 +352,7 @@ class RigConfig(Table):
     forecast: Forecast = Forecast()
     metrics: Metrics = Metrics()
     notify: tuple[Notify, ...] = ()
+    agent: Agent = Agent()
     file: Path
     sha256: str
 

@@ -20,7 +20,7 @@ PRESS_TABLE = [
     ('keep = { full = "7d"', 'keep = { ful = "7d"', "store.keep.ful", '"full"'),
     ("[store]", "[stores]", "stores", '"store"'),
     ("[store]", "[mqtt]\n[store]", "mqtt", "not in this version"),
-    ("[store]", "[agent]\nworkers = -1\n[store]", "agent.workers", "must not be less than 0, not -1; a number of processes"),
+    ("[store]", "[agent]\nworkers = -1\n[store]", "agent.workers", "must not be less than 0, not -1"),
     ("[store]", "[agent]\nround_s = 2\n[store]", "agent.round_s", "seconds from 0.005 to 1"),
     ("[store]", "[http]\nport = 80\n[store]", "http", "not in this version"),
     ("[store]", "[mqtt]\n[store]", "mqtt", "not in this version"),

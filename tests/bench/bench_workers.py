@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import sys
 import time
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from agent.cli.gateway.status import status
 from tests.bench.bench_capacity import TICKS, _line, _part, _report, configure
 from tests.scenario.live import agent, hops, wait_until
 
-WARM_S, MEASURED_S = 6.0, 15.0
+WARM_S, MEASURED_S = 15.0, 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +33,13 @@ class Spread:
         rigs: how many ran.
         cores: processor seconds a second, by process: the agent's own first, then its workers'.
         mb: proportional memory of each, MB.
-        lost: samples refused or dropped.
+        lost: samples refused or dropped, and gaps, by reason.
     """
 
     rigs: int
     cores: tuple[float, ...]
     mb: tuple[float, ...]
-    lost: int
+    lost: dict[str, int]
 
     def carried(self, cores: int) -> float:
         """Return how many such rigs fill so many cores; a process fills one at most."""
@@ -69,8 +70,10 @@ def measure(bus: str, rigs: int, workers: int) -> Spread:
         document = running.document()
         _report(player)
     runs: list[dict[str, Any]] = document.get("runs", [document])
-    lost = sum(run["samples"]["received"] - run["samples"]["used"] for run in runs)
-    return Spread(rigs, cores, mb, lost)
+    lost: Counter[str] = Counter()
+    for samples in (run["samples"] for run in runs):
+        lost += Counter(samples["dropped"]) + Counter(samples["rejected"]) + Counter(gaps=samples["gaps"])
+    return Spread(rigs, cores, mb, dict(lost))
 
 
 def spent_s(pid: int) -> float:
@@ -91,7 +94,8 @@ def reported(bus: str, found: Spread) -> str:
     mb = " + ".join(f"{one:.0f}" for one in found.mb)
     return (
         f"{bus}: {found.rigs} rigs at 1 kHz in {max(1, len(found.cores) - 1)} processes that compute: {cores} % of a "
-        f"core, {mb} MB; one core would carry {found.carried(1):.0f}, two {found.carried(2):.0f}; {found.lost} lost"
+        f"core, {mb} MB; one core would carry {found.carried(1):.0f}, two {found.carried(2):.0f}; "
+        f"lost: {found.lost or 'none'}"
     )
 
 

@@ -164,11 +164,18 @@ class Link:
 
     def _receive(self, message: Message) -> None:
         if isinstance(message, Tell):
-            self._hears[message.what](message.given)
+            self._take(message)
         elif isinstance(message, Ask):
             threading.Thread(target=self._answer, args=(message,), name=message.what, daemon=True).start()
         else:
             _settle(self._asked.pop(message.number), message)
+
+    def _take(self, said: Tell) -> None:
+        try:
+            self._hears[said.what](said.given)
+        except Exception:
+            # what one message does wrong must not cut off all others
+            log.exception("%s: %s was not taken", self._name, said.what)
 
     def _answer(self, asked: Ask) -> None:
         try:

@@ -1,34 +1,27 @@
 """The agent where workers compute: it writes what they find, commands them, watches them and starts them anew."""
 
 import logging
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any
 
 from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig
-from agent.errors import AgentError, StoreError
-from agent.runtime.databases import RunKind, density_of, path_of, runs_of, writer_of
+from agent.runtime.databases import RunKind, path_of
 from agent.runtime.limits import END_S, PAUSE_NS, RELOAD_S, SILENCE_S
 from agent.runtime.process.heartbeats import Thread
 from agent.runtime.results import RunSummary
 from agent.runtime.service import Reread, Service
-from agent.runtime.workers.losses import Losses, batches_of
+from agent.runtime.workers.databases import WorkersDatabases
+from agent.runtime.workers.losses import Losses
 from agent.runtime.workers.orders import BASELINES, COMMANDED, FORGET, PREPARE, TAKE_UP, Order
-from agent.runtime.workers.piped import BEGIN, LEFT, RECORDS, Batch, Facts, Runs
+from agent.runtime.workers.piped import BEGIN, LEFT, RECORDS
 from agent.runtime.workers.spread import Places, spread
 from agent.runtime.workers.worker import Worker, levels
-from agent.storage.tables.notifications import nobody
-from agent.storage.write.writer import StoreWriter
-from agent.types import AlarmTransition, Baseline
+from agent.types import AlarmTransition
 
-_AGAIN_S: Final = 1.0
-"""Until runs are begun again that a failing disk does not let begin."""
-
-Found = TypeVar("Found")
 log = logging.getLogger(__name__)
 
 
@@ -50,11 +43,9 @@ class SpreadService(Service):
         self._due_ns: dict[int, int] = {}
         self._pause_ns: dict[int, int] = {}
         self._losses = Losses()
-        self._rebased: dict[str, tuple[Baseline, ...]] = {}
-        self._opening = threading.Lock()
-        self._coming: tuple[RigConfig, ...] = tuple(configs)
-        self._fresh: set[str] = set()
-        self._ending = False
+        self._databases = WorkersDatabases(
+            self.rig_set, self._losses, self._commanded, self._reloading.locked, self._stop
+        )  # fmt: skip
         self.status.elsewhere = lambda: [rig for worker in self._all() for rig in worker.rigs()]
         self.status.workers = lambda: [worker.document() for worker in self._all()]
         self._adopt(configs)
@@ -70,10 +61,7 @@ class SpreadService(Service):
             for worker in self._all():
                 worker.kill("the agent does not begin")
             raise
-        self.rig_set.configs |= {config.rig.name: config for config in configs}
-        for path in dict.fromkeys(path_of(config, self.rig_set.db) for config in configs):
-            self.rig_set.writers[path] = self._new_writer(path, configs)
-        self._fresh = set(self.rig_set.configs)
+        self._databases.make(configs)
 
     def _all(self) -> list[Worker]:
         return [self._workers[number] for number in sorted(self._workers)]
@@ -85,7 +73,9 @@ class SpreadService(Service):
 
     def _begin(self, number: int, configs: Sequence[RigConfig]) -> "Future[Any]":
         """Start the process of a worker, which makes its rigs and waits."""
-        acts: dict[str, Callable[[Any], Any]] = {RECORDS: self._publish, BEGIN: self._begin_runs, LEFT: self._end_runs}
+        acts: dict[str, Callable[[Any], Any]] = {
+            RECORDS: self._databases.publish, BEGIN: self._databases.begin_runs, LEFT: self._databases.end_runs,
+        }  # fmt: skip
         worker = self._workers.setdefault(number, Worker(number, acts, self._wake.set))
         watchdog_s = self._watch.manager.watchdog_s
         return worker.start(Order(tuple(configs), self.rig_set.db, self.rig_set.kind, levels(), watchdog_s))
@@ -110,7 +100,7 @@ class SpreadService(Service):
         return (summary or RunSummary(config, db=str(path))).document(seconds)
 
     def _finish(self) -> None:
-        self._ending = True
+        self._databases.ending = True
         until = monotonic_ns() + round(END_S * 1e9)
         for worker in self._all():
             worker.stop()
@@ -124,77 +114,6 @@ class SpreadService(Service):
             worker.kill("it did not end in time")
         super()._finish()
 
-    # --- what workers say --------------------------------------------------------------------------------------
-
-    def _publish(self, batch: Batch) -> None:
-        writer = self.rig_set.writers.get(batch.path)
-        if not isinstance(writer, StoreWriter):
-            return
-        writer.dropped_at_queue.update(batch.dropped)
-        for rows in batches_of(batch.records):
-            config = self.rig_set.configs.get(rows.rig)
-            if config is not None:
-                writer.publish(self._losses.see(config, rows))
-        writer.publish(batch.records)
-
-    def _begin_runs(self, runs: Runs) -> Facts:
-        """End runs and begin others; returns what these begin with. Raises StoreError."""
-        with self._opening:
-            while True:
-                try:
-                    return self._begun(runs)
-                except StoreError:
-                    # while a reload is refused for it, a worker that was started anew waits for the disk
-                    if self._reloading.locked() or self._ending:
-                        raise
-                if self._stop.wait(_AGAIN_S):
-                    raise AgentError.at(str(runs.path), "the agent is ending")
-
-    def _begun(self, runs: Runs) -> Facts:
-        writer = self._opened(runs.path)
-        names = [run.rig for run in runs.entering]
-        leaving = {*runs.leaving, *names} - self._fresh
-        if leaving:
-            writer.exchange(tuple(leaving), runs.entering, *density_of(self._members(runs.path)))
-        self._fresh -= set(names)
-        facts = Facts(
-            _of(names, writer.run_ids), _of(names, writer.standing), _of(names, writer.learnt),
-            _of(names, writer.baselines),
-        )  # fmt: skip
-        self._rebased |= facts.baselines
-        return facts
-
-    def _end_runs(self, runs: Runs) -> None:
-        writer = self.rig_set.writers.get(runs.path)
-        if writer is None or self._ending:
-            return
-        try:
-            writer.exchange(runs.leaving, (), *density_of(self._members(runs.path)))
-        except AgentError as error:
-            log.warning("%s: runs that ended are still open: %s", runs.path, error)
-
-    def _opened(self, path: Path) -> StoreWriter:
-        """Return the writer of a database, opened now where no rig used it before. Raises StoreError."""
-        if path not in self.rig_set.writers:
-            fresh = self._new_writer(path, ())
-            fresh.start()
-            self.rig_set.writers[path] = fresh
-        return self.rig_set.stores[path]
-
-    def _new_writer(self, path: Path, configs: Sequence[RigConfig]) -> StoreWriter:
-        """Make a writer, with runs for those of some configurations that name its file."""
-        rigs = self.rig_set
-        members = [config for config in configs if path_of(config, rigs.db) == path]
-        route = rigs.targets.route if rigs.kind == "live" else nobody
-        writer = writer_of(path, runs_of(members, rigs.kind), self._members(path), rigs.handlers, route)
-        writer.on_alarm = self._commanded
-        return writer
-
-    def _members(self, path: Path) -> list[RigConfig]:
-        """Return the configurations that share a database, as they are or are about to be."""
-        known = {**self.rig_set.configs, **{config.rig.name: config for config in self._coming}}
-        return [config for config in known.values() if path_of(config, self.rig_set.db) == path]
-
     # --- what is said to workers -------------------------------------------------------------------------------
 
     def _commanded(self, step: AlarmTransition) -> None:
@@ -205,8 +124,8 @@ class SpreadService(Service):
     def _pass_baselines(self) -> None:
         for path, writer in self.rig_set.stores.items():
             for rig, known in list(writer.baselines.items()):
-                if self._rebased.get(rig, ()) != known and rig in self._places:
-                    self._rebased[rig] = known
+                if self._databases.baselines.get(rig, ()) != known and rig in self._places:
+                    self._databases.baselines[rig] = known
                     self._workers[self._places[rig]].tell(BASELINES, (path, {rig: known}))
 
     # --- watching workers --------------------------------------------------------------------------------------
@@ -265,13 +184,13 @@ class SpreadService(Service):
 
     def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
         before = dict(self.rig_set.configs)
-        self._coming = tuple(configs)
+        self._databases.coming = tuple(configs)
         places = spread(configs, self._most, self._places)
         try:
             entered = self._exchange_over(configs, places, {name: self._places[name] for name in before})
         finally:
-            self._coming = ()
-            self._close_unused()
+            self._databases.coming = ()
+            self._databases.close_unused()
         names = [config.rig.name for config in configs]
         return {
             "restarted": [name for name in before if name in entered],
@@ -342,15 +261,3 @@ class SpreadService(Service):
         for name in began:
             self._losses.forget(name)
         return began
-
-    def _close_unused(self) -> None:
-        """Close the databases that no rig names any more."""
-        used = {path_of(config, self.rig_set.db) for config in self.rig_set.configs.values()}
-        for path in set(self.rig_set.writers) - used:
-            self.rig_set.writers.pop(path).stop()
-
-
-
-def _of(names: Sequence[str], table: Mapping[str, Found]) -> dict[str, Found]:
-    """Return what a table has of some names."""
-    return {name: table[name] for name in names if name in table}

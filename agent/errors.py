@@ -39,6 +39,10 @@ class AgentError(Exception):
         self.faults = tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
+    def __reduce__(self) -> tuple[type[Self], tuple[tuple[Fault, ...]]]:
+        """Say how to make it again: it passes from one process of an agent to another."""
+        return type(self), (self.faults,)
+
     @classmethod
     def at(cls, path: str, message: str, advice: str = "") -> Self:
         """Make the error of a single fault."""

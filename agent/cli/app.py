@@ -155,9 +155,9 @@ def run(
     """Run the agent in the foreground until SIGTERM, SIGINT or the end of --duration."""
     with uncollected():
         from agent.cli import results as commands_results
-        from agent.runtime import service
+        from agent.runtime.workers import running
 
-    document = service.run(configs=configs, db=db, duration_s=duration, kind=kind.value)
+    document = running.run(configs=configs, db=db, duration_s=duration, kind=kind.value)
     _answer(document, commands_results.print_results, as_json=json)
 
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 from agent.config.linear import LinearModel
 from agent.config.north.tables import North
+from agent.config.process.settings import Agent
 from agent.config.reading.parse import Entry, Faults, readable
 from agent.config.tables import (
     Alarm,
@@ -50,6 +51,7 @@ class Draft:
     metrics: Metrics = field(default_factory=Metrics)
     notify: list[Entry[Notify]] = field(default_factory=list)
     north: list[Entry[North]] = field(default_factory=list)
+    agent: Agent = field(default_factory=Agent)
 
     @property
     def rate_hz(self) -> float | None:

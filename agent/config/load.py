@@ -10,6 +10,7 @@ from agent.config.draft import Draft
 from agent.config.linear import LinearModel
 from agent.config.linear_files import with_matrices
 from agent.config.north.tables import North
+from agent.config.process.settings import Agent, agreed
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Faults, read_list, read_table
@@ -39,8 +40,9 @@ from agent.errors import ConfigError, Fault
 TABLES: Final = (
     "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "metrics", "notify",
     "north",
+    "agent",
 )  # fmt: skip
-RESERVED: Final = ("agent", "http", "mqtt", "security")
+RESERVED: Final = ("http", "mqtt", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
     ("alarm", "kind"): ("sensor", "source", "mismatch"),
@@ -113,12 +115,12 @@ def _conflicts(configs: list[RigConfig]) -> list[Fault]:
             what = f"{shown(config.rig.name)} is the rig of {owner} too"
             faults.append(Fault(f"{config.file}: rig.name", what, "rigs of one agent must differ"))
         first = stores.setdefault(config.store.path, config)
-        for key in ("every_s", "keep", "max_mb"):
+        for key in ("every_s", "commit_s", "keep", "max_mb"):
             if getattr(config.store, key) != getattr(first.store, key):
                 what = f"differs from that of {first.file}, which shares the store"
                 faults.append(Fault(f"{config.file}: store.{key}", what, "make them the same"))
         faults += _other_targets(config, first)
-    return faults
+    return faults + agreed([(config.file, config.agent) for config in configs])[1]
 
 
 def _other_targets(config: RigConfig, first: RigConfig) -> list[Fault]:
@@ -156,6 +158,7 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
     draft.metrics = read_table(Metrics, raw.get("metrics", {}), "metrics", faults)
     draft.notify = read_list(Notify, raw.get("notify", []), "notify", faults)
     draft.north = read_list(North, raw.get("north", []), "north", faults)
+    draft.agent = read_table(Agent, raw.get("agent", {}), "agent", faults)
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -241,6 +244,7 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         metrics=_placed(draft.metrics, draft.folder),
         notify=tuple(entry.table for entry in draft.notify),
         north=tuple(entry.table for entry in draft.north),
+        agent=draft.agent,
         file=file,
         sha256=sha256,
     )

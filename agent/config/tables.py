@@ -14,6 +14,7 @@ from pydantic import Field, Strict, ValidationInfo, field_validator
 
 from agent.config.linear import ENTRY, LinearModel, LinearParameter
 from agent.config.north.tables import North
+from agent.config.process.settings import Agent
 from agent.config.reading.fields import (
     Asked,
     Duration,
@@ -243,6 +244,7 @@ class Store(Table):
 
     path: FilePath = Path()
     every_s: NotNegative = 1.0
+    commit_s: Annotated[float, Field(ge=0.02, le=60.0, description="seconds from 0.02 to 60")] = 1.0
     keep: Keep = Keep()
     max_mb: Positive = 1024.0
     recordings: Recordings = Recordings()
@@ -352,6 +354,7 @@ class RigConfig(Table):
     metrics: Metrics = Metrics()
     notify: tuple[Notify, ...] = ()
     north: tuple[North, ...] = ()
+    agent: Agent = Agent()
     file: Path
     sha256: str
 

@@ -1,21 +1,61 @@
 """The databases of an agent: rigs that name the same file share one writer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 from agent import __version__
 from agent.blocks.graph import graph_of
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig, learnt_key
+from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.notifications import Route, nobody
 from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import RunInfo
+from agent.types import AlarmTransition, Baseline, Learnt, Record, RunInfo
 
 RunKind = Literal["live", "demo"]
+
+
+class Writer(Protocol):
+    """What writes the records of rigs to their database, in this process or in another.
+
+    Attributes:
+        on_alarm: called with each step that an alarm took by an operator or as a shelf ended.
+        run_ids, standing, learnt, baselines: what the runs of its rigs began with, by rig.
+        broken: what ended it for good, in words.
+    """
+
+    on_alarm: Callable[[AlarmTransition], None]
+    run_ids: dict[str, int]
+    standing: dict[str, list[AlarmRow]]
+    learnt: dict[str, Learnt | None]
+    baselines: dict[str, tuple[Baseline, ...]]
+    broken: str | None
+
+    @property
+    def failing(self) -> str | None:
+        """Why nothing can be written at present."""
+
+    def start(self) -> None:
+        """Begin the runs; raises StoreError where that can never work."""
+
+    def publish(self, records: Sequence[Record]) -> None:
+        """Take records; never blocks."""
+
+    def exchange(
+        self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention, commit_s: float
+    ) -> None:
+        """End the runs of some rigs and begin others. Raises StoreError."""
+
+    def hurry(self) -> None:
+        """Let nothing hold up the writing of rows any more."""
+
+    def stop(self, timeout_s: float = 10.0) -> None:
+        """Bring what is left to the disk, and end."""
+
 
 
 def path_of(config: RigConfig, db: Path | None) -> Path:
@@ -35,7 +75,7 @@ def writers_of(
     for config in configs:
         grouped.setdefault(path_of(config, db), []).append(config)
     announced = route if kind == "live" else nobody
-    return {path: _writer(path, runs_of(members, kind), members, handlers or {}, announced)
+    return {path: writer_of(path, runs_of(members, kind), members, handlers or {}, announced)
             for path, members in grouped.items()}  # fmt: skip
 
 
@@ -52,16 +92,19 @@ def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
     ]  # fmt: skip
 
 
-def _writer(
+def writer_of(
     path: Path, runs: Sequence[RunInfo], members: Sequence[RigConfig], handlers: Mapping[str, Handler], route: Route
 ) -> StoreWriter:
-    every_s, keep = density_of(members)
-    return StoreWriter(lambda: Store.open(path, keep=keep, route=route), runs, every_s=every_s, served=handlers)
+    """Return the writer of one database, for runs of some of the configurations that share it."""
+    every_s, keep, commit_s = density_of(members)
+    return StoreWriter(
+        lambda: Store.open(path, keep=keep, route=route), runs, every_s=every_s, period_s=commit_s, served=handlers
+    )
 
 
-def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention]:
-    """Return the period of estimates that a shared file keeps, s, and for how long it keeps rows."""
-    return min(c.store.every_s for c in members), _retention(members)
+def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention, float]:
+    """Return the period of estimates that a shared file keeps, s, how long it keeps rows, and how often it commits."""
+    return min(c.store.every_s for c in members), _retention(members), min(c.store.commit_s for c in members)
 
 
 def _retention(members: Sequence[RigConfig]) -> Retention:

@@ -28,6 +28,8 @@ from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
 from agent.types import AlarmTransition, Baseline, ClockRecord, HealthEvent, IntArray, Learnt, Record
 from drivers.reconnect import LinkEvent
 
+WORKER = "worker"
+"""What the alarm is called that stands while the process is gone that computed a rig."""
 log = logging.getLogger(__name__)
 
 
@@ -139,6 +141,9 @@ class RigRuntime:
         if self.events is not None and not self._taken:
             self.events.begin_round(partial(frozen, self.pipeline))
         seen_s = arrival.block.arrival_ns / 1e9
+        if self._lost.pop(WORKER, False):
+            words = f"{self.config.rig.name}: samples are computed again"
+            self._emit([self._source_alarm(WORKER, LinkEvent("recovered", words, seen_s), self._wall(), lost=False)])
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
         block = part(arrival.block, use.columns)

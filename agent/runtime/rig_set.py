@@ -1,7 +1,7 @@
 """What an agent runs: its rigs, the connections that they read, the writers of their databases."""
 
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -12,15 +12,21 @@ from agent.notification.targets import Targets
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
-from agent.runtime.databases import RunKind, path_of, writers_of
+from agent.runtime.databases import RunKind, Writer, path_of, writers_of
 from agent.runtime.forecasts.making import Forecaster
 from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.process.announcing import announce
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Connection, connect
+from agent.storage.tables.notifications import Route
 from agent.storage.write.command_socket import Handler
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition
+
+MakeWriters = Callable[
+    [Sequence[RigConfig], Path | None, RunKind, Mapping[str, Handler], Route], Mapping[Path, Writer]
+]
+"""Makes one writer a database, of configurations, the common file if any, the kind of run, handlers and route."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +35,7 @@ class Parts:
 
     configs: Mapping[str, RigConfig]
     connections: Sequence[Connection]
-    writers: Mapping[Path, StoreWriter]
+    writers: Mapping[Path, Writer]
     rigs: Mapping[str, RigRuntime]
     event_writers: Mapping[str, EventWriter]
 
@@ -46,6 +52,7 @@ class RigSet:
         forecasts: makes those of all rigs that have alarms.
         targets: what is notified of alarms.
         forwarding: what brings rows to consumers beyond the gateway.
+        make_writers: makes what writes to databases.
     """
 
     db: Path | None
@@ -54,12 +61,13 @@ class RigSet:
     handlers: Mapping[str, Handler] = field(default_factory=dict)
     configs: dict[str, RigConfig] = field(default_factory=dict)
     connections: list[Connection] = field(default_factory=list)
-    writers: dict[Path, StoreWriter] = field(default_factory=dict)
+    writers: dict[Path, Writer] = field(default_factory=dict)
     rigs: dict[str, RigRuntime] = field(default_factory=dict)
     event_writers: dict[str, EventWriter] = field(default_factory=dict)
     forecasts: ForecastThread = field(default_factory=ForecastThread)
     targets: Targets = field(default_factory=Targets)
     forwarding: Forwarding = field(default_factory=Forwarding)
+    make_writers: MakeWriters = writers_of
 
     def make(self, configs: Sequence[RigConfig], there: Collection[str] = ()) -> Parts:
         """Make what configurations need; there: keys of the connections that are to be shared.
@@ -68,10 +76,10 @@ class RigSet:
         """
         connections = connect(configs, self.wake, there)
         strange = [config for config in configs if path_of(config, self.db) not in self.writers]
-        writers = writers_of(strange, self.db, self.kind, self.handlers, self.targets.route)
+        writers = self.make_writers(strange, self.db, self.kind, self.handlers, self.targets.route)
         for writer in writers.values():
             writer.on_alarm = self._commanded
-        known = self.writers | writers
+        known = {**self.writers, **writers}
         said = announce if self.kind == "live" else lambda _: None
         rigs = {c.rig.name: RigRuntime(c, known[path_of(c, self.db)].publish, announce=said) for c in configs}
         parts = Parts({c.rig.name: c for c in configs}, connections, writers, rigs, {})
@@ -99,7 +107,7 @@ class RigSet:
         if rig is not None:
             rig.commanded(step)
 
-    def writer_of(self, rig: str) -> StoreWriter:
+    def writer_of(self, rig: str) -> Writer:
         """Return what writes the records of a rig."""
         return self.writers[path_of(self.configs[rig], self.db)]
 
@@ -113,14 +121,20 @@ class RigSet:
             if name in self.event_writers:
                 self.event_writers[name].start()
         if self.kind == "live":
-            self.targets.exchange(self._placed(), self.writers)
-            self.forwarding.exchange(self._placed(), self.writers)
+            self.targets.exchange(self._placed(), self.stores)
+            self.forwarding.exchange(self._placed(), self.stores)
+
+    @property
+    def stores(self) -> Mapping[Path, StoreWriter]:
+        """What writes to databases in this process."""
+        return {path: writer for path, writer in dict(self.writers).items() if isinstance(writer, StoreWriter)}
 
     def _placed(self) -> Mapping[Path, Sequence[RigConfig]]:
         """The configurations of each database."""
-        placed: dict[Path, list[RigConfig]] = {path: [] for path in self.writers}
+        placed: dict[Path, list[RigConfig]] = {path: [] for path in self.stores}
         for config in self.configs.values():
-            placed[path_of(config, self.db)].append(config)
+            if path_of(config, self.db) in placed:
+                placed[path_of(config, self.db)].append(config)
         return placed
 
     def take(self) -> None:
@@ -146,7 +160,7 @@ class RigSet:
         for rig in self.rigs.values():
             rig.ledger(self.connections)
 
-    def _record(self, parts: Parts, writers: Mapping[Path, StoreWriter]) -> None:
+    def _record(self, parts: Parts, writers: Mapping[Path, Writer]) -> None:
         """See that the sources with `record = true` are recorded, in a folder beside the database."""
         wanted = {(c.rig.name, s.name): c for c in parts.configs.values() for s in c.source if s.record}
         for connection in parts.connections:
@@ -156,7 +170,7 @@ class RigSet:
                     path = path_of(config, self.db)
                     connection.make_recorder = partial(recorder, config, path, use.source, writers[path].publish)
 
-    def _keep_events(self, parts: Parts, writers: Mapping[Path, StoreWriter]) -> dict[str, EventWriter]:
+    def _keep_events(self, parts: Parts, writers: Mapping[Path, Writer]) -> dict[str, EventWriter]:
         """See that raw samples around alarms are kept, unless the configuration says that none are."""
         found = {}
         for name, config in parts.configs.items():

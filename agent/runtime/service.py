@@ -1,24 +1,20 @@
 """`deltak run`: the agent in the foreground. One thread a bus, one that computes, one that writes to the database."""
 
 import logging
-import os
-import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
-from types import FrameType
 from typing import Any
 
 from agent.clock import monotonic_ns
-from agent.config import RigConfig, driver_class, files_of, load_many
-from agent.errors import AgentError, ConfigError, Fault, UsageError
+from agent.config import RigConfig
+from agent.config.process.settings import agreed
+from agent.errors import AgentError, Fault, UsageError
 from agent.recording.event_writer import EventWriter
 from agent.recording.recorder import Recorder
-from agent.runtime.assembly.source_faults import source_error
-from agent.runtime.databases import RunKind
+from agent.runtime.databases import RunKind, Writer, writers_of
 from agent.runtime.exchange import Prepared, exchange, plan, prepare, tell
 from agent.runtime.limits import (
     ABANDON_S,
@@ -29,27 +25,26 @@ from agent.runtime.limits import (
     HURRY_S,
     IDLE_S,
     LOG_LINES,
+    LONGEST_ROUND_S,
     LOOK_S,
     PEER_PATIENCE,
     RELOAD_S,
-    ROUND_S,
     SILENCE_S,
     WRITER_PATIENCE,
 )
 from agent.runtime.process.deadline import Deadline
 from agent.runtime.process.heartbeats import Thread
-from agent.runtime.process.memory import keep_heap_small, release_free_pages
+from agent.runtime.process.memory import release_free_pages
 from agent.runtime.process.opening import Opening
 from agent.runtime.process.recent_lines import RecentLines
 from agent.runtime.process.service_manager import ServiceManager
 from agent.runtime.process.watch import Watch
 from agent.runtime.rig_runtime import RigRuntime
-from agent.runtime.rig_set import RigSet
+from agent.runtime.rig_set import MakeWriters, RigSet
 from agent.runtime.sources import Connection
 from agent.runtime.status import Status
 from agent.runtime.telemetry.exporters import Exporters
 from agent.storage.write.command_socket import Handler
-from agent.storage.write.writer import StoreWriter
 from drivers.port import DriverConfigError
 
 Reread = Callable[[], Sequence[RigConfig]]
@@ -57,10 +52,26 @@ log = logging.getLogger(__name__)
 
 
 class Service:
-    """The agent: connections, rigs and the writers of their databases."""
+    """The agent: connections, rigs and the writers of their databases.
+
+    Args:
+        configs: what it runs.
+        db: the database of all, where the command line names one.
+        kind: what their runs are marked as.
+        reread: reads the configurations again, for a reload.
+        make_writers: makes what writes to databases.
+        manager: hears how it is; whoever started it as a service, if nobody else is named.
+    """
 
     def __init__(
-        self, configs: Sequence[RigConfig], db: Path | None, kind: RunKind, reread: Reread | None = None
+        self,
+        configs: Sequence[RigConfig],
+        db: Path | None,
+        kind: RunKind,
+        reread: Reread | None = None,
+        *,
+        make_writers: MakeWriters = writers_of,
+        manager: ServiceManager | None = None,
     ) -> None:
         self._wake = threading.Event()
         self._stop = threading.Event()
@@ -71,11 +82,12 @@ class Service:
         self._reloading = threading.Lock()
         self._rounds = 0
         self.lines = RecentLines(LOG_LINES)
-        self.rig_set = RigSet(db, kind, self._wake, self._handlers())
+        self.rig_set = RigSet(db, kind, self._wake, self._handlers(), make_writers=make_writers)
         self.status = Status(self.rig_set)
-        self._watch = Watch(self.threads, self.status.words, ServiceManager(), SILENCE_S, LOOK_S)
+        self._watch = Watch(self.threads, self.status.words, manager or ServiceManager(), SILENCE_S, LOOK_S)
         self.status.heartbeats = self._watch.heartbeats
         self._exporters = Exporters(self.status.document)
+        self._round_s = agreed([(config.file, config.agent) for config in configs])[0].round_s
         self.rig_set.adopt(self.rig_set.make(configs))
 
     def _handlers(self) -> Mapping[str, Handler]:
@@ -97,7 +109,7 @@ class Service:
         return self.rig_set.rigs
 
     @property
-    def writers(self) -> Mapping[Path, StoreWriter]:
+    def writers(self) -> Mapping[Path, Writer]:
         """What writes to databases, by their files."""
         return self.rig_set.writers
 
@@ -109,7 +121,7 @@ class Service:
             found.append(Thread(f"read {name}", connection.progress, connection.is_alive()))
             if connection.recorder is not None:
                 found.append(_disk_thread(f"record {name}", connection.recorder))
-        for path, writer in list(self.rig_set.writers.items()):
+        for path, writer in self.rig_set.stores.items():
             is_watched = writer.is_alive() and not writer.occupied
             found.append(Thread(f"write {path}", writer.progress, is_watched, WRITER_PATIENCE))
         for forwarder in self.rig_set.forwarding.forwarders:
@@ -160,7 +172,7 @@ class Service:
                 self.process(ended)
                 self._need_writers()
                 self._exchange_asked()
-                rest = 0.0 if self._behind() else _rest_s((monotonic_ns() - begun) / 1e9)
+                rest = 0.0 if self._behind() else _rest_s((monotonic_ns() - begun) / 1e9, self._round_s)
                 self._stop.wait(min(rest, _patience(started, duration_s)))
                 if monotonic_ns() >= ledger_due:
                     ledger_due += HEALTH_PERIOD_NS
@@ -206,20 +218,29 @@ class Service:
             self._watch.manager.say(READY=1, STATUS=self.status.words())
 
     def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
-        wanted = plan(self.rig_set, configs)
-        prepared = prepare(self.rig_set, wanted)
+        return self.take_up(self.prepare(configs))
+
+    def prepare(self, configs: Sequence[RigConfig]) -> Prepared:
+        """Make and open what other configurations need; nothing that runs is touched. From any thread but `run`'s.
+
+        Raises AgentError or DriverConfigError where something cannot be made or opened.
+        """
+        return prepare(self.rig_set, plan(self.rig_set, configs))
+
+    def take_up(self, prepared: Prepared) -> dict[str, Any]:
+        """Have rigs exchanged; returns which were, and which were left alone. From any thread but `run`'s."""
         answer: Future[None] = Future()
         self._asked.put((prepared, answer))
         self._wake.set()
         answer.result(RELOAD_S)
-        entered = {config.rig.name for config in wanted.entering}
-        return wanted.document([name for name in self.rigs if name not in entered])
+        entered = {config.rig.name for config in prepared.plan.entering}
+        return prepared.plan.document([name for name in self.rigs if name not in entered])
 
     def _refused(self, error: Exception) -> dict[str, Any]:
         faults = getattr(error, "faults", None) or [Fault("reload", str(error) or "it took too long", "see the log")]
         words = "; ".join(str(fault) for fault in faults)
         said = f"the changed configuration is refused, the old one stays: {words}"
-        tell(self.rig_set, list(self.rigs), "refused", said)
+        tell(self.rig_set, list(self.rig_set.configs), "refused", said)
         return {"refused": [{"path": f.path, "message": f.message, "advice": f.advice} for f in faults]}
 
     def _exchange_asked(self) -> None:
@@ -247,6 +268,10 @@ class Service:
             self._rounds += 1
         for rig in self.rigs.values():
             rig.poll()
+
+    def documents(self, seconds: float) -> list[dict[str, Any]]:
+        """Return what each rig's run found, after it took so long."""
+        return [rig.summary.document(seconds) for rig in self.rigs.values()]
 
     def _behind(self) -> bool:
         return any(rig.waiting for rig in self.rigs.values())
@@ -295,75 +320,17 @@ class Service:
             rig.summary.run_id = self.rig_set.writer_of(name).run_ids.get(name, rig.summary.run_id)
 
 
-def run(
-    *, configs: Sequence[Path], db: Path | None, duration_s: float | None, kind: RunKind = "live"
-) -> dict[str, Any]:
-    """Run the agent; return one rig's document, or {"runs": [...]} for several. kind marks the run in the database.
-
-    configs: files, or folders of them. Raises ConfigError, ModelError, StoreError.
-    """
-    keep_heap_small()
-
-    def reread() -> Sequence[RigConfig]:
-        found = load_many(files_of(configs))
-        _need_sources(found)
-        return found
-
-    rigs = reread()
-    started = monotonic_ns()
-    try:
-        service = Service(rigs, db, kind, reread)
-    except DriverConfigError as error:
-        raise source_error(rigs, error) from error
-    with service.lines.kept(), _handled(service):
-        service.run(duration_s)
-    seconds = (monotonic_ns() - started) / 1e9
-    documents = [rig.summary.document(seconds) for rig in service.rigs.values()]
-    return documents[0] if len(documents) == 1 else {"runs": documents}
-
-
-@contextmanager
-def _handled(service: Service) -> Iterator[None]:
-    """Have SIGTERM end a service and SIGHUP reload its configuration; a terminal that is closed still ends it."""
-    wanted: dict[signal.Signals, Callable[[], object]] = {signal.SIGTERM: service.stop}
-    if not os.isatty(0):
-        wanted[signal.SIGHUP] = service.reload
-    previous = {number: signal.signal(number, _caller(act)) for number, act in wanted.items()}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-
-
-def _need_sources(rigs: Sequence[RigConfig]) -> None:
-    missing = [rig for rig in rigs if not rig.source]
-    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in missing]
-    for rig in rigs:
-        for i, source in enumerate(rig.source):
-            if driver_class(source.driver).finite:
-                faults.append(Fault(f"source[{i}].driver", f'"{source.driver}" is a recording', "use deltak replay"))
-    if faults:
-        raise ConfigError(faults)
-
-
-def _caller(act: Callable[[], object]) -> Callable[[int, FrameType | None], None]:
-    """Return a signal handler. It interrupts the thread that may hold the very lock that acting takes."""
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        threading.Thread(target=act, name=getattr(act, "__name__", "signal"), daemon=True).start()
-
-    return handle
-
-
 def _disk_thread(name: str, writer: Recorder | EventWriter) -> Thread:
     return Thread(name, writer.progress, writer.is_alive(), WRITER_PATIENCE)
 
 
-def _rest_s(spent_s: float) -> float:
-    """Return how long to let blocks gather after a round that took so long: three times as long where that may be."""
-    least, most = ROUND_S
-    return max(0.0, min(most, max(least, 4 * spent_s)) - spent_s)
+def _rest_s(spent_s: float, least_s: float) -> float:
+    """Return how long to let blocks gather after a round that took so long: three times as long where that may be.
+
+    least_s: from one round to the next at least; the longest time between two grows and shrinks with it.
+    """
+    most_s = LONGEST_ROUND_S * least_s
+    return max(0.0, min(most_s, max(least_s, 4 * spent_s)) - spent_s)
 
 
 def _left_s(begun: int, seconds: float) -> float:

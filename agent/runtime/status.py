@@ -5,7 +5,7 @@ Any thread may ask while the processing thread works, and even where that one ha
 
 import shutil
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -37,10 +37,16 @@ class Status:
     def __init__(self, rigs: RigSet) -> None:
         self._rigs = rigs
         self._started_ns = monotonic_ns()
+        self.elsewhere: Callable[[], Sequence[Document]] = list
+        """Gives the rigs that other processes of the agent run, as `rigs` gives one's own."""
+        self.workers: Callable[[], Sequence[Document]] = list
+        """Gives those processes."""
 
     def words(self) -> str:
         """Return the agent in one line, for `systemctl status`."""
-        parts = [f"{name} {_lag_words(rig.lag_s())}" for name, rig in dict(self._rigs.rigs).items()]
+        lags = {name: rig.lag_s() for name, rig in dict(self._rigs.rigs).items()}
+        lags |= {rig["rig"]: rig["lag_s"] for rig in self.elsewhere()}
+        parts = [f"{name} {_lag_words(lag_s)}" for name, lag_s in lags.items()]
         shown = ", ".join(parts[:8]) + (", ..." if len(parts) > 8 else "")
         return f"{len(parts)} {'rig' if len(parts) == 1 else 'rigs'}: {shown}"
 
@@ -50,12 +56,17 @@ class Status:
         return {
             "version": __version__,
             "uptime_s": (monotonic_ns() - self._started_ns) / 1e9,
-            "rigs": [self._rig(rig, standing.get(name, {})) for name, rig in dict(self._rigs.rigs).items()],
-            "stores": [_store(path, writer) for path, writer in dict(self._rigs.writers).items()],
+            "rigs": [_with_alarms(rig, standing.get(rig["rig"], {})) for rig in [*self.rigs(), *self.elsewhere()]],
+            "stores": [_store(path, writer) for path, writer in self._rigs.stores.items()],
             "north": self._rigs.forwarding.documents(),
             "threads": self._threads(),
+            "workers": list(self.workers()),
             "configs": [str(config.file) for config in list(self._rigs.configs.values())],
         }
+
+    def rigs(self) -> list[Document]:
+        """Return the rigs that this process runs, but for their alarms."""
+        return [self._rig(rig) for rig in dict(self._rigs.rigs).values()]
 
     def standing(self) -> dict[str, dict[str, int]]:
         """Return the alarms whose condition stands, by rig and state, as the databases have them."""
@@ -66,12 +77,11 @@ class Status:
                     found.setdefault(rig, {})[state] = count
         return found
 
-    def _rig(self, rig: RigRuntime, standing: Mapping[str, int]) -> Document:
+    def _rig(self, rig: RigRuntime) -> Document:
         ledgers = rig.summary.ledgers()
         return {
             "rig": rig.config.rig.name, "run_id": rig.summary.run_id, "db": rig.summary.db, "lag_s": rig.lag_s(),
             "sources": [self._source(rig, source, ledgers.get(source)) for source in rig.sources],
-            "alarms": sum(standing.values()), "alarm_states": dict(standing),
             "estimates": {p: {k: row[k] for k in ("value", "sd", "unit", "status", "reason", "t_ns")}
                           for p, row in rig.summary.estimates().items()},
             "clock_steps": rig.clock_steps, "clock_offset_s": rig.clock_offset_s(),
@@ -101,6 +111,10 @@ class Status:
              "progress": beat.progress}
             for name, beat in beats.items()
         ]  # fmt: skip
+
+
+def _with_alarms(rig: Document, standing: Mapping[str, int]) -> Document:
+    return {**rig, "alarms": sum(standing.values()), "alarm_states": dict(standing)}
 
 
 def _lag_words(lag_s: float | None) -> str:

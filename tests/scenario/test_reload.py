@@ -26,7 +26,8 @@ SECRET = "hunter2-of-the-press"
 class Gateway:
     """An agent on a folder of configurations; both rigs listen to one device, each by a connection of its own."""
 
-    def __init__(self, folder: Path, text: str) -> None:
+    def __init__(self, folder: Path, text: str, workers: int = 1) -> None:
+        self.workers = workers
         self.folder, self.db, self._text = folder / "conf.d", folder / "all.db", text
         self.folder.mkdir()
         self.port = free_port()
@@ -35,6 +36,7 @@ class Gateway:
         self.agent: Agent | None = None
 
     def write(self, rig: str, timeout_s: str = "0.5", limit: str = "15.0", extra: str = "") -> None:
+        extra += f"\n[agent]\nworkers = {self.workers}\n"
         text = self._text.replace('"two-mass-rig"', f'"{rig}"').replace('"two-mass-rig.db"', '"../all.db"')
         text = text.replace('transport = "tcp"', f'transport = "tcp"\ntimeout_s = {timeout_s}')
         assert "limit = 15.0" in text
@@ -82,14 +84,14 @@ class Manager:
             self.said.append(message.decode())
 
 
-@pytest.fixture(scope="module")
-def left(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.soak)])
+def left(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What a day of an administrator left behind, in seconds."""
     folder = tmp_path_factory.mktemp("gateway")
     text = example("modbus", folder).read_text()
     found: dict[str, Any] = {}
     with simulator(folder, text, "--scenario", "steady"):
-        gateway = Gateway(folder, text)
+        gateway = Gateway(folder, text, request.param)
         with Manager(folder / "notify") as manager, agent(gateway.folder) as running:
             found |= live_through(gateway, running, folder)
             found["document"] = running.document()
@@ -187,8 +189,8 @@ def test_status_tells_rigs_sources_threads_and_stores(left: dict[str, Any]) -> N
     assert first["alarms"] == sum(first["alarm_states"].values())  # a busy machine may be behind
     assert 0.0 <= first["lag_s"] < 5.0
     assert {row["status"] for row in first["estimates"].values()} <= {"warming", "valid", "unexcited", "invalid"}
-    threads = {thread["thread"].split()[0]: thread for thread in found["threads"]}
-    assert {"processing", "read", "write", "events"} <= set(threads)
+    threads = {re.sub(r"worker \d: ", "", thread["thread"]).split()[0] for thread in found["threads"]}
+    assert {"processing", "read", "write", "events"} <= threads
     assert not any(thread["stalled"] for thread in found["threads"])
     assert found["stores"][0]["bytes"]["database"] > 0
 

@@ -12,8 +12,10 @@ import pytest
 
 from agent.blocks.acquisition.indexing import Indexer
 from agent.config import RigConfig, driver_class, load
+from agent.runtime.limits import LONGEST_ROUND_S
 from agent.runtime.pipeline import Pipeline
-from agent.runtime.service import ROUND_S, Service, _caller, _rest_s
+from agent.runtime.service import Service, _rest_s
+from agent.runtime.workers.running import _caller
 from agent.types import EstimateBatch, FloatArray, Record
 from drivers.port import Driver, SampleBlock, SourceRequest
 from sim_bus.rig.scenario import load_scenario
@@ -66,11 +68,11 @@ def test_blocks_computed_at_once_give_the_rows_that_they_give_one_by_one(
 
 
 def test_rounds_rest_three_times_as_long_as_they_take_where_none_waits_too_long_for_that() -> None:
-    least, most = ROUND_S
-    assert _rest_s(0.0) == least
-    assert _rest_s(0.03) == pytest.approx(0.09)
-    assert _rest_s(0.1) == pytest.approx(most - 0.1)
-    assert _rest_s(0.4) == 0.0
+    least_s = 0.05
+    assert _rest_s(0.0, least_s) == least_s
+    assert _rest_s(0.03, least_s) == pytest.approx(0.09)
+    assert _rest_s(0.1, least_s) == pytest.approx(LONGEST_ROUND_S * least_s - 0.1)
+    assert _rest_s(0.4, least_s) == 0.0
 
 
 def test_signal_amid_a_wait_does_not_wait_for_the_lock_that_the_wait_holds(tmp_path: Path) -> None:

@@ -2,10 +2,16 @@
 
 import threading
 from collections.abc import Callable, Iterable
-
-from agent.storage.write.writer import StoreWriter
+from typing import Protocol
 
 _LOOK_S = 0.05
+
+
+class Started(Protocol):
+    """What is started, however long that takes."""
+
+    def start(self) -> None:
+        """Begin; raises where that can never work."""
 
 
 class Opening(threading.Thread):
@@ -14,7 +20,7 @@ class Opening(threading.Thread):
     What it leaves unfinished then is what a power cut would leave: the next start begins with it again.
     """
 
-    def __init__(self, writers: Iterable[StoreWriter]) -> None:
+    def __init__(self, writers: Iterable[Started]) -> None:
         super().__init__(name="opening", daemon=True)
         self._writers = writers
         self._over = threading.Event()

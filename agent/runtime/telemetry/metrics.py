@@ -58,6 +58,10 @@ FIGURES: Mapping[str, Figure] = {
     "deltak_store_rows_dropped_total": Figure(
         CounterMetricFamily, "Rows that could not be stored.", ("db", "reason")
     ),
+    "deltak_worker_up": Figure(GaugeMetricFamily, "1 while a worker process runs.", ("worker",)),
+    "deltak_worker_restarts_total": Figure(
+        CounterMetricFamily, "How often a worker process had to be started anew.", ("worker",)
+    ),
     "deltak_thread_silent_seconds": Figure(GaugeMetricFamily, "For how long a thread made no progress.", ("thread",)),
     "deltak_thread_stalled": Figure(GaugeMetricFamily, "1 where the watchdog is not fed because of it.", ("thread",)),
     "deltak_thread_progress_total": Figure(CounterMetricFamily, "How often a thread went round.", ("thread",)),
@@ -93,6 +97,9 @@ class _Families:
             self._rig(rig)
         for store in document["stores"]:
             self._store(store)
+        for worker in document["workers"]:
+            self._add("deltak_worker_up", worker["alive"], worker["worker"])
+            self._add("deltak_worker_restarts_total", worker["restarts"], worker["worker"])
         for thread in document["threads"]:
             self._add("deltak_thread_silent_seconds", thread["silent_s"], thread["thread"])
             self._add("deltak_thread_stalled", thread["stalled"], thread["thread"])

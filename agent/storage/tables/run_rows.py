@@ -76,6 +76,11 @@ class RunRows:
         for record in self._settings.pop(run.rig, ()):
             self._watch(run_id, self._clocks[run_id].apply(record, self._numbers))
 
+    def close(self, run_id: int) -> None:
+        """Forget a run that ended, all of whose rows are stored: its alarms go on in the rig's next."""
+        self._alarms.pop(run_id, None)
+        self._clocks.pop(run_id, None)
+
     def standing(self, rig: str | None = None, kind: str | None = None) -> list[AlarmRow]:
         """Return the alarms of open runs that are not back to normal; of one rig and kind of run where named."""
         return [row for run_id in self._of(rig, kind) for row in self._alarms[run_id].standing]

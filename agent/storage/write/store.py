@@ -252,6 +252,11 @@ class Store:
         standing = self.open_alarms(run.rig) if run.kind == "live" else []
         self._run_rows.open(run_id, run, AlarmRows(run_id, standing, self.outbox))
 
+    def end_run(self, run_id: int) -> None:
+        """Forget a run: nothing is written to it any more."""
+        with self._mutex:
+            self._run_rows.close(run_id)
+
     def open_alarms(self, rig: str, kind: str = "live") -> list[AlarmRow]:
         """Return the alarms of a rig that are not back to normal (NORM), over its runs of one kind."""
         with self._mutex:

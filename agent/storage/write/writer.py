@@ -135,18 +135,22 @@ class StoreWriter:
                 self._urgent = True
                 self._condition.notify_all()
 
-    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention) -> None:
+    def exchange(
+        self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention, commit_s: float
+    ) -> None:
         """End the runs of some rigs, all of whose records were published, and begin others, in the writer's thread.
 
-        every_s and keep hold from now on. Raises StoreError where the store cannot be written at present; nothing is
-        changed then.
+        every_s, keep and commit_s (the period of batches) hold from now on; a rig that leaves may have no run. Raises
+        StoreError where the store cannot be written at present; nothing is changed then.
         """
 
         def act(store: Store) -> None:
             store.retain(keep)
             self._exchange(leaving, entering, every_s)
+            self._period = commit_s
 
         self._jobs.ask(act)
+
     def ask(self, job: Job) -> Any:
         """Have something done with the store in the writer's thread; returns what it returns. Raises StoreError."""
         return self._jobs.ask(job)
@@ -268,7 +272,8 @@ class StoreWriter:
 
     def _exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float) -> None:
         self._collect(last=False)
-        for rig in self._thinners if every_s != self._every_s else leaving:
+        known = [rig for rig in leaving if rig in self._runs]
+        for rig in list(self._thinners) if every_s != self._every_s else known:
             self._keep(rig, self._thinners[rig].flush())
             self._thinners[rig] = Thinner(every_s)
         self._every_s = every_s
@@ -276,6 +281,8 @@ class StoreWriter:
         tables = (self._runs, self._thinners, self._backlogs, self._newest, self._failed_at, self.run_ids,
                   self.standing, self.learnt, self.baselines)  # fmt: skip
         for rig in leaving:
+            if self._store is not None and rig in self.run_ids and not self._waiting():
+                self._store.end_run(self.run_ids[rig])
             for table in tables:
                 table.pop(rig, None)
         self._admit(entering)

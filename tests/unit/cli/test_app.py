@@ -20,13 +20,17 @@ import agent.commissioning
 import agent.evaluation.demo
 import agent.evaluation.paper
 import agent.runtime
+import agent.runtime.workers
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded, take_flags
 from agent.cli.terminal.logs import OncePerPeriod
 from agent.errors import BusError, ConfigError, Fault, StoreError
 
 Run = Callable[..., tuple[int, str, str]]
-ROOMS = {"demo": agent.evaluation.demo, "check": agent.commissioning, "paper": agent.evaluation.paper}
+ROOMS = {
+    "demo": agent.evaluation.demo, "check": agent.commissioning, "paper": agent.evaluation.paper,
+    "running": agent.runtime.workers,
+}  # fmt: skip
 COMMANDS = ("demo", "paper", "check", "run", "replay", "estimates", "alarms", "trend", "sim")
 
 
@@ -191,15 +195,16 @@ def test_debug_shows_the_traceback_wherever_it_stands(deltak: Run, body: Any, ar
 
 
 def test_interrupt_exits_130(deltak: Run, body: Any) -> None:
-    body("service", "run", KeyboardInterrupt())
+    body("running", "run", KeyboardInterrupt())
     assert deltak("run", "a.toml") == (130, "", "deltak: interrupted\n")
 
 
 def test_interrupt_signal_to_the_process_exits_130() -> None:
     script = (
-        "import sys, threading, agent.runtime\nfrom types import SimpleNamespace\nfrom agent.cli.app import main\n"
+        "import sys, threading, agent.runtime.workers\nfrom types import SimpleNamespace\n"
+        "from agent.cli.app import main\n"
         "def run(**_):\n    print('ready', flush=True)\n    threading.Event().wait(60)\n"
-        "agent.runtime.service = SimpleNamespace(run=run)\nmain(['run', 'a.toml'])\n"
+        "agent.runtime.workers.running = SimpleNamespace(run=run)\nmain(['run', 'a.toml'])\n"
     )
     # a shell's background jobs are begun with SIGINT ignored, and this may be run by one
     command = ["env", "--default-signal=INT", sys.executable, "-c", script]
@@ -231,7 +236,7 @@ def test_reader_that_leaves_early_is_no_error() -> None:
 def test_bodies_are_called_with_keyword_arguments(deltak: Run, body: Any) -> None:
     calls = {
         "demo": body("demo", "demo", DEMO),
-        "run": body("service", "run", RESULT),
+        "run": body("running", "run", RESULT),
         "replay": body("replay", "replay", RESULT),
         "check": body("check", "check", {"ok": True}),
         "paper": body("paper", "paper", {}),
@@ -277,7 +282,7 @@ def test_replay_table_names_values_status_samples_and_how_to_ask(deltak: Run, bo
 
 
 def test_run_of_several_configurations_prints_each(deltak: Run, body: Any) -> None:
-    body("service", "run", {"runs": [RESULT, RESULT | {"rig": "press-8", "db": None, "alarms": []}]})
+    body("running", "run", {"runs": [RESULT, RESULT | {"rig": "press-8", "db": None, "alarms": []}]})
     _, out, _ = deltak("run", "a.toml", "b.toml")
     assert "rig press-7" in out
     assert "rig press-8" in out

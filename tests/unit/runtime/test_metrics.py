@@ -33,6 +33,7 @@ STATUS: dict[str, Any] = {
         "db": "/x.db", "bytes": {"database": 4096, "log": 10}, "spare_bytes": 7, "failing": None, "written": 55,
         "dropped": {"disk full": 1}, "latency": {"press": {"bins": [("0.5", 3), ("+Inf", 4)], "sum_s": 2.5}},
     }],
+    "workers": [{"worker": 2, "alive": True, "restarts": 3}],
     "threads": [{"thread": "processing", "silent_s": 0.5, "stalled": True, "progress": 9}],
 }  # fmt: skip
 
@@ -55,6 +56,8 @@ EXPECTED = {
     ("deltak_samples_total", "rejected", "crc", "press", "can"): 7,
     ("deltak_samples_total", "dropped", "queue full", "press", "can"): 3,
     ("deltak_source_up", "press", "late"): 0,
+    ("deltak_worker_up", "2"): 1,
+    ("deltak_worker_restarts_total", "2"): 3,
     ("deltak_estimate_state", "k1", "press", "valid"): 1,
     ("deltak_estimate_state", "k1", "press", "invalid"): 0,
     ("deltak_alarms", "press", "UNACK"): 2,

@@ -8,7 +8,7 @@ import pytest
 from agent.commissioning.check import check
 from agent.errors import ConfigError, Fault
 from agent.runtime.replay import replay
-from agent.runtime.service import run
+from agent.runtime.workers.running import run
 from tests.faults.played import RIG
 
 TEXT = '[[source]]\ndriver = "serial"\nport = "x.tty"\nformat = "text"\ncolumns = ["F", "X"]\n'

@@ -1,0 +1,1 @@
+"""What holds for the agent as a whole, whichever rig's file says it."""

@@ -1,0 +1,87 @@
+"""`deltak run`: configurations are read, and run by the agent itself or by workers."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from agent.clock import monotonic_ns
+from agent.config import RigConfig, driver_class, files_of, load_many
+from agent.errors import ConfigError, Fault
+from agent.runtime.assembly.source_faults import source_error
+from agent.runtime.databases import RunKind
+from agent.runtime.process.memory import keep_heap_small
+from agent.runtime.service import Reread, Service
+from agent.runtime.workers.service import SpreadService
+from agent.runtime.workers.spread import wanted_workers
+from drivers.port import DriverConfigError
+
+
+def run(
+    *, configs: Sequence[Path], db: Path | None, duration_s: float | None, kind: RunKind = "live"
+) -> dict[str, Any]:
+    """Run the agent; return one rig's document, or {"runs": [...]} for several. kind marks the run in the database.
+
+    configs: files, or folders of them. Raises ConfigError, ModelError, StoreError.
+    """
+    keep_heap_small()
+
+    def reread() -> Sequence[RigConfig]:
+        found = load_many(files_of(configs))
+        _need_sources(found)
+        return found
+
+    rigs = reread()
+    started = monotonic_ns()
+    try:
+        service = _service(rigs, db, kind, reread)
+    except DriverConfigError as error:
+        raise source_error(rigs, error) from error
+    with service.lines.kept(), _handled(service):
+        service.run(duration_s)
+    seconds = (monotonic_ns() - started) / 1e9
+    documents = service.documents(seconds)
+    return documents[0] if len(documents) == 1 else {"runs": documents}
+
+
+def _service(configs: Sequence[RigConfig], db: Path | None, kind: RunKind, reread: Reread) -> Service:
+    most = wanted_workers(configs)
+    return SpreadService(configs, db, kind, most, reread) if most > 1 else Service(configs, db, kind, reread)
+
+
+@contextmanager
+def _handled(service: Service) -> Iterator[None]:
+    """Have SIGTERM end a service and SIGHUP reload its configuration; a terminal that is closed still ends it."""
+    wanted: dict[signal.Signals, Callable[[], object]] = {signal.SIGTERM: service.stop}
+    if not os.isatty(0):
+        wanted[signal.SIGHUP] = service.reload
+    previous = {number: signal.signal(number, _caller(act)) for number, act in wanted.items()}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _need_sources(rigs: Sequence[RigConfig]) -> None:
+    missing = [rig for rig in rigs if not rig.source]
+    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in missing]
+    for rig in rigs:
+        for i, source in enumerate(rig.source):
+            if driver_class(source.driver).finite:
+                faults.append(Fault(f"source[{i}].driver", f'"{source.driver}" is a recording', "use deltak replay"))
+    if faults:
+        raise ConfigError(faults)
+
+
+def _caller(act: Callable[[], object]) -> Callable[[int, FrameType | None], None]:
+    """Return a signal handler. It interrupts the thread that may hold the very lock that acting takes."""
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        threading.Thread(target=act, name=getattr(act, "__name__", "signal"), daemon=True).start()
+
+    return handle

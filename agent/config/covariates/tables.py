@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict
 
-from agent.config.reading.fields import Name, Names, Number, Positive, Table, Text
+from agent.config.reading.fields import Name, Number, Positive, Table, Text
 
 Span = Annotated[tuple[Number, Number], Strict(False)]
 """Lowest and highest value."""
@@ -27,6 +27,6 @@ class Covariate(Table):
 class BaselineTable(Table):
     """What `baseline learn` wants: covariates (None: all there are), days with valid rows, classes of each."""
 
-    covariates: Names | None = None
+    covariates: Annotated[tuple[Name, ...], Strict(False)] | None = None
     days: Positive = DAYS
     classes: int = Field(default=CLASSES, ge=1, le=50, description="classes of a covariate that it must have run in")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.storage.covariates.merging import merged
 from agent.storage.database.schema import COLUMN_BITS, numbers_crc
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
@@ -64,7 +65,7 @@ def aggregate(connection: sqlite3.Connection, run_id: int, span: int, first_ns: 
     rows = connection.execute(query, (run_id, source, first_ns, end_ns)).fetchall()
     if not rows:
         return None
-    return grouped(list(zip(*rows, strict=True)), span, source)
+    return grouped(list(zip(*merged(connection, rows, span * SECOND), strict=True)), span, source)
 
 
 def grouped(columns: list[tuple[Any, ...]], span: int, source: int) -> Groups:

@@ -49,8 +49,11 @@ def first_order(x: FloatArray, steps: float) -> FloatArray:
     return out
 
 
-def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None = None) -> Year:
-    """Play a machine that loses 5 % of its spring on a day; a tenth of the rows and two stretches are absent."""
+def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None = None, every: int = 1) -> Year:
+    """Play a machine that loses 5 % of its spring on a day; a tenth of the rows and two stretches are absent.
+
+    every: only each so many of the rows are kept.
+    """
     rng = np.random.default_rng([seed, 1717])
     hall = temperatures(rng, days, phase)
     felt = first_order(hall, LAG_S / STEP_S)
@@ -60,7 +63,7 @@ def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None
         k[round(lost_from * DAY) :] *= 0.95
     k += K * ROW_SD * rng.standard_normal(len(k))
     t_ns = START + STEP_NS * np.arange(len(k))
-    rows = rng.random(len(k)) > 0.1
+    rows = (rng.random(len(k)) > 0.1) & (np.arange(len(k)) % every == 0)
     rows[round(0.45 * len(k)) : round(0.45 * len(k)) + 5 * DAY] = False
     read = np.ones(len(k), dtype=bool)
     read[round(0.7 * len(k)) : round(0.7 * len(k)) + 3 * DAY] = False  # the thermometer's cable

@@ -5,9 +5,9 @@ Times are integer nanoseconds since the epoch (or since a recording's own start)
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,6 +147,13 @@ class Samples:
         return np.asarray(~self.missing.any(axis=1))
 
 
+PER_HOP = (
+    "index", "t_ns", "value", "sd", "lower", "upper", "sd_repeat", "status", "reason", "held", "held_age_s", "window_s",
+    "n_used", "n_missing", "dof",
+)  # fmt: skip
+"""What an EstimateBatch has a row of an instant of."""
+
+
 @dataclass(frozen=True, slots=True)
 class EstimateBatch:
     """The estimates of every parameter at consecutive hops; one row a hop, one column a parameter.
@@ -169,6 +176,7 @@ class EstimateBatch:
         others: where there are several windows, what each of them says at the same hops; NaN where it is not whole, or
             where it is the one that was chosen.
         reference_sd: (q,) standard deviation of references that were learnt, NaN of others; None where none was.
+        remarks: (q,) why a reference is less well known than it was learnt, in words, empty where it is; None for none.
     """
 
     rig: str
@@ -194,9 +202,15 @@ class EstimateBatch:
     dof: FloatArray
     others: tuple["EstimateBatch", ...] = ()
     reference_sd: tuple[float, ...] | None = None
+    remarks: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    def part(self, rows: "NDArray[Any] | slice") -> "EstimateBatch":
+        """Return the rows that a mask, an array of numbers or a slice names."""
+        parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in PER_HOP}
+        return replace(self, **parts, others=tuple(other.part(rows) for other in self.others))
 
 
 AlarmKind = Literal["level", "rate", "forecast", "sensor", "source", "blind", "mismatch"]
@@ -367,6 +381,19 @@ class Baseline:
 
 
 @dataclass(frozen=True, slots=True)
+class CovariateMean:
+    """The mean of a covariate over a period that starts at t_ns and lasts span_s: of n readings, in its own unit."""
+
+    rig: str
+    name: str
+    unit: str
+    t_ns: int
+    value: float
+    n: int
+    span_s: int = 60
+
+
+@dataclass(frozen=True, slots=True)
 class ClockRecord:
     """The anchor of a run's time stamps: from a sample on they follow the wall clock as it is set then.
 
@@ -477,5 +504,5 @@ class ForecastScore:
 
 Record = (
     EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict | ClockRecord
-    | ForecastRecord | ForecastScore
+    | ForecastRecord | ForecastScore | CovariateMean
 )  # fmt: skip

@@ -240,7 +240,9 @@ class _Judgement:
         column = self.columns[i]
         unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
         figures = f"{with_sd(abs(delta), sd)} {unit}{self._place(column, delta)} (limit {number(float(self.limit[i]))})"
-        return f"{self.rules[i].parameter} is {'' if raising else 'back within its limit: '}{figures}"
+        remark = self.batch.remarks[column] if self.batch.remarks is not None else ""
+        unsure = f"; the reference is less well known: {remark}" if remark else ""
+        return f"{self.rules[i].parameter} is {'' if raising else 'back within its limit: '}{figures}{unsure}"
 
     def _place(self, column: int, delta: float) -> str:
         """Return in words on which side of what its deviation is counted from."""

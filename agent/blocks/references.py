@@ -6,19 +6,22 @@ from math import nan
 
 import numpy as np
 
+from agent.blocks.covariates.compensation import dependences
 from agent.blocks.estimation import Labels
 from agent.types import Baseline
 
 
-def counted_from(labels: Labels, baselines: Sequence[Baseline], graph: str) -> tuple[Labels, list[str]]:
+def counted_from(
+    labels: Labels, baselines: Sequence[Baseline], graph: str, covariates: Mapping[str, str] | None = None
+) -> tuple[Labels, list[str]]:
     """Return labels whose references are baselines where there are any that fit; and why others do not, in words.
 
-    labels: with nominal references. graph: of the rig; a baseline that knows none fits any.
+    labels: with nominal references. graph: of the rig; a baseline that knows none fits any. covariates: their units.
     """
     units = dict(zip(labels.parameters, labels.units, strict=True))
-    own = [one for one in baselines if one.parameter in units]
-    refused = [words for one in own if (words := _unfitting(one, units[one.parameter], graph))]
-    fitting = {one.parameter: one for one in own if not _unfitting(one, units[one.parameter], graph)}
+    own = [(one, _unfitting(one, units, graph, covariates or {})) for one in baselines if one.parameter in units]
+    refused = [words for _, words in own if words]
+    fitting = {one.parameter: one for one, words in own if not words}
     return _labelled(labels, fitting) if fitting else labels, refused
 
 
@@ -33,9 +36,14 @@ def _labelled(labels: Labels, fitting: Mapping[str, Baseline]) -> Labels:
     )
 
 
-def _unfitting(one: Baseline, unit: str, graph: str) -> str:
+def _unfitting(one: Baseline, units: Mapping[str, str], graph: str, covariates: Mapping[str, str]) -> str:
+    unit = units[one.parameter]
     if one.unit != unit:
         return f"the baseline of {one.parameter} is in {one.unit}, its estimates are in {unit}"
     if one.graph and one.graph != graph:
         return f"the baseline of {one.parameter} is of another graph ({one.graph})"
+    strange = [d for d in dependences(one) if covariates.get(d.name, d.unit) != d.unit]
+    if strange:
+        name, there, here = strange[0].name, strange[0].unit, covariates[strange[0].name]
+        return f"the baseline of {one.parameter} counts {name} in {there}, which is in {here} here"
     return ""

@@ -646,7 +646,8 @@ def export(
         str,
         typer.Argument(
             metavar="WHAT",
-            help="estimates, alarms, alarm_events, health, runs, event_records, verdicts, baselines, forecast.",
+            help="estimates, alarms, alarm_events, health, runs, event_records, verdicts, baselines, "
+            "forecast, covariates.",
         ),
     ] = "estimates",
     rig: Rig = None,
@@ -679,7 +680,9 @@ def baseline_learn(
     ] = None,
     since: Since = None,
     until: Until = None,
-    hours: Annotated[float, typer.Option(metavar="H", help="Hours with valid rows that are wanted at least.")] = 24.0,
+    hours: Annotated[
+        float | None, typer.Option(metavar="H", help="Hours with valid rows that are wanted at least [24].")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Learn references and their spread from the valid rows of a healthy stretch; rows count from them at once."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from agent.config.covariates.tables import BaselineTable, Covariate
 from agent.config.linear import LinearModel
 from agent.config.north.tables import North
 from agent.config.process.settings import Agent
@@ -41,12 +42,14 @@ class Draft:
     rig: Rig | None = None
     model: Model | None = None
     channels: list[Entry[Channel]] = field(default_factory=list)
+    covariates: list[Entry[Covariate]] = field(default_factory=list)
     estimator: Estimator = field(default_factory=Estimator)
     alarms: list[Entry[Alarm]] = field(default_factory=list)
     sources: list[Entry[Source]] = field(default_factory=list)
     store: Store = field(default_factory=Store)
     columns: Columns = field(default_factory=Columns)
     forecast: Forecast = field(default_factory=Forecast)
+    baseline: BaselineTable = field(default_factory=BaselineTable)
     attached: list[str] = field(default_factory=list)
     metrics: Metrics = field(default_factory=Metrics)
     notify: list[Entry[Notify]] = field(default_factory=list)
@@ -62,6 +65,11 @@ class Draft:
     def channel_names(self) -> list[str]:
         """The names of the channels that have one."""
         return [entry.table.name for entry in self.channels if readable(entry.table.name)]
+
+    @property
+    def covariate_names(self) -> list[str]:
+        """The names of the covariates that have one."""
+        return [entry.table.name for entry in self.covariates if readable(entry.table.name)]
 
     @property
     def inputs(self) -> list[Entry[Channel]]:

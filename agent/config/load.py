@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, cast
 
+from agent.config.covariates.rules import check_covariates, parted
+from agent.config.covariates.tables import BaselineTable
 from agent.config.draft import Draft
 from agent.config.linear import LinearModel
 from agent.config.linear_files import with_matrices
@@ -13,7 +15,7 @@ from agent.config.north.tables import North
 from agent.config.process.settings import Agent, agreed
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
-from agent.config.reading.parse import Faults, read_list, read_table
+from agent.config.reading.parse import Entry, Faults, read_list, read_table
 from agent.config.reading.secrets import without_plain_secrets
 from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.config.rules_channels import check_channels
@@ -21,7 +23,7 @@ from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model
 from agent.config.rules_north import check_north
-from agent.config.rules_sources import check_notify, check_sources, read_sources
+from agent.config.rules_sources import check_notify, check_sources, divided, read_sources
 from agent.config.tables import (
     Alarm,
     Channel,
@@ -38,9 +40,8 @@ from agent.config.tables import (
 from agent.errors import ConfigError, Fault
 
 TABLES: Final = (
-    "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "metrics", "notify",
-    "north",
-    "agent",
+    "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "baseline", "metrics",
+    "notify", "north", "agent",
 )  # fmt: skip
 RESERVED: Final = ("http", "mqtt", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
@@ -53,7 +54,7 @@ _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
 }
 _RULES: Final = (
     check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast,
-    check_notify, check_north,
+    check_notify, check_north, check_covariates,
 )  # fmt: skip
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
 
@@ -148,17 +149,26 @@ def _read(raw: Mapping[str, Any], draft: Draft) -> None:
         draft.rig = read_table(Rig, raw["rig"], "rig", faults)
     if "model" in raw:
         _read_model(raw["model"], draft)
-    draft.channels = read_list(Channel, raw.get("channel", []), "channel", faults)
+    _read_channels(raw.get("channel", []), draft)
     draft.estimator = read_table(Estimator, raw.get("estimator", {}), "estimator", faults)
     draft.alarms = read_list(Alarm, raw.get("alarm", []), "alarm", faults)
     draft.sources = read_sources(raw.get("source", []), faults)
     draft.store = read_table(Store, raw.get("store", {}), "store", faults)
     _read_columns(raw.get("columns", {}), draft)
     draft.forecast = read_table(Forecast, raw.get("forecast", {}), "forecast", faults)
+    draft.baseline = read_table(BaselineTable, raw.get("baseline", {}), "baseline", faults)
     draft.metrics = read_table(Metrics, raw.get("metrics", {}), "metrics", faults)
     draft.notify = read_list(Notify, raw.get("notify", []), "notify", faults)
     draft.north = read_list(North, raw.get("north", []), "north", faults)
     draft.agent = read_table(Agent, raw.get("agent", {}), "agent", faults)
+
+
+def _read_channels(raw: object, draft: Draft) -> None:
+    if not isinstance(raw, list):
+        read_list(Channel, raw, "channel", draft.faults)
+        return
+    signals, draft.covariates = parted(raw, draft.faults)
+    draft.channels = [Entry(path, read_table(Channel, row, path, draft.faults)) for path, row in signals]
 
 
 def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
@@ -230,6 +240,7 @@ def _ordered(faults: list[Fault]) -> list[Fault]:
 def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
     if draft.rig is None or draft.model is None:
         raise AssertionError("a draft without faults has a rig and a model")
+    sources = [divided(entry.table, draft.covariate_names) for entry in draft.sources]
     path = draft.store.path if draft.store.path != Path() else Path(f"{draft.rig.name}.db")
     return RigConfig(
         rig=draft.rig,
@@ -237,7 +248,10 @@ def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:
         channel=tuple(entry.table for entry in draft.channels),
         estimator=draft.estimator.model_copy(update={"estimate": draft.estimated, "hold": draft.hold}),
         alarm=tuple(_with_defaults(entry.table, draft) for entry in draft.alarms),
-        source=tuple(entry.table for entry in draft.sources),
+        source=tuple(source for source in sources if source.map or not source.covariates),
+        covariate=tuple(entry.table for entry in draft.covariates),
+        covariate_source=tuple(source for source in sources if source.covariates and not source.map),
+        baseline=draft.baseline,
         store=draft.store.model_copy(update={"path": _store_path(draft.folder / path)}),
         columns=draft.columns,
         forecast=draft.forecast.beside(draft.folder),

@@ -96,7 +96,7 @@ def _check_columns(draft: Draft) -> None:
             what = f"{shown(column)} is the column of {owner[column]} already"
             draft.faults.add(join("columns", key), what, "give each channel a column of its own")
         owner.setdefault(column, key)
-    known = ["t", *draft.channel_names]
+    known = ["t", *draft.channel_names, *draft.covariate_names]
     for key in draft.columns.names or {}:
         if key not in known and len(draft.channel_names) == len(draft.channels):
             advice = f'the nearest is "{nearest(key, known)}" of {listing(known)}'

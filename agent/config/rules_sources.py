@@ -1,6 +1,6 @@
 """What must hold in [[source]]: drivers and their own keys, names, who delivers which channel; and in [[notify]]."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
@@ -14,7 +14,7 @@ from agent.config.reading.secrets import is_vague
 from agent.config.tables import Notify, Source
 from agent.errors import ConfigError, Fault
 
-COMMON: Final = tuple(key for key in Source.model_fields if key != "settings")
+COMMON: Final = tuple(key for key in Source.model_fields if key not in {"settings", "covariates"})
 
 _NEEDED: Final = {"command": ("command",), "webhook": ("url",), "smtp": ("host", "sender", "recipients"),
            "apprise": ("url",)}  # fmt: skip
@@ -82,20 +82,27 @@ def check_sources(draft: Draft) -> None:
             _check_mapped(join(f"{path}.map", name), name, owner, draft)
     if not draft.sources or not readable(*(source.map for _, source in draft.sources)):
         return
-    for path, channel in draft.channels:
+    for path, channel in [*draft.channels, *draft.covariates]:
         name = channel.name
         if readable(name) and name not in owner:
             draft.faults.add(path, f"no source maps {shown(name)}", f'add {name} = "..." to the map of a source')
 
 
 def _check_mapped(path: str, channel: str, owner: dict[str, str], draft: Draft) -> None:
-    names = draft.channel_names
+    names = [*draft.channel_names, *draft.covariate_names]
     if channel in owner:
         draft.faults.add(path, f"{shown(channel)} is mapped by {owner[channel]} already", "map each channel once")
     elif channel in names:
         owner[channel] = path.rpartition(".map")[0]
-    elif len(names) == len(draft.channels):
+    elif len(names) == len(draft.channels) + len(draft.covariates):
         draft.faults.add(path, f"no channel is called {shown(channel)}", f"channels are {listing(names)}")
+
+
+def divided(source: Source, covariates: Collection[str]) -> Source:
+    """Return a source with its map divided into the model's channels and covariates."""
+    beside = {name: text for name, text in source.map.items() if name in covariates}
+    own = {name: text for name, text in source.map.items() if name not in covariates}
+    return source.model_copy(update={"map": own, "covariates": beside}) if beside else source
 
 
 def _named(sources: list[Entry[Source]], faults: Faults) -> Iterator[Entry[Source]]:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import Field, Strict, ValidationInfo, field_validator
 
+from agent.config.covariates.tables import BaselineTable, Covariate
 from agent.config.linear import ENTRY, LinearModel, LinearParameter
 from agent.config.north.tables import North
 from agent.config.process.settings import Agent
@@ -191,7 +192,10 @@ class Alarm(Table):
 
 
 class Source(Table):
-    """A bus or recording that samples come from; settings is an instance of the driver's own model."""
+    """A bus or recording that samples come from; settings is an instance of the driver's own model.
+
+    map has the model's channels; covariates those that are beside the model, which the file has in the same map.
+    """
 
     driver: Name = Field(description='a driver such as "can"')
     name: Name = ""
@@ -203,11 +207,21 @@ class Source(Table):
     own_clock: bool = False
     rate_hz: Positive | None = Field(default=None, description="samples a second of this device, such as 200.0")
     settings: Any = None
+    covariates: dict[str, Text] = Field(default_factory=dict)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The fields that it is asked for: of the model's channels, then of covariates."""
+        return (*self.map.values(), *self.covariates.values())
 
     def connection(self, folder: Path) -> str:
-        """Return a text that two sources share when they may share one connection: driver, keys, folder of paths."""
+        """Return a text that two sources share when they may share one connection: driver, keys, folder of paths.
+
+        Covariates alone share none with signals, which would wait for them.
+        """
         keys = self.settings.model_dump(mode="json")
-        return json.dumps([self.driver, keys, str(folder)], sort_keys=True)
+        beside = [] if self.map else ["covariates"]
+        return json.dumps([self.driver, keys, str(folder), *beside], sort_keys=True)
 
 
 class Keep(Table):
@@ -340,7 +354,11 @@ class Parameter(NamedTuple):
 
 
 class RigConfig(Table):
-    """One checked configuration file."""
+    """One checked configuration file.
+
+    channel has the model's channels, covariate those of role "covariate"; source the sources that carry any of the
+    model's, covariate_source those that carry nothing but covariates.
+    """
 
     rig: Rig
     model: Model
@@ -348,6 +366,9 @@ class RigConfig(Table):
     estimator: Estimator
     alarm: tuple[Alarm, ...] = ()
     source: tuple[Source, ...] = ()
+    covariate: tuple[Covariate, ...] = ()
+    covariate_source: tuple[Source, ...] = ()
+    baseline: BaselineTable = BaselineTable()
     store: Store
     columns: Columns = Columns()
     forecast: Forecast = Forecast()

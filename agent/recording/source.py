@@ -131,6 +131,7 @@ def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
 
     Raises RecordingError for one of no source of the configuration, and for a source with none.
     """
+    sources = (*rig.source, *rig.covariate_source)
     files: dict[str, list[Path]] = {}
     for path in paths:
         files.setdefault(_source_of(rig, path).name, []).append(path.absolute())
@@ -138,8 +139,8 @@ def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
     if missing:
         advice = "give the recordings of every source"
         raise RecordingError.at("", f"{paths[0]}: the source {', '.join(missing)} is not in the recordings", advice)
-    fields = {source.name: tuple(source.map.values()) for source in rig.source}
-    return {source.name: _driver(rig, source, files[source.name], fields[source.name]) for source in rig.source}
+    there = [source for source in sources if source.name in files]
+    return {source.name: _driver(rig, source, files[source.name], source.fields) for source in there}
 
 
 def own_recording(rig: RigConfig, path: Path) -> Driver:
@@ -161,7 +162,8 @@ def _source_of(rig: RigConfig, path: Path) -> Source:
         header = _header(path)
     except DriverConfigError as error:
         raise RecordingError.at("", str(error), "give one of the agent's own recordings") from error
-    able = [source for source in rig.source if set(source.map.values()) <= set(header.fields)]
+    sources = (*rig.source, *rig.covariate_source)
+    able = [source for source in sources if set(source.fields) <= set(header.fields)]
     named = [source for source in able if source.name == header.source] or able
     if not named:
         advice = "replay it with the configuration it was recorded with"

@@ -6,7 +6,7 @@ happened are counted as `failure`, as are those of the pause after it, which gro
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TypeGuard, TypeVar
 
@@ -14,7 +14,7 @@ from agent.blocks.acquisition.interface import Label
 from agent.blocks.estimation import ESTIMATION, FAILURE
 from agent.runtime.limits import PAUSE_NS
 from agent.runtime.pipeline import Pipeline
-from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Reason, Record, Status
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, IntArray, Reason, Record, Status
 from drivers.port import SampleBlock
 
 T = TypeVar("T")
@@ -44,6 +44,10 @@ class IsolatedPipeline:
             self._settle(source)
         else:
             self._kept(partial(self._pipeline.take, source, block, modulus, label))
+
+    def take_covariates(self, t_ns: IntArray, readings: Mapping[str, FloatArray]) -> None:
+        """Take readings of covariates, as every pipeline does."""
+        self._kept(partial(self._pipeline.take_covariates, t_ns, readings))
 
     def compute(self) -> list[Record]:
         """Return what the blocks taken lead to, and what went wrong."""

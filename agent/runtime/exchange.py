@@ -72,7 +72,8 @@ def _drawn_in(rigs: RigSet, touched: set[str], new: Mapping[str, RigConfig]) -> 
 
 
 def _sharing(configs: Sequence[RigConfig], connection: Connection) -> list[tuple[RigConfig, Source]]:
-    return [(c, source) for c in configs for source in c.source if source.connection(c.folder) == connection.key]
+    return [(c, source) for c in configs for source in (*c.source, *c.covariate_source)
+            if source.connection(c.folder) == connection.key]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,13 +66,27 @@ class Ledger:
         return [self._health_of(name, before, t_ns, lag_s) for name, before in conservation.items()]
 
     def _health_of(self, name: str, before: Conservation, t_ns: int, lag_s: float | None) -> Health:
-        state, driver = self.acquisition.sources[name], before.driver
+        driver = before.driver
+        state = self.acquisition.sources.get(name)
+        if state is None:
+            return self._beside(name, before, t_ns)
         used, _ = self.ends(name)
         return Health(
             rig=self.rig, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
             used=used, rejected=dict(self.rejected(name, driver)),
             dropped=dict(driver.dropped + before.dropped), gaps=state.gaps, lag_s=lag_s,
             faults=dict(driver.faults), clock=self.clocks.report(name, *self.skew(name)),
+        )  # fmt: skip
+
+    def _beside(self, name: str, before: Conservation, t_ns: int) -> Health:
+        """Return the ledger of a source of covariates only: what is neither refused nor lost is used."""
+        driver = before.driver
+        dropped = driver.dropped + before.dropped
+        received = driver.received + driver.dropped.total()
+        used = received - driver.rejected.total() - dropped.total()
+        return Health(
+            self.rig, name, t_ns, received, max(used, 0), dict(driver.rejected), dict(dropped), 0, None,
+            dict(driver.faults),
         )  # fmt: skip
 
     def skew(self, source: str) -> tuple[float | None, float | None]:

@@ -18,6 +18,8 @@ from agent.blocks.advisory.blind_alarms import BlindAlarms
 from agent.blocks.advisory.outlook import Outlook
 from agent.blocks.advisory.prognosis_alarms import PrognosisAlarms
 from agent.blocks.advisory.rest import RestAlarms
+from agent.blocks.covariates.compensation import Compensation
+from agent.blocks.covariates.means import CovariateMeans
 from agent.blocks.estimation import ESTIMATION, FAILURE, Estimated
 from agent.blocks.graph import graph_of
 from agent.blocks.level_alarms import LevelAlarms
@@ -29,7 +31,18 @@ from agent.config import RigConfig, learnt_key
 from agent.runtime.assembly.acquisition_plan import make_acquisition
 from agent.runtime.assembly.stages import make_stages
 from agent.runtime.ledger import Ledger
-from agent.types import Aligned, Baseline, FloatArray, HealthEvent, IntArray, Learnt, LearntRecord, Record, Samples
+from agent.types import (
+    Aligned,
+    Baseline,
+    CovariateMean,
+    FloatArray,
+    HealthEvent,
+    IntArray,
+    Learnt,
+    LearntRecord,
+    Record,
+    Samples,
+)
 from drivers.port import SampleBlock
 
 Piece = tuple[IntArray, IntArray, FloatArray]
@@ -75,16 +88,19 @@ class Pipeline:
         self.clocks = SourceClocks()
         self.ledger = Ledger(config.rig.name, self.acquisition, self.through, self.clocks)
         self.newest_ns = 0
+        self.covariates = CovariateMeans(config.rig.name, config.covariate)
+        self.compensation = Compensation(config.rig.name, self.covariates.known)
         self._nominal = self.stages.estimation.labels
         self._baselines: tuple[Baseline, ...] = ()
         self.watch: Callable[[Samples], None] | None = None
         self._taken: list[Taken] = []
         self._source_events: list[Record] = []
 
-    def adopt(self, learnt: Learnt | None) -> None:
-        """Begin with what an earlier run learnt of the rig, before the first sample."""
+    def adopt(self, learnt: Learnt | None, covariates: Sequence[CovariateMean] = ()) -> None:
+        """Begin with what earlier runs learnt of the rig and saw of its covariates, before the first sample."""
         if learnt is not None:
             self.stages.estimation.estimator.adopt(learnt.content)
+        self.covariates.adopt(covariates)
 
     def count_from(self, baselines: tuple[Baseline, ...]) -> list[str]:
         """Count changes from baselines, from the next row on; return why some are not used, in words."""
@@ -94,8 +110,11 @@ class Pipeline:
         return self._refer()
 
     def _refer(self) -> list[str]:
-        found, refused = counted_from(self._nominal, self._baselines, graph_of(self.config))
+        units = {one.name: one.unit for one in self.config.covariate}
+        found, refused = counted_from(self._nominal, self._baselines, graph_of(self.config), units)
         self.stages.estimation.labels = found
+        used = [one for one in self._baselines if one.baseline_id in set(found.baseline_id or ())]
+        self.compensation.count_from(used)
         return refused
 
     def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> list[Record]:
@@ -112,6 +131,10 @@ class Pipeline:
         if label is not None and len(block):
             self.clocks.observe(self.acquisition.sources[source], block.arrival_ns)
 
+    def take_covariates(self, t_ns: IntArray, readings: Mapping[str, FloatArray]) -> None:
+        """Take readings (n,) of covariates at instants t_ns (n,); they make no row, and none waits for them."""
+        self.covariates.take(t_ns, readings)
+
     def compute(self) -> list[Record]:
         """Return what all blocks taken since the last call lead to, in order of time.
 
@@ -127,7 +150,7 @@ class Pipeline:
                 records += self._estimated(quality.unpaired(index, t_ns, v))
             else:
                 records += self._estimated(quality.step(index, t_ns, v, anew=anew))
-        return records + events
+        return records + events + list[Record](self.covariates.step(self.newest_ns))
 
     def foreseen(self, outlooks: Sequence[Outlook]) -> list[Record]:
         """Return the alarms that outlooks on parameters lead to; they are made beside the samples, not of them."""
@@ -136,7 +159,8 @@ class Pipeline:
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
         self._keep(self.acquisition.finish())
-        return self.compute() + self._estimated(self.stages.quality.finish())
+        records = self.compute() + self._estimated(self.stages.quality.finish())
+        return records + list[Record](self.covariates.finish())
 
     def hurry(self) -> None:
         """Begin no fit, search or measurement any more: what waits for one waits for ever. From any thread."""
@@ -179,15 +203,16 @@ class Pipeline:
 
     def _assessed(self, estimated: Estimated) -> list[Record]:
         """Return a batch of estimates, what was found beside them, and the alarms of all that."""
-        records: list[Record] = [] if estimated.batch is None else [estimated.batch]
+        parts, said = ([], []) if estimated.batch is None else self.compensation.step(estimated.batch)
+        records: list[Record] = [*parts, *said]
         records += self._failures(estimated)
         records += self._learnt(estimated)
         records += self._found(estimated)
-        if estimated.batch is not None:
-            records += self.rest_alarms.step(estimated.batch)
-            records += self.alarms.step(estimated.batch)
-            records += self.sensor_alarms.confirm(estimated.batch)
-            records += self.blind_alarms.step(estimated.batch, explained=self.sensor_alarms.any_stand)
+        for part in parts:
+            records += self.rest_alarms.step(part)
+            records += self.alarms.step(part)
+            records += self.sensor_alarms.confirm(part)
+            records += self.blind_alarms.step(part, explained=self.sensor_alarms.any_stand)
         return records
 
     def _failures(self, estimated: Estimated) -> list[Record]:

@@ -5,17 +5,20 @@ import heapq
 import logging
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from agent import __version__
+from agent.blocks.covariates.readings import instants, readings
 from agent.blocks.graph import graph_of
 from agent.clock import SampleLabels, boot_id, wall_ns
 from agent.config import RigConfig, driver_class, learnt_key, load
+from agent.config.tables import Source
 from agent.errors import RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.assembly.source_faults import source_error
@@ -24,6 +27,7 @@ from agent.runtime.ledger import Conservation
 from agent.runtime.limits import HEALTH_PERIOD_NS
 from agent.runtime.pipeline import Pipeline, resolutions
 from agent.runtime.results import RunSummary
+from agent.runtime.sources import part
 from agent.runtime.usability import Evidence, assess
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
@@ -42,6 +46,9 @@ class Track(NamedTuple):
 
     source: str
     driver: Driver
+    signals: tuple[int, ...] = ()
+    """Columns of its blocks that are the model's, where others are covariates."""
+    covariates: Mapping[str, int] = MappingProxyType({})
 
 
 def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict[str, Any]:
@@ -54,8 +61,8 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     _keep_freed_memory()
     with ExitStack() as stack:
         tracks = _tracks(rig, recordings)
-        for _, driver in tracks:
-            stack.callback(driver.close)
+        for track in tracks:
+            stack.callback(track.driver.close)
         pipeline = make_pipeline(rig, tracks)
         summary = RunSummary(rig, db=None if db is None else str(db))
         writer = _writer(rig, db)
@@ -91,7 +98,7 @@ def _keep_freed_memory() -> None:
 def _go_on(pipeline: Pipeline, writer: StoreWriter, summary: RunSummary) -> None:
     """Begin with what the database has of the rig: what was learnt, and its baselines."""
     name = pipeline.config.rig.name
-    pipeline.adopt(writer.learnt[name])
+    pipeline.adopt(writer.learnt[name], writer.covariates[name])
     for words in pipeline.count_from(writer.baselines[name]):
         log.warning("%s", words)
         summary.advise(words)
@@ -129,11 +136,29 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
     recordings = without_indexes(recordings)
     own = [path for path in recordings if is_own(path)]
     if not own:
-        return [Track(SOURCE, opened(rig, path)) for path in recordings]
+        return [_track(rig, path) for path in recordings]
     if len(own) < len(recordings):
         other = next(path for path in recordings if not is_own(path))
         raise RecordingError.at(str(other), f"is no recording of the agent like {own[0]}", "replay each by itself")
-    return [Track(name, _open(driver)) for name, driver in own_recordings(rig, own).items()]
+    sources = {source.name: source for source in (*rig.source, *rig.covariate_source)}
+    return [_divided(name, _open(driver), sources[name]) for name, driver in own_recordings(rig, own).items()]
+
+
+def _divided(name: str, driver: Driver, source: Source) -> Track:
+    """Return the recording of a source, whose columns are its signals, then its covariates."""
+    own = len(source.map)
+    return Track(name, driver, tuple(range(own)), {c: own + place for place, c in enumerate(source.covariates)})
+
+
+def _track(rig: RigConfig, path: Path) -> Track:
+    """Return one recording of all channels, with those covariates that it holds."""
+    beside = [one.name for one in rig.covariate]
+    if is_own(path) or not beside or path.suffix.lower() in CAN_LOGS:
+        return Track(SOURCE, opened(rig, path))
+    _must_be_a_file(path)
+    own = len(rig.channel)
+    places = {name: own + place for place, name in enumerate(beside)}
+    return Track(SOURCE, _open(_table(rig, path, beside)), tuple(range(own)), places)
 
 
 def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
@@ -151,7 +176,7 @@ def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
     names = {channel.name: channel.name for channel in (*rig.inputs, *rig.outputs)}
     known = resolutions([source.map for source in rig.source], steps)
     if tracks and not rig.source:
-        known = resolutions([names], [_seen_steps(rig, tracks[0].driver)])
+        known = resolutions([names], [_seen_steps(rig, tracks[0].driver)[: len(names)]])
     if tracks and tracks[0].source != SOURCE:
         return Pipeline(rig, known, {source.name: source.map for source in rig.source})
     return Pipeline(rig, known, {SOURCE: names})
@@ -213,15 +238,15 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     return recording(SourceRequest(path.name, settings, fields, source.counter, rig.folder))
 
 
-def _table(rig: RigConfig, path: Path) -> Driver:
-    """The driver of a CSV or NPZ recording."""
+def _table(rig: RigConfig, path: Path, beside: Sequence[str] = ()) -> Driver:
+    """The driver of a CSV or NPZ recording; beside: covariates, which it may be without."""
     recording = driver_class(SOURCE)
     columns = dict(rig.columns.names)
     settings = recording.settings_model(
         path=path.absolute(), delimiter=rig.columns.delimiter, columns=columns,
-        clock="uniform" if rig.rig.clock == "uniform" else "device",
+        clock="uniform" if rig.rig.clock == "uniform" else "device", optional=tuple(beside),
     )  # type: ignore[call-arg]  # fmt: skip
-    names = tuple(channel.name for channel in (*rig.inputs, *rig.outputs))
+    names = (*(channel.name for channel in (*rig.inputs, *rig.outputs)), *beside)
     return recording(SourceRequest(path.name, settings, names))
 
 
@@ -241,7 +266,7 @@ def _whole_counts(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidenc
     """Return what all drivers counted and what acquisition refused; the drivers' remarks go to the evidence."""
     total = Counts()
     refused = Counter[str]()
-    for _, driver in tracks:
+    for driver in (track.driver for track in tracks if track.signals or not track.covariates):
         total.received += driver.counts.received
         total.rejected.update(driver.counts.rejected)
         notes = driver.take_notes()
@@ -257,12 +282,20 @@ def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) ->
     """Yield what each block leads to, with the ledger every 10 s of samples and at the end."""
     due: int | None = None
     labels = SampleLabels(pipeline.config.rig.sample_rate_hz)
+    played = Counter[str]()
     for track, block in _played(tracks):
         # blocks that were received live are labelled as they were then
         evidence.watch(block)
         received = block.wall_offset_ns is not None
         label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
-        records = pipeline.step(track.source, block, track.driver.counter_modulus, label if received else None)
+        if track.covariates:
+            stamps = instants(block, pipeline.config.rig.sample_rate_hz, played[track.source])
+            pipeline.take_covariates(stamps, readings(block, track.covariates))
+            played[track.source] += len(block)
+        if track.covariates and not track.signals:
+            continue
+        signals = part(block, track.signals) if track.covariates else block
+        records = pipeline.step(track.source, signals, track.driver.counter_modulus, label if received else None)
         yield [*_settings(pipeline.config.rig.name, labels), *records]
         if due is None or not due - HEALTH_PERIOD_NS <= pipeline.newest_ns < due:
             due = pipeline.newest_ns + HEALTH_PERIOD_NS
@@ -281,7 +314,7 @@ def _settings(rig: str, labels: SampleLabels) -> list[ClockRecord]:
 
 def _ledger(pipeline: Pipeline, tracks: Sequence[Track]) -> list[Record]:
     counts = {track.source: Counts() for track in tracks}
-    for source, driver in tracks:
+    for source, driver in ((track.source, track.driver) for track in tracks):
         counts[source].received += driver.counts.received
         counts[source].rejected.update(driver.counts.rejected)
         counts[source].dropped.update(driver.counts.dropped)

@@ -10,6 +10,7 @@ from agent.alarms.life_cycle import CAUSES
 from agent.blocks.advisory.alarm_states import AlarmStates
 from agent.blocks.advisory.blind_alarms import BLIND_KINDS
 from agent.blocks.advisory.re_alarms import ReAlarms
+from agent.blocks.covariates.readings import instants, readings
 from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
@@ -25,7 +26,7 @@ from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
 from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
-from agent.types import AlarmTransition, Baseline, ClockRecord, HealthEvent, IntArray, Learnt, Record
+from agent.types import AlarmTransition, Baseline, ClockRecord, CovariateMean, HealthEvent, IntArray, Learnt, Record
 from drivers.reconnect import LinkEvent
 
 WORKER = "worker"
@@ -69,9 +70,11 @@ class RigRuntime:
         self._re_alarms = ReAlarms(config.rig.name, config.alarm)
         self._commanded: deque[AlarmTransition] = deque()
 
-    def restore(self, standing: Sequence[AlarmRow], learnt: Learnt | None = None) -> None:
-        """Go on with the alarms that the run before left standing, and with what it knew of the rig."""
-        self.pipeline.adopt(learnt)
+    def restore(
+        self, standing: Sequence[AlarmRow], learnt: Learnt | None = None, covariates: Sequence[CovariateMean] = ()
+    ) -> None:
+        """Go on with the alarms that the run before left standing, and with what it knew of rig and covariates."""
+        self.pipeline.adopt(learnt, covariates)
         self.states.restore((kind_of(row), row.parameter, alarm_of(row)) for row in standing)
         levels = {row.parameter: {"state": detected(row)} for row in standing if row.kind == "level"}
         self.pipeline.alarms.restore({"alarms": levels})
@@ -99,7 +102,7 @@ class RigRuntime:
     @property
     def sources(self) -> tuple[str, ...]:
         """The names of its sources."""
-        return tuple(source.name for source in self.config.source)
+        return tuple(source.name for source in (*self.config.source, *self.config.covariate_source))
 
     def is_lost(self, source: str) -> bool:
         """Tell whether a source delivers nothing at present; from any thread."""
@@ -138,16 +141,24 @@ class RigRuntime:
 
     def take(self, use: Use, arrival: Arrival) -> None:
         """Take one block of one of the rig's sources; `compute` makes estimates of it."""
-        if self.events is not None and not self._taken:
-            self.events.begin_round(partial(frozen, self.pipeline))
         seen_s = arrival.block.arrival_ns / 1e9
         if self._lost.pop(WORKER, False):
             words = f"{self.config.rig.name}: samples are computed again"
             self._emit([self._source_alarm(WORKER, LinkEvent("recovered", words, seen_s), self._wall(), lost=False)])
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
+        offset = arrival.block.wall_offset_ns
+        offset = wall_ns() - monotonic_ns() if offset is None else offset
+        if use.covariates:
+            known = replace(arrival.block, wall_offset_ns=offset)
+            self.isolated.take_covariates(instants(known, 1.0), readings(known, use.covariates))
+        if use.columns:
+            self._take_signals(use, arrival, offset)
+
+    def _take_signals(self, use: Use, arrival: Arrival, offset: int) -> None:
+        if self.events is not None and not self._taken:
+            self.events.begin_round(partial(frozen, self.pipeline))
         block = part(arrival.block, use.columns)
-        offset = wall_ns() - monotonic_ns() if block.wall_offset_ns is None else block.wall_offset_ns
         label = partial(self._label, arrival_ns=block.arrival_ns, offset_ns=offset)
         remembered = label if self.events is None else self.events.labelled(label)
         self.isolated.take(use.source, block, arrival.modulus, remembered)

@@ -116,7 +116,8 @@ class RigSet:
         for name in names:
             writer = self.writer_of(name)
             self.rigs[name].summary.run_id = writer.run_ids.get(name)
-            self.rigs[name].restore(writer.standing.get(name, []), writer.learnt.get(name))
+            known = writer.learnt.get(name), writer.covariates.get(name, ())
+            self.rigs[name].restore(writer.standing.get(name, []), *known)
             self.rigs[name].count_from(writer.baselines.get(name, ()))
             if name in self.event_writers:
                 self.event_writers[name].start()
@@ -162,7 +163,8 @@ class RigSet:
 
     def _record(self, parts: Parts, writers: Mapping[Path, Writer]) -> None:
         """See that the sources with `record = true` are recorded, in a folder beside the database."""
-        wanted = {(c.rig.name, s.name): c for c in parts.configs.values() for s in c.source if s.record}
+        wanted = {(c.rig.name, s.name): c for c in parts.configs.values()
+                  for s in (*c.source, *c.covariate_source) if s.record}  # fmt: skip
         for connection in parts.connections:
             for use in connection.uses:
                 config = wanted.get((use.rig, use.source))

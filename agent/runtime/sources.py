@@ -30,11 +30,12 @@ class Arrival(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """One rig's use of a connection: its source, and which columns of the blocks are its own."""
+    """One rig's use of a connection: its source, and which columns of the blocks are signals, which covariates."""
 
     rig: str
     source: str
     columns: tuple[int, ...]
+    covariates: Mapping[str, int] = field(default_factory=dict)
     base: Counts | None = None
     """What the connection had counted when the use began; None for nothing."""
     base_dropped: Counter[str] = field(default_factory=Counter)
@@ -124,14 +125,14 @@ class Connection:
     def serves(self, source: Source) -> bool:
         """Tell whether a source of the same key can join while it is read: nothing of it need be opened anew."""
         request = self._driver.request
-        has_fields = set(source.map.values()) <= set(request.fields)
+        has_fields = set(source.fields) <= set(request.fields)
         is_patient = source.stale_s >= self._stale_s
         return has_fields and is_patient and source.counter in {None, request.counter} and not source.record
 
     def admit(self, rig: str, source: Source) -> None:
         """Let a source join from the next block on; called by whoever takes, right after taking."""
-        columns = tuple(self._driver.request.fields.index(name) for name in source.map.values())
-        self.uses = (*self.uses, Use(rig, source.name, columns, self.counts, self.dropped.copy()))
+        own = _use(rig, source, self._driver.request.fields)
+        self.uses = (*self.uses, replace(own, base=self.counts, base_dropped=self.dropped.copy()))
 
     def leave(self, rigs: Collection[str]) -> None:
         """Let the sources of some rigs go."""
@@ -246,18 +247,23 @@ def connect(configs: Sequence[RigConfig], wake: threading.Event, there: Collecti
     """
     grouped: dict[str, list[tuple[RigConfig, Source]]] = {}
     for config in configs:
-        for source in config.source:
+        for source in (*config.source, *config.covariate_source):
             grouped.setdefault(source.connection(config.folder), []).append((config, source))
     return [_connection(members, wake, key) for key, members in grouped.items() if key not in there]
 
 
 def _connection(members: Sequence[tuple[RigConfig, Source]], wake: threading.Event, key: str) -> Connection:
     config, first = members[0]
-    fields = tuple(dict.fromkeys(name for _, source in members for name in source.map.values()))
+    fields = tuple(dict.fromkeys(name for _, source in members for name in source.fields))
     counter = next((source.counter for _, source in members if source.counter is not None), None)
     driver = driver_class(first.driver)(SourceRequest(first.name, first.settings, fields, counter, config.folder))
-    uses = [Use(rig.rig.name, s.name, tuple(fields.index(name) for name in s.map.values())) for rig, s in members]
+    uses = [_use(rig.rig.name, source, fields) for rig, source in members]
     return Connection(driver, uses, min(source.stale_s for _, source in members), wake, key)
+
+
+def _use(rig: str, source: Source, fields: tuple[str, ...]) -> Use:
+    columns = tuple(fields.index(name) for name in source.map.values())
+    return Use(rig, source.name, columns, {name: fields.index(text) for name, text in source.covariates.items()})
 
 
 def wire_steps(config: RigConfig) -> Mapping[str, float]:

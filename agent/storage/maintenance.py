@@ -47,7 +47,7 @@ class Report:
 
 
 _COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events", "v_event_records",
-            "v_notifications")  # fmt: skip
+            "v_notifications", "v_covariates")  # fmt: skip
 
 
 @contextmanager
@@ -215,7 +215,7 @@ def backup(path: Path | str, target: Path | str) -> int:
 
 _EXPORTED = (
     "estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records", "verdicts",
-    "baselines", "forecast",
+    "baselines", "forecast", "covariates",
 )  # fmt: skip
 
 

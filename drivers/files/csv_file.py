@@ -35,7 +35,8 @@ class CsvFile(RecordedFile):
         delimiter = self._wanted.delimiter or max(_DELIMITERS, key=header.count)
         self._names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
         self._check_names()
-        columns = tuple(self._wanted.place(name, self._names) for name in self._wanted.names)
+        self.names = self._wanted.found(self._names)
+        columns = tuple(self._wanted.place(name, self._names) for name in self.names)
         time = self._wanted.time_place(self._names)
         self._wanted.note_ignored(self._names)
         self._line = 2

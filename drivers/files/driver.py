@@ -1,7 +1,7 @@
 """Recordings as a source that ends: CSV tables and NPZ arrays, streamed in blocks with flat memory."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -27,12 +27,14 @@ class RecordingSettings(DriverSettings):
         path: an .npz file, or a text table of any other name.
         delimiter: between the cells of a table; found among comma, semicolon and tab when not given.
         columns: field name -> column name in the recording, for those that differ ("t" may be renamed as well).
+        optional: fields that the recording may be without; they are NaN then.
         clock: with "uniform" the time column may be missing and its unreadable cells do no harm.
     """
 
     path: Path
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     columns: Mapping[str, str] = Field(default_factory=dict)
+    optional: tuple[str, ...] = ()
     clock: Literal["device", "uniform"] = "device"
 
 
@@ -61,9 +63,10 @@ class RecordingDriver(Driver):
             delimiter=settings.delimiter,
             note=self.note,
             fault=self._fault,
+            optional=frozenset(settings.columns.get(name, name) for name in settings.optional),
         )
         self._file = NpzFile(wanted) if wanted.path.suffix.lower() == ".npz" else CsvFile(wanted)
-        self._rows = self._file.rows()
+        self._rows = _completed(self._file.rows(), [name in self._file.names for name in wanted.names])
         self._ahead = None
 
     def read(self, timeout_s: float) -> SampleBlock:
@@ -121,6 +124,17 @@ class RecordingDriver(Driver):
         """Return the times with the last readable one in place of those that are not."""
         newest = np.maximum.accumulate(np.where(bad, -1, np.arange(len(t_ns))))
         return np.where(newest < 0, self._last_ns, t_ns[np.maximum(newest, 0)])
+
+
+def _completed(rows: Iterator[Rows], present: Sequence[bool]) -> Iterator[Rows]:
+    """Yield rows with a column of NaN for each field that the recording has not."""
+    places = np.flatnonzero(present)
+    for t_ns, values in rows:
+        whole = values
+        if len(places) < len(present):
+            whole = np.full((len(values), len(present)), np.nan)
+            whole[:, places] = values
+        yield t_ns, whole
 
 
 def _is_switched(values: FloatArray) -> bool:

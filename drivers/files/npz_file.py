@@ -81,12 +81,13 @@ class NpzFile(RecordedFile):
 
     def _begin(self) -> None:
         present = [name.removesuffix(_SUFFIX) for name in self._zip.namelist() if name.endswith(_SUFFIX)]
-        for name in self._wanted.names:
+        self.names = self._wanted.found(present)
+        for name in self.names:
             self._wanted.place(name, present)
         time = self._wanted.time_place(present)
         self._wanted.note_ignored(present)
         self._check_size()
-        self._columns = [self._column(name) for name in self._wanted.names]
+        self._columns = [self._column(name) for name in self.names]
         self._time = None if time is None else self._column(self._wanted.time)
         lengths = {column.shape[0] for column in [*self._columns, self._time] if column is not None}
         if len(lengths) != 1:
@@ -118,7 +119,7 @@ class NpzFile(RecordedFile):
 
     def _drop_infinite(self, values: FloatArray) -> None:
         for row, place in np.argwhere(np.isinf(values)):
-            name = self._wanted.names[place]
+            name = self.names[place]
             self._wanted.fault(f"{self._wanted.path}: {name}: an infinite value counts as missing")
             values[row, place] = np.nan
 

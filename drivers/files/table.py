@@ -25,6 +25,7 @@ class Wanted:
         delimiter: between the cells of a table; None to find it.
         note: told of what is remarkable, in words.
         fault: told of each cell that is no number.
+        optional: names that the recording may be without.
     """
 
     path: Path
@@ -34,6 +35,11 @@ class Wanted:
     delimiter: str | None
     note: Callable[[str], None]
     fault: Callable[[str], None]
+    optional: frozenset[str] = frozenset()
+
+    def found(self, present: list[str]) -> tuple[str, ...]:
+        """Return the names of the columns to be read: all but optional ones that are not there."""
+        return tuple(name for name in self.names if name in present or name not in self.optional)
 
     def place(self, name: str, present: list[str]) -> int:
         """Return where a column is; DriverConfigError names those there are, or says that it is there twice."""
@@ -58,7 +64,9 @@ class Wanted:
 
 
 class RecordedFile(ABC):
-    """An open recording."""
+    """An open recording; names are those of the columns that it has of what was asked for."""
+
+    names: tuple[str, ...]
 
     @abstractmethod
     def rows(self) -> Iterator[Rows]:

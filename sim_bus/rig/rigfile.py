@@ -289,10 +289,25 @@ def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
     return ": ".join(text for text in (where, path, message.removeprefix("Value error, ")) if text)
 
 
+def without_covariates(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a configuration without channels that are beside the model, and without sources of nothing else."""
+    channels, sources = content.get("channel", ()), content.get("source", ())
+    beside = {row.get("name") for row in channels if isinstance(row, dict) and row.get("role") == "covariate"}
+    if not beside:
+        return content
+    kept = []
+    for source in sources:
+        own = {name: text for name, text in source.get("map", {}).items() if name not in beside}
+        kept += [source | {"map": own}] if own else []
+    signals = [row for row in channels if not (isinstance(row, dict) and row.get("name") in beside)]
+    return content | {"channel": signals, "source": kept}
+
+
 def read_rig(path: Path) -> RigFile:
     """Read a configuration file."""
     content = read_toml(path)
     if not content.get("source"):
         raise SimUsageError(f"{path}: source: there is no [[source]]; add one for each device that is to be played")
     folder = path.resolve().parent
+    content = without_covariates(content)
     return checked(RigFile, with_numbers(content, folder) | {"folder": folder}, str(path))

@@ -134,6 +134,6 @@ def _replayed(config: Path, recording: Path, every: int) -> list[str]:
     for records in _records(pipeline, tracks, Evidence(rig.rig.sample_rate_hz)):
         found += records
     ledger = _ledger(pipeline, tracks)
-    for _, driver in tracks:
+    for driver in (track.driver for track in tracks):
         driver.close()
     return lines(found, ledger, every)

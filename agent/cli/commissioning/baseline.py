@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from agent.cli.terminal.output import print_table, show, stdout_text
 from agent.commissioning.baseline.target import target_of
 from agent.errors import UsageError
 from agent.storage.read import baselines
-from agent.text import iso_time, number, short_time, with_sd
+from agent.text import interval, iso_time, number, short_time, with_sd
 
 Document = Mapping[str, Any]
 COLUMNS = ("id", "parameter", "reference", "unit", "spread", "between days", "lasts", "rows", "from", "until")
@@ -21,6 +21,7 @@ def print_learnt(document: Document) -> None:
     """Print what was learnt, and what it does not know."""
     rows = document["parameters"]
     print_table(f"{document['rig']}: learnt", COLUMNS, [_cells(name, row) for name, row in rows.items()], right=_RIGHT)
+    print_dependences(rows.items())
     for words in document["warnings"]:
         show(f"warning: {words}")
     if all(row["days_sd"] is None for row in rows.values()):
@@ -56,6 +57,34 @@ def print_baselines(document: Document) -> None:
     for rig in dict.fromkeys(row["rig"] for row in rows):
         cells = [_cells(row["parameter"], row) for row in rows if row["rig"] == rig]
         print_table(rig, COLUMNS, cells, right=_RIGHT)
+        print_dependences((row["parameter"], row | {"covariates": json.loads(row["covariates"])})
+                          for row in rows if row["rig"] == rig)  # fmt: skip
+
+
+def print_dependences(rows: Iterable[tuple[str, Document]]) -> None:
+    """Print what references depend on, a line each; nothing where no covariate was looked at."""
+    cells = [_dependence(name, row, one) for name, row in rows for one in row["covariates"]]
+    if cells:
+        print_table("what references depend on", _DEPENDENCE, cells)
+
+
+_DEPENDENCE = ("parameter", "covariate", "change a unit", "95 %", "of reference", "follows it", "learnt between", "")
+
+
+def _dependence(name: str, row: Document, one: Document) -> tuple[str, ...]:
+    change = f"{with_sd(one['coefficient'], one['sd'])} {row['unit']}"
+    share = f"{100.0 * one['coefficient'] / row['reference']:.2g} %" if row["reference"] else "-"
+    between = f"{number(one['low'], 3)} and {number(one['high'], 3)} {one['unit']}"
+    used = "taken out" if one["used"] else "no dependence is seen; left in"
+    return name, one["name"], change, interval(one["lower"], one["upper"]), share, _followed(one), between, used
+
+
+def _followed(one: Document) -> str:
+    if one["shape"] == "none":
+        return "at once"
+    between = f"({lasting(one['lag_lower_s'])} to {lasting(one['lag_upper_s'])})"
+    word = "after" if one["shape"] == "delay" else "time constant"
+    return f"{word} {lasting(one['lag_s'])} {between}"
 
 
 def _cells(name: str, row: Document) -> tuple[str, ...]:

@@ -36,6 +36,9 @@ def print_limits(document: Document) -> None:
     rows = [_cells(name, row) for name, row in document["parameters"].items()]
     title = f"{document['rig']}: limits for at most {number(document['per_year'])} false alarms a year each"
     print_table(title, columns, rows, right={*columns[1:2], *columns[3:6]})
+    for name, row in document["parameters"].items():
+        if row["compensated"]:
+            show(f"{name}: what {', '.join(row['compensated'])} does is taken out of these, as of rows and alarms")
     written = document["written"]
     show(f"written to {written}" if written else "nothing was written; --write puts these into the configuration")
 

@@ -15,6 +15,7 @@ from agent.errors import UsageError
 from agent.prognosis.change import Change, change
 from agent.prognosis.history import DAY_NS, disjoint
 from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.compensated import Compensated, compensated
 from agent.runtime.forecasts.histories import forecast_document, history_of, horizon_days, like_machines, window_s
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
@@ -74,12 +75,12 @@ def _asked(
 ) -> tuple[dict[str, Any], Sequence[Document]]:  # fmt: skip
     """Return what is said of one history, of a database or a table, and the forecasts that the agent made of it."""
     if parameter is not None and not is_table(db):
-        points = queries.points(db, rig, parameter, *times)
-        past = queries.forecasts(db, points.rig, parameter)
+        points = compensated(db, queries.points(db, rig, parameter, *times))
+        past = queries.forecasts(db, points.points.rig, parameter)
         return _document(points, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
     points, backward = table_points(db, *times, parameter)
     points = replace(points, parameter=parameter or points.parameter)
-    return _document(points, 0.0, limit, ahead) | {"backward": backward}, ()
+    return _document(Compensated(points), 0.0, limit, ahead) | {"backward": backward}, ()
 
 
 def _print(document: dict[str, Any], form: str) -> None:
@@ -93,8 +94,9 @@ def _print(document: dict[str, Any], form: str) -> None:
 
 
 def _document(
-    points: queries.Points, window: float, limit: float | None, ahead: Ahead, past: Sequence[Document] = ()
+    found: Compensated, window: float, limit: float | None, ahead: Ahead, past: Sequence[Document] = ()
 ) -> dict[str, Any]:
+    points = found.points
     history = history_of(points, window)
     steps = find_steps(history)
     asked = change(without(history, steps))
@@ -114,6 +116,8 @@ def _document(
         **(_alone(points) if asked is None else _shape(asked, points)),
         "references": list(points.references),
         "clock_steps": points.clock_steps,
+        "covariates": list(found.covariates),
+        "without_covariates": found.unknown,
         "changes": [_step(step.t, step.size, step.sd, newest) for step in steps],
         "limit": limit,
         "forecast": forecast_document(history, newest, limit, horizon_days(ahead.horizon), like, past),
@@ -183,6 +187,11 @@ def _sentences(found: Document) -> str:
 def _remarks(found: Document) -> list[str]:
     """Say what in the history a reader might take for a change of the machine."""
     remarks = []
+    if found["covariates"]:
+        names = " and ".join(found["covariates"])
+        remarks.append(f"what {names} does is taken out: values are those at what was learnt on average")
+    if found["without_covariates"]:
+        remarks.append(f"{found['without_covariates']} rows are less well known: a covariate is missing there")
     if len(found["references"]) > 1:
         numbers = ", then ".join(number(reference) for reference in found["references"])
         remarks.append(f"rows of {len(found['references'])} references ({numbers}): their values are compared")
@@ -205,7 +214,7 @@ def _print_all(db: Path, rig: str | None, times: tuple[str | None, str | None], 
     documents = []
     for name in [rig] if rig is not None else queries.rigs(db):
         for parameter in queries.parameters(db, name):
-            points = queries.points(db, name, parameter, *times)
+            points = compensated(db, queries.points(db, name, parameter, *times))
             documents.append(_document(points, window_s(db, parameter), None, Ahead()))
     documents.sort(key=_share, reverse=True)
     if form == "json":

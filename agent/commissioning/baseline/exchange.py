@@ -6,10 +6,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from agent.blocks.covariates.compensation import dependences
 from agent.blocks.graph import graph_of
 from agent.blocks.rig_model import estimated
 from agent.commissioning.baseline.target import Target, target_of
 from agent.errors import Fault, UsageError
+from agent.numerics.reference.covariates.dependence import Dependence
 from agent.storage import maintenance
 from agent.storage.read import baselines, queries
 from agent.types import Baseline
@@ -48,6 +50,8 @@ def _read(file: Path) -> list[Baseline]:
         document = json.loads(file.read_text(encoding="utf-8"), parse_constant=_no_number)
         rows = document["baselines"] if document.get("form") == FORM else []
         found = TypeAdapter(list[Baseline]).validate_python(rows)
+        for one in found:
+            TypeAdapter(tuple[Dependence, ...]).validate_json(one.covariates)
     except OSError as error:
         raise UsageError.at(str(file), f"cannot be read: {error.strerror}", "name a file there is") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -65,6 +69,7 @@ def _no_number(text: str) -> float:
 def _unfitting(target: Target, found: list[Baseline], file: Path) -> Iterator[Fault]:
     """Yield why a rig cannot count from baselines."""
     units = _units(target)
+    covariates = {one.name for one in target.config.covariate} if target.config is not None else set()
     graph = graph_of(target.config) if target.config is not None else target.graph()
     advice = "learn it from this rig's own rows"
     for one in found:
@@ -73,6 +78,9 @@ def _unfitting(target: Target, found: list[Baseline], file: Path) -> Iterator[Fa
         elif one.unit != units[one.parameter]:
             what = f"{one.parameter} is in {one.unit} there, in {units[one.parameter]} here"
             yield Fault(str(file), what, advice)
+        elif missing := [d.name for d in dependences(one) if target.config is not None and d.name not in covariates]:
+            what = f"{one.parameter} depends on {', '.join(missing)} there, which is no covariate here"
+            yield Fault(str(file), what, 'give the configuration a channel with role = "covariate" for it')
         elif one.graph and graph and one.graph != graph:
             yield Fault(str(file), f"{one.parameter} is of another graph ({one.graph}), not {graph}", advice)
 

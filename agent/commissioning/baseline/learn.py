@@ -1,9 +1,10 @@
 """`deltak baseline learn`: references and their spread from the valid rows of a healthy stretch.
 
-valid rows -> means of equal periods -> robust reference, spread between periods and days -> v_baselines. The periods
-are a 24th of what is wanted at least: hours, of a day.
+valid rows -> means of equal periods -> what covariates do is taken out -> robust reference, spread between periods and
+days -> v_baselines. The periods are a 24th of what is wanted at least: hours, of a day.
 """
 
+import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from agent.commissioning.baseline.covariates import Ready, depends, known_rows, read, same, taken_out, unready
 from agent.commissioning.baseline.target import Target, target_of
+from agent.config.covariates.tables import BaselineTable
 from agent.errors import Fault, UsageError
+from agent.numerics.reference.covariates.dependence import written
 from agent.numerics.reference.spread import periods, spread
 from agent.storage import maintenance
 from agent.storage.read import queries
@@ -24,18 +28,19 @@ LEAST_PERIODS = 24
 """Periods that a baseline needs: the spread of fewer is known to no better than a fifth."""
 DOUBTFUL = 5.0
 """Independent periods below which what was learnt may be a drift."""
-HOURS = 24.0
-"""What is wanted at least by default: a machine's day."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What to learn from: which parameters (none: all with valid rows), since when, until when, hours at least."""
+    """What to learn from: which parameters (none: all with valid rows), since when, until when, hours at least.
+
+    hours: None for what the configuration says.
+    """
 
     parameters: Sequence[str] = ()
     since: str | None = None
     until: str | None = None
-    hours: float = HOURS
+    hours: float | None = None
 
 
 def learn(
@@ -46,21 +51,41 @@ def learn(
     progress: told how far long work is.
     Raises UsageError with what is still wanted of each parameter; ConfigError, StoreError.
     """
-    if not stretch.hours > 0:
+    if stretch.hours is not None and not stretch.hours > 0:
         raise UsageError.at("--hours", f"{stretch.hours:g} is no time", "give hours above 0, such as 24")
     target = target_of(path, rig)
+    table = BaselineTable() if target.config is None else target.config.baseline
+    hours = 24.0 * table.days if stretch.hours is None else stretch.hours
     found = list(_history(target, stretch, progress))
     progress("")
-    if faults := [fault for points in found if (fault := _unready(points, stretch.hours))]:
-        raise UsageError(faults)
-    graph = target.graph(int(min(p.t_ns[0] for p in found)), int(max(p.t_ns[-1] for p in found)))
-    learnt = [_baseline(points, graph, stretch.hours) for points in found]
+    ready = _covariates(target, table, found, hours)
+    graph = target.graph(*_ends(found))
+    learnt = [_baseline(points, graph, hours, ready) for points in found]
     numbers = maintenance.store_baselines(target.db, learnt)
     rows = {one.parameter: row(one, n) for one, n in zip(learnt, numbers, strict=True)}
     return {
-        "rig": target.rig, "db": str(target.db), "hours": stretch.hours, "graph": graph, "parameters": rows,
+        "rig": target.rig, "db": str(target.db), "hours": hours, "graph": graph, "parameters": rows,
         "warnings": [words for one in learnt if (words := _doubt(one))],
     }  # fmt: skip
+
+
+def _ends(found: Sequence[Points]) -> tuple[int, int]:
+    return int(min(points.t_ns[0] for points in found)), int(max(points.t_ns[-1] for points in found))
+
+
+def _covariates(target: Target, table: BaselineTable, found: Sequence[Points], hours: float) -> list[Ready]:
+    """Return the covariates of a stretch. Raises UsageError with all that parameters and covariates still want."""
+    faults = [fault for points in found if (fault := _unready(points, hours))]
+    stretches = [points for points in found if len(points.t_ns)]
+    ready, unusable = read(target, table, *_ends(stretches)) if stretches else ([], [])
+    period_s = hours * 3600.0 / LEAST_PERIODS
+    for points in () if faults else stretches:
+        unusable += unready(points, period_s, ready, LEAST_PERIODS)
+        alike = same(points, ready)
+        unusable += [] if alike is None else [alike]
+    if faults or unusable:
+        raise UsageError(list({fault.path: fault for fault in reversed([*faults, *unusable])}.values())[::-1])
+    return ready
 
 
 def _doubt(one: Baseline) -> str:
@@ -103,12 +128,17 @@ def _unready(points: Points, hours: float) -> Fault | None:
     return Fault(points.parameter, what, "let the agent run on, or ask for less with --hours")
 
 
-def _baseline(points: Points, graph: str, hours: float) -> Baseline:
-    found = spread(points.t_ns / 1e9, points.value, hours * 3600.0 / LEAST_PERIODS)
+def _baseline(points: Points, graph: str, hours: float, ready: Sequence[Ready]) -> Baseline:
+    period_s = hours * 3600.0 / LEAST_PERIODS
+    rows = known_rows(points, ready)
+    t_ns, value = points.t_ns[rows], points.value[rows]
+    depending = depends(t_ns, value, period_s, ready)
+    still = taken_out(t_ns, value, depending, {one.name: one for one in ready})
+    found = spread(t_ns / 1e9, still, period_s)
     return Baseline(
         points.rig, points.parameter, points.unit, graph, found.reference, found.sd, found.spread_sd, found.within_sd,
-        found.days_sd, found.correlation_s, found.n_effective, "[]", int(points.t_ns[0]), int(points.t_ns[-1]),
-        len(points.t_ns),
+        found.days_sd, found.correlation_s, found.n_effective, written(depending), int(t_ns[0]), int(t_ns[-1]),
+        len(t_ns),
     )  # fmt: skip
 
 
@@ -118,5 +148,5 @@ def row(one: Baseline, baseline_id: int | None) -> dict[str, Any]:
         "baseline_id": baseline_id, "unit": one.unit, "reference": one.reference, "sd": one.sd,
         "spread_sd": one.spread_sd, "within_sd": one.within_sd, "days_sd": one.days_sd,
         "correlation_s": one.correlation_s, "n_effective": one.n_effective, "n": one.n, "from_ns": one.from_ns,
-        "until_ns": one.until_ns,
+        "until_ns": one.until_ns, "covariates": json.loads(one.covariates),
     }  # fmt: skip

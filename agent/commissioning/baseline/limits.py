@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.blocks.covariates.compensation import dependences
 from agent.commissioning.baseline.target import Target, configured, target_of
 from agent.config import Alarm, RigConfig
 from agent.errors import Fault, StoreError, UsageError
@@ -54,6 +55,7 @@ def _row(target: Target, one: Baseline, per_year: float) -> dict[str, Any]:
         "finds": _rounded(found.finds), "finds_within_s": _rounded(found.finds_within_s), "unit": one.unit,
         "reference": one.reference, "baseline_id": one.baseline_id, "spread_sd": one.spread_sd,
         "row_sd": healthy.row_sd, "n_effective": one.n_effective,
+        "compensated": [dependence.name for dependence in dependences(one)],
     }  # fmt: skip
     return row | {"words": _words(one, healthy, row)}
 
@@ -98,7 +100,8 @@ def _healthy(config: RigConfig | None, one: Baseline, rows: Sequence[Mapping[str
     resolve = RESOLVE
     if config is not None:
         hop_s, resolve = config.estimator.hop_s, config.estimator.resolve
-    row_sd = float(np.hypot(np.median(repeat), one.sd))
+    moved = [d.sd * d.spread for d in dependences(one)]
+    row_sd = float(np.linalg.norm([np.median(repeat), one.sd, *moved]))
     least = float(np.quantile(repeat, ORDINARY)) / resolve
     return Healthy(
         one.spread_sd, one.correlation_s, one.n_effective, row_sd, one.within_sd, window_s, min(hop_s, window_s), least

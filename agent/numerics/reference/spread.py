@@ -58,12 +58,40 @@ def spread(t_s: FloatArray, value: FloatArray, period_s: float) -> Spread:
     """Return location and spread of rows t_s (n,), value (n,), in order of time, from at least two periods."""
     number = periods(t_s, period_s)
     first = np.flatnonzero(np.r_[True, np.diff(number) > 0])
-    count = np.diff(np.r_[first, len(number)])
+    kept, within = _sound(value, first)
+    return _of_means(_means(value, kept, first), number[first], t_s[first], within, period_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Grouping:
+    """Rows by period: which begin one, which are no outliers of theirs, and the periods' numbers (m,)."""
+
+    first: IntArray
+    kept: BoolArray
+    number: IntArray
+
+    def means(self, x: FloatArray) -> FloatArray:
+        """Return the mean (m,) of each period of what rows x (n,) say."""
+        return _means(x, self.kept, self.first)
+
+
+def grouping(t_s: FloatArray, value: FloatArray, period_s: float) -> Grouping:
+    """Return rows t_s (n,), value (n,), in order of time, by period."""
+    number = periods(t_s, period_s)
+    first = np.flatnonzero(np.r_[True, np.diff(number) > 0])
+    return Grouping(first, _sound(value, first)[0], number[first])
+
+
+def _sound(value: FloatArray, first: IntArray) -> tuple[BoolArray, float]:
+    """Return which rows are no outliers of their period, and the deviation of rows in one."""
+    count = np.diff(np.r_[first, len(value)])
     middle = np.repeat([float(np.median(part)) for part in np.split(value, first[1:])], count)
     within = MAD * float(np.median(np.abs(value - middle)))
-    kept = np.abs(value - middle) <= max(OUTLIER * within, 0.0)
-    mean = np.add.reduceat(np.where(kept, value, 0.0), first) / np.maximum(np.add.reduceat(kept, first), 1)
-    return _of_means(mean, number[first], t_s[first], within, period_s)
+    return np.asarray(np.abs(value - middle) <= max(OUTLIER * within, 0.0)), within
+
+
+def _means(x: FloatArray, kept: BoolArray, first: IntArray) -> FloatArray:
+    return np.asarray(np.add.reduceat(np.where(kept, x, 0.0), first) / np.maximum(np.add.reduceat(kept, first), 1))
 
 
 def _of_means(mean: FloatArray, number: IntArray, t_s: FloatArray, within: float, period_s: float) -> Spread:

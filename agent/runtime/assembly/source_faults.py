@@ -18,7 +18,8 @@ def source_error(configs: Sequence[RigConfig], error: DriverConfigError) -> Conf
 
 def source_faults(config: RigConfig) -> list[Fault]:
     """Return what the drivers of a rig's sources say against their keys."""
-    return [fault for number, source in enumerate(config.source) for fault in _Asked(config, number, source).faults()]
+    sources = (*config.source, *config.covariate_source)
+    return [fault for number, source in enumerate(sources) for fault in _Asked(config, number, source).faults()]
 
 
 def _fault(path: str, words: str) -> Fault:
@@ -35,7 +36,7 @@ class _Asked:
         self._path = f"source[{number}]"
 
     def faults(self) -> list[Fault]:
-        fields = tuple(self._source.map.values())
+        fields = self._source.fields
         whole = self._says(fields, self._source.counter)
         if whole is None:
             return []
@@ -52,12 +53,15 @@ class _Asked:
 
     def _of_map(self) -> list[Fault]:
         """Return the faults of the fields that cannot be read by themselves."""
-        alone = {channel: self._says((field,), None) for channel, field in self._source.map.items()}
+        alone = {channel: self._says((field,), None) for channel, field in self._places()}
         words = [said for said in alone.values() if said is not None]
         of_all = len(words) == len(alone) > 1 and len(set(words)) == 1
         if of_all or any(self._keyed(said) for said in words):
             return []
         return [_fault(f"{self._path}.map.{channel}", said) for channel, said in alone.items() if said is not None]
+
+    def _places(self) -> list[tuple[str, str]]:
+        return [*self._source.map.items(), *self._source.covariates.items()]
 
     def _says(self, fields: tuple[str, ...], counter: str | None) -> str | None:
         """Return what the driver says against being made for these; None where it can be."""

@@ -17,6 +17,7 @@ from agent.prognosis.history import DAY_NS, History
 from agent.prognosis.learnt import Learnt
 from agent.prognosis.passage import FARTHEST
 from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import history_of, like_machines, window_s
 from agent.runtime.forecasts.scoring import scores_of
 from agent.storage.read import queries
@@ -87,6 +88,7 @@ class Forecaster:
         points = queries.points(self._db, self.rig, parameter, until=None if until_ns is None else iso_time(until_ns))
         if not len(points.t_ns):
             return Made()
+        points = compensated(self._db, points).points
         waiting = queries.forecasts(self._db, self.rig, parameter, waiting=True)
         scores = scores_of(waiting, points.t_ns, points.value)
         outlook, record = self._look(cause, points)

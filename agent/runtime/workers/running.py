@@ -71,7 +71,7 @@ def _need_sources(rigs: Sequence[RigConfig]) -> None:
     missing = [rig for rig in rigs if not rig.source]
     faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in missing]
     for rig in rigs:
-        for i, source in enumerate(rig.source):
+        for i, source in enumerate((*rig.source, *rig.covariate_source)):
             if driver_class(source.driver).finite:
                 faults.append(Fault(f"source[{i}].driver", f'"{source.driver}" is a recording', "use deltak replay"))
     if faults:

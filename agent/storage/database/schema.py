@@ -19,6 +19,7 @@ from agent import __version__
 from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
 from agent.storage.database.views_of_baselines import BASELINES
+from agent.storage.database.views_of_covariates import COVARIATES
 from agent.storage.database.views_of_forecasts import FORECASTS
 from agent.storage.database.views_of_notifications import NOTIFICATIONS
 from agent.storage.database.views_of_operations import OPERATIONS
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -90,13 +91,15 @@ TABLES: dict[str, str] = {
     "crossed_ns INTEGER, crps REAL, held INTEGER",
     "notifications": "alarm_event_id INTEGER NOT NULL, target TEXT NOT NULL, state TEXT NOT NULL, "
     "attempts INTEGER NOT NULL, last_error TEXT, done_ns INTEGER",
+    "covariates": "run_id INTEGER NOT NULL, span INTEGER NOT NULL, t_ns INTEGER NOT NULL, name TEXT NOT NULL, "
+    "unit TEXT NOT NULL, value REAL NOT NULL, n INTEGER NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
 _SINCE = {
     "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7, "annotations": 7,
-    "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7,
+    "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7, "covariates": 8,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
@@ -226,6 +229,14 @@ def _forecasts_operations_baselines_notifications(db: "Database") -> None:
     _mark(db.conn, 7)
 
 
+def _covariates(db: "Database") -> None:
+    """Version 8: what healthy parameters may depend on."""
+    _create(db.conn, "covariates")
+    for statement in COVARIATES:
+        db.conn.execute(statement)
+    _mark(db.conn, 8)
+
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
@@ -234,6 +245,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
     "0007_forecasts_operations_baselines_notifications": _forecasts_operations_baselines_notifications,
+    "0008_covariates": _covariates,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

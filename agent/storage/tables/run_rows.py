@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from agent.storage.covariates.rows import add_mean
 from agent.storage.tables.ages import jump_words
 from agent.storage.tables.alarms import AlarmRow, AlarmRows
 from agent.storage.tables.batches import joined_runs, take
@@ -20,6 +21,7 @@ from agent.storage.tables.status import HealthRows, add_event, add_verdict
 from agent.types import (
     AlarmTransition,
     ClockRecord,
+    CovariateMean,
     EstimateBatch,
     EventRecord,
     ForecastRecord,
@@ -143,6 +145,8 @@ class RunRows:
             self._health.apply(plan, record, self._clocks[run_id].newest, self._numbers)
         elif isinstance(record, HealthEvent):
             add_event(plan, record, run_id, self._numbers)
+        elif isinstance(record, CovariateMean):
+            add_mean(plan, record, run_id, self._numbers)
         elif isinstance(record, Verdict):
             add_verdict(plan, record, run_id, self._numbers)
         elif isinstance(record, LearntRecord):

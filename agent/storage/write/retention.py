@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import ceil, isfinite
 from typing import Protocol
 
+from agent.storage.covariates.rows import thin
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
 from agent.storage.tables.ages import Part, parts_of, shifts
@@ -187,6 +188,8 @@ class TierKeeper:
         if hours != self._purged_at:
             self._purge_old()
             self._purge_logs()
+            with self._store.transaction() as connection:
+                thin(connection, self._store.numbers, self._keep.minute_s, self._keep.hour_s)
             self._purged_at = hours
 
     def _purge_logs(self) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from agent.storage.covariates.merging import merged
 from agent.storage.database.schema import COLUMN_BITS, numbers_crc
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
@@ -72,6 +73,7 @@ def aggregate(connection: sqlite3.Connection, run_id: int, span: int, first_ns: 
     rows = np.fromiter(found, dtype=_MINUTES if source else _FULL)
     if not len(rows):
         return None
+    rows["series"] = merged(connection, rows["t_ns"], rows["series"], span * SECOND)
     rows = rows[np.lexsort((rows["t_ns"], rows["series"]))]
     columns = [rows[name] for name in rows.dtype.names or ()]
     if not source:

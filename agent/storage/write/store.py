@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from agent.errors import StoreError
+from agent.storage.covariates.rows import newest_means
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.database.connect import (
@@ -48,11 +49,12 @@ from agent.storage.tables.shelves import Shelf
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
-from agent.types import AlarmTransition, Baseline, ClockRecord, HealthEvent, Learnt, Record, RunInfo
+from agent.types import AlarmTransition, Baseline, ClockRecord, CovariateMean, HealthEvent, Learnt, Record, RunInfo
 
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000
 _FRAMES_BEFORE_SPILL = WAL_BOUND * 5 // 8 // FRAME_BYTES
+_MEMORY_NS = 5 * 86_400 * 10**9  # five times the longest lag of a machine behind a covariate
 _FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
 
 
@@ -285,6 +287,11 @@ class Store:
         """Return the baselines of a rig that stand, one a parameter."""
         with self._mutex:
             return standing_baselines(self.connection, rig)
+
+    def covariates(self, rig: str) -> list[CovariateMean]:
+        """Return the newest means of a rig's covariates, as far back as a machine may lag behind them."""
+        with self._mutex:
+            return newest_means(self.connection, rig, _MEMORY_NS)
 
     def add_baselines(self, baselines: Sequence[Baseline]) -> list[Baseline]:
         """Store baselines, each in the place of its parameter's; return them with their numbers, committed."""

@@ -23,7 +23,17 @@ from agent.storage.write.jobs import Job, JobQueue
 from agent.storage.write.latency import Histogram
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition, Baseline, ClockRecord, EstimateBatch, HealthEvent, Learnt, Record, RunInfo
+from agent.types import (
+    AlarmTransition,
+    Baseline,
+    ClockRecord,
+    CovariateMean,
+    EstimateBatch,
+    HealthEvent,
+    Learnt,
+    Record,
+    RunInfo,
+)
 
 _DISK = (sqlite3.Error, OSError)
 _FAILURE = (*_DISK, StoreError)
@@ -94,6 +104,7 @@ class StoreWriter:
         self.learnt: dict[str, Learnt | None] = {}
         """What earlier runs learnt of each rig for the same key, as it was when this one began."""
         self.baselines: dict[str, tuple[Baseline, ...]] = {}
+        self.covariates: dict[str, list[CovariateMean]] = {}
         """What each rig's parameters are counted from, as the file says now; another tuple where that changed."""
         self.progress = 0
         """Grows with every round of the thread; a watchdog may read it."""
@@ -279,7 +290,7 @@ class StoreWriter:
         self._every_s = every_s
         self._write_all(last=False)
         tables = (self._runs, self._thinners, self._backlogs, self._newest, self._failed_at, self.run_ids,
-                  self.standing, self.learnt, self.baselines)  # fmt: skip
+                  self.standing, self.learnt, self.baselines, self.covariates)  # fmt: skip
         for rig in leaving:
             if self._store is not None and rig in self.run_ids and not self._waiting():
                 self._store.end_run(self.run_ids[rig])
@@ -389,6 +400,7 @@ class StoreWriter:
                 self.learnt.setdefault(rig, self._store.learnt(run))
                 self.standing[rig] = self._store.open_alarms(rig) if run.kind == "live" else []
                 self.baselines[rig] = self._store.baselines(rig)
+                self.covariates[rig] = self._store.covariates(rig)
                 self.run_ids[rig] = self._store.begin_run(run)
 
     def _serve(self, store: Store, handlers: Mapping[str, Handler]) -> CommandServer | None:

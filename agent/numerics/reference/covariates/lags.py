@@ -1,0 +1,166 @@
+"""Lagged covariates: what a machine feels of a temperature, load or speed that is measured beside it.
+
+A covariate is a series of means of equal periods (`PERIOD_S`), numbered since the epoch; a period without a reading is
+absent. What the machine feels of it is one of
+
+    none          x[p] = c[p]
+    delay         x[p] = c[p - d]
+    first-order   x[p] = a x[p-1] + (1 - a) c[p],  a = exp(-T/tau)   a body that warms through (Franklin, Powell 1998)
+
+c counted from its centre. A gap is filled with the reading before it for `hold` periods; what is longer is guessed from
+the days before, and `known` is the share of the weights that rests on readings: 1 where all are there, 0 where none is.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import sqrt
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from agent.types import BoolArray, FloatArray, IntArray
+
+PERIOD_S = 60.0
+"""What a mean of a covariate is taken over."""
+PERIOD_NS = 60_000_000_000
+CLOSED = 2
+"""A row rests on means that are so many periods older: readings may arrive a period late, and no row differs."""
+RECENT = 2880.0
+"""Periods (two days) over which a covariate is averaged to guess it while it is missing."""
+DRIFTS = 10_080.0
+"""Periods (a week) after which such a guess is off by sqrt(2) times what the covariate spreads by at once."""
+NEVER = 129_600
+"""Periods (90 days) for which a covariate counts as missing that was never read."""
+MOST_GAP = 20_000
+"""Periods without a row after which a lagged covariate is begun anew (two weeks)."""
+
+Shape = Literal["none", "delay", "first-order"]
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """How a machine follows a covariate; seconds: the delay, or the time constant."""
+
+    shape: Shape = "none"
+    seconds: float = 0.0
+
+    @property
+    def kept(self) -> float:
+        """The share of what was felt that is left a period later."""
+        return float(np.exp(-PERIOD_S / self.seconds)) if self.shape == "first-order" else 0.0
+
+    @property
+    def periods(self) -> int:
+        """Whole periods of a delay."""
+        return round(self.seconds / PERIOD_S) if self.shape == "delay" else 0
+
+
+def newest_period(t_ns: IntArray) -> IntArray:
+    """Return the newest period (n,) that rows at these instants rest on."""
+    return np.asarray(t_ns // PERIOD_NS - CLOSED)
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """A covariate over consecutive periods from `first` on: deviations from its centre, guessed where not `covered`."""
+
+    first: int
+    deviation: FloatArray
+    covered: BoolArray
+
+    def felt(self, lag: Lag) -> FloatArray:
+        """Return what is felt in each period (n,); before the first the covariate is taken to be as in that."""
+        return _lagged(self.deviation, lag, float(self.deviation[0]))
+
+    def known(self, lag: Lag) -> FloatArray:
+        """Return the share (n,) of that which is known; of what was before the first period nothing is."""
+        return _lagged(self.covered * 1.0, lag, 0.0)
+
+
+def series(number: IntArray, value: FloatArray, center: float, hold: int) -> Series:
+    """Return the means value (n,) of periods number (n,), in order, on the grid; gaps are held for so many periods."""
+    length = int(number[-1] - number[0]) + 1
+    place = number - number[0]
+    age = np.arange(length)
+    there = np.zeros(length, dtype=np.int64)
+    there[place] = place
+    newest = np.maximum.accumulate(there)
+    deviation = np.zeros(length)
+    deviation[place] = value - center
+    covered = age - newest <= hold
+    return Series(int(number[0]), deviation[newest], np.asarray(covered))
+
+
+def _lagged(x: FloatArray, lag: Lag, before: float) -> FloatArray:
+    if lag.shape == "none":
+        return x
+    if lag.shape == "delay":
+        lead = np.full(min(lag.periods, len(x)), before)
+        return np.concatenate([lead, x[: len(x) - len(lead)]])
+    return _followed(x, lag.kept, before)
+
+
+def _followed(x: FloatArray, kept: float, before: float) -> FloatArray:
+    """Return the first-order lag of a series: the solution of a matrix of two bands."""
+    from scipy.linalg import solve_banded
+
+    right = (1.0 - kept) * x
+    right[0] += kept * before
+    bands = np.ones((2, len(x)))
+    bands[1] = -kept
+    return np.asarray(solve_banded((1, 0), bands, right, overwrite_b=True, check_finite=False))
+
+
+class Felt(NamedTuple):
+    """What is felt of a covariate: its deviation from the centre, the share of that which is known, how old it is.
+
+    doubt: by how much the spread of the covariate understates what a guess of the rest may be off.
+    """
+
+    deviation: float
+    known: float
+    doubt: float
+
+
+class Follower:
+    """The same, period by period: what is felt of one covariate now.
+
+    means: number of a period -> mean, which others fill. center, hold, lag: as above.
+    """
+
+    def __init__(self, means: Mapping[int, float], center: float, hold: int, lag: Lag) -> None:
+        self._means, self._center, self._hold, self._lag = means, center, hold, lag
+        self._kept = lag.kept
+        self._period: int | None = None
+        self._begin()
+
+    def at(self, period: int) -> Felt:
+        """Return what is felt in a period; an earlier one than before is as the newest."""
+        if self._period is None or period - self._period > MOST_GAP:
+            self._begin()
+            early = [number for number in self._means if period - MOST_GAP < number <= period]
+            self._period = min(early, default=period) - 1
+        while self._period < period:
+            self._period += 1
+            self._step(self._period - self._lag.periods)
+        return Felt(self._felt, self._known, sqrt(1.0 + self._missing / DRIFTS))
+
+    def _begin(self) -> None:
+        """Begin with nothing known."""
+        self._now, self._recent = 0.0, 0.0
+        self._felt, self._known = 0.0, 0.0
+        self._missing = NEVER
+
+    def _step(self, number: int) -> None:
+        mean = self._means.get(number)
+        self._missing += 1
+        if mean is not None:
+            self._now = mean - self._center
+            if self._missing > NEVER:  # the first: all before it was as it is
+                self._recent = self._felt = self._now
+            self._missing = 0
+        there = self._missing <= self._hold
+        if there:
+            self._recent += (self._now - self._recent) / RECENT
+        self._felt += (1.0 - self._kept) * ((self._now if there else self._recent) - self._felt)
+        self._known = self._kept * self._known + (1.0 - self._kept) * there

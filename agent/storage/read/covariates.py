@@ -1,0 +1,38 @@
+"""Read-only questions about covariates: the means of each, on the grid of minutes."""
+
+from pathlib import Path
+
+import numpy as np
+
+from agent.storage.covariates.rows import means_of
+from agent.storage.read.queries import reading
+from agent.types import FloatArray, IntArray
+
+_MINUTE_NS = 60_000_000_000
+_FIRST, _LAST = -(2**62), 2**62
+
+
+class Means:
+    """The means of one covariate in order of time: number (n,) of each minute since the epoch, value (n,), unit."""
+
+    def __init__(self, unit: str, table: dict[int, float]) -> None:
+        self.unit = unit
+        self.number: IntArray = np.array(sorted(table), dtype=np.int64)
+        self.value: FloatArray = np.array([table[number] for number in self.number.tolist()])
+
+
+def means(db: Path | str, rig: str, first_ns: int = _FIRST, last_ns: int = _LAST) -> dict[str, Means]:
+    """Return the covariates of a rig by name; of a minute that several runs saw, what the newest says.
+
+    An hour that is kept as one mean counts for each of its minutes. Raises StoreError.
+    """
+    tables: dict[str, tuple[str, dict[int, float]]] = {}
+    with reading(db) as connection:
+        for mean in means_of(connection, rig, first_ns, last_ns):
+            unit, table = tables.get(mean.name, ("", {}))
+            if unit != mean.unit:  # what was in another unit is of another sensor
+                table = {}
+                tables[mean.name] = (mean.unit, table)
+            first = mean.t_ns // _MINUTE_NS
+            table.update(dict.fromkeys(range(first, first + mean.span_s // 60), mean.value))
+    return {name: Means(unit, table) for name, (unit, table) in tables.items()}

@@ -101,6 +101,8 @@ def _check_observer(draft: Draft) -> None:
     _check_belongs(path, "process_sd", "kalman", observer, faults)
     _check_poles(f"{path}.poles", observer.poles or (), draft)
     masses = _pushed(draft.model) if isinstance(draft.model, MechanicsModel) else draft.states
+    if draft.plant is not None:
+        masses = len(draft.plant.pushed)
     given = len(observer.process_sd) if isinstance(observer.process_sd, tuple) else masses
     if masses and given != masses:
         faults.add(f"{path}.process_sd", f"has {given} numbers for {masses}", "give one a mass")

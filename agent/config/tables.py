@@ -10,8 +10,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import Field, Strict, ValidationInfo, field_validator
+from pydantic import Field, PrivateAttr, Strict, ValidationInfo, field_validator
 
+from agent.config.domains.kinds import DomainModel
+from agent.config.domains.plant import Domain
 from agent.config.linear import ENTRY, LinearModel, LinearParameter
 from agent.config.reading.fields import (
     Asked,
@@ -83,7 +85,7 @@ class MechanicsModel(Table):
     friction: tuple[Element, ...] = ()
 
 
-Model = MechanicsModel | LinearModel
+Model = MechanicsModel | LinearModel | DomainModel
 
 
 class Channel(Table):
@@ -102,11 +104,18 @@ class Channel(Table):
     gain: bool = False
     delay_s: NotNegative = 0.0
     delay_sd_s: NotNegative | None = Field(default=None, description="how far delay_s may be off; 0 for exactly")
+    _drives: bool | None = PrivateAttr(default=None)
 
     @property
     def is_input(self) -> bool:
         """Whether it drives the model rather than being measured."""
-        return self.quantity in ("force", "input")
+        return self.quantity in ("force", "input") if self._drives is None else self._drives
+
+    def placed(self, *, at: str, drives: bool) -> "Channel":
+        """Return it at a place of a template, which says whether its quantity drives there or is read."""
+        copy = self.model_copy(update={"at": at})
+        copy._drives = drives  # noqa: SLF001 - its own class
+        return copy
 
     @property
     def si_factor(self) -> float:
@@ -331,7 +340,7 @@ class Parameter(NamedTuple):
     """Something that can be estimated."""
 
     name: str
-    kind: Literal["mass", "spring", "damper", "friction", "linear", "bias", "gain"]
+    kind: Literal["mass", "spring", "damper", "friction", "linear", "element", "storage", "bias", "gain"]
     nominal: float
     unit: str
 
@@ -381,7 +390,10 @@ class RigConfig(Table):
 
 def parameters_of(model: Model, channels: tuple[Channel, ...]) -> dict[str, Parameter]:
     """Return everything that a model and its channels offer for estimation, by name."""
-    found = _linear(model, channels) if isinstance(model, LinearModel) else _mechanical(model, channels)
+    if isinstance(model, Domain):
+        found = [Parameter(p.name, p.kind, p.nominal, p.unit) for p in model.parts]
+    else:
+        found = _linear(model, channels) if isinstance(model, LinearModel) else _mechanical(model, channels)
     for channel in channels:
         found.append(Parameter(f"{channel.name}.bias", "bias", 0.0, channel.si_unit))
         found.append(Parameter(f"{channel.name}.gain", "gain", 1.0, "1"))

@@ -211,11 +211,19 @@ def scale_columns(config: RigConfig, rig: RigModel) -> IntArray:
     return np.array([channels.index(owner) for owner in owners], dtype=np.int64)
 
 
+def _leant(config: RigConfig) -> tuple[int, ...] | None:
+    """Return the outputs that the paper's observer leans on: it would hide a gain that it corrects itself by."""
+    if config.estimator.method != "seed":
+        return None
+    wanted = set(estimated(config))
+    return tuple(i for i, c in enumerate(config.outputs) if f"{c.name}.gain" not in wanted)
+
+
 def observer_gains(config: RigConfig, rig: RigModel, window: int) -> Gains:
     """Return the rule of the observer's gain that the configuration asks for; window in samples."""
     observer = config.estimator.observer
     if observer.gain == "poles":
-        return PlacedGains(observer.poles)
+        return PlacedGains(observer.poles, _leant(config))
     if observer.gain == "kalman" and observer.process_sd is not None:
         process = np.broadcast_to(np.asarray(observer.process_sd, dtype=float), (rig.disturbance.shape[1],))
         if not process.any():

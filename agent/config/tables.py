@@ -136,6 +136,14 @@ class Observer(Table):
     process_sd: Intensities | None = None
 
 
+class Stop(Table):
+    """When the descents of the paper's method end: the step or the cost falls so far, or after so many steps."""
+
+    step: NotNegative = 1e-12
+    cost: NotNegative = 0.0
+    iterations: int = Field(default=20_000, ge=1, le=1_000_000)
+
+
 class Estimator(Table):
     """How parameters are estimated; `estimate` is empty until the defaults are filled in."""
 
@@ -147,6 +155,8 @@ class Estimator(Table):
     observer: Observer = Observer()
     resolve: Positive = 0.33
     passes: int = Field(default=10, ge=1, le=1000)
+    stop: Stop = Stop()
+    rank: int | None = Field(default=None, ge=1, description="directions that are solved before descent; 1 is printed")
     drift_s: Positive | None = None
 
     @property

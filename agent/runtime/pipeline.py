@@ -29,7 +29,18 @@ from agent.config import RigConfig, learnt_key
 from agent.runtime.assembly.acquisition_plan import make_acquisition
 from agent.runtime.assembly.stages import make_stages
 from agent.runtime.ledger import Ledger
-from agent.types import Aligned, Baseline, FloatArray, HealthEvent, IntArray, Learnt, LearntRecord, Record, Samples
+from agent.types import (
+    Aligned,
+    Baseline,
+    ConditionsRecord,
+    FloatArray,
+    HealthEvent,
+    IntArray,
+    Learnt,
+    LearntRecord,
+    Record,
+    Samples,
+)
 from drivers.port import SampleBlock
 
 Piece = tuple[IntArray, IntArray, FloatArray]
@@ -80,6 +91,7 @@ class Pipeline:
         self.watch: Callable[[Samples], None] | None = None
         self._taken: list[Taken] = []
         self._source_events: list[Record] = []
+        self._conditions_due: dict[int, int] = {}
 
     def adopt(self, learnt: Learnt | None) -> None:
         """Begin with what an earlier run learnt of the rig, before the first sample."""
@@ -181,6 +193,7 @@ class Pipeline:
         """Return a batch of estimates, what was found beside them, and the alarms of all that."""
         records: list[Record] = [] if estimated.batch is None else [estimated.batch]
         records += self._failures(estimated)
+        records += self._conditions(estimated)
         records += self._learnt(estimated)
         records += self._found(estimated)
         if estimated.batch is not None:
@@ -194,6 +207,18 @@ class Pipeline:
         """Return an event for each numerical failure of the method."""
         rig, words = self.config.rig.name, "the estimation failed and starts anew: {}".format
         return [HealthEvent(rig, ESTIMATION, estimated.newest_ns, FAILURE, words(w)) for _, w in estimated.failures]
+
+    def _conditions(self, estimated: Estimated) -> list[Record]:
+        """Return what the paper's conditions say of windows, of each length as often as estimates are kept."""
+        times = estimated.times(sample for sample, _ in estimated.conditions)
+        labels = self.stages.estimation.labels
+        kept: list[Record] = []
+        for sample, found in estimated.conditions:
+            if times[sample] >= self._conditions_due.get(found.window, 0):
+                self._conditions_due[found.window] = times[sample] + round(self.config.store.every_s * 1e9)
+                window_s = found.window / labels.rate_hz
+                kept.append(ConditionsRecord(labels.rig, times[sample], window_s, labels.parameters, found))
+        return kept
 
     def _learnt(self, estimated: Estimated) -> list[Record]:
         """Return what windows taught of the rig: verdicts on its constants, and what the next start begins with."""

@@ -18,6 +18,7 @@ from agent import __version__
 from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
 from agent.storage.database.views_of_baselines import BASELINES
+from agent.storage.database.views_of_conditions import CONDITIONS
 from agent.storage.database.views_of_forecasts import FORECASTS
 from agent.storage.database.views_of_notifications import NOTIFICATIONS
 from agent.storage.database.views_of_operations import OPERATIONS
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -87,6 +88,10 @@ TABLES: dict[str, str] = {
     "crossed_ns INTEGER, crps REAL, held INTEGER",
     "notifications": "alarm_event_id INTEGER NOT NULL, target TEXT NOT NULL, state TEXT NOT NULL, "
     "attempts INTEGER NOT NULL, last_error TEXT, done_ns INTEGER",
+    "conditions": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, window_s REAL NOT NULL, defect REAL, "
+    "defect_outputs REAL, rank INTEGER NOT NULL, rank_joined INTEGER NOT NULL, defect_special REAL, "
+    "z_zero INTEGER NOT NULL, iterations INTEGER NOT NULL, converged INTEGER NOT NULL, cost REAL, step REAL, "
+    "passes INTEGER NOT NULL, ratio REAL, trail TEXT NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
@@ -94,6 +99,7 @@ ADDED = {"estimates": ("repeat",)}
 _SINCE = {
     "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7, "annotations": 7,
     "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7,
+    "conditions": 8,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
@@ -209,6 +215,14 @@ def _forecasts_operations_baselines_notifications(db: "Database") -> None:
     _mark(db.conn, 7)
 
 
+def _conditions(db: "Database") -> None:
+    """Version 8: what the paper's conditions say of each window."""
+    _create(db.conn, "conditions")
+    for statement in CONDITIONS:
+        db.conn.execute(statement)
+    _mark(db.conn, 8)
+
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
@@ -217,6 +231,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
     "0007_forecasts_operations_baselines_notifications": _forecasts_operations_baselines_notifications,
+    "0008_conditions": _conditions,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

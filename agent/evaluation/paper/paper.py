@@ -174,8 +174,8 @@ def _evidence(found: dict[str, Any]) -> str:
         "The published matrix cannot come from the method as printed: its regressand is K_e times the innovation, so "
         "that one pass gives K_e times some matrix, in which the last two rows are at least "
         f"{found['least_lower_rows']:.3f} of the first two (ours: {found['as_printed']['lower_rows']:.3f}); those "
-        f"published are {found['published']['lower_rows']:.0e} of them, and {100 * found['published']['outside']:.1f} % "
-        "of that matrix lies outside the range of K_e."
+        f"published are {found['published']['lower_rows']:.0e} of them, and "
+        f"{100 * found['published']['outside']:.1f} % of that matrix lies outside the range of K_e."
     )
 
 

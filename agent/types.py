@@ -450,6 +450,54 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
+class WindowConditions:
+    """What the paper's conditions and descents say of one window (method = "seed").
+
+    Attributes:
+        window: samples.
+        defect: share of (10) that no one matrix explains: zero where (11) holds; defect_outputs: of the readings.
+        rank, rank_joined: of the regressors, and with their targets: equal where (12) holds.
+        defect_special: (15), of the middle one of the window's states: zero where (14) may be used for any one.
+        z_zero: the states fill all directions of the window: Z = 0 does, nothing is left for descent.
+        iterations: steps of descent in the last pass, over Z and W; converged: one of the paper's rules ended them.
+        cost, step: (16) at the end of descent over Z, and its last step's size.
+        passes: that were made; ratio: of the last two of their steps, None of fewer.
+        trail: (passes, q) parameters after each pass.
+    """
+
+    window: int
+    defect: float
+    defect_outputs: float
+    rank: int
+    rank_joined: int
+    defect_special: float
+    z_zero: bool
+    iterations: int
+    converged: bool
+    cost: float
+    step: float
+    passes: int
+    ratio: float | None
+    trail: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionsRecord:
+    """The conditions of one window of a rig.
+
+    Attributes:
+        window_s: its length, s.
+        parameters: names of the columns of the trail.
+    """
+
+    rig: str
+    t_ns: int
+    window_s: float
+    parameters: tuple[str, ...]
+    found: WindowConditions
+
+
+@dataclass(frozen=True, slots=True)
 class ForecastRecord:
     """A forecast of when a parameter first reaches a limit, as the agent made it.
 
@@ -504,5 +552,5 @@ class ForecastScore:
 
 Record = (
     EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict | ClockRecord
-    | ForecastRecord | ForecastScore | CovariateMean
+    | ForecastRecord | ForecastScore | CovariateMean | ConditionsRecord
 )  # fmt: skip

@@ -12,7 +12,17 @@ from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
 from agent.numerics.preprocessing.marks import Marks
 from agent.numerics.window.filtering.hops import HopPlan
-from agent.types import BoolArray, CodeArray, EstimateBatch, FloatArray, IntArray, Reason, Samples, Status
+from agent.types import (
+    BoolArray,
+    CodeArray,
+    EstimateBatch,
+    FloatArray,
+    IntArray,
+    Reason,
+    Samples,
+    Status,
+    WindowConditions,
+)
 
 ESTIMATION, FAILURE = "estimation", "failure"
 """What a failure of the numerics is called in events, and the reason of samples that it loses."""
@@ -92,7 +102,7 @@ class Estimated:
     Attributes:
         batch: the rows; None where no hop ended.
         newest_ns: time of the newest row, or of the newest sample where no hop ended.
-        beliefs, findings, failures: as `Outcome` has them.
+        beliefs, findings, failures, conditions: as `Outcome` has them.
     """
 
     batch: EstimateBatch | None
@@ -100,6 +110,7 @@ class Estimated:
     beliefs: tuple[tuple[int, tuple[Belief, ...]], ...] = ()
     findings: tuple[Finding, ...] = ()
     failures: tuple[tuple[int, str], ...] = ()
+    conditions: tuple[tuple[int, WindowConditions], ...] = ()
 
     def times(self, samples: Iterable[int]) -> dict[int, int]:
         """Return when samples were taken, ns, where they end a row; the newest time of the others."""
@@ -142,7 +153,7 @@ class Estimation:
         rows = self.estimator.step(first, samples.y, samples.u, samples.missing, samples.suspect)
         batch = self._rows(rows, samples) if len(rows.index) else None
         newest = samples.t_ns if batch is None else batch.t_ns
-        return Estimated(batch, int(newest[-1]), rows.beliefs, rows.findings, rows.failures)
+        return Estimated(batch, int(newest[-1]), rows.beliefs, rows.findings, rows.failures, rows.conditions)
 
     def _rows(self, rows: Outcome, samples: Samples) -> EstimateBatch:
         batch = self._batch(rows, samples)

@@ -4,9 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.blocks.domains.model import descriptor_model
 from agent.config import RigConfig
+from agent.config.domains.plant import Domain
 from agent.config.linear import LinearModel
 from agent.config.tables import MechanicsModel, Parameter
+from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
 from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel
@@ -40,13 +43,19 @@ def rig_model(config: RigConfig) -> RigModel:
     names = estimated(config)
     parameters = tuple(known[name] for name in names)
     physical = tuple(p.name for p in parameters if p.kind not in SENSOR_KINDS)
-    mechanical = isinstance(config.model, MechanicsModel)
-    model: Model = _mechanics(config, physical) if mechanical else _linear(config, physical)
+    model = _physical(config, physical)
     constants = tuple(_nuisance(config, p) for p in parameters if p.kind in SENSOR_KINDS)
     if constants:
         model = SensedModel(model, constants)
     limits = np.array([_limit(config, parameter) for parameter in parameters])
     return RigModel(model, parameters, limits, _disturbance(model))
+
+
+def _physical(config: RigConfig, names: tuple[str, ...]) -> Model:
+    """Return the model without the constants of its sensors."""
+    if isinstance(config.model, Domain):
+        return descriptor_model(config, config.model, names)
+    return _mechanics(config, names) if isinstance(config.model, MechanicsModel) else _linear(config, names)
 
 
 def estimated(config: RigConfig) -> tuple[str, ...]:
@@ -118,6 +127,8 @@ def _filled(matrix: tuple[tuple[float, ...], ...], shape: tuple[int, int]) -> Fl
 def pushed(model: Model) -> tuple[tuple[str, str], ...]:
     """Return name and unit of what an unknown force in each direction acts on: masses in N, else states."""
     inner = model.model if isinstance(model, SensedModel) else model
+    if isinstance(inner, DescriptorModel):
+        return inner.pushes
     if not isinstance(inner, MassSpringDamper):
         return tuple((name, "") for name in inner.state_names)
     nodes = inner.structure.masses
@@ -129,6 +140,8 @@ def _disturbance(model: Model) -> FloatArray:
     """A force on each mass (on each node where none has mass), or anything on each state of a linear model."""
     if isinstance(model, SensedModel):
         model = model.model
+    if isinstance(model, DescriptorModel):
+        return with_forces(model).continuous(model.nominal).B[:, model.size.m :]
     if not isinstance(model, MassSpringDamper):
         return np.eye(len(model.state_names))
     nodes = model.structure.masses
@@ -198,11 +211,19 @@ def scale_columns(config: RigConfig, rig: RigModel) -> IntArray:
     return np.array([channels.index(owner) for owner in owners], dtype=np.int64)
 
 
+def _leant(config: RigConfig) -> tuple[int, ...] | None:
+    """Return the outputs that the paper's observer leans on: it would hide a gain that it corrects itself by."""
+    if config.estimator.method != "seed":
+        return None
+    wanted = set(estimated(config))
+    return tuple(i for i, c in enumerate(config.outputs) if f"{c.name}.gain" not in wanted)
+
+
 def observer_gains(config: RigConfig, rig: RigModel, window: int) -> Gains:
     """Return the rule of the observer's gain that the configuration asks for; window in samples."""
     observer = config.estimator.observer
     if observer.gain == "poles":
-        return PlacedGains(observer.poles)
+        return PlacedGains(observer.poles, _leant(config))
     if observer.gain == "kalman" and observer.process_sd is not None:
         process = np.broadcast_to(np.asarray(observer.process_sd, dtype=float), (rig.disturbance.shape[1],))
         if not process.any():

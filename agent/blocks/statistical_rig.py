@@ -6,9 +6,11 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel, estimated, hop_plan, longer_windows, output_noise, rig_model
 from agent.config import RigConfig
+from agent.config.domains.plant import Domain
 from agent.config.tables import Channel, MechanicsModel
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference.tuning import DELAY_SHEET
+from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
 from agent.numerics.model.identifiability import identifiability
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.numerics.model.sensors import Nuisance, SensedModel, Side
@@ -17,6 +19,9 @@ from agent.numerics.model.uncertain import Constant, Rig, Rubbing
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
+PHYSICAL = ("mass", "spring", "damper", "friction", "element", "storage")
+NEEDED = ("mass", "element", "storage")
+"""Kinds of parameters that stay above 0: equations are divided by them."""
 SHARE_OF_MATRIX = 0.1
 """Of a matrix's size: what stands for the size of one of its entries that is 0 at nominal."""
 
@@ -81,8 +86,8 @@ def statistical_rig(config: RigConfig) -> Rig:
     nominal = model.nominal[:q]
     limits = np.where(built.limits > 0, built.limits, np.nan)
     scale = np.where(nominal != 0, np.abs(nominal), np.where(np.isfinite(limits), limits, _sizes(built.model)[:q]))
-    physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in built.parameters], dtype=bool)
-    needed = np.array([p.kind == "mass" or p.name in _holding(config) for p in built.parameters], dtype=bool)
+    physical = np.array([p.kind in PHYSICAL for p in built.parameters], dtype=bool)
+    needed = np.array([p.kind in NEEDED or p.name in _holding(config) for p in built.parameters], dtype=bool)
     lower = np.where(physical & (nominal > 0), np.where(needed, 0.02 * scale, 0.0), -np.inf)
     return Rig(
         model, q, columns, driven, np.arange(measured, m), _constants(config, built, pushed.masses),
@@ -112,6 +117,8 @@ def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
     """Put unknown forces and masses into a model without constants of sensors."""
     if isinstance(model, AffineModel):
         return _pushed_states(model)
+    if isinstance(model, DescriptorModel):
+        return _pushed_elements(config, model)
     if not isinstance(model, MassSpringDamper):
         raise TypeError(f"no statistical model of a {type(model).__name__}")
     weighing = tuple(m.name for m in model.structure.masses if m.value > 0)
@@ -125,6 +132,14 @@ def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
 
 def _pushed_states(model: AffineModel) -> _Pushed:
     return _Pushed(_with_state_forces(model), len(model.state_names), ())
+
+
+def _pushed_elements(config: RigConfig, model: DescriptorModel) -> _Pushed:
+    """Put unknown efforts, and what keeps energy and is known as well as its data sheet says, into a template."""
+    known = sheets_of(config)
+    stores = tuple(n for n in model.constants if known.get(n, 0.0) > 0 and n not in model.parameters)
+    pushed = model if _is_white(config) else with_forces(model)
+    return _Pushed(replace(pushed, parameters=(*model.parameters, *stores)), len(pushed.forces), stores)
 
 
 def _uncertain_masses(config: RigConfig, model: MassSpringDamper) -> tuple[str, ...]:
@@ -167,7 +182,7 @@ def _constants(config: RigConfig, built: RigModel, masses: tuple[str, ...]) -> t
     """Return the constants; of a linear model a gain that its parameters can do in its place never shows."""
     constants = constants_of(config, masses)
     sensed = built.model if isinstance(built.model, SensedModel) else SensedModel(built.model, ())
-    if not isinstance(sensed.model, AffineModel):
+    if not isinstance(sensed.model, (AffineModel, DescriptorModel)):
         return constants
     return tuple(replace(c, shows=c.shows and _is_separable(config, sensed, c)) for c in constants)
 
@@ -184,11 +199,18 @@ def _is_separable(config: RigConfig, model: SensedModel, constant: Constant) -> 
     return not mixed and len(sensed.parameters) - 1 not in found.silent
 
 
+def sheets_of(config: RigConfig) -> dict[str, float]:
+    """Return the standard deviations of the logarithms of masses, or of what keeps energy, by their data sheets."""
+    if isinstance(config.model, Domain):
+        return {name: percent / 100 for name, percent in config.model.sd_percent.items()}
+    if isinstance(config.model, MechanicsModel):
+        return {m.name: m.sd_percent / 100 for m in config.model.mass}
+    return {}
+
+
 def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, ...]:
     """Return the constants that the data sheets leave open: masses, gains of outputs and inputs, the inputs' delay."""
-    sheets = {}
-    if isinstance(config.model, MechanicsModel):
-        sheets = {m.name: m.sd_percent / 100 for m in config.model.mass}
+    sheets = sheets_of(config)
     wanted = set(estimated(config))
     # masses and forces times c, motions by c, are the same readings where no motion's gain is known
     measured = not {f"{c.name}.gain" for c in config.outputs} <= wanted

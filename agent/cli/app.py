@@ -132,6 +132,10 @@ def check(
         Path | None, typer.Option(metavar="FILE", help="Judge by this recording: each channel, and the sd to expect.")
     ] = None,
     probe: Annotated[bool, typer.Option("--probe", help="Listen to the sources for 5 s and judge by that.")] = False,
+    plot: Plot = None,
+    db: Annotated[
+        Path | None, typer.Option("--db", metavar="FILE", help="With --plot: show the newest estimates of a database.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Check a configuration: faults, observability, poles, the sd to expect, advice."""
@@ -139,6 +143,10 @@ def check(
     from agent.commissioning import check as body
 
     document = body.check(config=config, recording=recording, probe=probe)
+    if plot is not None and document.get("observer"):
+        from agent.commissioning.regions.picture import draw_region
+
+        draw_region(config, document, plot, db)
     _answer(document, commands_check.print_check, as_json=json)
     if not document.get("ok", True):
         raise typer.Exit(commands_check.report_faults(document))

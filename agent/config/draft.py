@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from agent.config.covariates.tables import BaselineTable, Covariate
+from agent.config.domains.plant import Domain, Plant
 from agent.config.linear import LinearModel
 from agent.config.north.tables import North
 from agent.config.process.settings import Agent
@@ -84,7 +85,7 @@ class Draft:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Everything that could be estimated, by name."""
-        if self.model is None:
+        if self.model is None or (isinstance(self.model, Domain) and self.plant is None):
             return {}
         channels = [table for _, table in self.channels if readable(table.name, table.quantity, table.unit)]
         found = parameters_of(self.model, tuple(channels))
@@ -92,14 +93,21 @@ class Draft:
 
     @property
     def defaults(self) -> tuple[str, ...]:
-        """The parameters that are estimated when nothing is said: every spring and damper, or a linear model's all."""
-        kinds = ("spring", "damper", "linear")
+        """The parameters that are estimated when nothing is said: all but masses, and what keeps energy as they do."""
+        kinds = ("spring", "damper", "linear", "element")
         return tuple(name for name, parameter in self.parameters.items() if parameter.kind in kinds)
 
     @property
     def estimated(self) -> tuple[str, ...]:
         """The names of what is estimated, whether they exist or not."""
         return self.estimator.estimate or self.defaults
+
+    @property
+    def plant(self) -> Plant | None:
+        """The equations of a template, where it could be read and nothing is wrong with it."""
+        if not isinstance(self.model, Domain) or any(fault.path.startswith("model") for fault in self.faults.found):
+            return None
+        return self.model.plant(frozenset(entry.table.quantity for entry in self.channels))
 
     @property
     def is_discrete(self) -> bool:
@@ -117,6 +125,8 @@ class Draft:
         count = 0
         if isinstance(self.model, LinearModel):
             count = len(self.model.A or ())
+        elif self.plant is not None:
+            count = len(self.plant.states)
         elif isinstance(self.model, MechanicsModel) and readable(*(mass.value for mass in self.model.mass)):
             count = sum(2 if mass.value > 0 else 1 for mass in self.model.mass)
         return count or None

@@ -8,6 +8,8 @@ from typing import Any, Final, cast
 
 from agent.config.covariates.rules import check_covariates, parted
 from agent.config.covariates.tables import BaselineTable
+from agent.config.domains.kinds import DOMAINS
+from agent.config.domains.plant import Domain
 from agent.config.draft import Draft
 from agent.config.linear import LinearModel
 from agent.config.linear_files import with_matrices
@@ -48,9 +50,10 @@ LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
     ("alarm", "kind"): ("sensor", "source", "mismatch"),
 }
-_KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel]]] = {
+_KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel] | type[Domain]]] = {
     "mass-spring-damper": MechanicsModel,
     "linear": LinearModel,
+    **DOMAINS,
 }
 _RULES: Final = (
     check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast,
@@ -203,7 +206,7 @@ def _cleared(row: Any, key: str, values: tuple[str, ...], path: str, draft: Draf
 def _read_model(raw: object, draft: Draft) -> None:
     mechanical = "mass-spring-damper"
     if not isinstance(raw, dict):
-        draft.model = read_table(_KINDS[mechanical], raw, "model", draft.faults)
+        draft.model = read_table(MechanicsModel, raw, "model", draft.faults)
         return
     kind = raw.get("kind", mechanical)
     is_known = isinstance(kind, str) and kind in _KINDS
@@ -213,7 +216,8 @@ def _read_model(raw: object, draft: Draft) -> None:
         raw = {**raw, "kind": kind}
     if kind == "linear":
         raw, draft.attached = with_matrices(raw, draft.folder, draft.faults)
-    draft.model = read_table(_KINDS[kind], raw, "model", draft.faults)
+    read: Any = read_table(_KINDS[kind], raw, "model", draft.faults)
+    draft.model = read
 
 
 def _read_columns(raw: object, draft: Draft) -> None:

@@ -5,6 +5,7 @@ from typing import Final
 
 from agent.config.draft import Draft
 from agent.config.linear import LinearModel
+from agent.config.reading.domain_units import QUANTITIES
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Entry, Faults, readable
@@ -24,13 +25,22 @@ def check_channels(draft: Draft) -> None:
         _check_unit(entry, draft.faults)
         if isinstance(draft.model, MechanicsModel):
             _check_place(entry, draft.model, draft.faults)
-        elif isinstance(draft.model, LinearModel) and entry.table.at:
-            draft.faults.add(f"{entry.path}.at", "a linear model has no masses", "remove the key")
+        elif isinstance(draft.model, LinearModel):
+            _check_linear(entry, draft.faults)
     _check_same_units(draft.channels, draft.faults)
     complete = readable(*(entry.table.quantity for entry in draft.channels))
     if draft.channels and complete and not draft.outputs:
         draft.faults.add("channel", "nothing is measured", "add a displacement, velocity or acceleration channel")
     _check_columns(draft)
+
+
+def _check_linear(entry: Entry[Channel], faults: Faults) -> None:
+    path, channel = entry
+    if channel.at:
+        faults.add(f"{path}.at", "a linear model has no masses", "remove the key")
+    if channel.quantity in QUANTITIES:
+        what = f"{shown(channel.quantity)} is for the templates of other domains"
+        faults.add(f"{path}.quantity", what, 'use "input" or "output"')
 
 
 def _check_names(channels: list[Entry[Channel]], faults: Faults) -> None:
@@ -60,9 +70,7 @@ def _check_unit(entry: Entry[Channel], faults: Faults) -> None:
 
 def _check_place(entry: Entry[Channel], model: MechanicsModel, faults: Faults) -> None:
     path, channel = entry
-    if channel.quantity in ("input", "output"):
-        wanted = "force, displacement, velocity or acceleration"
-        faults.add(f"{path}.quantity", f"{shown(channel.quantity)} is for linear models", f"use {wanted}")
+    _check_quantity(entry, faults)
     if channel.at == "":
         faults.add(f"{path}.at", "is missing", 'name the mass it acts on or is measured at, such as "m1"')
     values = {mass.name: mass.value for mass in model.mass or ()}
@@ -72,6 +80,14 @@ def _check_place(entry: Entry[Channel], model: MechanicsModel, faults: Faults) -
         faults.add(f"{path}.at", f"no mass is called {shown(channel.at)}", f"masses are {listing(values)}")
     elif channel.quantity == "acceleration" and values[channel.at] == 0:
         faults.add(f"{path}.at", f"{shown(channel.at)} has no mass, so no acceleration", "measure its displacement")
+
+
+def _check_quantity(entry: Entry[Channel], faults: Faults) -> None:
+    path, channel = entry
+    if channel.quantity in ("input", "output", *QUANTITIES):
+        whose = "the templates of other domains" if channel.quantity in QUANTITIES else "linear models"
+        wanted = "force, displacement, velocity or acceleration"
+        faults.add(f"{path}.quantity", f"{shown(channel.quantity)} is for {whose}", f"use {wanted}")
 
 
 def _check_same_units(channels: list[Entry[Channel]], faults: Faults) -> None:

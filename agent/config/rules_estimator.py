@@ -26,6 +26,8 @@ def check_estimator(draft: Draft) -> None:
     _check_drift(draft)
     if draft.estimator.method == "seed":
         _check_seed(draft)
+    else:
+        _check_seed_only(draft)
     if draft.rate_hz is not None:
         _check_lengths(draft, draft.rate_hz)
 
@@ -48,32 +50,43 @@ def _check_names(draft: Draft) -> None:
 
 
 def _check_seed(draft: Draft) -> None:
-    """Note what the paper's method cannot do: it needs a fast observer, one window, and exact sensors."""
+    """Note what the paper's method cannot do: it needs a fast observer, and an output to lean on."""
     estimator, faults = draft.estimator, draft.faults
     if readable(estimator.observer, estimator.observer.gain) and estimator.observer.gain != "poles":
         what = f'method = "seed" needs an observer given by its poles, not gain = {shown(estimator.observer.gain)}'
         count = f"{draft.states} poles" if draft.states else "one pole a state"
         advice = f"give {count} two to six times as fast as the rig's own"
         faults.add("estimator.observer", what, f'{advice}: {{ gain = "poles", poles = [...] }}')
-    if readable(estimator.window_s) and not isinstance(estimator.window_s, float):
-        faults.add("estimator.window_s", 'method = "seed" has one window', f"give one number; {_OTHER_METHOD}")
-    _check_exact_sensors(draft)
+    _check_sensors(draft)
 
 
 _OTHER_METHOD = 'method = "window-ml" does it'
 
 
-def _check_exact_sensors(draft: Draft) -> None:
-    """Note constants of sensors that the paper's method is asked for."""
-    advice = f"remove it; {_OTHER_METHOD}"
-    asked = ((path, key) for path, channel in draft.channels for key in ("bias", "gain") if getattr(channel, key))
-    for path, key in asked:
-        draft.faults.add(f"{path}.{key}", f'method = "seed" estimates no {key} of a sensor', advice)
-    for i, name in enumerate(draft.estimator.estimate or ()):
-        parameter = draft.parameters.get(name)
-        if parameter is not None and parameter.kind in ("bias", "gain"):
-            what = f'method = "seed" estimates no constant of a sensor such as {shown(name)}'
-            draft.faults.add(f"estimator.estimate[{i}]", what, advice)
+def _check_seed_only(draft: Draft) -> None:
+    """Note keys that only the paper's method has."""
+    for key in ("stop", "rank"):
+        if key in draft.estimator.model_fields_set:
+            draft.faults.add(f"estimator.{key}", 'goes with method = "seed"', "remove it: there is no descent to end")
+
+
+def _check_sensors(draft: Draft) -> None:
+    """Note constants of sensors that the paper's method cannot estimate: offsets, and the gains of all outputs."""
+    names = draft.estimator.estimate or ()
+    asked = [f"{path}.bias" for path, channel in draft.channels if channel.bias]
+    asked += [f"estimator.estimate[{i}]" for i, name in enumerate(names) if _is_offset(draft, name)]
+    for path in asked:
+        what = 'method = "seed" estimates no offset of a sensor'
+        draft.faults.add(path, what, f"remove it; {_OTHER_METHOD}")
+    known = [entry for entry in draft.outputs if not (entry.table.gain or f"{entry.table.name}.gain" in names)]
+    if draft.outputs and not known:
+        what = 'method = "seed" leans its observer on outputs whose gain is not estimated, and there is none'
+        draft.faults.add("estimator.estimate", what, f"leave one gain out; {_OTHER_METHOD}")
+
+
+def _is_offset(draft: Draft, name: str) -> bool:
+    parameter = draft.parameters.get(name)
+    return parameter is not None and parameter.kind == "bias"
 
 
 def _check_drift(draft: Draft) -> None:
@@ -101,6 +114,8 @@ def _check_observer(draft: Draft) -> None:
     _check_belongs(path, "process_sd", "kalman", observer, faults)
     _check_poles(f"{path}.poles", observer.poles or (), draft)
     masses = _pushed(draft.model) if isinstance(draft.model, MechanicsModel) else draft.states
+    if draft.plant is not None:
+        masses = len(draft.plant.pushed)
     given = len(observer.process_sd) if isinstance(observer.process_sd, tuple) else masses
     if masses and given != masses:
         faults.add(f"{path}.process_sd", f"has {given} numbers for {masses}", "give one a mass")

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Iterator
 
+from agent.config.domains.plant import Domain
+from agent.config.domains.rules import check_template, placed
 from agent.config.draft import Draft
 from agent.config.linear import LinearModel
 from agent.config.reading.fields import shown
@@ -15,8 +17,24 @@ def check_model(draft: Draft) -> None:
     """Note the faults of the model."""
     if isinstance(draft.model, LinearModel):
         check_linear(draft, draft.model)
-    elif draft.model is not None:
+    elif isinstance(draft.model, Domain):
+        _check_domain(draft, draft.model)
+    elif isinstance(draft.model, MechanicsModel):
         _check_mechanics(draft, draft.model)
+
+
+def _check_domain(draft: Draft, model: Domain) -> None:
+    """Note the faults of a template, and put its channels at their places."""
+    if not any(fault.path.startswith("model") for fault in draft.faults.found):
+        check_template(model, draft.estimator.estimate or (), draft.faults)
+    plant = draft.plant
+    if plant is None:
+        return
+    places = [placed(path, channel, plant, draft.faults) for path, channel in draft.channels]
+    draft.channels = [
+        Entry(entry.path, entry.table.placed(at=place.at, drives=place.drives)) if place else entry
+        for entry, place in zip(draft.channels, places, strict=True)
+    ]
 
 
 def _elements(model: MechanicsModel) -> Iterator[Entry[Element]]:

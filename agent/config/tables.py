@@ -10,9 +10,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import Field, Strict, ValidationInfo, field_validator
+from pydantic import Field, PrivateAttr, Strict, ValidationInfo, field_validator
 
 from agent.config.covariates.tables import BaselineTable, Covariate
+from agent.config.domains.kinds import DomainModel
+from agent.config.domains.plant import Domain
 from agent.config.linear import ENTRY, LinearModel, LinearParameter
 from agent.config.north.tables import North
 from agent.config.process.settings import Agent
@@ -86,7 +88,7 @@ class MechanicsModel(Table):
     friction: tuple[Element, ...] = ()
 
 
-Model = MechanicsModel | LinearModel
+Model = MechanicsModel | LinearModel | DomainModel
 
 
 class Channel(Table):
@@ -105,11 +107,18 @@ class Channel(Table):
     gain: bool = False
     delay_s: NotNegative = 0.0
     delay_sd_s: NotNegative | None = Field(default=None, description="how far delay_s may be off; 0 for exactly")
+    _drives: bool | None = PrivateAttr(default=None)
 
     @property
     def is_input(self) -> bool:
         """Whether it drives the model rather than being measured."""
-        return self.quantity in ("force", "input")
+        return self.quantity in ("force", "input") if self._drives is None else self._drives
+
+    def placed(self, *, at: str, drives: bool) -> "Channel":
+        """Return it at a place of a template, which says whether its quantity drives there or is read."""
+        copy = self.model_copy(update={"at": at})
+        copy._drives = drives  # noqa: SLF001 - its own class
+        return copy
 
     @property
     def si_factor(self) -> float:
@@ -130,6 +139,14 @@ class Observer(Table):
     process_sd: Intensities | None = None
 
 
+class Stop(Table):
+    """When the descents of the paper's method end: the step or the cost falls so far, or after so many steps."""
+
+    step: NotNegative = 1e-12
+    cost: NotNegative = 0.0
+    iterations: int = Field(default=20_000, ge=1, le=1_000_000)
+
+
 class Estimator(Table):
     """How parameters are estimated; `estimate` is empty until the defaults are filled in."""
 
@@ -141,6 +158,8 @@ class Estimator(Table):
     observer: Observer = Observer()
     resolve: Positive = 0.33
     passes: int = Field(default=10, ge=1, le=1000)
+    stop: Stop = Stop()
+    rank: int | None = Field(default=None, ge=1, description="directions that are solved before descent; 1 is printed")
     drift_s: Positive | None = None
 
     @property
@@ -348,7 +367,7 @@ class Parameter(NamedTuple):
     """Something that can be estimated."""
 
     name: str
-    kind: Literal["mass", "spring", "damper", "friction", "linear", "bias", "gain"]
+    kind: Literal["mass", "spring", "damper", "friction", "linear", "element", "storage", "bias", "gain"]
     nominal: float
     unit: str
 
@@ -412,7 +431,10 @@ class RigConfig(Table):
 
 def parameters_of(model: Model, channels: tuple[Channel, ...]) -> dict[str, Parameter]:
     """Return everything that a model and its channels offer for estimation, by name."""
-    found = _linear(model, channels) if isinstance(model, LinearModel) else _mechanical(model, channels)
+    if isinstance(model, Domain):
+        found = [Parameter(p.name, p.kind, p.nominal, p.unit) for p in model.parts]
+    else:
+        found = _linear(model, channels) if isinstance(model, LinearModel) else _mechanical(model, channels)
     for channel in channels:
         found.append(Parameter(f"{channel.name}.bias", "bias", 0.0, channel.si_unit))
         found.append(Parameter(f"{channel.name}.gain", "gain", 1.0, "1"))

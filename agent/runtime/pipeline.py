@@ -34,6 +34,7 @@ from agent.runtime.ledger import Ledger
 from agent.types import (
     Aligned,
     Baseline,
+    ConditionsRecord,
     CovariateMean,
     FloatArray,
     HealthEvent,
@@ -95,6 +96,7 @@ class Pipeline:
         self.watch: Callable[[Samples], None] | None = None
         self._taken: list[Taken] = []
         self._source_events: list[Record] = []
+        self._conditions_due: dict[int, int] = {}
 
     def adopt(self, learnt: Learnt | None, covariates: Sequence[CovariateMean] = ()) -> None:
         """Begin with what earlier runs learnt of the rig and saw of its covariates, before the first sample."""
@@ -206,6 +208,7 @@ class Pipeline:
         parts, said = ([], []) if estimated.batch is None else self.compensation.step(estimated.batch)
         records: list[Record] = [*parts, *said]
         records += self._failures(estimated)
+        records += self._conditions(estimated)
         records += self._learnt(estimated)
         records += self._found(estimated)
         for part in parts:
@@ -219,6 +222,18 @@ class Pipeline:
         """Return an event for each numerical failure of the method."""
         rig, words = self.config.rig.name, "the estimation failed and starts anew: {}".format
         return [HealthEvent(rig, ESTIMATION, estimated.newest_ns, FAILURE, words(w)) for _, w in estimated.failures]
+
+    def _conditions(self, estimated: Estimated) -> list[Record]:
+        """Return what the paper's conditions say of windows, of each length as often as estimates are kept."""
+        times = estimated.times(sample for sample, _ in estimated.conditions)
+        labels = self.stages.estimation.labels
+        kept: list[Record] = []
+        for sample, found in estimated.conditions:
+            if times[sample] >= self._conditions_due.get(found.window, 0):
+                self._conditions_due[found.window] = times[sample] + round(self.config.store.every_s * 1e9)
+                window_s = found.window / labels.rate_hz
+                kept.append(ConditionsRecord(labels.rig, times[sample], window_s, labels.parameters, found))
+        return kept
 
     def _learnt(self, estimated: Estimated) -> list[Record]:
         """Return what windows taught of the rig: verdicts on its constants, and what the next start begins with."""

@@ -9,12 +9,17 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from sim_bus.errors import SimUsageError
+from sim_bus.rig.domains.built import Built
+from sim_bus.rig.domains.system import KINDS, DomainSystem, DomainTable
 from sim_bus.rig.linear import Linear, LinearSystem
 from sim_bus.rig.matrix_files import with_numbers
 from sim_bus.rig.plant import GROUND, Graph, Hold, Link, PlantError, System
 from sim_bus.rig.units import si_factor
 
-Quantity = Literal["force", "displacement", "velocity", "acceleration", "input", "output"]
+Quantity = Literal[
+    "force", "displacement", "velocity", "acceleration", "input", "output",
+    "voltage", "current", "torque", "speed", "angle", "power", "temperature", "flow", "pressure", "level",
+]  # fmt: skip
 _PLAYED = (
     "the simulator plays what stands there: give the value that the machine is to have, or let "
     "`deltak identify CONFIG RECORDING --write` find it from a recording"
@@ -52,11 +57,12 @@ class Channel(_Part):
     offset: float = 0.0
     noise_sd: float | None = None
     delay_s: float = Field(default=0.0, ge=0)
+    drives: bool | None = None
 
     @property
     def is_input(self) -> bool:
-        """Whether it drives the rig."""
-        return self.quantity in ("force", "input")
+        """Whether it drives the rig; in a template its place says so."""
+        return self.quantity in ("force", "input") if self.drives is None else self.drives
 
     @property
     def si_factor(self) -> float:
@@ -141,12 +147,14 @@ class Source(BaseModel):
         return dict(self.model_extra or {})
 
 
-_MECHANICAL, _LINEAR = "mass-spring-damper", "linear"
+_MECHANICAL, _LINEAR, _DOMAIN = "mass-spring-damper", "linear", "template"
 
 
 def _kind(raw: object) -> str:
     """Return which kind of model a table, or one that was read, is."""
     kind = raw.get("kind") if isinstance(raw, dict) else getattr(raw, "kind", None)
+    if isinstance(kind, str) and kind in KINDS:
+        return _DOMAIN
     return _LINEAR if kind == _LINEAR else _MECHANICAL
 
 
@@ -154,7 +162,10 @@ class RigFile(_Part):
     """A configuration as far as the simulator reads it."""
 
     rig: Rig
-    model: Annotated[Annotated[Mechanics, Tag(_MECHANICAL)] | Annotated[Linear, Tag(_LINEAR)], Discriminator(_kind)]
+    model: Annotated[
+        Annotated[Mechanics, Tag(_MECHANICAL)] | Annotated[Linear, Tag(_LINEAR)] | Annotated[DomainTable, Tag(_DOMAIN)],
+        Discriminator(_kind),
+    ]
     channel: tuple[Channel, ...] = Field(min_length=1)
     source: tuple[Source, ...] = Field(min_length=1)
     estimator: Estimator = Estimator()
@@ -163,16 +174,20 @@ class RigFile(_Part):
     @property
     def system(self) -> System:
         """What moves."""
+        if isinstance(self.model, Mechanics):
+            return self.model.graph
+        ordered = sorted(self.channel, key=lambda channel: not channel.is_input)
+        count = sum(channel.is_input for channel in ordered)
+        names = tuple(channel.name for channel in ordered)
         if isinstance(self.model, Linear):
-            names = [[c.name for c in self.channel if c.is_input is side] for side in (True, False)]
-            return LinearSystem(self.model, tuple(names[0]), tuple(names[1]))
-        return self.model.graph
+            return LinearSystem(self.model, names[:count], names[count:])
+        return DomainSystem(self.model, names[:count], names[count:], tuple((c.quantity, c.at) for c in ordered))
 
     @property
     def nominal(self) -> dict[str, float]:
         """Every parameter by name."""
         system = self.system
-        return system.nominal if isinstance(system, LinearSystem) else self._mechanics.nominal
+        return system.nominal if isinstance(system, LinearSystem | DomainSystem) else self._mechanics.nominal
 
     @property
     def hold(self) -> Hold:
@@ -187,7 +202,17 @@ class RigFile(_Part):
 
     def place(self, channel: Channel) -> str:
         """Return where a channel acts or reads: a node, or of a linear rig the channel itself."""
-        return channel.name if isinstance(self.model, Linear) else channel.at
+        return channel.at if isinstance(self.model, Mechanics) else channel.name
+
+    @model_validator(mode="before")
+    @classmethod
+    def _channels_are_placed(cls, raw: Any) -> Any:
+        """Put the channels of a template at their places, which say whether they drive."""
+        if not isinstance(raw, dict) or _kind(raw.get("model")) != _DOMAIN:
+            return raw
+        table = DomainTable(**raw["model"])
+        built = table.built(table.nominal)
+        return {**raw, "channel": [_placed(channel, built) for channel in raw.get("channel", ())]}
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
@@ -206,6 +231,8 @@ class RigFile(_Part):
     def _misplaced(self) -> list[str]:
         """Return in words which channels are nowhere, and which matrices do not fit the channels."""
         system = self.system
+        if isinstance(system, DomainSystem):
+            return []  # placed already
         if isinstance(system, LinearSystem):
             wrong = [c.name for c in self.channel if c.quantity not in ("input", "output")]
             try:
@@ -243,6 +270,13 @@ class RigFile(_Part):
             names.append(source.name or _free_name(source.driver, taken))
             taken.add(names[-1])
         return tuple(names)
+
+
+def _placed(channel: Mapping[str, Any], built: Built) -> dict[str, Any]:
+    place = built.place(str(channel.get("quantity")), str(channel.get("at", "")))
+    if place is None:
+        raise ValueError(f"channel {channel.get('name')}: there is no such place; deltak check lists them")
+    return {**channel, "at": place[1], "drives": place in built.drives}
 
 
 def _free_name(stem: str, taken: set[str]) -> str:

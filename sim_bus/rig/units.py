@@ -1,5 +1,6 @@
 """Units of channels: how many SI units one of them is. Text that is no known unit is kept as it is (factor 1)."""
 
+import math
 from collections.abc import Mapping
 
 _PREFIXES: Mapping[str, float] = {"k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9, "": 1.0}
@@ -21,6 +22,7 @@ _FORCES: Mapping[str, float] = {
     "lbf": 0.45359237 * 9.80665,
     "kip": 453.59237 * 9.80665,
 }
+_REVOLUTION = 2.0 * math.pi
 _STANDARD_GRAVITY = {"g": 9.80665, "gn": 9.80665, "mg": 9.80665e-3}
 SI_FACTORS: Mapping[str, Mapping[str, float]] = {
     "force": _FORCES,
@@ -30,6 +32,20 @@ SI_FACTORS: Mapping[str, Mapping[str, float]] = {
         f"{unit}{per}": factor for unit, factor in _LENGTHS.items() for per in ("/s2", "/s^2", "/s/s", " s-2")
     }
     | _STANDARD_GRAVITY,
+    "voltage": {f"{prefix}V": factor for prefix, factor in _PREFIXES.items()},
+    "current": {f"{prefix}A": factor for prefix, factor in _PREFIXES.items()},
+    "power": {f"{prefix}W": factor for prefix, factor in _PREFIXES.items()},
+    "torque": {f"{prefix}{unit}": factor for prefix, factor in _PREFIXES.items() for unit in ("N m", "Nm")},
+    "speed": {
+        "rpm": _REVOLUTION / 60.0,
+        "1/min": _REVOLUTION / 60.0,
+        "deg/s": _REVOLUTION / 360.0,
+        "rev/s": _REVOLUTION,
+    },
+    "angle": {"mrad": 1e-3, "urad": 1e-6, "deg": _REVOLUTION / 360.0, "rev": _REVOLUTION},
+    "flow": {"m3/h": 1.0 / 3600.0, "l/s": 1e-3, "l/min": 1e-3 / 60.0, "L/min": 1e-3 / 60.0, "ml/s": 1e-6},
+    "pressure": {"kPa": 1e3, "hPa": 1e2, "MPa": 1e6, "mbar": 1e2, "bar": 1e5, "psi": 6894.757293168},
+    "level": _LENGTHS,
 }
 _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "2", "·": "*"})
 

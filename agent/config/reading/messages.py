@@ -62,7 +62,9 @@ def listing(names: Iterable[str]) -> str:
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return the known word that is most like the given one; "" where none is known."""
-    return next(iter(difflib.get_close_matches(word[:100], list(known), n=1, cutoff=0.0)), "")
+    words = list(known)
+    other_case = [name for name in words if name.casefold() == word.casefold()]
+    return next(iter(other_case or difflib.get_close_matches(word[:100], words, n=1, cutoff=0.0)), "")
 
 
 def unknown_key(path: str, key: str, known: Sequence[str]) -> Fault:

@@ -4,7 +4,12 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Final, Literal
 
-Quantity = Literal["force", "displacement", "velocity", "acceleration", "input", "output"]
+from agent.config.reading import domain_units
+
+Quantity = Literal[
+    "force", "displacement", "velocity", "acceleration", "input", "output",
+    "voltage", "current", "torque", "speed", "angle", "power", "temperature", "flow", "pressure", "level",
+]  # fmt: skip
 
 _LENGTH: Final[Mapping[str, float]] = {
     "m": 1.0, "km": 1e3, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9,
@@ -43,13 +48,16 @@ _WORDS: Final[Mapping[str, Mapping[str, str]]] = {
 MOST_LETTERS = 3
 """Of what is no word: of so few letters each may be another unit."""
 
-_SI: Final[Mapping[str, str]] = {"force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
-_KNOWN: Final[Mapping[str, Mapping[str, float]]] = {
+_SI: Final[Mapping[str, str]] = {
+    "force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s2", **domain_units.SI,
+}  # fmt: skip
+_MECHANICAL: Final[Mapping[str, Mapping[str, float]]] = {
     "force": _FORCE,
     "displacement": _LENGTH,
     "velocity": _VELOCITY,
     "acceleration": _ACCELERATION,
 }
+_KNOWN: Final[Mapping[str, Mapping[str, float]]] = {**_MECHANICAL, **domain_units.KNOWN, "level": _LENGTH}
 _OTHER_KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "mass": ("kg", "g", "mg", "t", "lb"),
     "time": ("s", "ms", "us", "min", "h"),
@@ -73,12 +81,13 @@ def conversion(quantity: Quantity, unit: str) -> tuple[float, str]:
 def wrong_kind(quantity: Quantity, unit: str) -> str | None:
     """Return what a known unit measures where that is not the quantity; None where nothing is wrong.
 
-    Inputs and outputs of linear models take any unit.
+    Inputs and outputs of linear models take any unit; so do forces and motions, whose sensors may count in volts.
     """
     text = normal(unit)
     if quantity not in _KNOWN or text in _KNOWN[quantity]:
         return None
-    kinds = {**_KNOWN, **_OTHER_KINDS}
+    others = {} if quantity in _MECHANICAL else domain_units.KNOWN
+    kinds = {**_MECHANICAL, **others, **_OTHER_KINDS}
     return next((kind for kind, units in kinds.items() if text in units), None)
 
 
@@ -92,13 +101,19 @@ def near_miss(quantity: Quantity, unit: str) -> str:
     if not known or text in known:
         return ""
     alike = [name for name in known if name.casefold() == text.casefold()]
-    words = get_close_matches(text.casefold(), _WORDS[quantity], n=1, cutoff=0.8) if len(text) > MOST_LETTERS else []
-    return " or ".join(alike) or (_WORDS[quantity][words[0]] if words else "")
+    spelt = _WORDS.get(quantity, {})
+    words = get_close_matches(text.casefold(), spelt, n=1, cutoff=0.8) if len(text) > MOST_LETTERS else []
+    return " or ".join(alike) or (spelt[words[0]] if words else "")
+
+
+def is_known(quantity: Quantity, unit: str) -> bool:
+    """Tell whether a unit is one of those of a quantity; a temperature's are degC and K."""
+    return normal(unit) in _KNOWN.get(quantity, domain_units.TEMPERATURES)
 
 
 def examples(quantity: Quantity) -> str:
     """Return some units of a quantity, for advice."""
-    return ", ".join(list(_KNOWN[quantity])[:6])
+    return ", ".join(list(_KNOWN.get(quantity, domain_units.TEMPERATURES))[:6])
 
 
 def base_length(displacement: str | None, velocity: str | None, acceleration: str | None) -> str:

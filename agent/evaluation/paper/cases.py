@@ -26,6 +26,17 @@ GAIN = np.array([
 """K_e as printed."""
 ITERATIONS = 17
 """What the paper needed for Z in its case 1."""
+COST, STEP = 4e-10, 1e-8
+"""The cost at the optimum and the last difference of Z, as printed for case 1."""
+MATRIX = np.array([
+    [2.49e-05, -1.66e-05, -0.0149, 0.0099],
+    [-2.76e-05, 2.76e-05, 0.0166, -0.0166],
+    [-5.26e-07, -5.62e-07, -9.27e-08, -1.01e-07],
+    [-2.19e-07, -2.34e-07, -3.87e-08, -4.25e-08],
+])  # fmt: skip
+"""The estimated ΔA of case 1, as printed."""
+OBSERVER_POLES = (-45.0, -40.0, -35.0, -30.0)
+"""Where K_e is said to put them, 1/s."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,7 +82,7 @@ def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
         last = np.searchsorted(curves[0][2], np.arange(1, len(changes) + 1) * cases.SEGMENT)
         _limit(axis, np.concatenate([actual, curves[0][3][last, i]]))
         for name, colour, index, values in curves:
-            shown = _inside(axis, values[:, i])
+            shown = _clean(index, values[:, i], window)
             axis.plot(index, shown, color=colour, lw=1.5, label=name)
             if colour == PRINTED:
                 _name_settled(axis, index[last], shown[last], actual[index[last] - 1])
@@ -90,7 +90,7 @@ def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
             axis.axvspan(start, start + window, color=INK, alpha=0.06, lw=0)
         axis.set_ylabel(f"Δ{cases.PARAMETERS[i]}  ({cases.UNITS[i]})")
     axes[0].set_title(
-        f"Figure 4: case 2, window of {window} samples (grey: it holds a change; what leaves the frame is not drawn)",
+        f"Figure 4: case 2, window of {window} samples (grey: it holds a change, and no line is drawn)",
         loc="left", fontsize=10, color=INK,
     )  # fmt: skip
     axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="upper right", ncols=4, frameon=False, fontsize=9)
@@ -98,17 +98,16 @@ def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
 
 
 def _limit(axis: "Axes", settled: FloatArray) -> None:
-    """Show settled values with room about them; what a window that holds a change gives may leave the frame."""
+    """Show settled values with room about them."""
     low, high = float(settled.min()), float(settled.max())
     margin = 0.35 * max(high - low, 1e-9)
     axis.set_ylim(low - margin, high + margin)
     _tidy(axis)
 
 
-def _inside(axis: "Axes", values: FloatArray) -> FloatArray:
-    """Return values with NaN for those outside the frame, which would only draw lines up and down."""
-    low, high = axis.get_ylim()
-    return np.where((values > low) & (values < high), values, np.nan)
+def _clean(index: IntArray, values: FloatArray, window: int) -> FloatArray:
+    """Return values with NaN for windows that hold a change: one gap a change, and no line in pieces."""
+    return np.where((index > cases.SEGMENT) & ((index - 1) % cases.SEGMENT + 1 < window), np.nan, values)
 
 
 def _name_settled(axis: "Axes", samples: IntArray, values: FloatArray, actual: FloatArray) -> None:

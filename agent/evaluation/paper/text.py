@@ -22,10 +22,35 @@ def table(document: dict[str, Any]) -> "RenderableType":
     lines = [
         f"window of {window} samples; as printed and re-centred on Euler data, product on exact data",
         f"iterations of descent: {case['iterations']} as printed (the paper: {case['iterations_published']}), {counts}",
+        _end_line(case),
+        _poles_line(case["observer_poles"]),
         _margin_line(case),
         *document["remarks"],
     ]
-    return Group(*tables, *(Text(line) for line in lines))
+    return Group(*tables, _matrix_table(case["matrix"]), *(Text(line) for line in lines))
+
+
+def _matrix_table(of: dict[str, list[list[float]]]) -> "RenderableType":
+    from rich.table import Table
+
+    drawn = Table(title="the matrix of case 1", title_justify="left", title_style="bold")
+    drawn.add_column("row")
+    names = {"published": "published", "as_printed": "as printed", "recentred": "re-centred"}
+    for title in names.values():
+        drawn.add_column(title, justify="right", no_wrap=True)
+    for i in range(len(of["published"])):
+        drawn.add_row(str(i + 1), *("  ".join(f"{cell:9.2e}" for cell in of[name][i]) for name in names))
+    return drawn
+
+
+def _end_line(case: dict[str, Any]) -> str:
+    cost = f"cost at its end: {case['cost']:.3g} (the paper: {case['cost_published']:.0e})"
+    return f"{cost}, last step of Z {case['step']:.0e} (the paper: {case['step_published']:.0e})"
+
+
+def _poles_line(poles: dict[str, list[float]]) -> str:
+    computed, published = (", ".join(f"{pole:.4g}" for pole in poles[name]) for name in ("computed", "published"))
+    return f"observer poles of the printed gain: {computed} 1/s (the paper: {published})"
 
 
 def _segment_table(title: str, rows: list[dict[str, Any]], passes: int) -> "RenderableType":
@@ -36,13 +61,19 @@ def _segment_table(title: str, rows: list[dict[str, Any]], passes: int) -> "Rend
     for column in ("actual", "published", "as printed", f"re-centred, {passes} passes", "product"):
         drawn.add_column(column, justify="right", no_wrap=True)
     drawn.add_column("unit")
+    drawn.add_column("off by, %: published, as printed", justify="right", no_wrap=True)
     for row in rows:
         figures = (row["recentred"], row["product"])
         drawn.add_row(
             row["parameter"], f"{row['actual']:g}", f"{row['published']:g}", _figure(row["as_printed"], 3),
-            *(_figure(figure, 6) for figure in figures), row["unit"],
+            *(_figure(figure, 6) for figure in figures), row["unit"], _errors(row["percent"]),
         )  # fmt: skip
     return drawn
+
+
+def _errors(percent: dict[str, float | None]) -> str:
+    shown = [percent[name] for name in ("published", "as_printed")]
+    return ", ".join("–" if error is None else f"{error:.2f}" for error in shown) if any(shown) else ""
 
 
 def _figure(value: float | None, places: int) -> str:

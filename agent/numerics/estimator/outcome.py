@@ -11,9 +11,9 @@ from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.inference.posterior import Posterior
 from agent.numerics.inference.verdicts import Belief
-from agent.types import CodeArray, FloatArray, IntArray, Reason, Status
+from agent.types import CodeArray, FloatArray, IntArray, Reason, Status, WindowConditions
 
-EVENTS = ("beliefs", "findings", "failures")
+EVENTS = ("beliefs", "findings", "failures", "conditions")
 """Fields of `Outcome` that tell of the whole call, beside its columns."""
 
 
@@ -31,6 +31,7 @@ class Outcome:
         beliefs: (sample, beliefs about the rig's constants) of the windows learnt from meanwhile.
         findings: faults of channels that began or ended meanwhile.
         failures: (last sample, what was raised first) of each call that failed.
+        conditions: (last sample, the paper's conditions) of windows that are looked at so.
     """
 
     index: IntArray
@@ -47,6 +48,7 @@ class Outcome:
     beliefs: tuple[tuple[int, tuple[Belief, ...]], ...] = ()
     findings: tuple[Finding, ...] = ()
     failures: tuple[tuple[int, str], ...] = ()
+    conditions: tuple[tuple[int, WindowConditions], ...] = ()
 
     @classmethod
     def warming(cls, index: IntArray, q: int) -> "Outcome":

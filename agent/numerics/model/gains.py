@@ -1,7 +1,7 @@
 """How the observer is set over the life of an estimator: before the first fit, and about a fitted model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -62,14 +62,22 @@ class AutomaticGains:
 
 @dataclass(frozen=True, slots=True)
 class PlacedGains:
-    """Observer poles as configured, 1/s, before and after."""
+    """Observer poles as configured, 1/s, before and after.
+
+    outputs: numbers of the outputs that the observer corrects itself by; None for all of them.
+    """
 
     poles: Sequence[complex]
+    outputs: tuple[int, ...] | None = None
     disturbance: None = None
 
     def start(self, discrete: Discrete, noise: Noise) -> Gain:
         """Return the gain that places the poles."""
-        return plain_gain(poles_gain(discrete.model, self.poles, discrete.period_s), noise.sigma)
+        model = discrete.model
+        rows = list(range(model.p)) if self.outputs is None else list(self.outputs)
+        gain = np.zeros((model.n, model.p))
+        gain[:, rows] = poles_gain(replace(model, C=model.C[rows]), self.poles, discrete.period_s)
+        return plain_gain(gain, noise.sigma)
 
     def settled(self, discrete: Discrete, noise: Noise) -> Gain:
         """Return the same."""

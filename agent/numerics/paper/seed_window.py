@@ -16,7 +16,9 @@ from scipy.special import stdtrit
 
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.model.sensitivity import sensitivity_filter
+from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
+from agent.numerics.paper.conditions import window_conditions
 from agent.numerics.paper.seed import (
     Batch,
     Descent,
@@ -25,10 +27,12 @@ from agent.numerics.paper.seed import (
     descend,
     general_solution,
     observe,
+    output_batch,
+    state_batch,
     structured,
 )
 from agent.numerics.window.filtering.hops import HopPlan
-from agent.types import BoolArray, FloatArray, Reason, Status
+from agent.types import BoolArray, FloatArray, Reason, Status, WindowConditions
 
 RUN_AWAY = 1e60
 """States of an observer that is not stable any more, small enough for their squares to be figures."""
@@ -76,9 +80,10 @@ class SeedFit:
     Attributes:
         theta, sd: (q,) parameters and what the regression's residual says of them; NaN where it failed.
         dof: degrees of freedom of that residual.
-        descents: one a pass.
+        descents: those of Z, one a pass; each followed by that of W where gains of sensors are estimated.
         trail: (passes, q) parameters after each pass.
         settled: further passes would not move it by more than its sd says; only the stream (`SeedWindow`) asks.
+        conditions: of the window, by its last pass; only of the stream, too.
     """
 
     theta: FloatArray
@@ -87,6 +92,7 @@ class SeedFit:
     descents: tuple[Descent, ...]
     trail: FloatArray
     settled: bool = True
+    conditions: WindowConditions | None = None
 
 
 def settling(model: StateSpace, gain: FloatArray, share: float) -> int:
@@ -112,14 +118,50 @@ def regression(model: StateSpace, states: FloatArray, u: FloatArray) -> tuple[Ba
     return Batch(np.hstack([states[:-1], u]), moved), np.concatenate([model.dA, model.dB], axis=2)
 
 
+def output_regression(
+    model: StateSpace, states: FloatArray, y: FloatArray, u: FloatArray
+) -> tuple[Batch, FloatArray]:
+    """Return the batch of dC over a window and the derivatives (q, p, r) of its matrix; inputs join where dD is any."""
+    left = y - states[:-1] @ model.C.T - u @ model.D.T
+    if not model.dD.any():
+        return Batch(states[:-1], left), model.dC
+    return Batch(np.hstack([states[:-1], u]), left), np.concatenate([model.dC, model.dD], axis=2)
+
+
 def one_pass(
-    model: StateSpace, settings: SeedSettings, states: FloatArray, u: FloatArray
-) -> tuple[Descent, Structured]:
-    """Estimate from the observer's states (W+1, n) over a window and its inputs u (W, m)."""
+    model: StateSpace, settings: SeedSettings, states: FloatArray, y: FloatArray, u: FloatArray
+) -> tuple[tuple[Descent, ...], Structured]:
+    """Estimate from the observer's states (W+1, n) over a window and its readings y (W, p) and inputs u (W, m).
+
+    Descent over Z gives what acts in the states' equation; descent over W gives what shows in the readings alone, the
+    gains of sensors, where there are such.
+    """
     batch, derivatives = regression(model, states, u)
+    moves = np.asarray(derivatives.any(axis=(1, 2)), dtype=bool)
+    descent, found = _descended(batch, derivatives[moves], settings)
+    if settings.read is not None:
+        found = replace(found, delta=settings.read(descent.M))
+    if moves.all():
+        return (descent,), found
+    batch, derivatives = output_regression(model, states, y, u)
+    reading, shown = _descended(batch, derivatives[~moves], settings)
+    return (descent, reading), _merged(moves, found, shown)
+
+
+def _descended(batch: Batch, derivatives: FloatArray, settings: SeedSettings) -> tuple[Descent, Structured]:
+    """Return where descent on a batch ends, and the parameters (of derivatives (q, d, n)) that are read from it."""
     descent = descend(batch, general_solution(batch, settings.rank), settings.stopping)
-    found = structured(batch, descent.M, derivatives)
-    return descent, found if settings.read is None else replace(found, delta=settings.read(descent.M))
+    if not len(derivatives):
+        return descent, Structured(np.zeros(0), np.zeros(0), float(batch.targets.size))
+    return descent, structured(batch, descent.M, derivatives)
+
+
+def _merged(moves: BoolArray, found: Structured, shown: Structured) -> Structured:
+    """Put what acts in the states' equation and what shows in the readings in the parameters' order."""
+    delta, sd = np.empty(len(moves)), np.empty(len(moves))
+    delta[moves], delta[~moves] = found.delta, shown.delta
+    sd[moves], sd[~moves] = found.sd, shown.sd
+    return Structured(delta, sd, min(found.dof, shown.dof))
 
 
 def fit_passes(
@@ -132,7 +174,7 @@ def fit_passes(
     theta = np.array(model.nominal, dtype=float)
     window = settings.plan.window
     trail = []
-    descents = []
+    descents: list[Descent] = []
     sd = np.full(len(theta), np.nan)
     dof = np.nan
     for _ in range(settings.passes):
@@ -142,9 +184,9 @@ def fit_passes(
         if not np.all(np.abs(states) < RUN_AWAY):
             theta = np.full(len(theta), np.nan)
             break
-        descent, found = one_pass(sampled, settings, states, u[-window:])
+        made, found = one_pass(sampled, settings, states, y[-window:], u[-window:])
         theta, sd, dof = _kept(model, settings, theta + found.delta), found.sd, found.dof
-        descents.append(descent)
+        descents += made
         trail.append(theta)
         if not np.all(np.isfinite(theta)):
             break
@@ -241,16 +283,19 @@ class SeedWindow:
         suspect: BoolArray | None = None,
     ) -> Outcome:  # fmt: skip
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
-        self._append(y, u)
+        self._append(y, with_constant(u, self._sampled.m))
         due = self.settings.plan.rows_between(index, index + len(y))
         rows = Outcome.warming(due, len(self.model.nominal))
         newest = index + len(y) - 1
+        conditions: list[tuple[int, WindowConditions]] = []
         for row, at in enumerate(due.tolist()):
             after = newest - at
             if self._seen - after >= self._run_up + self.settings.plan.window:
-                self._write(rows, row, self._fit(len(self._y) - after))
+                fit = self._fit(len(self._y) - after)
+                self._write(rows, row, fit)
+                conditions += [(at, fit.conditions)] if fit.conditions is not None else []
         self._trim()
-        return rows
+        return replace(rows, conditions=tuple(conditions))
 
     def _append(self, y: FloatArray, u: FloatArray) -> None:
         states = observe(self._sampled, self.settings.gain, y, u, self._states[-1])
@@ -265,18 +310,33 @@ class SeedWindow:
         y, u, x0 = self._y[start:stop], self._u[start:stop], self._states[start]
         if self.settings.passes > 1:
             return self._examined(fit_passes(self.model, self.settings, y, u, x0), y, u, x0)
-        states, u_window = self._states[stop - window : stop + 1], self._u[stop - window : stop]
-        descent, found = one_pass(self._sampled, self.settings, states, u_window)
+        states = self._states[stop - window : stop + 1]
+        last = slice(stop - window, stop)
+        made, found = one_pass(self._sampled, self.settings, states, self._y[last], self._u[last])
         theta = _kept(self.model, self.settings, self.model.nominal + found.delta)
-        return self._examined(SeedFit(theta, found.sd, found.dof, (descent,), theta[None]), y, u, x0)
+        return self._examined(SeedFit(theta, found.sd, found.dof, made, theta[None]), y, u, x0)
 
     def _examined(self, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray) -> SeedFit:
         """Add to a fit's sd what its passes have still to go, and say whether that is too much to call it settled."""
+        fit = replace(fit, conditions=self._conditions(fit, y, u, x0))
         if not np.all(np.isfinite(fit.theta)):
             return replace(fit, settled=False)
         left = remaining(self.model, self.settings, fit, y, u, x0)
         settled = np.all(left <= np.maximum(ENOUGH * self.settings.scale, DEVIATIONS * fit.sd))
         return replace(fit, sd=np.hypot(fit.sd, left), settled=bool(settled))
+
+    def _conditions(self, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray) -> WindowConditions | None:
+        """Return what the conditions say of the window, by the observer on the nominal model as the paper's is."""
+        if not fit.descents:
+            return None
+        window, model = self.settings.plan.window, self._sampled
+        states = observe(model, self.settings.gain, y, u, x0)[-window - 1 :]
+        outputs = output_batch(model, states[:-1], y[-window:], u[-window:])
+        a_pass = len(fit.descents) // len(fit.trail)
+        return window_conditions(
+            state_batch(model, states, u[-window:]), outputs, fit.descents[-a_pass:], fit.trail,
+            np.asarray(self.model.nominal, dtype=float), self.settings.scale,
+        )  # fmt: skip
 
     def _write(self, rows: Outcome, row: int, fit: SeedFit) -> None:
         half = stdtrit(fit.dof, 0.975) * fit.sd

@@ -1,5 +1,6 @@
 """The estimation methods by the names that configurations use."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,7 @@ from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.fitting.work import Budget
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
+from agent.numerics.window.filtering.hops import HopPlan
 from agent.runtime.assembly.model_check import require_observable
 from agent.types import FloatArray
 
@@ -29,7 +31,7 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
     require_observable(config, rig)
     plan = hop_plan(config)
     _require_readings(config, rig, plan.window)
-    longer = longer_windows(config, plan) if config.estimator.method == "window-ml" else ()
+    longer = longer_windows(config, plan)
     physical = {"mass", "spring", "damper", "friction"}
     labels = Labels(
         rig=config.rig.name, method=config.estimator.method, parameters=tuple(p.name for p in rig.parameters),
@@ -57,7 +59,14 @@ def _require_readings(config: RigConfig, rig: RigModel, window: int) -> None:
 def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray, budget: Budget) -> Method:
     if config.estimator.method == "window-ml":
         return SlidingEstimator(estimator_settings(config, resolution), budget)
+    return _seed(config, rig, resolution)
+
+
+def _seed(config: RigConfig, rig: RigModel, resolution: FloatArray) -> Method:
+    """Return the paper's estimator, over one window or several."""
+    from agent.numerics.paper.seed import Stopping
     from agent.numerics.paper.seed_window import SeedSettings, SeedWindow
+    from agent.numerics.paper.seed_windows import SeedWindows
 
     period_s = 1.0 / config.rig.sample_rate_hz
     hold = config.estimator.hold
@@ -70,5 +79,11 @@ def _estimator(config: RigConfig, rig: RigModel, resolution: FloatArray, budget:
     enough = config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf)
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
     scale = np.where(rig.model.nominal != 0, np.abs(rig.model.nominal), limited)
-    seed = SeedSettings(period_s, plan, hold, gain, config.estimator.passes, scale, enough)
-    return SeedWindow(rig.model, seed)
+    stop = config.estimator.stop
+    seed = SeedSettings(
+        period_s, plan, hold, gain, config.estimator.passes, scale, enough,
+        rank=config.estimator.rank, stopping=Stopping(stop.step, stop.cost, stop.iterations),
+    )  # fmt: skip
+    lengths = (plan.window, *longer_windows(config, plan))
+    windows = [SeedWindow(rig.model, replace(seed, plan=HopPlan(length, plan.hop))) for length in lengths]
+    return windows[0] if len(windows) == 1 else SeedWindows(windows)

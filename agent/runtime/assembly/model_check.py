@@ -10,6 +10,7 @@ from agent.blocks.rig_model import SENSOR_KINDS, RigModel
 from agent.config import RigConfig
 from agent.config.tables import Parameter
 from agent.errors import Fault, ModelError
+from agent.numerics.model.elements.descriptor import DescriptorModel, is_read, with_reading
 from agent.numerics.model.identifiability import Identifiability, identifiability
 from agent.numerics.model.mechanics import MassSpringDamper, Output
 from agent.numerics.model.observer import unobservable_states
@@ -148,6 +149,9 @@ def further_outputs(rig: RigModel) -> list[tuple[str, Model]]:
     if isinstance(inner, AffineModel):
         states = enumerate(inner.state_names)
         return [(name, _put(rig.model, _reading(inner, i))) for i, name in states if not _is_read(inner, i)]
+    if isinstance(inner, DescriptorModel):
+        states = enumerate(inner.state_names)
+        return [(name, _put(rig.model, with_reading(inner, i))) for i, name in states if not is_read(inner, i)]
     if not isinstance(inner, MassSpringDamper):
         return []
     known = {output.at for output in inner.outputs if output.quantity == "displacement"}

@@ -19,6 +19,7 @@ from agent import __version__
 from agent.storage.database.checksum import column_crc, row_crc
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
 from agent.storage.database.views_of_baselines import BASELINES
+from agent.storage.database.views_of_conditions import CONDITIONS
 from agent.storage.database.views_of_covariates import COVARIATES
 from agent.storage.database.views_of_forecasts import FORECASTS
 from agent.storage.database.views_of_notifications import NOTIFICATIONS
@@ -93,13 +94,17 @@ TABLES: dict[str, str] = {
     "attempts INTEGER NOT NULL, last_error TEXT, done_ns INTEGER",
     "covariates": "run_id INTEGER NOT NULL, span INTEGER NOT NULL, t_ns INTEGER NOT NULL, name TEXT NOT NULL, "
     "unit TEXT NOT NULL, value REAL NOT NULL, n INTEGER NOT NULL",
+    "conditions": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, window_s REAL NOT NULL, defect REAL, "
+    "defect_outputs REAL, rank INTEGER NOT NULL, rank_joined INTEGER NOT NULL, defect_special REAL, "
+    "z_zero INTEGER NOT NULL, iterations INTEGER NOT NULL, converged INTEGER NOT NULL, cost REAL, step REAL, "
+    "passes INTEGER NOT NULL, ratio REAL, trail TEXT NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
 _SINCE = {
     "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7, "annotations": 7,
-    "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7, "covariates": 8,
+    "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7, "covariates": 8, "conditions": 8,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
@@ -229,10 +234,11 @@ def _forecasts_operations_baselines_notifications(db: "Database") -> None:
     _mark(db.conn, 7)
 
 
-def _covariates(db: "Database") -> None:
-    """Version 8: what healthy parameters may depend on."""
-    _create(db.conn, "covariates")
-    for statement in COVARIATES:
+def _covariates_conditions(db: "Database") -> None:
+    """Version 8: what healthy parameters may depend on; what the paper's conditions say of each window."""
+    for table in ("covariates", "conditions"):
+        _create(db.conn, table)
+    for statement in (*COVARIATES, *CONDITIONS):
         db.conn.execute(statement)
     _mark(db.conn, 8)
 
@@ -245,7 +251,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0005_steps": _steps,
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
     "0007_forecasts_operations_baselines_notifications": _forecasts_operations_baselines_notifications,
-    "0008_covariates": _covariates,
+    "0008_covariates_conditions": _covariates_conditions,
 }
 """The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
 

@@ -227,6 +227,14 @@ def verdicts(db: Path | str, rig: str | None = None) -> Rows:
         return _rows(connection, "v_verdicts", f"{condition} ORDER BY t_ns, run_id", values)
 
 
+def conditions(db: Path | str, rig: str | None = None) -> Rows:
+    """Return rows of v_conditions, oldest first."""
+    with reading(db) as connection:
+        _chosen_rigs(connection, rig)
+        condition, values = _where(rig=rig)
+        return _rows(connection, "v_conditions", f"{condition} ORDER BY id", values)
+
+
 def forecasts(db: Path | str, rig: str | None = None, parameter: str | None = None, *, waiting: bool = False) -> Rows:
     """Return rows of v_forecast, oldest first; waiting: only those that are not scored yet."""
     with reading(db) as connection:

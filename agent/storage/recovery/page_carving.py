@@ -18,7 +18,7 @@ _WAL_HEADER, _FRAME_HEADER = 32, 24
 _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health", "events",
     "event_records", "learnt", "hypotheses", "shelves", "annotations", "sites",
-    "graphs", "baselines", "forecasts", "covariates",
+    "graphs", "baselines", "forecasts", "covariates", "conditions",
 )  # fmt: skip
 _CARVED_AT_ONCE = 10_000
 _Key = tuple[int, bool]

@@ -276,6 +276,7 @@ def _drop_orphans(target: sqlite3.Connection) -> None:
         "DELETE FROM event_records WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM learnt WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM hypotheses WHERE run_id NOT IN (SELECT seq FROM runs)",
+        "DELETE FROM conditions WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM graphs WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM baselines WHERE rig_id NOT IN (SELECT seq FROM rigs)",
         "DELETE FROM covariates WHERE run_id NOT IN (SELECT seq FROM runs)",

@@ -17,10 +17,11 @@ from agent.storage.tables.event_records import EventRecordRows
 from agent.storage.tables.forecasts import add_forecast, add_score
 from agent.storage.tables.learnt import LearntRows
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tables.status import HealthRows, add_event, add_verdict
+from agent.storage.tables.status import HealthRows, add_conditions, add_event, add_verdict
 from agent.types import (
     AlarmTransition,
     ClockRecord,
+    ConditionsRecord,
     CovariateMean,
     EstimateBatch,
     EventRecord,
@@ -149,6 +150,8 @@ class RunRows:
             add_mean(plan, record, run_id, self._numbers)
         elif isinstance(record, Verdict):
             add_verdict(plan, record, run_id, self._numbers)
+        elif isinstance(record, ConditionsRecord):
+            add_conditions(plan, record, run_id, self._numbers)
         elif isinstance(record, LearntRecord):
             self._learnt.apply(plan, record, run_id, self._numbers)
         elif isinstance(record, ForecastRecord):

@@ -1,4 +1,4 @@
-"""Rows of health, events and verdicts: the ledger of each source, what happened once, what is believed of constants."""
+"""Rows of health, events, verdicts and conditions: ledgers, what happened once, constants, windows of the paper."""
 
 import json
 import math
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import Health, HealthEvent, SourceClock, Verdict
+from agent.types import ConditionsRecord, Health, HealthEvent, SourceClock, Verdict
 
 
 class HealthRows:
@@ -64,3 +64,20 @@ def add_verdict(plan: Plan, record: Verdict, run_id: int, numbers: Numbers) -> N
     )
     seq = numbers.take("hypotheses")
     plan.sealed("hypotheses", seq, run_id, record.t_ns, record.hypothesis, size, sd, record.unit, probability)
+
+
+def add_conditions(plan: Plan, record: ConditionsRecord, run_id: int, numbers: Numbers) -> None:
+    """Add what the conditions say of a window; what is no number is stored as NULL."""
+    found = record.found
+    trail = json.dumps([dict(zip(record.parameters, map(_number, row), strict=True)) for row in found.trail])
+    ratio = None if found.ratio is None else _number(found.ratio)
+    plan.sealed(
+        "conditions", numbers.take("conditions"), run_id, record.t_ns, record.window_s, _number(found.defect),
+        _number(found.defect_outputs), found.rank, found.rank_joined, _number(found.defect_special),
+        int(found.z_zero), found.iterations, int(found.converged), _number(found.cost), _number(found.step),
+        found.passes, ratio, trail,
+    )  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

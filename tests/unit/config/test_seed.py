@@ -27,11 +27,9 @@ def test_seed_default_gain_is_refused_with_the_number_of_poles() -> None:
 @pytest.mark.parametrize(
     ("change", "path"),
     [
-        (("window_s = 0.25", "window_s = [0.25, 0.5]"), "estimator.window_s"),
-        (("window_s = 0.25", 'window_s = "auto"'), "estimator.window_s"),
         (("bias = false", "bias = true"), "channel[1].bias"),
-        (("bias = false", "gain = true"), "channel[1].gain"),
-        (('"B1", "B2"]\nobserver', '"B1", "x1.gain"]\nobserver'), "estimator.estimate[3]"),
+        (('"B1", "B2"]\nobserver', '"B1", "x1.bias"]\nobserver'), "estimator.estimate[3]"),
+        (('"B1", "B2"]\nobserver', '"x1.gain", "x2.gain"]\nobserver'), "estimator.estimate"),
     ],
 )
 def test_seed_what_it_would_ignore_is_refused(change: tuple[str, str], path: str) -> None:
@@ -39,3 +37,16 @@ def test_seed_what_it_would_ignore_is_refused(change: tuple[str, str], path: str
     assert list(found) == [path]
     assert 'method = "seed"' in found[path]
     assert 'method = "window-ml" does it' in found[path]
+
+
+def test_seed_takes_several_windows_the_gain_of_a_sensor_and_rules_that_end_its_descents() -> None:
+    stop = ("resolve = 0.33", "resolve = 0.33\nrank = 1\nstop = { step = 1e-8, iterations = 17 }")
+    windows = ("window_s = 0.25", "window_s = [0.25, 0.5]")
+    estimator = read(changed(PRESS, SEED, POLES, stop, windows, ("bias = false", "gain = true"))).estimator
+    assert (estimator.stop.step, estimator.stop.cost, estimator.stop.iterations, estimator.rank) == (1e-8, 0.0, 17, 1)
+
+
+def test_rules_of_descent_are_refused_where_nothing_descends() -> None:
+    found = faults(changed(PRESS, ("resolve = 0.33", "resolve = 0.33\nrank = 1\nstop = { step = 1e-8 }")))
+    assert list(found) == ["estimator.stop", "estimator.rank"]
+    assert 'goes with method = "seed"' in found["estimator.stop"]

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from agent.errors import UsageError
 from agent.evaluation.paper import cases as paper_cases
+from agent.evaluation.paper.figures import _clean
 from agent.evaluation.paper.paper import paper, product_estimates, seed_fits, table
 
 NAMES = ("k1", "k2", "B1", "B2")
@@ -67,7 +68,42 @@ def test_paper_says_iterations_data_and_conditions(document: dict[str, Any]) -> 
     assert case["condition_3"]["holds"]
     assert not case["condition_8"]["holds"]
     assert case["condition_8"]["perturbation_norm"] == pytest.approx(0.0418, abs=5e-5)
-    assert len(document["remarks"]) == 3
+    assert len(document["remarks"]) == 4
+
+
+def test_paper_shows_the_published_matrix_beside_ours_and_that_no_single_pass_gives_it(
+    document: dict[str, Any],
+) -> None:
+    case = document["case_1"]
+    of = {name: np.array(matrix) for name, matrix in case["matrix"].items()}
+    assert np.allclose(of["published"], of["exact"], atol=1.1e-4)
+    assert np.allclose(of["recentred"], of["exact"], atol=1e-7)
+    gain = paper_cases.GAIN
+    rest = of["as_printed"] - gain @ np.linalg.pinv(gain) @ of["as_printed"]
+    assert np.linalg.norm(rest) < 1e-9 * np.linalg.norm(of["as_printed"])
+    found = case["range_of_gain"]
+    assert found["as_printed"]["outside"] < 1e-9
+    assert found["as_printed"]["lower_rows"] >= found["least_lower_rows"] > 0.04
+    assert found["published"]["outside"] > 0.04
+    assert found["published"]["lower_rows"] < 1e-3
+    assert np.allclose(case["observer_poles"]["computed"], case["observer_poles"]["published"], atol=0.01)
+    assert case["cost_published"] == 4e-10
+    assert case["rows"][0]["percent"]["published"] == pytest.approx(0.56)
+    assert "cannot come from the method as printed" in document["remarks"][3]
+
+
+def test_paper_says_what_error_re_centring_leaves(document: dict[str, Any]) -> None:
+    rows = document["case_1"]["rows"]
+    left = max(abs(row["recentred"] - row["actual"]) for row in rows if row["unit"] == "N/m")
+    assert f"but for {left:.1e} N/m and" in document["remarks"][1]
+
+
+def test_figure_4_breaks_its_lines_only_where_a_window_holds_a_change() -> None:
+    index = np.arange(275, 3001, 25)
+    drawn = np.isfinite(_clean(index, np.ones(len(index)), 250))
+    assert np.count_nonzero(np.diff(drawn.astype(int)) == -1) == 2
+    assert drawn[index == 1250].all()
+    assert not drawn[index == 1225].any()
 
 
 def test_paper_on_its_euler_data_the_exact_model_comes_near_the_published_row(document: dict[str, Any]) -> None:

@@ -1,0 +1,1 @@
+"""Templates of other domains on their way from the configuration to the mathematics."""

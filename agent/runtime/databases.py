@@ -14,7 +14,7 @@ from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import AlarmTransition, Baseline, Learnt, Record, RunInfo
+from agent.types import AlarmTransition, Baseline, CovariateMean, Learnt, Record, RunInfo
 
 RunKind = Literal["live", "demo"]
 
@@ -24,7 +24,7 @@ class Writer(Protocol):
 
     Attributes:
         on_alarm: called with each step that an alarm took by an operator or as a shelf ended.
-        run_ids, standing, learnt, baselines: what the runs of its rigs began with, by rig.
+        run_ids, standing, learnt, baselines, covariates: what the runs of its rigs began with, by rig.
         broken: what ended it for good, in words.
     """
 
@@ -33,6 +33,7 @@ class Writer(Protocol):
     standing: dict[str, list[AlarmRow]]
     learnt: dict[str, Learnt | None]
     baselines: dict[str, tuple[Baseline, ...]]
+    covariates: dict[str, list[CovariateMean]]
     broken: str | None
 
     @property

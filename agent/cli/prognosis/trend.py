@@ -78,9 +78,9 @@ def _asked(
         points = compensated(db, queries.points(db, rig, parameter, *times))
         past = queries.forecasts(db, points.points.rig, parameter)
         return _document(points, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
-    points, backward = table_points(db, *times, parameter)
-    points = replace(points, parameter=parameter or points.parameter)
-    return _document(Compensated(points), 0.0, limit, ahead) | {"backward": backward}, ()
+    found, backward = table_points(db, *times, parameter)
+    table = Compensated(replace(found, parameter=parameter or found.parameter))
+    return _document(table, 0.0, limit, ahead) | {"backward": backward}, ()
 
 
 def _print(document: dict[str, Any], form: str) -> None:

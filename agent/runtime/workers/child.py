@@ -168,8 +168,8 @@ class Child:
 
 
 def own_part(config: RigConfig) -> RigConfig:
-    """Return a configuration without what only the agent itself does: notifying, and showing metrics."""
-    return config.model_copy(update={"notify": (), "metrics": type(config.metrics)()})
+    """Return a configuration without what only the agent itself does: notifying, forwarding, showing metrics."""
+    return config.model_copy(update={"notify": (), "north": (), "metrics": type(config.metrics)()})
 
 
 def log_to(link: Link, levels: Mapping[str, int]) -> None:

@@ -92,7 +92,7 @@ class WorkersDatabases:
         self._fresh -= set(names)
         facts = Facts(
             _of(names, writer.run_ids), _of(names, writer.standing), _of(names, writer.learnt),
-            _of(names, writer.baselines),
+            _of(names, writer.baselines), _of(names, writer.covariates),
         )  # fmt: skip
         self.baselines |= facts.baselines
         return facts

@@ -15,7 +15,7 @@ from agent.storage.tables.notifications import Route
 from agent.storage.write.backlog import Backlog
 from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
-from agent.types import AlarmTransition, Baseline, Learnt, Record, RunInfo
+from agent.types import AlarmTransition, Baseline, CovariateMean, Learnt, Record, RunInfo
 
 RECORDS, BEGIN, LEFT = "records", "begin", "left"
 """Records to be stored; runs to be begun, in the place of others; runs that ended."""
@@ -49,6 +49,7 @@ class Facts:
     standing: Mapping[str, list[AlarmRow]] = field(default_factory=dict)
     learnt: Mapping[str, Learnt | None] = field(default_factory=dict)
     baselines: Mapping[str, tuple[Baseline, ...]] = field(default_factory=dict)
+    covariates: Mapping[str, list[CovariateMean]] = field(default_factory=dict)
 
 
 class PipedWriter:
@@ -72,6 +73,7 @@ class PipedWriter:
         self.standing: dict[str, list[AlarmRow]] = {}
         self.learnt: dict[str, Learnt | None] = {}
         self.baselines: dict[str, tuple[Baseline, ...]] = {}
+        self.covariates: dict[str, list[CovariateMean]] = {}
         self.broken: str | None = None
 
     @property
@@ -109,12 +111,13 @@ class PipedWriter:
     def _begin(self, leaving: tuple[str, ...], entering: tuple[RunInfo, ...]) -> None:
         facts: Facts = self._link.ask(BEGIN, Runs(self._path, leaving, entering)).result()
         for rig in leaving:
-            for table in (self.run_ids, self.standing, self.learnt, self.baselines):
+            for table in (self.run_ids, self.standing, self.learnt, self.baselines, self.covariates):
                 table.pop(rig, None)
         self.run_ids |= facts.run_ids
         self.standing |= facts.standing
         self.learnt |= facts.learnt
         self.baselines = {**self.baselines, **facts.baselines}
+        self.covariates |= facts.covariates
 
     def _taken(self) -> Tell:
         with self._lock:

@@ -144,14 +144,8 @@ class RunRows:
             self._alarms[run_id].apply(plan, record, self._numbers)
         elif isinstance(record, Health):
             self._health.apply(plan, record, self._clocks[run_id].newest, self._numbers)
-        elif isinstance(record, HealthEvent):
-            add_event(plan, record, run_id, self._numbers)
-        elif isinstance(record, CovariateMean):
-            add_mean(plan, record, run_id, self._numbers)
-        elif isinstance(record, Verdict):
-            add_verdict(plan, record, run_id, self._numbers)
-        elif isinstance(record, ConditionsRecord):
-            add_conditions(plan, record, run_id, self._numbers)
+        elif isinstance(record, HealthEvent | Verdict | CovariateMean | ConditionsRecord):
+            self._add_row(plan, run_id, record)
         elif isinstance(record, LearntRecord):
             self._learnt.apply(plan, record, run_id, self._numbers)
         elif isinstance(record, ForecastRecord):
@@ -160,6 +154,19 @@ class RunRows:
             add_score(plan, record, self._connection())
         elif isinstance(record, EventRecord):
             self._records.apply(plan, record, run_id, self._numbers, self._connection())
+
+    def _add_row(
+        self, plan: Plan, run_id: int, record: HealthEvent | Verdict | CovariateMean | ConditionsRecord
+    ) -> None:
+        """Add what is one row of a table and depends on none that was stored before."""
+        if isinstance(record, HealthEvent):
+            add_event(plan, record, run_id, self._numbers)
+        elif isinstance(record, Verdict):
+            add_verdict(plan, record, run_id, self._numbers)
+        elif isinstance(record, CovariateMean):
+            add_mean(plan, record, run_id, self._numbers)
+        else:
+            add_conditions(plan, record, run_id, self._numbers)
 
 
 def _pieces(records: Sequence[Record]) -> list[EstimateBatch]:

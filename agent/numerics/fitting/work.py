@@ -34,7 +34,8 @@ class Budget:
 
     def __init__(self, capital: float, rate: float, once: float = 0.0) -> None:
         self._capital, self._rate = capital, rate
-        self._left, self._index = capital + once, 0
+        self._left = capital + once
+        self._index = 0
         self._closed = False
 
     @property

@@ -80,11 +80,17 @@ class ArchivePeer:
 
 @contextmanager
 def supplied(
-    path: Path, consumers: Sequence[North], make: Any = make_peer, *, every_s: float = 0.0, **settings: Any
+    path: Path,
+    consumers: Sequence[North],
+    make: Any = make_peer,
+    *,
+    every_s: float = 0.0,
+    period_s: float = 0.02,
+    **settings: Any,
 ) -> Iterator[tuple[StoreWriter, list[Forwarder]]]:
     """Yield a writer whose rows go to consumers, and what forwards them."""
     settings = {"pause_s": (0.01, 0.05), "keep_s": 0.0} | settings
-    writer = StoreWriter(lambda: Store.open(path), [run_info()], served=None, every_s=every_s, period_s=0.02)
+    writer = StoreWriter(lambda: Store.open(path), [run_info()], served=None, every_s=every_s, period_s=period_s)
     place = Place(path, path.parent, ("press-7",))
     forwarders = [Forwarder(one, place, make, writer.ask, writer.publish, **settings) for one in consumers]
 

@@ -34,13 +34,13 @@ def test_archive_has_each_row_once_parted_by_day_and_waits_for_its_next_period(
     path, now = memory / "rig.db", [START]
     monkeypatch.setattr("agent.northbound.forwarder.wall_ns", lambda: now[0])
     with supplied(path, [ARCHIVE]) as (writer, forwarders):
-        wait_until(lambda: forwarders[0]._numbers.get("period") == START // HOUR, "the first period", 10)
+        wait_until(lambda: forwarders[0]._numbers.get("period") == START // HOUR, "the first period", 30)
         writer.publish([batch(300, hop_ns=HOUR // 10), ledger(), step("NORM", "UNACK")])
         writer.flush()
         assert forwarders[0].sent == 0
         now[0] += HOUR
         forwarders[0].wake()
-        wait_until(lambda: forwarders[0].sent == 1202, "the archive", 10)
+        wait_until(lambda: forwarders[0].sent == 1202, "the archive", 30)
     assert [row["seq"] for row in archived(memory, "estimates")] == numbers(path)
     assert len(archived(memory, "alarm_events")) == len(archived(memory, "health")) == 1
     days = sorted(one.name for one in (memory / "archive" / "estimates" / "rig=press-7").iterdir())

@@ -51,7 +51,8 @@ def test_two_builds_of_one_commit_are_the_same_bytes(twice: list[source.Built]) 
     first, second = twice
     assert digest(first.wheel) == digest(second.wheel)
     assert digest(first.sdist) == digest(second.sdist)
-    figures.figure(f"wheel {first.wheel.stat().st_size} bytes, sdist {first.sdist.stat().st_size}, built twice: the same")
+    wheel, sdist = first.wheel.stat().st_size, first.sdist.stat().st_size
+    figures.figure(f"wheel {wheel} bytes, sdist {sdist} bytes, built twice: the same")
 
 
 def test_sdist_gives_the_same_wheel(twice: list[source.Built], tmp_path: Path) -> None:

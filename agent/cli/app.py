@@ -602,6 +602,32 @@ def serve(  # noqa: PLR0913, PLR0917 the signature is the command line
 
 
 @app.command()
+def upgrade(
+    places: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[CONFIG|DB]...", help="Without it what the services run on.", show_default=False),
+    ] = None,
+    check: Annotated[bool, typer.Option("--check", help="Say what this version would do; change nothing.")] = False,
+    to: Annotated[str | None, typer.Option("--to", metavar="VERSION", help="Have an installed version run.")] = None,
+    within: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="With --to: back after S seconds without valid rows.")
+    ] = 180.0,
+    stop: Annotated[str | None, typer.Option(metavar="COMMAND", help="Ends the agents; else systemd does.")] = None,
+    start: Annotated[str | None, typer.Option(metavar="COMMAND", help="Starts them; else systemd does.")] = None,
+    home: Annotated[Path, typer.Option(metavar="DIR", help="Where versions lie side by side.")] = Path("/opt/deltak"),
+    json: Json = False,
+) -> None:
+    """Check what this version would do to databases and configurations, or have another version take over."""
+    from agent.cli.upgrade import command as commands_upgrade
+
+    if to is None:
+        code = commands_upgrade.checked(places or (), asked=check, as_json=json)
+        raise typer.Exit(code)
+    options = commands_upgrade.Options(home, to, within, stop, start)
+    commands_upgrade.switched(places or (), options, asked=check, as_json=json)
+
+
+@app.command()
 def export(
     db: Database,
     what: Annotated[

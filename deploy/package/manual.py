@@ -1,15 +1,18 @@
 """deltak(1) and the shells' completion, made from the commands' own help, so that neither leaves anything out."""
 
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import typer
-from typer.completion import get_completion_script
+from typer.completion import get_completion_script  # type: ignore[attr-defined]  # what --show-completion prints
 
 from agent import __version__
 from agent.cli.app import app
 
+PAGE = "usr/share/man/man1/deltak.1"
 COMPLETION = {
     "bash": "usr/share/bash-completion/completions/deltak",
     "zsh": "usr/share/zsh/vendor-completions/_deltak",
@@ -72,6 +75,14 @@ def completion(shell: str) -> str:
     return f"{script}{_ON_FIRST_CALL if shell == 'zsh' else ''}\n"
 
 
+def write(to: Path, epoch: int) -> None:
+    """Write the page and the completion of every shell where Debian has them, below a folder."""
+    texts = {PAGE: page(epoch)} | {target: completion(shell) for shell, target in COMPLETION.items()}
+    for target, text in texts.items():
+        (to / target).parent.mkdir(parents=True, exist_ok=True)
+        (to / target).write_text(text, encoding="utf-8")
+
+
 def _section(name: str, command: Any, context: typer.Context) -> Iterator[str]:
     yield f".SS {_text(name)}"
     yield _usage(context, command)
@@ -102,3 +113,7 @@ def _text(words: str | None) -> str:
     """Return words on one line, with nothing in them that man would take for an order."""
     plain = " ".join((words or "").split()).replace("\\", r"\e").replace("-", r"\-")
     return rf"\&{plain}" if plain.startswith((".", "'")) else plain
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]), int(sys.argv[2]))

@@ -1,5 +1,6 @@
 """python -m deploy.package DIST: everything that is handed out of the last commit, into a folder."""
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -28,6 +29,7 @@ def make(work: Path, to: Path, epoch: int) -> Iterator[Path]:
 
 def main(to: Path) -> None:
     """Make everything of the last commit."""
+    os.umask(0o022)  # what is packed is for everybody to read
     to.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="deltak-package") as name:
         work = Path(name)

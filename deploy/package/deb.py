@@ -40,6 +40,8 @@ def pack(work: Path, to: Path, version: str, epoch: int) -> Path:
         (root / link).parent.mkdir(parents=True, exist_ok=True)
         (root / link).symlink_to(target)
     documents = root / "usr/share/doc/deltak"
+    for document in (tree / "docs").glob("*.md"):
+        _copy(document, documents / document.name)
     _copy(tree / "SECURITY.md", documents / "SECURITY.md")
     _copy(to / "sbom.cdx.json", documents / "sbom.cdx.json")
     _zip((tree / "CHANGELOG.md").read_text(encoding="utf-8"), documents / "changelog.gz")

@@ -12,10 +12,10 @@ export OMP_NUM_THREADS := 1
 # Tests start hundreds of processes; compiling what each imports anew takes longer than many a test.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help $(VENV) demo test lint golden bench soak clean distclean
+.PHONY: help $(VENV) demo test lint golden bench soak lock package clean distclean
 
 help:
-	@echo "make demo | test | lint | golden | bench | soak | .venv | clean | distclean"
+	@echo "make demo | test | lint | golden | bench | soak | lock | package | .venv | clean | distclean"
 
 $(VENV): $(VENV)/.runtime
 
@@ -34,6 +34,10 @@ $(VENV)/.runtime: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/.develop: pyproject.toml | $(VENV)/bin/python
 	$(PIP) install --editable '.[test,lint]'
+	@touch $@ $(VENV)/.runtime
+
+$(VENV)/.package: pyproject.toml | $(VENV)/bin/python
+	$(PIP) install --editable '.[package]'
 	@touch $@ $(VENV)/.runtime
 
 demo: $(VENV)/.runtime
@@ -62,9 +66,18 @@ golden: $(VENV)/.develop
 bench: $(VENV)/.develop
 	$(PYTEST) -m bench --capture=no --timeout=1800 --durations=0 $(ARGS)
 
-soak: $(VENV)/.develop
-	sh tests/install_peers.sh
+soak: $(VENV)/.develop $(VENV)/.package
+	sh tests/install_peers.sh mmdebstrap buildah runc
 	$(PYTEST) -m soak --timeout=14400 $(ARGS)
+
+# What packages hold of others, each file by its hash; ARGS=--upgrade takes newer ones.
+lock: $(VENV)/.package
+	$(VENV)/bin/uv pip compile pyproject.toml --extra metrics --extra web --extra plot --python-version 3.11 --generate-hashes \
+	  --no-header --no-emit-index-url --no-emit-find-links --quiet --output-file deploy/requirements.lock $(ARGS)
+
+# Wheel, sdist, .deb, bill of materials, man page, completion of the last commit, into dist/.
+package: $(VENV)/.package
+	$(VENV)/bin/python -m deploy.package dist
 
 clean:
 	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

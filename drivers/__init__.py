@@ -1,1 +1,1 @@
-"""Buses and recordings behind one small interface: `drivers.port`. Imports neither agent nor sim_bus."""
+"""deltak's drivers: buses and recordings behind one small interface, `drivers.port`. They import no other package."""

@@ -1,1 +1,1 @@
-"""A simulated rig: true mechanics, sensors and devices that speak the real protocols. Never imports the agent."""
+"""deltak's simulator: true mechanics, sensors, devices that speak the real protocols. Never imports the agent."""

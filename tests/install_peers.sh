@@ -1,9 +1,9 @@
 #!/bin/sh
 # Installs the independent programs that the tests talk to, where apt-get can: root on Debian. Quick when all are there.
-# Where it cannot, the tests that need them say so in the run's last lines.
+# Where it cannot, the tests that need them say so in the run's last lines. Arguments: further packages.
 set -eu
 
-wanted="can-utils user-mode-linux kmod iproute2 mbpoll socat strace systemd libmodbus-dev gcc libc6-dev chromium chromium-driver mosquitto postgresql nodejs npm"
+wanted="can-utils user-mode-linux kmod iproute2 mbpoll socat strace systemd libmodbus-dev gcc libc6-dev chromium chromium-driver mosquitto $*"
 
 if ! command -v apt-get >/dev/null || [ "$(id -u)" -ne 0 ]; then
     echo "install_peers: not root on Debian; nothing installed" >&2

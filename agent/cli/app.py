@@ -26,7 +26,7 @@ app = typer.Typer(
     cls=CommandGroup,
     help="Estimate stiffness and damping of a structure over its field bus, and alarm when they leave their limits.",
     epilog="Exit codes: 0 done, 1 unforeseen, 2 usage or configuration, 3 database, 4 bus, 130 interrupted.",
-    add_completion=False,
+    add_completion=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
@@ -645,6 +645,32 @@ def opcua(  # noqa: PLR0913, PLR0917 the signature is the command line
         return
     options = commands_opcua.Options(host, port, hostname, users, certificate, key, trusted, private)
     commands_opcua.serve(target or [], options)
+
+
+@app.command()
+def upgrade(
+    places: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[CONFIG|DB]...", help="Without it what the services run on.", show_default=False),
+    ] = None,
+    check: Annotated[bool, typer.Option("--check", help="Say what this version would do; change nothing.")] = False,
+    to: Annotated[str | None, typer.Option("--to", metavar="VERSION", help="Have an installed version run.")] = None,
+    within: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="With --to: back after S seconds without valid rows.")
+    ] = 180.0,
+    stop: Annotated[str | None, typer.Option(metavar="COMMAND", help="Ends the agents; else systemd does.")] = None,
+    start: Annotated[str | None, typer.Option(metavar="COMMAND", help="Starts them; else systemd does.")] = None,
+    home: Annotated[Path, typer.Option(metavar="DIR", help="Where versions lie side by side.")] = Path("/opt/deltak"),
+    json: Json = False,
+) -> None:
+    """Check what this version would do to databases and configurations, or have another version take over."""
+    from agent.cli.upgrade import command as commands_upgrade
+
+    if to is None:
+        code = commands_upgrade.checked(places or (), asked=check, as_json=json)
+        raise typer.Exit(code)
+    options = commands_upgrade.Options(home, to, within, stop, start)
+    commands_upgrade.switched(places or (), options, asked=check, as_json=json)
 
 
 @app.command()

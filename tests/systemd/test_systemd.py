@@ -16,11 +16,11 @@ TRIES = 3
 pytestmark = [pytest.mark.realtime, pytest.mark.soak, pytest.mark.timeout(TRIES * LIMIT_S)]
 
 
-def lived(folder: Path, *settings: str) -> dict[str, Any]:
+def lived(folder: Path, *settings: str, script: str = "tests.systemd.inside") -> dict[str, Any]:
     """Boot a guest and return what was found in it."""
     if not Path("/lib/systemd/systemd").exists():
         peers.missing("systemd is not installed (Debian package systemd)")
-    command = ["env", *settings, sys.executable, "-m", "tests.systemd.inside"]
+    command = ["env", *settings, sys.executable, "-m", script]
     init = Path(__file__).with_name("init.sh")
     for _ in range(TRIES):
         status, output = guest.run(command, peers.ROOT, LIMIT_S, folder, init=init)

@@ -22,6 +22,15 @@ def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([tool, *arguments], capture_output=True, text=True, check=False, timeout=60)
 
 
+def test_unit_that_switches_versions_is_taken_without_a_word_and_has_few_rights(tmp_path: Path) -> None:
+    path = tmp_path / "deltak-upgrade@0.2.0.service"
+    text = (DEPLOY / "systemd" / "deltak-upgrade@.service").read_text()
+    path.write_text(text.replace("/opt/deltak/releases/%i/bin/deltak", "/bin/true"))
+    done = analyze("verify", "--man=no", "--recursive-errors=no", str(path))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert analyze("security", "--offline=yes", "--threshold=19", "--no-pager", str(path)).returncode == 0
+
+
 @pytest.fixture(params=UNITS)
 def unit(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     """Each unit, the template as an instance, with programs that exist."""

@@ -280,6 +280,11 @@ def version_of(connection: sqlite3.Connection) -> int:
     return int(connection.execute("PRAGMA user_version").fetchone()[0]) & 0xFFFF
 
 
+def steps_from(version: int) -> list[str]:
+    """Return the names of the migrations that a file of a version has yet to go through."""
+    return [name for name in _STEPS if int(name.partition("_")[0]) > version]
+
+
 def migrations() -> "Migrations":
     """Return the ordered set; each step is one transaction together with the row that records it."""
     from sqlite_utils.migrations import Migrations

@@ -42,7 +42,7 @@ def test_wheel_holds_the_examples_of_deploy(tmp_path: Path) -> None:
     for package in ("agent", "drivers", "sim_bus", "deploy/examples"):
         left_out = shutil.ignore_patterns("__pycache__", "*.db")
         shutil.copytree(ROOT / package, source / package, symlinks=True, ignore=left_out)
-    for file in ("pyproject.toml", "README.md", "LICENSE"):
+    for file in ("pyproject.toml", "README.md", "LICENSE", "deltak.py"):
         shutil.copy(ROOT / file, source)
     wheels.mkdir()
     build = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"

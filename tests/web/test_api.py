@@ -16,7 +16,7 @@ import pytest
 from agent.cli.app import app
 from agent.cli.glance.files import several
 from agent.cli.web.documents import DOCUMENTS, thinned
-from agent.cli.web.forecasts import spread, words_of
+from agent.cli.web.forecasts import forecasts, spread, words_of
 from agent.cli.web.secret import from_files
 from agent.errors import StoreError, UsageError
 from agent.storage.read import queries
@@ -367,6 +367,20 @@ def test_forecast_without_a_band_says_why(client: Client, folder: Path) -> None:
     nothing = dict.fromkeys(("p10_ns", "p50_ns", "p90_ns", "chance"))
     assert words_of({**row, **nothing, "status": "too short"}) == "no forecast: the history is too short to say"
     assert words_of({**row, "p90_ns": None}).startswith("not reached in twenty times the history's span")
+
+
+def test_forecasts_are_read_anew_once_one_is_made_or_scored(tmp_path: Path) -> None:
+    path = tmp_path / "rig.db"
+    (watched,) = several([path], [])
+    newest = time.time_ns()
+    with Store.open(path) as store:
+        run = store.begin_run(run_info())
+        counts = []
+        for records in (files.forecasts(newest)[:1], files.forecasts(newest)[1:], files.scores(newest)):
+            store.write(run, records)
+            (record,) = forecasts([watched], "press-7", "k1")["records"]
+            counts.append((record["waiting"], record["made"]))
+    assert counts == [(1, 0), (3, 0), (1, 2)]
 
 
 def test_many_forecasts_are_spread_and_the_newest_is_always_there() -> None:

@@ -1,12 +1,14 @@
 """Stored forecasts as the page draws them: the newest beside those of the past, and how good those were."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from agent.cli.glance.files import Watched
 from agent.cli.prognosis.words import forecast_words, record_words
 from agent.runtime.forecasts.record import record_of
-from agent.storage.read import queries
+from agent.storage.read import queries, recent
 
 Row = Mapping[str, Any]
 MOST_PAST: Final = 100
@@ -19,16 +21,45 @@ def forecasts(databases: Iterable[Watched], rig: str | None, parameter: str | No
     A record says in `words` what the newest forecast is, and in `record_words` what became of earlier ones.
     Raises StoreError; UsageError for an unknown rig.
     """
-    rows: list[Row] = []
-    records: list[Row] = []
-    refused = 0
-    for database in databases:
-        found = queries.forecasts(database.path, rig, parameter)
-        refused += found.refused
-        for made in _by_parameter(found):
-            rows += [_shown(row, database.name) for row in spread(made)]
-            records.append(_record(made, database.name))
-    return {"forecasts": rows, "records": records, "refused": refused}
+    parts = [_kept(database, rig, parameter) for database in databases]
+    return {
+        "forecasts": [row for part in parts for row in part.rows],
+        "records": [row for part in parts for row in part.records],
+        "refused": sum(part.refused for part in parts),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What one database says, and the mark of its forecasts when it said so."""
+
+    mark: tuple[int, int, int]
+    rows: list[Row]
+    records: list[Row]
+    refused: int
+
+
+_KEPT: Final = 100
+_parts: dict[tuple[Path, str | None, str | None], _Part] = {}
+
+
+def _kept(database: Watched, rig: str | None, parameter: str | None) -> _Part:
+    """Return what a database says; it is read anew when a forecast is made or scored, which is once an hour or so."""
+    key = (database.path, rig, parameter)
+    mark = recent.forecasts_mark(database.path)
+    part = _parts.get(key)
+    if part is None or part.mark != mark:
+        if len(_parts) >= _KEPT:
+            _parts.clear()
+        part = _parts[key] = _read(database, rig, parameter, mark)
+    return part
+
+
+def _read(database: Watched, rig: str | None, parameter: str | None, mark: tuple[int, int, int]) -> _Part:
+    found = queries.forecasts(database.path, rig, parameter)
+    by_parameter = _by_parameter(found)
+    rows = [_shown(row, database.name) for made in by_parameter for row in spread(made)]
+    return _Part(mark, rows, [_record(made, database.name) for made in by_parameter], found.refused)
 
 
 def _by_parameter(rows: Iterable[Row]) -> list[list[Row]]:

@@ -79,6 +79,17 @@ def alarm_events(db: Path | str, rig: str | None = None) -> Rows:
     return found
 
 
+def forecasts_mark(db: Path | str) -> tuple[int, int, int]:
+    """Return numbers that change when v_forecast does: newest forecast, how many are scored, newest run.
+
+    Raises StoreError.
+    """
+    query = "SELECT coalesce(max(seq), 0), count(scored_ns), (SELECT coalesce(max(seq), 0) FROM runs) FROM forecasts"
+    with reading(db) as reader:
+        newest_one, scored, run = reader.execute(query).fetchone()
+    return int(newest_one), int(scored), int(run)
+
+
 def sources(db: Path | str) -> Rows:
     """Return the newest row of v_health of each source that has a recent one, with `rate_hz` since the row before.
 

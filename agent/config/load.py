@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from agent.config.covariates.rules import check_covariates, parted
 from agent.config.covariates.tables import BaselineTable
 from agent.config.draft import Draft
 from agent.config.linear import LinearModel
@@ -16,7 +15,7 @@ from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Entry, Faults, read_list, read_table
 from agent.config.reading.secrets import check_no_plain_secrets
 from agent.config.reading.toml_file import parse_toml, read_bytes
-from agent.config.rules_channels import check_channels
+from agent.config.rules_channels import check_channels, check_covariates, parted
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.numerics.reference.covariates.dependence import (
-    STEPS,
+    QUARTERS,
     Dependence,
     read,
     remark,
@@ -52,7 +52,7 @@ class _Moved:
         """Return what changes are counted from in a period."""
         felt = {name: follower.at(period) for name, follower in self.followers.items()}
         moved, moved_sd = shift(felt, self.found)
-        reference = stepped(self.baseline.reference, moved, self.baseline.spread_sd / STEPS)
+        reference = stepped(self.baseline.reference, moved, self.baseline.spread_sd / QUARTERS)
         said = [words for one in self.found if (words := remark(one, felt[one.name]))]
         return Origin(reference, widened(self.baseline.sd, moved_sd), "; ".join(said))
 

@@ -70,28 +70,33 @@ class Ready:
 def read(target: Target, table: BaselineTable, first_ns: int, last_ns: int) -> tuple[list[Ready], list[Fault]]:
     """Return the covariates of a stretch, and why some of them teach nothing. Raises StoreError."""
     known = stored.means(target.db, target.rig)
-    configured = {one.name: one for one in target.config.covariate} if target.config is not None else {}
-    asked = table.covariates if table.covariates is not None else tuple(configured or known)
-    ready, faults = [], []
+    configured = {one.name: one.range for one in target.config.covariate} if target.config is not None else {}
+    asked = tuple(configured or known) if table.covariates is None else table.covariates
+    ready: list[Ready] = []
+    faults: list[Fault] = []
     for name in asked:
-        found = known.get(name)
-        part = None if found is None else _within(found, first_ns, last_ns)
-        if found is None or part is None or not part.any():
-            what = f"{name} was not read in this stretch"
-            faults.append(Fault(name, what, _LEAVE.format(name)))
+        found = known.get(name, _NOTHING)
+        own = found.value[_within(found, first_ns, last_ns)]
+        if (fault := _useless(name, own, found.unit)) is not None:
+            faults.append(fault)
             continue
-        own = found.value[part]
-        if np.ptp(own) <= 1e-9 * np.abs(own).max():
-            what = f"{name} never moved in this stretch: it is {number(float(own[0]))} {found.unit} throughout"
-            faults.append(Fault(name, what, f"learn when it has, or: {_LEAVE.format(name)}"))
-            continue
-        span = configured[name].range if name in configured else None
-        low, high = span or np.quantile(found.value, EDGES).tolist()
+        low, high = configured.get(name) or np.quantile(found.value, EDGES).tolist()
         ready.append(_ready(name, found, own, np.linspace(low, high, table.classes + 1)))
     return ready, faults
 
 
 _LEAVE = "leave {0} out of [baseline] covariates"
+_NOTHING = Means("", {})
+
+
+def _useless(name: str, own: FloatArray, unit: str) -> Fault | None:
+    """Return why what was read of a covariate teaches nothing; None where it may."""
+    if not len(own):
+        return Fault(name, f"{name} was not read in this stretch", _LEAVE.format(name))
+    if np.ptp(own) <= 1e-9 * np.abs(own).max():
+        what = f"{name} never moved in this stretch: it is {number(float(own[0]))} {unit} throughout"
+        return Fault(name, what, f"learn when it has, or: {_LEAVE.format(name)}")
+    return None
 
 
 def _within(found: Means, first_ns: int, last_ns: int) -> BoolArray:
@@ -113,7 +118,8 @@ def unready(points: Points, period_s: float, ready: Sequence[Ready], least: int)
     for one in ready:
         covered = one.covered(points.t_ns)
         there = groups.means(covered.astype(np.float64)) > PRESENT
-        have, wanted = int(there.sum()), len(there)
+        have = int(there.sum())
+        wanted = len(there)
         unit, each = ("hours", period_s / 3600.0) if period_s >= 3600.0 else ("s", period_s)
         if have < least or have < PRESENT * wanted:
             shown = f"{number(each * (wanted - have), 3)} of {number(each * wanted, 3)} {unit}"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import Health, HealthEvent, SourceClock, Verdict
+from agent.types import CovariateMean, Health, HealthEvent, SourceClock, Verdict
 
 
 class HealthRows:
@@ -64,3 +64,9 @@ def add_verdict(plan: Plan, record: Verdict, run_id: int, numbers: Numbers) -> N
     )
     seq = numbers.take("hypotheses")
     plan.sealed("hypotheses", seq, run_id, record.t_ns, record.hypothesis, size, sd, record.unit, probability)
+
+
+def add_mean(plan: Plan, mean: CovariateMean, run_id: int, numbers: Numbers) -> None:
+    """Add the mean of a covariate over a period to a plan."""
+    number = numbers.take("covariates")
+    plan.sealed("covariates", number, run_id, mean.span_s, mean.t_ns, mean.name, mean.unit, mean.value, mean.n)

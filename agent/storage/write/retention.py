@@ -188,7 +188,7 @@ class TierKeeper:
             self._purge_old()
             with self._store.transaction() as connection:
                 purge_logs(connection)
-                thin(connection, self._store.numbers, self._keep.minute_s, self._keep.hour_s)
+                thin(connection, self._store.numbers.take, self._keep.minute_s, self._keep.hour_s)
             self._purged_at = hours
 
     def _purge_old(self) -> None:

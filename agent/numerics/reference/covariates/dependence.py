@@ -9,11 +9,11 @@ from agent.numerics.reference.covariates.lags import Felt, Lag, Shape
 
 STRANGE = 0.5
 """How far a dependence may be off beyond what was learnt, as a share of what it adds there."""
-STEPS = 4.0
+QUARTERS = 4.0
 """Steps of a reference in the spread of the healthy machine: finer ones say no more, and each takes a row."""
 LITTLE = 0.5
 """Share of what is felt of a covariate below which it counts as missing."""
-MARGIN = 0.1
+OUTSIDE = 0.1
 """By how much of the learnt range a covariate may be beyond it before that is said."""
 
 
@@ -103,6 +103,6 @@ def remark(one: Dependence, now: Felt) -> str:
     """Say why a reference is not as well known as learnt; empty where it is. The words stay while the reason does."""
     if now.known < LITTLE:
         return f"{one.name} is missing, or has been for as long as it matters"
-    if beyond(one, now) > MARGIN * (one.high - one.low):
+    if beyond(one, now) > OUTSIDE * (one.high - one.low):
         return f"{one.name} is outside the {one.low:.3g} to {one.high:.3g} {one.unit} that were learnt"
     return ""

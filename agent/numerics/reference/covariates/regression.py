@@ -20,7 +20,7 @@ from agent.types import FloatArray, IntArray
 
 CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
 """Autocorrelations from period to period that are weighed."""
-SHORTEST_S, STEPS, PART = 300.0, 17, 8.0
+SHORTEST_S, LENGTHS, PART = 300.0, 17, 8.0
 """Lags are 5 min times the square root of 2 to the 0 ... 16 (21 h), no longer than an eighth of the stretch."""
 ROUNDS = 2
 """How often each covariate's lag is looked for beside those of the others."""
@@ -61,7 +61,7 @@ class Found:
 
 def lags(span_s: float) -> list[Lag]:
     """Return the lags that are weighed on a stretch of so many seconds."""
-    lengths = [SHORTEST_S * 2.0 ** (0.5 * i) for i in range(STEPS)]
+    lengths = [SHORTEST_S * 2.0 ** (0.5 * i) for i in range(LENGTHS)]
     allowed = [length for length in lengths if length <= span_s / PART]
     return [Lag(), *(Lag("first-order", s) for s in allowed), *(Lag("delay", s) for s in allowed)]
 

@@ -105,7 +105,7 @@ def _check_columns(draft: Draft) -> None:
             draft.faults.add(join("columns", key), f"no channel is called {shown(key)}", advice)
 
 
-def parted(raw: object, faults: Faults) -> tuple[list[tuple[str, Any]], list[Entry[Covariate]]]:
+def split_channels(raw: object, faults: Faults) -> tuple[list[tuple[str, Any]], list[Entry[Covariate]]]:
     """Return the raw tables of the model's channels with their key paths, and the channels that are covariates."""
     rows = raw if isinstance(raw, list) else []
     signals: list[tuple[str, Any]] = []

@@ -46,13 +46,13 @@ class Ready:
     hold: int
     grid: Series
     edges: FloatArray
-    _felt: dict[Lag, FloatArray] = field(default_factory=dict)
+    _lagged: dict[Lag, FloatArray] = field(default_factory=dict)
 
-    def felt(self, lag: Lag, t_ns: IntArray) -> FloatArray:
-        """Return what is felt of it at rows (n,), from its centre."""
-        if lag not in self._felt:
-            self._felt[lag] = self.grid.felt(lag)
-        return np.asarray(self._felt[lag][self._places(t_ns)])
+    def lagged(self, lag: Lag, t_ns: IntArray) -> FloatArray:
+        """Return what acts of it at rows (n,), from its centre."""
+        if lag not in self._lagged:
+            self._lagged[lag] = self.grid.lagged(lag)
+        return np.asarray(self._lagged[lag][self._places(t_ns)])
 
     def covered(self, t_ns: IntArray) -> BoolArray:
         """Return at which rows (n,) it is known."""
@@ -126,7 +126,7 @@ def unready(points: Points, period_s: float, ready: Sequence[Ready], least: int)
             what = f"{one.name} is missing in {shown} in which {points.parameter} has valid rows"
             yield Fault(one.name, what, f"see its source in v_health, or: {_LEAVE.format(one.name)}")
             continue
-        yield from _classes(one, groups.means(one.felt(Lag(), points.t_ns))[there] + one.center)
+        yield from _classes(one, groups.means(one.lagged(Lag(), points.t_ns))[there] + one.center)
 
 
 def _classes(one: Ready, value: FloatArray) -> Iterator[Fault]:
@@ -149,7 +149,7 @@ def known_rows(points: Points, ready: Sequence[Ready]) -> BoolArray:
 
 def same(points: Points, ready: Sequence[Ready]) -> Fault | None:
     """Return why two covariates cannot be told apart; None where they can."""
-    found = alike(np.column_stack([one.felt(Lag(), points.t_ns) for one in ready])) if ready else None
+    found = alike(np.column_stack([one.lagged(Lag(), points.t_ns) for one in ready])) if ready else None
     if found is None:
         return None
     first, second = (ready[place].name for place in found)
@@ -166,7 +166,7 @@ def depends(t_ns: IntArray, value: FloatArray, period_s: float, ready: Sequence[
 
     def columns(place: int, lag: Lag) -> FloatArray:
         if (place, lag) not in kept:
-            kept[place, lag] = groups.means(ready[place].felt(lag, t_ns))
+            kept[place, lag] = groups.means(ready[place].lagged(lag, t_ns))
         return kept[place, lag]
 
     span_s = float(t_ns[-1] - t_ns[0]) / 1e9
@@ -175,12 +175,12 @@ def depends(t_ns: IntArray, value: FloatArray, period_s: float, ready: Sequence[
     return [_dependence(one, was, columns(place, was.lag)) for place, (one, was) in enumerate(pairs)]
 
 
-def _dependence(one: Ready, was: Found, felt: FloatArray) -> Dependence:
-    low, high = np.quantile(felt, EDGES) + one.center
+def _dependence(one: Ready, was: Found, lagged: FloatArray) -> Dependence:
+    low, high = np.quantile(lagged, EDGES) + one.center
     return Dependence(
         one.name, one.unit, was.coefficient, was.sd, was.coefficient - T95 * was.sd, was.coefficient + T95 * was.sd,
         was.lag.shape, was.lag.seconds, was.lag_lower_s, was.lag_upper_s, one.center, float(low), float(high),
-        one.spread, one.hold * PERIOD_S, was.matters,
+        one.spread, one.hold * PERIOD_S, was.significant,
     )  # fmt: skip
 
 
@@ -188,5 +188,5 @@ def taken_out(
     t_ns: IntArray, value: FloatArray, found: Sequence[Dependence], ready: Mapping[str, Ready]
 ) -> FloatArray:
     """Return rows as they would be with every covariate at its centre."""
-    moved = [one.coefficient * ready[one.name].felt(one.lag, t_ns) for one in found if one.used]
+    moved = [one.coefficient * ready[one.name].lagged(one.lag, t_ns) for one in found if one.used]
     return value - sum(moved) if moved else value

@@ -4,6 +4,7 @@
 import sqlite3
 from collections.abc import Callable, Iterable
 from math import isfinite
+from typing import Any
 
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import columns_of, insert_sql
@@ -33,11 +34,11 @@ def newest_means(connection: sqlite3.Connection, rig: str, span_ns: int) -> list
     return [] if newest is None else means_of(connection, rig, newest - span_ns, newest + 1)
 
 
-def _sound(rig: str, rows: Iterable[tuple[object, ...]]) -> Iterable[CovariateMean]:
+def _sound(rig: str, rows: Iterable[tuple[Any, ...]]) -> Iterable[CovariateMean]:
     for *cells, crc in rows:
-        if row_crc(cells) == crc:  # type: ignore[arg-type]  # cells of a row are what SQLite holds
+        if row_crc(cells) == crc:
             _, _, span, t_ns, name, unit, value, n = cells
-            yield CovariateMean(rig, str(name), str(unit), int(t_ns), float(value), int(n), int(span))  # type: ignore[call-overload]
+            yield CovariateMean(rig, name, unit, t_ns, value, n, span)
 
 
 def thin(connection: sqlite3.Connection, take: Take, minute_s: float, hour_s: float) -> None:

@@ -35,7 +35,7 @@ ALIKE = 0.999
 """Correlation of two covariates from which on nobody can tell which of them it is."""
 
 Columns = Callable[[int, Lag], FloatArray]
-"""Covariate by number, and lag -> what is felt of it in each period (n,)."""
+"""Covariate by number, and lag -> what acts of it in each period (n,)."""
 Weighed = tuple[Lag, float, float, float]
 """A lag, its log-likelihood, the coefficient there and its sd."""
 
@@ -47,7 +47,7 @@ class Found:
     Attributes:
         coefficient, sd: change of the parameter a unit of the covariate.
         lag: the most probable; lag_lower_s, lag_upper_s: of its shape, those that are as good as it.
-        gain: log-likelihood that it is worth; matters: whether that is worth its two numbers.
+        gain: log-likelihood that it is worth; significant: whether that is worth its two numbers.
     """
 
     coefficient: float
@@ -56,7 +56,7 @@ class Found:
     lag_lower_s: float
     lag_upper_s: float
     gain: float
-    matters: bool
+    significant: bool
 
 
 def lags(span_s: float) -> list[Lag]:

@@ -67,7 +67,7 @@ bench: $(VENV)/.develop
 	$(PYTEST) -m bench --capture=no --timeout=1800 --durations=0 $(ARGS)
 
 soak: $(VENV)/.develop $(VENV)/.package
-	sh tests/install_peers.sh mmdebstrap buildah runc
+	sh tests/install_peers.sh mmdebstrap buildah runc postgresql nodejs npm
 	$(PYTEST) -m soak --timeout=14400 $(ARGS)
 
 # What packages hold of others, each file by its hash; ARGS=--upgrade takes newer ones.

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, cast
 
-from agent.config.covariates.rules import check_covariates, parted
 from agent.config.covariates.tables import BaselineTable
 from agent.config.domains.kinds import DOMAINS
 from agent.config.domains.plant import Domain
@@ -20,7 +19,7 @@ from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Entry, Faults, read_list, read_table
 from agent.config.reading.secrets import without_plain_secrets
 from agent.config.reading.toml_file import parse_toml, read_bytes
-from agent.config.rules_channels import check_channels
+from agent.config.rules_channels import check_channels, check_covariates, split_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model
@@ -170,7 +169,7 @@ def _read_channels(raw: object, draft: Draft) -> None:
     if not isinstance(raw, list):
         read_list(Channel, raw, "channel", draft.faults)
         return
-    signals, draft.covariates = parted(raw, draft.faults)
+    signals, draft.covariates = split_channels(raw, draft.faults)
     draft.channels = [Entry(path, read_table(Channel, row, path, draft.faults)) for path, row in signals]
 
 

@@ -82,8 +82,8 @@ def check_sources(draft: Draft) -> None:
             _check_mapped(join(f"{path}.map", name), name, owner, draft)
     if not draft.sources or not readable(*(source.map for _, source in draft.sources)):
         return
-    for path, channel in [*draft.channels, *draft.covariates]:
-        name = channel.name
+    channels = [(path, channel.name) for path, channel in draft.channels]
+    for path, name in [*channels, *((path, one.name) for path, one in draft.covariates)]:
         if readable(name) and name not in owner:
             draft.faults.add(path, f"no source maps {shown(name)}", f'add {name} = "..." to the map of a source')
 

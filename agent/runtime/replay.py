@@ -288,13 +288,9 @@ def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) ->
         evidence.watch(block)
         received = block.wall_offset_ns is not None
         label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
-        if track.covariates:
-            stamps = instants(block, pipeline.config.rig.sample_rate_hz, played[track.source])
-            pipeline.take_covariates(stamps, readings(block, track.covariates))
-            played[track.source] += len(block)
-        if track.covariates and not track.signals:
+        signals = _signals(pipeline, track, block, played)
+        if signals is None:
             continue
-        signals = part(block, track.signals) if track.covariates else block
         records = pipeline.step(track.source, signals, track.driver.counter_modulus, label if received else None)
         yield [*_settings(pipeline.config.rig.name, labels), *records]
         if due is None or not due - HEALTH_PERIOD_NS <= pipeline.newest_ns < due:
@@ -302,6 +298,16 @@ def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) ->
             yield _ledger(pipeline, tracks)
     yield pipeline.finish()
     yield _ledger(pipeline, tracks)
+
+
+def _signals(pipeline: Pipeline, track: Track, block: SampleBlock, played: Counter[str]) -> SampleBlock | None:
+    """Return the signals of a block, whose covariates are taken; None where it has nothing else."""
+    if not track.covariates:
+        return block
+    stamps = instants(block, pipeline.config.rig.sample_rate_hz, played[track.source])
+    pipeline.take_covariates(stamps, readings(block, track.covariates))
+    played[track.source] += len(block)
+    return part(block, track.signals) if track.signals else None
 
 
 def _settings(rig: str, labels: SampleLabels) -> list[ClockRecord]:

@@ -23,7 +23,7 @@ CONFIGURATION = (ROOT / "docs/configuration.md").read_text(encoding="utf-8")
 DATABASE = (ROOT / "docs/database.md").read_text(encoding="utf-8")
 COMMANDS: Any = typer.main.get_command(app)
 NAMES = COMMANDS.list_commands(None)
-NOT_KEYS = {"file", "sha256", "settings", "names"}
+NOT_KEYS = {"file", "sha256", "settings", "names", "covariate", "covariate_source"}
 
 
 def documented(text: str) -> set[str]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.numerics.reference.covariates.dependence import (
-    STEPS,
+    STEPS_A_SPREAD,
     Dependence,
     read,
     remark,
@@ -17,7 +17,7 @@ from agent.numerics.reference.covariates.dependence import (
     stepped,
     widened,
 )
-from agent.numerics.reference.covariates.lags import PERIOD_S, Follower, newest_period
+from agent.numerics.reference.covariates.lags import PERIOD_S, LagFilter, newest_period
 from agent.types import Baseline, EstimateBatch, HealthEvent
 
 SOURCE, UNSURE, SURE = "baseline", "covariate", "recovered"
@@ -46,14 +46,14 @@ class _Moved:
 
     baseline: Baseline
     found: tuple[Dependence, ...]
-    followers: Mapping[str, Follower]
+    filters: Mapping[str, LagFilter]
 
     def at(self, period: int) -> Origin:
         """Return what changes are counted from in a period."""
-        felt = {name: follower.at(period) for name, follower in self.followers.items()}
-        moved, moved_sd = shift(felt, self.found)
-        reference = stepped(self.baseline.reference, moved, self.baseline.spread_sd / STEPS)
-        said = [words for one in self.found if (words := remark(one, felt[one.name]))]
+        lagged = {name: lag_filter.at(period) for name, lag_filter in self.filters.items()}
+        moved, moved_sd = shift(lagged, self.found)
+        reference = stepped(self.baseline.reference, moved, self.baseline.spread_sd / STEPS_A_SPREAD)
+        said = [words for one in self.found if (words := remark(one, lagged[one.name]))]
         return Origin(reference, widened(self.baseline.sd, moved_sd), "; ".join(said))
 
 
@@ -73,10 +73,10 @@ class Compensation:
         self._moved = {one.parameter: self._of(one, found) for one in baselines if (found := dependences(one))}
 
     def _of(self, one: Baseline, found: tuple[Dependence, ...]) -> _Moved:
-        followers = {
-            d.name: Follower(self._means.get(d.name, {}), d.center, ceil(d.hold_s / PERIOD_S), d.lag) for d in found
+        filters = {
+            d.name: LagFilter(self._means.get(d.name, {}), d.center, ceil(d.hold_s / PERIOD_S), d.lag) for d in found
         }
-        return _Moved(one, found, followers)
+        return _Moved(one, found, filters)
 
     def step(self, batch: EstimateBatch) -> tuple[list[EstimateBatch], list[HealthEvent]]:
         """Return rows with the references that hold at their instants, and what is newly said of these."""

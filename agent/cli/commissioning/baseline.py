@@ -57,7 +57,7 @@ def print_baselines(document: Document) -> None:
     for rig in dict.fromkeys(row["rig"] for row in rows):
         cells = [_cells(row["parameter"], row) for row in rows if row["rig"] == rig]
         print_table(rig, COLUMNS, cells, right=_RIGHT)
-        print_dependences((row["parameter"], row | {"covariates": json.loads(row["covariates"])})
+        print_dependences((row["parameter"], {**row, "covariates": json.loads(row["covariates"])})
                           for row in rows if row["rig"] == rig)  # fmt: skip
 
 

@@ -75,12 +75,12 @@ def _asked(
 ) -> tuple[dict[str, Any], Sequence[Document]]:  # fmt: skip
     """Return what is said of one history, of a database or a table, and the forecasts that the agent made of it."""
     if parameter is not None and not is_table(db):
-        points = compensated(db, queries.points(db, rig, parameter, *times))
-        past = queries.forecasts(db, points.points.rig, parameter)
-        return _document(points, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
-    found, backward = table_points(db, *times, parameter)
-    table = Compensated(replace(found, parameter=parameter or found.parameter))
-    return _document(table, 0.0, limit, ahead) | {"backward": backward}, ()
+        found = compensated(db, queries.points(db, rig, parameter, *times))
+        past = queries.forecasts(db, found.points.rig, parameter)
+        return _document(found, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
+    points, backward = table_points(db, *times, parameter)
+    points = replace(points, parameter=parameter or points.parameter)
+    return _document(Compensated(points), 0.0, limit, ahead) | {"backward": backward}, ()
 
 
 def _print(document: dict[str, Any], form: str) -> None:
@@ -214,8 +214,8 @@ def _print_all(db: Path, rig: str | None, times: tuple[str | None, str | None], 
     documents = []
     for name in [rig] if rig is not None else queries.rigs(db):
         for parameter in queries.parameters(db, name):
-            points = compensated(db, queries.points(db, name, parameter, *times))
-            documents.append(_document(points, window_s(db, parameter), None, Ahead()))
+            found = compensated(db, queries.points(db, name, parameter, *times))
+            documents.append(_document(found, window_s(db, parameter), None, Ahead()))
     documents.sort(key=_share, reverse=True)
     if form == "json":
         print_json({"rows": [{k: v for k, v in found.items() if k != "points"} for found in documents]})

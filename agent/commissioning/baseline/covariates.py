@@ -46,13 +46,13 @@ class Ready:
     hold: int
     grid: Series
     edges: FloatArray
-    _felt: dict[Lag, FloatArray] = field(default_factory=dict)
+    _lagged: dict[Lag, FloatArray] = field(default_factory=dict)
 
-    def felt(self, lag: Lag, t_ns: IntArray) -> FloatArray:
-        """Return what is felt of it at rows (n,), from its centre."""
-        if lag not in self._felt:
-            self._felt[lag] = self.grid.felt(lag)
-        return np.asarray(self._felt[lag][self._places(t_ns)])
+    def lagged(self, lag: Lag, t_ns: IntArray) -> FloatArray:
+        """Return what acts of it at rows (n,), from its centre."""
+        if lag not in self._lagged:
+            self._lagged[lag] = self.grid.lagged(lag)
+        return np.asarray(self._lagged[lag][self._places(t_ns)])
 
     def covered(self, t_ns: IntArray) -> BoolArray:
         """Return at which rows (n,) it is known."""
@@ -70,28 +70,33 @@ class Ready:
 def read(target: Target, table: BaselineTable, first_ns: int, last_ns: int) -> tuple[list[Ready], list[Fault]]:
     """Return the covariates of a stretch, and why some of them teach nothing. Raises StoreError."""
     known = stored.means(target.db, target.rig)
-    configured = {one.name: one for one in target.config.covariate} if target.config is not None else {}
-    asked = table.covariates if table.covariates is not None else tuple(configured or known)
-    ready, faults = [], []
+    configured = {one.name: one.range for one in target.config.covariate} if target.config is not None else {}
+    asked = tuple(configured or known) if table.covariates is None else table.covariates
+    ready: list[Ready] = []
+    faults: list[Fault] = []
     for name in asked:
-        found = known.get(name)
-        part = None if found is None else _within(found, first_ns, last_ns)
-        if found is None or part is None or not part.any():
-            what = f"{name} was not read in this stretch"
-            faults.append(Fault(name, what, _LEAVE.format(name)))
+        found = known.get(name, _NOTHING)
+        own = found.value[_within(found, first_ns, last_ns)]
+        if (fault := _useless(name, own, found.unit)) is not None:
+            faults.append(fault)
             continue
-        own = found.value[part]
-        if np.ptp(own) <= 1e-9 * np.abs(own).max():
-            what = f"{name} never moved in this stretch: it is {number(float(own[0]))} {found.unit} throughout"
-            faults.append(Fault(name, what, f"learn when it has, or: {_LEAVE.format(name)}"))
-            continue
-        span = configured[name].range if name in configured else None
-        low, high = span or np.quantile(found.value, EDGES).tolist()
+        low, high = configured.get(name) or np.quantile(found.value, EDGES).tolist()
         ready.append(_ready(name, found, own, np.linspace(low, high, table.classes + 1)))
     return ready, faults
 
 
 _LEAVE = "leave {0} out of [baseline] covariates"
+_NOTHING = Means("", {})
+
+
+def _useless(name: str, own: FloatArray, unit: str) -> Fault | None:
+    """Return why what was read of a covariate teaches nothing; None where it may."""
+    if not len(own):
+        return Fault(name, f"{name} was not read in this stretch", _LEAVE.format(name))
+    if np.ptp(own) <= 1e-9 * np.abs(own).max():
+        what = f"{name} never moved in this stretch: it is {number(float(own[0]))} {unit} throughout"
+        return Fault(name, what, f"learn when it has, or: {_LEAVE.format(name)}")
+    return None
 
 
 def _within(found: Means, first_ns: int, last_ns: int) -> BoolArray:
@@ -113,14 +118,15 @@ def unready(points: Points, period_s: float, ready: Sequence[Ready], least: int)
     for one in ready:
         covered = one.covered(points.t_ns)
         there = groups.means(covered.astype(np.float64)) > PRESENT
-        have, wanted = int(there.sum()), len(there)
+        have = int(there.sum())
+        wanted = len(there)
         unit, each = ("hours", period_s / 3600.0) if period_s >= 3600.0 else ("s", period_s)
         if have < least or have < PRESENT * wanted:
             shown = f"{number(each * (wanted - have), 3)} of {number(each * wanted, 3)} {unit}"
             what = f"{one.name} is missing in {shown} in which {points.parameter} has valid rows"
             yield Fault(one.name, what, f"see its source in v_health, or: {_LEAVE.format(one.name)}")
             continue
-        yield from _classes(one, groups.means(one.felt(Lag(), points.t_ns))[there] + one.center)
+        yield from _classes(one, groups.means(one.lagged(Lag(), points.t_ns))[there] + one.center)
 
 
 def _classes(one: Ready, value: FloatArray) -> Iterator[Fault]:
@@ -143,7 +149,7 @@ def known_rows(points: Points, ready: Sequence[Ready]) -> BoolArray:
 
 def same(points: Points, ready: Sequence[Ready]) -> Fault | None:
     """Return why two covariates cannot be told apart; None where they can."""
-    found = alike(np.column_stack([one.felt(Lag(), points.t_ns) for one in ready])) if ready else None
+    found = alike(np.column_stack([one.lagged(Lag(), points.t_ns) for one in ready])) if ready else None
     if found is None:
         return None
     first, second = (ready[place].name for place in found)
@@ -160,7 +166,7 @@ def depends(t_ns: IntArray, value: FloatArray, period_s: float, ready: Sequence[
 
     def columns(place: int, lag: Lag) -> FloatArray:
         if (place, lag) not in kept:
-            kept[place, lag] = groups.means(ready[place].felt(lag, t_ns))
+            kept[place, lag] = groups.means(ready[place].lagged(lag, t_ns))
         return kept[place, lag]
 
     span_s = float(t_ns[-1] - t_ns[0]) / 1e9
@@ -169,12 +175,12 @@ def depends(t_ns: IntArray, value: FloatArray, period_s: float, ready: Sequence[
     return [_dependence(one, was, columns(place, was.lag)) for place, (one, was) in enumerate(pairs)]
 
 
-def _dependence(one: Ready, was: Found, felt: FloatArray) -> Dependence:
-    low, high = np.quantile(felt, EDGES) + one.center
+def _dependence(one: Ready, was: Found, lagged: FloatArray) -> Dependence:
+    low, high = np.quantile(lagged, EDGES) + one.center
     return Dependence(
         one.name, one.unit, was.coefficient, was.sd, was.coefficient - T95 * was.sd, was.coefficient + T95 * was.sd,
         was.lag.shape, was.lag.seconds, was.lag_lower_s, was.lag_upper_s, one.center, float(low), float(high),
-        one.spread, one.hold * PERIOD_S, was.matters,
+        one.spread, one.hold * PERIOD_S, was.significant,
     )  # fmt: skip
 
 
@@ -182,5 +188,5 @@ def taken_out(
     t_ns: IntArray, value: FloatArray, found: Sequence[Dependence], ready: Mapping[str, Ready]
 ) -> FloatArray:
     """Return rows as they would be with every covariate at its centre."""
-    moved = [one.coefficient * ready[one.name].felt(one.lag, t_ns) for one in found if one.used]
+    moved = [one.coefficient * ready[one.name].lagged(one.lag, t_ns) for one in found if one.used]
     return value - sum(moved) if moved else value

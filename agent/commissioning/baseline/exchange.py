@@ -69,7 +69,7 @@ def _no_number(text: str) -> float:
 def _unfitting(target: Target, found: list[Baseline], file: Path) -> Iterator[Fault]:
     """Yield why a rig cannot count from baselines."""
     units = _units(target)
-    covariates = {one.name for one in target.config.covariate} if target.config is not None else set()
+    strange = _strange(target, found)
     graph = graph_of(target.config) if target.config is not None else target.graph()
     advice = "learn it from this rig's own rows"
     for one in found:
@@ -78,11 +78,18 @@ def _unfitting(target: Target, found: list[Baseline], file: Path) -> Iterator[Fa
         elif one.unit != units[one.parameter]:
             what = f"{one.parameter} is in {one.unit} there, in {units[one.parameter]} here"
             yield Fault(str(file), what, advice)
-        elif missing := [d.name for d in dependences(one) if target.config is not None and d.name not in covariates]:
+        elif missing := [d.name for d in dependences(one) if d.name in strange]:
             what = f"{one.parameter} depends on {', '.join(missing)} there, which is no covariate here"
             yield Fault(str(file), what, 'give the configuration a channel with role = "covariate" for it')
         elif one.graph and graph and one.graph != graph:
             yield Fault(str(file), f"{one.parameter} is of another graph ({one.graph}), not {graph}", advice)
+
+
+def _strange(target: Target, found: list[Baseline]) -> set[str]:
+    """Return the covariates of baselines that a rig has not, where its configuration is known."""
+    if target.config is None:
+        return set()
+    return {d.name for one in found for d in dependences(one)} - {one.name for one in target.config.covariate}
 
 
 def _units(target: Target) -> dict[str, str]:

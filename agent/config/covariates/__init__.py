@@ -1,1 +1,1 @@
-"""Covariates of a configuration: channels beside the model's, and the table that says what baselines make of them."""
+"""Covariates of a configuration as models: channels beside the model's, and what baselines make of them."""

@@ -49,9 +49,9 @@ def _without(
     variance = np.zeros(len(points.t_ns))
     known = np.ones(len(points.t_ns))
     for dependence in found:
-        felt, share = _felt(points, dependence, means.get(dependence.name))
-        moved += dependence.coefficient * felt
-        variance += _variance(dependence, felt, share)
+        lagged, share = _lagged_at(points, dependence, means.get(dependence.name))
+        moved += dependence.coefficient * lagged
+        variance += _variance(dependence, lagged, share)
         known = np.minimum(known, share)
     names = tuple(dependence.name for dependence in found)
     wider = replace(
@@ -61,16 +61,16 @@ def _without(
     return Compensated(wider, names, int((known < 0.5).sum()))
 
 
-def _variance(one: Dependence, felt: FloatArray, share: FloatArray) -> FloatArray:
+def _variance(one: Dependence, lagged: FloatArray, share: FloatArray) -> FloatArray:
     """Return how far what is taken out may be off (n,), squared, beside what is common to all rows."""
-    value = one.center + felt
+    value = one.center + lagged
     beyond = np.maximum(np.maximum(value - one.high, one.low - value), 0.0)
     missing = one.coefficient * one.spread * (1.0 - share)
     return np.asarray(missing**2 + (STRANGE * one.coefficient * beyond) ** 2)
 
 
-def _felt(points: Points, one: Dependence, means: Means | None) -> tuple[FloatArray, FloatArray]:
-    """Return what is felt of a covariate at rows (n,), over what an aggregate covers, and the share known."""
+def _lagged_at(points: Points, one: Dependence, means: Means | None) -> tuple[FloatArray, FloatArray]:
+    """Return what acts of a covariate at rows (n,), over what an aggregate covers, and the share known."""
     if means is None or means.unit != one.unit:
         return np.zeros(len(points.t_ns)), np.zeros(len(points.t_ns))
     grid = series(means.number, means.value, one.center, ceil(one.hold_s / PERIOD_S))
@@ -84,4 +84,4 @@ def _felt(points: Points, one: Dependence, means: Means | None) -> tuple[FloatAr
         total = np.concatenate([[0.0], np.cumsum(x)])
         return np.asarray((total[stop + 1] - total[start]) / (stop + 1 - start))
 
-    return over(grid.felt(one.lag)), np.where(inside, over(grid.known(one.lag)), 0.0)
+    return over(grid.lagged(one.lag)), np.where(inside, over(grid.known(one.lag)), 0.0)

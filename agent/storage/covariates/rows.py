@@ -1,15 +1,17 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
-"""Means of covariates: rows that are added, thinned to hours when they are old, and read in order of time."""
+"""Means of covariates: rows that are thinned to hours when they are old, and read in order of time."""
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from math import isfinite
+from typing import Any
 
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.schema import columns_of, insert_sql
-from agent.storage.tables.rows import Numbers, Plan
 from agent.types import CovariateMean
 
+Take = Callable[[str], int]
+"""Gives the next number of a table."""
 MINUTE, HOUR = 60, 3600
 HOUR_NS = HOUR * 1_000_000_000
 _NAMES = columns_of("covariates")
@@ -19,12 +21,6 @@ _OF_RIG = f"""SELECT {_LISTED} FROM covariates x JOIN runs r ON r.seq = x.run_id
 _NEWEST = """SELECT max(x.t_ns) FROM covariates x JOIN runs r ON r.seq = x.run_id JOIN rigs g ON g.seq = r.rig_id
  WHERE g.name = ?"""
 _OLD = f"SELECT {_LISTED} FROM covariates x WHERE x.run_id = ? AND x.span = {MINUTE} AND x.t_ns < ? ORDER BY x.seq"
-
-
-def add_mean(plan: Plan, mean: CovariateMean, run_id: int, numbers: Numbers) -> None:
-    """Add the mean of a period to a plan."""
-    number = numbers.take("covariates")
-    plan.sealed("covariates", number, run_id, mean.span_s, mean.t_ns, mean.name, mean.unit, mean.value, mean.n)
 
 
 def means_of(connection: sqlite3.Connection, rig: str, first_ns: int, last_ns: int) -> list[CovariateMean]:
@@ -38,14 +34,14 @@ def newest_means(connection: sqlite3.Connection, rig: str, span_ns: int) -> list
     return [] if newest is None else means_of(connection, rig, newest - span_ns, newest + 1)
 
 
-def _sound(rig: str, rows: Iterable[tuple[object, ...]]) -> Iterable[CovariateMean]:
+def _sound(rig: str, rows: Iterable[tuple[Any, ...]]) -> Iterable[CovariateMean]:
     for *cells, crc in rows:
-        if row_crc(cells) == crc:  # type: ignore[arg-type]  # cells of a row are what SQLite holds
+        if row_crc(cells) == crc:
             _, _, span, t_ns, name, unit, value, n = cells
-            yield CovariateMean(rig, str(name), str(unit), int(t_ns), float(value), int(n), int(span))  # type: ignore[call-overload]
+            yield CovariateMean(rig, name, unit, t_ns, value, n, span)
 
 
-def thin(connection: sqlite3.Connection, numbers: Numbers, minute_s: float, hour_s: float) -> None:
+def thin(connection: sqlite3.Connection, take: Take, minute_s: float, hour_s: float) -> None:
     """Make hours of the minutes that are older than what is kept, and delete hours that are; inside a transaction.
 
     A run's age is counted back from its newest row.
@@ -56,10 +52,10 @@ def thin(connection: sqlite3.Connection, numbers: Numbers, minute_s: float, hour
             before = now_ns - round(hour_s * 1e9)
             connection.execute("DELETE FROM covariates WHERE run_id = ? AND t_ns < ?", (run_id, before))
         if isfinite(minute_s):
-            _thin_run(connection, numbers, run_id, (now_ns - round(minute_s * 1e9)) // HOUR_NS * HOUR_NS)
+            _thin_run(connection, take, run_id, (now_ns - round(minute_s * 1e9)) // HOUR_NS * HOUR_NS)
 
 
-def _thin_run(connection: sqlite3.Connection, numbers: Numbers, run_id: int, before: int) -> None:
+def _thin_run(connection: sqlite3.Connection, take: Take, run_id: int, before: int) -> None:
     minutes = _sound("", connection.execute(_OLD, (run_id, before)).fetchall())
     hours: dict[tuple[str, str, int], tuple[float, int]] = {}
     for mean in minutes:
@@ -67,6 +63,6 @@ def _thin_run(connection: sqlite3.Connection, numbers: Numbers, run_id: int, bef
         total, n = hours.get(key, (0.0, 0))
         hours[key] = total + mean.value * mean.n, n + mean.n
     for (name, unit, t_ns), (total, n) in hours.items():
-        cells = (numbers.take("covariates"), run_id, HOUR, t_ns, name, unit, total / n, n)
+        cells = (take("covariates"), run_id, HOUR, t_ns, name, unit, total / n, n)
         connection.execute(insert_sql("covariates"), (*cells, row_crc(cells)))
     connection.execute(f"DELETE FROM covariates WHERE run_id = ? AND span = {MINUTE} AND t_ns < ?", (run_id, before))

@@ -9,7 +9,7 @@ from agent.storage.read.queries import reading
 from agent.types import FloatArray, IntArray
 
 _MINUTE_NS = 60_000_000_000
-_FIRST, _LAST = -(2**62), 2**62
+_EARLIEST, _LATEST = -(2**62), 2**62
 
 
 class Means:
@@ -21,7 +21,7 @@ class Means:
         self.value: FloatArray = np.array([table[number] for number in self.number.tolist()])
 
 
-def means(db: Path | str, rig: str, first_ns: int = _FIRST, last_ns: int = _LAST) -> dict[str, Means]:
+def means(db: Path | str, rig: str, first_ns: int = _EARLIEST, last_ns: int = _LATEST) -> dict[str, Means]:
     """Return the covariates of a rig by name; of a minute that several runs saw, what the newest says.
 
     An hour that is kept as one mean counts for each of its minutes. Raises StoreError.

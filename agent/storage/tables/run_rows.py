@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from agent.storage.covariates.rows import add_mean
 from agent.storage.tables.ages import jump_words
 from agent.storage.tables.alarms import AlarmRow, AlarmRows
 from agent.storage.tables.batches import joined_runs, take
@@ -17,7 +16,7 @@ from agent.storage.tables.event_records import EventRecordRows
 from agent.storage.tables.forecasts import add_forecast, add_score
 from agent.storage.tables.learnt import LearntRows
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tables.status import HealthRows, add_conditions, add_event, add_verdict
+from agent.storage.tables.status import HealthRows, add_conditions, add_event, add_mean, add_verdict
 from agent.types import (
     AlarmTransition,
     ClockRecord,

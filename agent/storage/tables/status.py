@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import ConditionsRecord, Health, HealthEvent, SourceClock, Verdict
+from agent.types import ConditionsRecord, CovariateMean, Health, HealthEvent, SourceClock, Verdict
 
 
 class HealthRows:
@@ -81,3 +81,9 @@ def add_conditions(plan: Plan, record: ConditionsRecord, run_id: int, numbers: N
 
 def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def add_mean(plan: Plan, mean: CovariateMean, run_id: int, numbers: Numbers) -> None:
+    """Add the mean of a covariate over a period to a plan."""
+    number = numbers.take("covariates")
+    plan.sealed("covariates", number, run_id, mean.span_s, mean.t_ns, mean.name, mean.unit, mean.value, mean.n)

@@ -189,7 +189,7 @@ class TierKeeper:
             self._purge_old()
             self._purge_logs()
             with self._store.transaction() as connection:
-                thin(connection, self._store.numbers, self._keep.minute_s, self._keep.hour_s)
+                thin(connection, self._store.numbers.take, self._keep.minute_s, self._keep.hour_s)
             self._purged_at = hours
 
     def _purge_logs(self) -> None:

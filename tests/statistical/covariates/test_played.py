@@ -34,12 +34,12 @@ def days(path: Path, seed: int, first: float, last: float, lost: float = 0.0) ->
     rng = np.random.default_rng([seed, 3])
     t = np.arange(12 * DAY) / DAY
     hall = 20.0 + 15.0 * np.sin(2 * np.pi * t) + 3.0 * np.sin(2 * np.pi * t / 3.7)
-    felt = first_order(hall, LAG_S / STEP_S)
+    lagged = first_order(hall, LAG_S / STEP_S)
     parts = []
     for hour in range(round(24 * first), round(24 * last), EVERY_H):
         now = 6 * hour
         rig = Machine.at_rest()
-        factor = 1.0 + PER_KELVIN * (felt[now] - 20.0)
+        factor = 1.0 + PER_KELVIN * (lagged[now] - 20.0)
         rig.theta = NOMINAL * np.array([factor * (1.0 - lost), factor, 1.0, 1.0])
         force = drive(rng, BURST_S * SECOND + 1)
         y = rig.play(on_second(force))[:, :2]

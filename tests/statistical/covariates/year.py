@@ -56,9 +56,9 @@ def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None
     """
     rng = np.random.default_rng([seed, 1717])
     hall = temperatures(rng, days, phase)
-    felt = first_order(hall, LAG_S / STEP_S)
+    lagged = first_order(hall, LAG_S / STEP_S)
     slow = first_order(rng.standard_normal(len(hall)) * np.sqrt(2.0 * SLOW), SLOW)
-    k = K * (1.0 + PER_KELVIN * (felt - 20.0) + SPREAD * slow)
+    k = K * (1.0 + PER_KELVIN * (lagged - 20.0) + SPREAD * slow)
     if lost_from is not None:
         k[round(lost_from * DAY) :] *= 0.95
     k += K * ROW_SD * rng.standard_normal(len(k))

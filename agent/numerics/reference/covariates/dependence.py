@@ -5,15 +5,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import floor, hypot, log10, sqrt
 
-from agent.numerics.reference.covariates.lags import Felt, Lag, Shape
+from agent.numerics.reference.covariates.lags import Lag, Lagged, Shape
 
 STRANGE = 0.5
 """How far a dependence may be off beyond what was learnt, as a share of what it adds there."""
-STEPS = 4.0
+STEPS_A_SPREAD = 4.0
 """Steps of a reference in the spread of the healthy machine: finer ones say no more, and each takes a row."""
 LITTLE = 0.5
-"""Share of what is felt of a covariate below which it counts as missing."""
-MARGIN = 0.1
+"""Share of what acts of a covariate below which it counts as missing."""
+OUTSIDE = 0.1
 """By how much of the learnt range a covariate may be beyond it before that is said."""
 
 
@@ -63,7 +63,7 @@ def read(text: str) -> tuple[Dependence, ...]:
     return tuple(Dependence(**row) for row in json.loads(text))
 
 
-def shift(felt: Mapping[str, Felt], found: Sequence[Dependence]) -> tuple[float, float]:
+def shift(lagged: Mapping[str, Lagged], found: Sequence[Dependence]) -> tuple[float, float]:
     """Return by how much covariates move a reference, and the sd of that.
 
     What is missing is off by as much as the covariate spreads, and more the longer it is missing; beyond what was
@@ -71,15 +71,15 @@ def shift(felt: Mapping[str, Felt], found: Sequence[Dependence]) -> tuple[float,
     """
     total, variance = 0.0, 0.0
     for one in found:
-        now = felt[one.name]
-        missing = one.coefficient * one.spread * (1.0 - now.known) * now.doubt
+        now = lagged[one.name]
+        missing = one.coefficient * one.spread * (1.0 - now.known) * now.inflation
         strange = STRANGE * one.coefficient * beyond(one, now)
         variance += (one.sd * now.deviation) ** 2 + missing**2 + strange**2
         total += one.coefficient * now.deviation
     return total, sqrt(variance)
 
 
-def beyond(one: Dependence, now: Felt) -> float:
+def beyond(one: Dependence, now: Lagged) -> float:
     """Return by how much a covariate is outside what was learnt, in its unit; 0 inside."""
     value = one.center + now.deviation
     return max(value - one.high, one.low - value, 0.0)
@@ -99,10 +99,10 @@ def widened(sd: float, moved_sd: float) -> float:
     return sd if moved_sd == 0.0 else float(f"{unit * (floor(whole / unit) + 1):.2g}")
 
 
-def remark(one: Dependence, now: Felt) -> str:
+def remark(one: Dependence, now: Lagged) -> str:
     """Say why a reference is not as well known as learnt; empty where it is. The words stay while the reason does."""
     if now.known < LITTLE:
         return f"{one.name} is missing, or has been for as long as it matters"
-    if beyond(one, now) > MARGIN * (one.high - one.low):
+    if beyond(one, now) > OUTSIDE * (one.high - one.low):
         return f"{one.name} is outside the {one.low:.3g} to {one.high:.3g} {one.unit} that were learnt"
     return ""

@@ -29,7 +29,7 @@ RECENT = 2880.0
 """Periods (two days) over which a covariate is averaged to guess it while it is missing."""
 DRIFTS = 10_080.0
 """Periods (a week) after which such a guess is off by sqrt(2) times what the covariate spreads by at once."""
-NEVER = 129_600
+UNREAD = 129_600
 """Periods (90 days) for which a covariate counts as missing that was never read."""
 MOST_GAP = 20_000
 """Periods without a row after which a lagged covariate is begun anew (two weeks)."""
@@ -46,7 +46,7 @@ class Lag:
 
     @property
     def kept(self) -> float:
-        """The share of what was felt that is left a period later."""
+        """The share of what acted that is left a period later."""
         return float(np.exp(-PERIOD_S / self.seconds)) if self.shape == "first-order" else 0.0
 
     @property
@@ -68,13 +68,13 @@ class Series:
     deviation: FloatArray
     covered: BoolArray
 
-    def felt(self, lag: Lag) -> FloatArray:
-        """Return what is felt in each period (n,); before the first the covariate is taken to be as in that."""
+    def lagged(self, lag: Lag) -> FloatArray:
+        """Return what acts in each period (n,); before the first the covariate is taken to be as in that."""
         return _lagged(self.deviation, lag, float(self.deviation[0]))
 
     def known(self, lag: Lag) -> FloatArray:
         """Return the share (n,) of that which is known; of what was before the first period nothing is."""
-        return _lagged(self.covered * 1.0, lag, 0.0)
+        return _lagged(self.covered.astype(np.float64), lag, 0.0)
 
 
 def series(number: IntArray, value: FloatArray, center: float, hold: int) -> Series:
@@ -97,10 +97,10 @@ def _lagged(x: FloatArray, lag: Lag, before: float) -> FloatArray:
     if lag.shape == "delay":
         lead = np.full(min(lag.periods, len(x)), before)
         return np.concatenate([lead, x[: len(x) - len(lead)]])
-    return _followed(x, lag.kept, before)
+    return _filtered(x, lag.kept, before)
 
 
-def _followed(x: FloatArray, kept: float, before: float) -> FloatArray:
+def _filtered(x: FloatArray, kept: float, before: float) -> FloatArray:
     """Return the first-order lag of a series: the solution of a matrix of two bands."""
     from scipy.linalg import solve_banded
 
@@ -111,19 +111,19 @@ def _followed(x: FloatArray, kept: float, before: float) -> FloatArray:
     return np.asarray(solve_banded((1, 0), bands, right, overwrite_b=True, check_finite=False))
 
 
-class Felt(NamedTuple):
-    """What is felt of a covariate: its deviation from the centre, the share of that which is known, how old it is.
+class Lagged(NamedTuple):
+    """What acts of a covariate: its deviation from the centre, the share of that which is known, how old it is.
 
-    doubt: by how much the spread of the covariate understates what a guess of the rest may be off.
+    inflation: by how much the spread of the covariate understates what a guess of the rest may be off.
     """
 
     deviation: float
     known: float
-    doubt: float
+    inflation: float
 
 
-class Follower:
-    """The same, period by period: what is felt of one covariate now.
+class LagFilter:
+    """The same, period by period: what acts of one covariate now.
 
     means: number of a period -> mean, which others fill. center, hold, lag: as above.
     """
@@ -134,8 +134,8 @@ class Follower:
         self._period: int | None = None
         self._begin()
 
-    def at(self, period: int) -> Felt:
-        """Return what is felt in a period; an earlier one than before is as the newest."""
+    def at(self, period: int) -> Lagged:
+        """Return what acts in a period; an earlier one than before is as the newest."""
         if self._period is None or period - self._period > MOST_GAP:
             self._begin()
             early = [number for number in self._means if period - MOST_GAP < number <= period]
@@ -143,24 +143,24 @@ class Follower:
         while self._period < period:
             self._period += 1
             self._step(self._period - self._lag.periods)
-        return Felt(self._felt, self._known, sqrt(1.0 + self._missing / DRIFTS))
+        return Lagged(self._lagged, self._known, sqrt(1.0 + self._missing / DRIFTS))
 
     def _begin(self) -> None:
         """Begin with nothing known."""
         self._now, self._recent = 0.0, 0.0
-        self._felt, self._known = 0.0, 0.0
-        self._missing = NEVER
+        self._lagged, self._known = 0.0, 0.0
+        self._missing = UNREAD
 
     def _step(self, number: int) -> None:
         mean = self._means.get(number)
         self._missing += 1
         if mean is not None:
             self._now = mean - self._center
-            if self._missing > NEVER:  # the first: all before it was as it is
-                self._recent = self._felt = self._now
+            if self._missing > UNREAD:  # the first: all before it was as it is
+                self._recent = self._lagged = self._now
             self._missing = 0
         there = self._missing <= self._hold
         if there:
             self._recent += (self._now - self._recent) / RECENT
-        self._felt += (1.0 - self._kept) * ((self._now if there else self._recent) - self._felt)
+        self._lagged += (1.0 - self._kept) * ((self._now if there else self._recent) - self._lagged)
         self._known = self._kept * self._known + (1.0 - self._kept) * there

@@ -20,7 +20,7 @@ from agent.types import FloatArray, IntArray
 
 CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
 """Autocorrelations from period to period that are weighed."""
-SHORTEST_S, STEPS, PART = 300.0, 17, 8.0
+SHORTEST_S, LENGTHS, PART = 300.0, 17, 8.0
 """Lags are 5 min times the square root of 2 to the 0 ... 16 (21 h), no longer than an eighth of the stretch."""
 ROUNDS = 2
 """How often each covariate's lag is looked for beside those of the others."""
@@ -35,7 +35,7 @@ ALIKE = 0.999
 """Correlation of two covariates from which on nobody can tell which of them it is."""
 
 Columns = Callable[[int, Lag], FloatArray]
-"""Covariate by number, and lag -> what is felt of it in each period (n,)."""
+"""Covariate by number, and lag -> what acts of it in each period (n,)."""
 Weighed = tuple[Lag, float, float, float]
 """A lag, its log-likelihood, the coefficient there and its sd."""
 
@@ -47,7 +47,7 @@ class Found:
     Attributes:
         coefficient, sd: change of the parameter a unit of the covariate.
         lag: the most probable; lag_lower_s, lag_upper_s: of its shape, those that are as good as it.
-        gain: log-likelihood that it is worth; matters: whether that is worth its two numbers.
+        gain: log-likelihood that it is worth; significant: whether that is worth its two numbers.
     """
 
     coefficient: float
@@ -56,12 +56,12 @@ class Found:
     lag_lower_s: float
     lag_upper_s: float
     gain: float
-    matters: bool
+    significant: bool
 
 
 def lags(span_s: float) -> list[Lag]:
     """Return the lags that are weighed on a stretch of so many seconds."""
-    lengths = [SHORTEST_S * 2.0 ** (0.5 * i) for i in range(STEPS)]
+    lengths = [SHORTEST_S * 2.0 ** (0.5 * i) for i in range(LENGTHS)]
     allowed = [length for length in lengths if length <= span_s / PART]
     return [Lag(), *(Lag("first-order", s) for s in allowed), *(Lag("delay", s) for s in allowed)]
 

@@ -97,7 +97,7 @@ def identify(
 def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tuple[Found, float]:
     if not isinstance(rig.model, MechanicsModel):
         advice = "give its parameters' nominals; identify knows masses, springs, dampers and dry friction"
-        raise ConfigError.at("model.kind", '"linear" has no graph to identify', advice)
+        raise ConfigError.at("model.kind", f'"{rig.model.kind}" has no graph to identify', advice)
     blank = with_blanks(rig)
     require_motion_sensors(blank)
     records = read_records(blank, recordings, progress)

@@ -5,6 +5,9 @@ from typing import Any
 import pytest
 
 from agent.types import AlarmTransition, EstimateBatch, Status
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.rig.trajectory import Rig
 from tests.scenario.test_linear_rigs import play
 from tests.sim.rigs import ROOT
 
@@ -31,6 +34,12 @@ PLAYED: dict[str, tuple[list[dict[str, Any]], dict[str, float], dict[str, float]
 }  # fmt: skip
 
 
+OWN = {
+    "dc-drive": "dc_drive", "filter": "rlc_filter", "oven": "oven", "transfer": "transfer_line",
+    "gearbox": "geared_drive", "gantry": "gantry",
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("name", PLAYED)
 def test_parameters_of_an_example_are_found_where_they_moved(name: str) -> None:
     forces, noise, percent, seconds = PLAYED[name]
@@ -42,6 +51,14 @@ def test_parameters_of_an_example_are_found_where_they_moved(name: str) -> None:
         true = truth[parameter][-1]
         assert Status(int(status)) is Status.VALID, parameter
         assert abs(value - true) < 3 * sd < 0.05 * true, (parameter, value, true, sd)
+
+
+@pytest.mark.parametrize(("scenario", "file"), OWN.items())
+def test_scenario_of_an_example_names_what_its_rig_has(scenario: str, file: str) -> None:
+    rig = read_rig(EXAMPLES / f"{file}.toml")
+    played = load_scenario(scenario, {})
+    played.fits(rig)
+    assert len(Rig(rig, played).advance(3).readings) == 3
 
 
 def test_alarms_of_a_motor_watched_by_its_speed_are_those_due() -> None:

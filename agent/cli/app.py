@@ -15,7 +15,7 @@ import typer
 
 from agent import __version__
 from agent.cli.group import CommandGroup
-from agent.cli.terminal.imports import uncollected
+from agent.cli.terminal.imports import without_collection
 from agent.cli.terminal.signals import done_when_terminated
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ def run(
     kind: Annotated[RunKind, typer.Option(hidden=True, help="What the run is marked as.")] = RunKind.LIVE,
 ) -> None:
     """Run the agent in the foreground until SIGTERM, SIGINT or the end of --duration."""
-    with uncollected():
+    with without_collection():
         from agent.cli import results as commands_results
         from agent.runtime.workers import running
 
@@ -205,7 +205,7 @@ def replay(
     json: Json = False,
 ) -> None:
     """Run recordings through the same pipeline as the live agent, as fast as it goes."""
-    with uncollected():
+    with without_collection():
         from agent.cli import results as commands_results
         from agent.runtime import replay as body
 

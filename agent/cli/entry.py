@@ -2,14 +2,14 @@
 
 from typing import NoReturn
 
-from agent.cli.terminal.imports import uncollected
+from agent.cli.terminal.imports import without_collection
 from agent.cli.terminal.signals import done_when_terminated
 
 
 def main() -> NoReturn:
     """Run the command line; SIGTERM ends it well from here on, while the imports are still under way."""
     with done_when_terminated():
-        with uncollected():
+        with without_collection():
             from agent.cli.app import main as command_line
 
         command_line()

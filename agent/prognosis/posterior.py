@@ -256,7 +256,8 @@ def _seen(
 
 def _walk(t: FloatArray, readings: Readings, swarm: _Swarm, column: dict[str, FloatArray]) -> Walk:
     """Return the steps between instants t (n,) of some of the readings."""
-    member, count = swarm.member, len(swarm.theta)
+    member = swarm.member
+    count = len(swarm.theta)
     shape = np.column_stack([column[name] for name in SHAPES[member]]) if SHAPES[member] else np.zeros((count, 0))
     h = np.diff(progress(t, member, shape), axis=0)
     dt = np.diff(t)[:, None]

@@ -58,7 +58,6 @@ class Writer(Protocol):
         """Bring what is left to the disk, and end."""
 
 
-
 def path_of(config: RigConfig, db: Path | None) -> Path:
     """Return the file of a rig's database, `db` where that is given."""
     return db if db is not None else config.store.path

@@ -23,9 +23,7 @@ from agent.storage.write.command_socket import Handler
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition
 
-MakeWriters = Callable[
-    [Sequence[RigConfig], Path | None, RunKind, Mapping[str, Handler], Route], Mapping[Path, Writer]
-]
+MakeWriters = Callable[[Sequence[RigConfig], Path | None, RunKind, Mapping[str, Handler], Route], Mapping[Path, Writer]]
 """Makes one writer a database, of configurations, the common file if any, the kind of run, handlers and route."""
 
 

@@ -104,9 +104,7 @@ def test_line_cut_and_frozen_leaves_each_row_there_once(memory: Path, server: in
     assert causes
 
 
-def test_rows_that_are_there_already_are_left_and_those_of_another_database_refused(
-    memory: Path, server: int
-) -> None:
+def test_rows_that_are_there_already_are_left_and_those_of_another_database_refused(memory: Path, server: int) -> None:
     consumer = plant(server, "twice", memory, topics=("estimates",))
     first, again, other = (memory / f"{name}.db" for name in ("first", "again", "other"))
     for path, start in ((first, START), (again, START), (other, START + 7)):

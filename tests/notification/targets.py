@@ -110,6 +110,7 @@ def mail_server(room: MailRoom) -> Iterator[int]:
 @contextmanager
 def agent(path: Path, targets: Sequence[Notify], **settings: Any) -> Iterator[tuple[StoreWriter, list[Notifier]]]:
     """A writer whose steps of alarms are for targets, and their notifiers."""
+
     def names(step: Any) -> list[str]:
         return [target.name for target in targets if concerns(target, step)]
 

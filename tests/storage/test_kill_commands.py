@@ -23,6 +23,7 @@ from tests.storage.rows import select
 
 KILLS = 500
 
+
 @pytest.fixture
 def lives() -> "Iterator[subprocess.Popen[str]]":
     process = subprocess.Popen(

@@ -154,9 +154,7 @@ def numbers_of(path: Path, table: str) -> list[tuple[int, int]]:
     return places
 
 
-def test_run_that_is_not_live_any_more_is_missed(
-    whole: Path, memory: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_run_that_is_not_live_any_more_is_missed(whole: Path, memory: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = memory / "rig.db"
     shutil.copy(whole, path)
     place, width = numbers_of(path, "runs")[-1]

@@ -235,7 +235,8 @@ DOCUMENTS: Final[Mapping[str, Document]] = {
     "baselines": Document("Rows of v_baselines, oldest first.", _RIG, _rows_of("baselines", _baselines)),
     "forecasts": Document(
         "Stored forecasts, oldest first, the newest and at most 99 before it of each parameter; and their record.",
-        (*_RIG, "parameter"), _forecasts,
+        (*_RIG, "parameter"),
+        _forecasts,
     ),
     "trend": Document("Whether a parameter changes, and when it reaches a limit.", (*_PARAMETER, "limit"), _trend),
     "points": Document(_POINTS_OF, (*_PARAMETER, "points"), _points),

@@ -184,9 +184,7 @@ def _dependence(one: Ready, was: Found, lagged: FloatArray) -> Dependence:
     )  # fmt: skip
 
 
-def taken_out(
-    t_ns: IntArray, value: FloatArray, found: Sequence[Dependence], ready: Mapping[str, Ready]
-) -> FloatArray:
+def taken_out(t_ns: IntArray, value: FloatArray, found: Sequence[Dependence], ready: Mapping[str, Ready]) -> FloatArray:
     """Return rows as they would be with every covariate at its centre."""
     moved = [one.coefficient * ready[one.name].lagged(one.lag, t_ns) for one in found if one.used]
     return value - sum(moved) if moved else value

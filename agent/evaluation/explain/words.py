@@ -87,8 +87,6 @@ def unusable(file: str, why: str) -> str:
     return f"Its record {file} cannot be computed again: {why}."
 
 
-
-
 def _rival(one: Rival) -> str:
     size = f"{one.name} had changed by {with_sd(one.delta, one.sd)} {one.unit}".rstrip()
     if one.status != "valid":

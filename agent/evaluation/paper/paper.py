@@ -65,7 +65,8 @@ def _document(window: int, passes: int) -> dict[str, Any]:
         "step_published": cases.STEP,
         "matrix": matrices(changes[0], first, first.trail[-1] - cases.NOMINAL),
         "range_of_gain": {
-            "published": in_range(cases.MATRIX), "as_printed": in_range(first.descents[0].M),
+            "published": in_range(cases.MATRIX),
+            "as_printed": in_range(first.descents[0].M),
             "least_lower_rows": least_lower_rows(),
         },
         "observer_poles": {"published": list(cases.OBSERVER_POLES), "computed": observer_poles()},

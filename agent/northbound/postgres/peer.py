@@ -1,4 +1,3 @@
-
 """Rows into PostgreSQL: copied to a table of the session, then inserted where rig and seq are not there.
 
 COMMIT is the acknowledgement.
@@ -102,8 +101,7 @@ class PostgresPeer:
 
     def _create(self, connection: psycopg.Connection[Any], topic: str, text: str) -> None:
         columns = sql.SQL(", ").join(
-            sql.SQL("{} ").format(sql.Identifier(name)) + sql.SQL(kind)
-            for name, kind in COLUMNS[topic].items()
+            sql.SQL("{} ").format(sql.Identifier(name)) + sql.SQL(kind) for name, kind in COLUMNS[topic].items()
         )
         is_timescale = connection.execute("SELECT 1 FROM pg_extension WHERE extname = 'timescaledb'").fetchone()
         key = sql.SQL("rig, seq, time" if is_timescale else "rig, seq")

@@ -118,9 +118,7 @@ def regression(model: StateSpace, states: FloatArray, u: FloatArray) -> tuple[Ba
     return Batch(np.hstack([states[:-1], u]), moved), np.concatenate([model.dA, model.dB], axis=2)
 
 
-def output_regression(
-    model: StateSpace, states: FloatArray, y: FloatArray, u: FloatArray
-) -> tuple[Batch, FloatArray]:
+def output_regression(model: StateSpace, states: FloatArray, y: FloatArray, u: FloatArray) -> tuple[Batch, FloatArray]:
     """Return the batch of dC over a window and the derivatives (q, p, r) of its matrix; inputs join where dD is any."""
     left = y - states[:-1] @ model.C.T - u @ model.D.T
     if not model.dD.any():

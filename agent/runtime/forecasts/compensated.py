@@ -42,9 +42,7 @@ def compensated(db: Path, points: Points) -> Compensated:
     return _without(points, one, found, covariates.means(db, points.rig, first - BEFORE_NS, last + 1))
 
 
-def _without(
-    points: Points, one: Baseline, found: Sequence[Dependence], means: Mapping[str, Means]
-) -> Compensated:
+def _without(points: Points, one: Baseline, found: Sequence[Dependence], means: Mapping[str, Means]) -> Compensated:
     moved = np.zeros(len(points.t_ns))
     variance = np.zeros(len(points.t_ns))
     known = np.ones(len(points.t_ns))

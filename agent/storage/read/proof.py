@@ -92,6 +92,7 @@ def prove_listed(reader: Reader, table: str, first: int = _FIRST) -> None:
 _NOT_HELD = """SELECT 1 FROM {0} i INDEXED BY {1} WHERE NOT EXISTS (
  SELECT 1 FROM {0} t NOT INDEXED WHERE t.seq = i.seq) LIMIT 1"""
 
+
 def prove_names(reader: Reader) -> None:
     """See that every rig and run is there and as it was written, and every series there.
 

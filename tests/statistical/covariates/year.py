@@ -119,6 +119,4 @@ def alarms(played: Year, baseline: Baseline, limit: float, on_delay_s: float, pi
 def counted(rows: EstimateBatch, baseline: Baseline) -> EstimateBatch:
     """Return rows that count from a baseline where its covariates are at their centres."""
     own = baseline.baseline_id
-    return replace(
-        rows, reference=np.array([baseline.reference]), baseline_id=(own,), reference_sd=(baseline.sd,)
-    )
+    return replace(rows, reference=np.array([baseline.reference]), baseline_id=(own,), reference_sd=(baseline.sd,))

@@ -72,9 +72,7 @@ def test_learn_finds_the_reference_and_the_spread_between_hours(db: Path, capsys
     assert "k2" in out
 
 
-def test_relearning_a_part_after_a_repair_touches_that_part_alone(
-    db: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_relearning_a_part_after_a_repair_touches_that_part_alone(db: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = learnt(capsys, db)["parameters"]
     mended = replace(rows(1500, seed=1, first=3 * 1440), reference=TRUTH)
     stored(db, replace(mended, value=mended.value + 5.0))
@@ -172,9 +170,7 @@ def test_export_is_imported_by_a_rig_of_the_same_graph_only(
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"form": "deltak baselines", "baselines": [{"rig": "a"}]}'])
-def test_what_is_no_export_is_refused(
-    db: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
-) -> None:
+def test_what_is_no_export_is_refused(db: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
     file = tmp_path / "strange.json"
     file.write_text(text, encoding="utf-8")
     code, _, err = deltak(capsys, "baseline", "import", db, file)

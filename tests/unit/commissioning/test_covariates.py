@@ -145,11 +145,11 @@ def test_classes_that_the_machine_has_not_run_in_are_counted(
     text = (ROOT / "deploy/examples/modbus.toml").read_text(encoding="utf-8")
     hall = '[[channel]]\nname = "hall"\nrole = "covariate"\nunit = "degC"\nrange = [10.0, 60.0]\n'
     config = tmp_path / "rig.toml"
-    config.write_text(f'{text}\n{hall}\n{SOURCE}\n', encoding="utf-8")
+    config.write_text(f"{text}\n{hall}\n{SOURCE}\n", encoding="utf-8")
     db = stored(tmp_path / "two-mass-rig.db", {"hall": swings})
     words = refused(capsys, db, config)
     assert "not yet: the machine has run in 2 of 5 hall classes (40 %); not in 30 to 40, 40 to 50, 50 to" in words
-    config.write_text(f'{text}\n{hall}\n{SOURCE}\n[baseline]\ncovariates = []\ndays = 2.0\n', encoding="utf-8")
+    config.write_text(f"{text}\n{hall}\n{SOURCE}\n[baseline]\ncovariates = []\ndays = 2.0\n", encoding="utf-8")
     assert learnt(capsys, config)["parameters"]["k1"]["covariates"] == []
 
 

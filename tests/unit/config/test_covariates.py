@@ -70,7 +70,7 @@ def test_faults_of_covariates_name_their_keys(tmp_path: Path) -> None:
     wrong = HALL.replace('"hall"', '"x1"') + "range = [30.0, 10.0]\nnoise_sd = 1.0\n"
     odd = HALL.replace('"covariate"', '"cofactor"')
     found = faults_of(put(tmp_path, wrong, odd, "[baseline]\ncovariates = ['load']\nclasses = 0\n"))
-    assert 'is the name of channel' in found["channel[3].name"]
+    assert "is the name of channel" in found["channel[3].name"]
     assert found["channel[3].range"] == "must rise"
     assert "unknown key" in found["channel[3].noise_sd"]
     assert 'is none of "signal" and "covariate"' in found["channel[4].role"] or "cofactor" in found["channel[4].role"]

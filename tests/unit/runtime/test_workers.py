@@ -172,5 +172,3 @@ def test_samples_between_the_last_row_and_the_first_sample_after_it_are_lost(rig
     assert isinstance(lost, HealthEvent)
     assert "a: 3000 samples, 3.000 s, were lost" in lost.message
     assert see(rows_from(config, last_ns + 9 * SECOND, 20)) == []
-
-

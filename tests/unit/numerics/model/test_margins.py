@@ -115,7 +115,6 @@ def test_perturbation_norm_is_that_of_the_written_out_matrix(rng: np.random.Gene
     assert perturbation_norm(GAIN, dA, dC) == pytest.approx(np.linalg.norm(whole, 2))
 
 
-
 def test_polytopic_margin_of_the_papers_rig_is_in_its_units_and_certified() -> None:
     margin = polytopic_margin(rig(), LIMITS)
     assert margin.lyapunov is not None

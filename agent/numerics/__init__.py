@@ -6,4 +6,4 @@ streaming bank) beside `inference` (one window, in the frequency domain), `fitti
 Imported by blocks and by whatever stands above them.
 """
 
-from agent.numerics import scipy_alone as scipy_alone  # before anything imports scipy
+from agent.numerics import lean_import as lean_import  # before anything imports scipy

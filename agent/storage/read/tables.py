@@ -2,10 +2,10 @@
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from agent.storage.read.times import age_ns, parse_time
 
 ENDINGS = frozenset({".csv", ".parquet", ".pq"})
 _TIMES = ("time", "t", "t_ns")
+_LONGEST_LINE = 1 << 22
 _ADVICE = "a history has the columns time (ISO 8601, or seconds), value and, where there is one, sd"
 
 
@@ -88,10 +89,18 @@ def _columns(path: Path) -> Mapping[str, Sequence[Any]]:
 
 def _csv(path: Path) -> dict[str, list[str]]:
     with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.DictReader(file)
+        rows = csv.DictReader(_lines(path, file))
         names = [name.strip() for name in rows.fieldnames or ()]
         cells = [[cell or "" for cell in (row[name] for name in rows.fieldnames or ())] for row in rows]
     return {name: [row[i] for row in cells] for i, name in enumerate(names)}
+
+
+def _lines(path: Path, file: TextIO) -> Iterator[str]:
+    """Yield the lines of a file; UsageError for one that is no row of a history, before it fills the memory."""
+    while line := file.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise UsageError.at(str(path), f"has a row of {_LONGEST_LINE} characters or more", _ADVICE)
+        yield line
 
 
 def _parquet(path: Path) -> dict[str, list[Any]]:

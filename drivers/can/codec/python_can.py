@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 MEASUREMENTS = "asammdf"
-EVENT_LOOPS = "asyncio"
+_EVENT_LOOPS = "asyncio"
 
 
 class _Later(ModuleType):
@@ -26,13 +26,13 @@ def import_lean() -> None:
     if "can" in sys.modules or MEASUREMENTS in sys.modules:
         return
     sys.modules[MEASUREMENTS] = None  # type: ignore[assignment]  # which makes importing it an ImportError
-    later = sys.modules.setdefault(EVENT_LOOPS, _Later(EVENT_LOOPS))
+    later = sys.modules.setdefault(_EVENT_LOOPS, _Later(_EVENT_LOOPS))
     try:
         importlib.import_module("can")
     finally:
         del sys.modules[MEASUREMENTS]
         if isinstance(later, _Later):
-            del sys.modules[EVENT_LOOPS]
+            del sys.modules[_EVENT_LOOPS]
 
 
 def import_measurements() -> None:

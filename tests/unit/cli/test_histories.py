@@ -2,6 +2,7 @@
 
 import csv
 import json
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from agent.cli.prognosis.fleet import fleet, learn_prior
 from agent.cli.prognosis.trend import Ahead, trend
 from agent.errors import UsageError
 from agent.storage.read import queries
+from agent.storage.read.tables import table_points
 from agent.storage.write.store import Store
 from agent.types import ForecastRecord, ForecastScore
 from tests.storage.rows import batch, run_info
@@ -261,3 +263,16 @@ def test_trend_over_rows_of_two_references_and_a_set_clock_says_so(
     assert "rows of 2 references (25, then 24.5): their values are compared" in text
     assert "the wall clock was set otherwise 2 times: instants follow it as it is set now" in text
     assert "a trend: falls" in text  # what is counted from elsewhere moves no value
+
+
+def test_endless_row_of_a_history_is_refused_and_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "endless.csv"
+    for head in ("", "time,value\n"):
+        path.write_text(head + "1" * (32 << 20), encoding="utf-8")
+        tracemalloc.start()
+        try:
+            with pytest.raises(UsageError, match=r"endless\.csv: has a row of 4194304 characters or more"):
+                table_points(path)
+            assert tracemalloc.get_traced_memory()[1] < 30e6
+        finally:
+            tracemalloc.stop()

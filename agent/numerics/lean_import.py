@@ -6,11 +6,11 @@ twentieth of what a small agent keeps in memory. While scipy is imported, their 
 
 import numpy as np
 
-UNUSED = ("f2py", "testing", "ctypeslib")
+_UNUSED = ("f2py", "testing", "ctypeslib")
 
 
 def _import_scipy() -> None:
-    aside = [name for name in UNUSED if name not in vars(np)]
+    aside = [name for name in _UNUSED if name not in vars(np)]
     for name in aside:
         setattr(np, name, None)
     try:

@@ -15,8 +15,8 @@ import typer
 
 from agent import __version__
 from agent.cli.group import CommandGroup
-from agent.cli.terminal.imports import uncollected
 from agent.cli.terminal.signals import done_when_terminated
+from agent.cli.terminal.start import fast_import
 
 if TYPE_CHECKING:
     from agent.alarms.life_cycle import Cause
@@ -153,7 +153,7 @@ def run(
     kind: Annotated[RunKind, typer.Option(hidden=True, help="What the run is marked as.")] = RunKind.LIVE,
 ) -> None:
     """Run the agent in the foreground until SIGTERM, SIGINT or the end of --duration."""
-    with uncollected():
+    with fast_import():
         from agent.cli import results as commands_results
         from agent.runtime import service
 
@@ -197,7 +197,7 @@ def replay(
     json: Json = False,
 ) -> None:
     """Run recordings through the same pipeline as the live agent, as fast as it goes."""
-    with uncollected():
+    with fast_import():
         from agent.cli import results as commands_results
         from agent.runtime import replay as body
 

@@ -15,8 +15,8 @@ import typer
 
 from agent import __version__
 from agent.cli.group import CommandGroup
-from agent.cli.terminal.imports import without_collection
 from agent.cli.terminal.signals import done_when_terminated
+from agent.cli.terminal.start import fast_import
 
 if TYPE_CHECKING:
     from agent.alarms.life_cycle import Cause
@@ -161,7 +161,7 @@ def run(
     kind: Annotated[RunKind, typer.Option(hidden=True, help="What the run is marked as.")] = RunKind.LIVE,
 ) -> None:
     """Run the agent in the foreground until SIGTERM, SIGINT or the end of --duration."""
-    with without_collection():
+    with fast_import():
         from agent.cli import results as commands_results
         from agent.runtime.workers import running
 
@@ -205,7 +205,7 @@ def replay(
     json: Json = False,
 ) -> None:
     """Run recordings through the same pipeline as the live agent, as fast as it goes."""
-    with without_collection():
+    with fast_import():
         from agent.cli import results as commands_results
         from agent.runtime import replay as body
 

@@ -2,14 +2,14 @@
 
 from typing import NoReturn
 
-from agent.cli.terminal.imports import without_collection
 from agent.cli.terminal.signals import done_when_terminated
+from agent.cli.terminal.start import fast_import
 
 
 def main() -> NoReturn:
     """Run the command line; SIGTERM ends it well from here on, while the imports are still under way."""
     with done_when_terminated():
-        with without_collection():
+        with fast_import():
             from agent.cli.app import main as command_line
 
         command_line()

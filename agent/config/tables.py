@@ -409,7 +409,7 @@ class RigConfig(Table):
         return tuple(alarm for alarm in self.alarm if "level" in alarm.kinds)
 
     @property
-    def alarmed(self) -> tuple[str, ...]:
+    def with_alarms(self) -> tuple[str, ...]:
         """The parameters that any alarm is of, in the file's order."""
         return tuple(dict.fromkeys(alarm.parameter for alarm in self.alarm))
 

@@ -181,7 +181,7 @@ def test_whole_replay_of_a_recording_into_sqlite_keeps_far_ahead_of_time(
     figure(
         f"whole replay of NPZ into SQLite, {force} force: {rate:,.0f} samples a second, {of_processor:,.0f} of a core"
     )
-    assert of_processor >= 300_000
+    assert of_processor >= 300_000  # on a loaded machine too: a core that is shared takes half as long again
 
 
 def held() -> Record:

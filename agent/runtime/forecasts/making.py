@@ -50,7 +50,7 @@ class Forecaster:
     def __init__(self, config: RigConfig, db: Path) -> None:
         self.rig, self._db, self._asked = config.rig.name, db, config.forecast
         self._limits = {alarm.parameter: alarm for alarm in config.alarm if alarm.has_limit}
-        self.parameters = config.alarmed
+        self.parameters = config.with_alarms
         self._window_s = max(config.estimator.windows_s, default=None)
         self._like: dict[tuple[str, float], Learnt | None] = {}
         self._reported: dict[str, str] = {}

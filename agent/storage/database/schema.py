@@ -40,7 +40,7 @@ PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
 COLUMN_BITS = 10
 """estimates.seq = hops.seq << COLUMN_BITS | column."""
-ROWS_A_STATEMENT = 64
+ROWS_AT_ONCE = 64
 """Of 20 columns at the most: a statement may have 32,766 values."""
 
 TABLES: dict[str, str] = {
@@ -149,10 +149,10 @@ def insert_rows(connection: sqlite3.Connection, table: str, rows: Sequence[tuple
 
     Many go with one statement: while SQLite runs one, other threads of Python compute.
     """
-    whole = len(rows) - len(rows) % ROWS_A_STATEMENT
-    for first in range(0, whole, ROWS_A_STATEMENT):
-        cells = tuple(chain.from_iterable(rows[first : first + ROWS_A_STATEMENT]))
-        connection.execute(insert_sql(table, "INSERT OR REPLACE", ROWS_A_STATEMENT), cells)
+    whole = len(rows) - len(rows) % ROWS_AT_ONCE
+    for first in range(0, whole, ROWS_AT_ONCE):
+        cells = tuple(chain.from_iterable(rows[first : first + ROWS_AT_ONCE]))
+        connection.execute(insert_sql(table, "INSERT OR REPLACE", ROWS_AT_ONCE), cells)
     connection.executemany(insert_sql(table, "INSERT OR REPLACE"), rows[whole:])
 
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def without_collection() -> Iterator[None]:
+def fast_import() -> Iterator[None]:
     """Look for no garbage inside, nor ever among what was made there."""
     gc.disable()
     try:

@@ -133,7 +133,8 @@ def _bytes(config: RigConfig, rig: RigModel) -> int:
     retention = Retention(keep.full, keep.minute, keep.hour, store.max_mb * 1e6)
     sources = max(1, len(config.source))
     windows = 1 + len(longer_windows(config, hop_plan(config)))
-    return bytes_per_rig_year(len(rig.parameters), store.every_s, config.estimator.hop_s, retention, sources, windows)
+    rows = store.every_s, config.estimator.hop_s
+    return bytes_per_rig_year(len(rig.parameters), *rows, retention, sources, windows, len(config.covariate))
 
 
 def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered: Gathered) -> dict[str, Any]:

@@ -23,7 +23,7 @@ def listen(config: RigConfig, progress: Progress, listen_s: float = LISTEN_S) ->
     require_sources(config)
     gathering = Gathering(config, {source.name: source.map for source in config.source})
     wake = threading.Event()
-    connections = connect([config], wake)
+    connections = [one for one in connect([config], wake) if any(use.columns for use in one.uses)]
     try:
         for connection in connections:
             connection.start()

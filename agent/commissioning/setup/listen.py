@@ -17,9 +17,10 @@ from agent.commissioning.limits import TURN_S
 from agent.commissioning.probe import OPEN_ADVICE, require_sources
 from agent.commissioning.readings import Gathering
 from agent.config import RigConfig, load
+from agent.config.covariates.tables import Covariate
 from agent.config.tables import Channel, Source
 from agent.errors import BusError, Fault
-from agent.runtime.sources import Arrival, Connection, connect, part
+from agent.runtime.sources import Arrival, Connection, Use, connect, part
 from agent.text import printable
 from agent.types import FloatArray
 from drivers.port import Trace, Unit
@@ -81,7 +82,7 @@ class _Ear:
     connection: Connection
     trace: Trace
     sources: tuple[Source, ...]
-    channels: dict[int, Channel]
+    channels: dict[int, Channel | Covariate]
     shown_at_s: float = -1.0
     received: int = 0
 
@@ -115,14 +116,14 @@ class _Watch:
     @classmethod
     def of(cls, rig: RigConfig, say: Say) -> "_Watch":
         wake = threading.Event()
-        named = {source.name: source for source in rig.source}
-        channels = {channel.name: channel for channel in rig.channel}
+        named = {source.name: source for source in _sources(rig)}
+        channels: dict[str, Channel | Covariate] = {channel.name: channel for channel in (*rig.channel, *rig.covariate)}
         ears = []
         for connection in connect([rig], wake):
             columns = {
                 column: channels[name]
                 for use in connection.uses
-                for column, name in zip(use.columns, named[use.source].map, strict=True)
+                for column, name in _columns(use, named[use.source])
             }
             sources = tuple(named[use.source] for use in connection.uses)
             ears.append(_Ear(connection, connection.look_on(), sources, columns))
@@ -157,7 +158,7 @@ class _Watch:
                 self._happened(ear, event)
             for arrival in arrivals:
                 self._gather(ear, arrival)
-            self.gathering.counts |= {use.source: ear.connection.counts for use in ear.connection.uses}
+            self.gathering.counts |= {use.source: ear.connection.counts for use in ear.connection.uses if use.columns}
             for line in self._lines(ear, ear.trace.take()):
                 self._show(line)
 
@@ -168,12 +169,12 @@ class _Watch:
 
     def _gather(self, ear: _Ear, arrival: Arrival) -> None:
         ear.received += len(arrival.block)
-        for use in ear.connection.uses:
+        for use in (use for use in ear.connection.uses if use.columns):
             self.gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)
         for column, channel in ear.channels.items():
             self._note(channel, arrival.block.values[:, column])
 
-    def _note(self, channel: Channel, readings: FloatArray) -> None:
+    def _note(self, channel: Channel | Covariate, readings: FloatArray) -> None:
         values = channel.scale * readings[np.isfinite(readings)] + channel.offset
         if len(values):
             before = self.seen.get(channel.name, {"n": 0, "min": np.inf, "max": -np.inf})
@@ -209,7 +210,7 @@ class _Watch:
             source |= {"faults": dict(counts.faults), "first_rejected": first}
         return {
             "rig": self.rig.rig.name, "seconds": self._now(), "sources": sources,
-            "channels": [self._channel(source, channel) for source in self.rig.source for channel in source.map],
+            "channels": [self._channel(source, name) for source in _sources(self.rig) for name in _fields(source)],
             "lines": [
                 {
                     "at_s": line.at_s, "source": line.source, "raw": line.raw, "reason": line.reason,
@@ -220,16 +221,33 @@ class _Watch:
         }  # fmt: skip
 
     def _channel(self, source: Source, name: str) -> dict[str, Any]:
-        channel = next(channel for channel in self.rig.channel if channel.name == name)
+        channel = next(channel for channel in (*self.rig.channel, *self.rig.covariate) if channel.name == name)
         seen = self.seen.get(name, {})
         return {
-            "name": name, "unit": channel.unit, "source": source.name, "field": source.map[name],
+            "name": name, "unit": channel.unit, "source": source.name, "field": _fields(source)[name],
             "rate_hz": self._rate(source, int(seen.get("n", 0))), "samples": int(seen.get("n", 0)),
             "last": seen.get("last"), "min": seen.get("min"), "max": seen.get("max"),
         }  # fmt: skip
 
     def _rate(self, source: Source, readings: int) -> float | None:
         """Readings a second: the source's rate, less what its samples lack of this channel."""
+        if not source.map:
+            return readings / self._now() if readings else None
         (facts,) = [facts for facts in self.gathering.sources() if facts["name"] == source.name]
         samples = sum(ear.received for ear in self.ears if source in ear.sources)
         return facts["rate_hz"] * readings / samples if facts["rate_hz"] and samples else None
+
+
+def _sources(rig: RigConfig) -> tuple[Source, ...]:
+    """Return all sources, those of covariates alone last."""
+    return (*rig.source, *rig.covariate_source)
+
+
+def _fields(source: Source) -> dict[str, str]:
+    """Return the fields of a source by channel, covariates last."""
+    return {**source.map, **source.covariates}
+
+
+def _columns(use: Use, source: Source) -> list[tuple[int, str]]:
+    """Return the columns of a source's blocks with the channels that they are."""
+    return [*zip(use.columns, source.map, strict=True), *((place, name) for name, place in use.covariates.items())]

@@ -25,7 +25,7 @@ _FREE_PAGES = 128
 _GROWING = 3  # parts of a run that rows may still come for
 _HOPS_A_PURGE = 10_000
 _YEAR_S = 365 * 86400
-_HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES = 47.0, 47.0, 38.0, 60.0
+_HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES, _COVARIATE_BYTES = 47.0, 47.0, 38.0, 60.0, 77.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +39,9 @@ class Retention:
 
 
 def bytes_per_rig_year(
-    parameters: int, every_s: float, hop_s: float, keep: Retention, sources: int = 1, windows: int = 1
-) -> int:
+    parameters: int, every_s: float, hop_s: float, keep: Retention, sources: int = 1, windows: int = 1,
+    covariates: int = 0,
+) -> int:  # fmt: skip
     """Return the size of the file after a year without alarms, as measured on files of this version.
 
     Args:
@@ -50,13 +51,15 @@ def bytes_per_rig_year(
         keep: the [store] table's keep and max_mb.
         sources: a health row each every 10 s.
         windows: a row of each in the finest tier.
+        covariates: a row each a minute, an hour of what is old.
     """
     period = max(every_s, hop_s)
     rows = [min(keep.full_s, _YEAR_S) / period, min(keep.minute_s, _YEAR_S) / MINUTE, min(keep.hour_s, _YEAR_S) / HOUR]
     coarse = _HOP_BYTES + parameters * (_CELL_BYTES + _SPREAD_BYTES)
     sizes = [_HOP_BYTES + parameters * windows * _CELL_BYTES, coarse, coarse]
     health = sources * (min(keep.full_s, _YEAR_S) / 10 + _YEAR_S / HOUR) * _HEALTH_BYTES
-    return ceil(min(keep.max_bytes, health + sum(n * size for n, size in zip(rows, sizes, strict=True))))
+    beside = covariates * (rows[1] + rows[2]) * _COVARIATE_BYTES
+    return ceil(min(keep.max_bytes, health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True))))
 
 
 @dataclass(slots=True)

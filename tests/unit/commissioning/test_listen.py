@@ -114,6 +114,27 @@ def test_listen_json_counts_each_reason_and_the_rate_of_each_channel(
     assert {row["reason"] for row in document["lines"] if row["values"] is None} == {"text"}
 
 
+def test_listen_shows_covariates_and_names_a_source_of_theirs_that_is_absent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hall = '\n[[channel]]\nname = "{0}"\nrole = "covariate"\nunit = "degC"\n'
+    alone = '[[source]]\nname = "wall"\ndriver = "serial"\nport = "none"\nformat = "text"\ncolumns = ["W"]\n'
+    with line(tmp_path, b"N,1.5,21.5\n") as config:
+        text = Path(config).read_text().replace('"x1"]\nmap = { ', '"x1", "T"]\nmap = { hall = "T", ')
+        text += hall.format("hall")
+        Path(config).write_text(text, encoding="utf-8")
+        code, out, _ = listened(capsys, config, "--duration", "0.4", "--json")
+        Path(config).write_text(text + hall.format("wall") + alone + 'map = { wall = "W" }\n', encoding="utf-8")
+        absent, _, err = listened(capsys, config, "--duration", "0.4")
+    document: dict[str, Any] = json.loads(out)
+    assert code == 0
+    found = {row["name"]: (row["source"], row["last"], row["unit"]) for row in document["channels"]}
+    assert found == {"x1": ("serial", 3.0, "mm"), "hall": ("serial", 21.5, "degC")}
+    assert [source["name"] for source in document["sources"]] == ["serial"]
+    assert absent == 4
+    assert "wall" in err
+
+
 @pytest.mark.parametrize("bus", DEVICES)
 def test_listen_on_each_bus_shows_units_and_the_bytes_of_what_is_rejected(
     bus: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

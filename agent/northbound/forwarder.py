@@ -21,6 +21,7 @@ from agent.northbound.position import Position
 from agent.storage.read.forward import Feed
 from agent.storage.write.consumers.cursors import Edges, begin, edges_of, keep
 from agent.storage.write.jobs import Job
+from agent.storage.write.store import Store
 from agent.types import HealthEvent
 
 PAUSE_S: Final = 1.0, 30.0
@@ -29,6 +30,8 @@ LATE_S: Final = 5.0
 """A consumer that has been behind for longer gets what is new first, and what it lacks as backfill."""
 KEEP_S: Final = 5.0
 """From one storing of cursors to the next: what was acknowledged since is sent again after a crash."""
+FILL_S: Final = 0.1, 0.4
+"""How long a batch of what is lacking is to take, at least and at most: what is new comes between two of them."""
 ROUND_S: Final = 5.0
 """A round begins after this where nothing is stored."""
 _IN_ORDER: Final = ("alarms",)
@@ -87,6 +90,8 @@ class Forwarder:
         self._error: str | None = None
         self._due, self._stopping = threading.Event(), threading.Event()
         self._before: Forwarder | None = None
+        self._is_forgotten = False
+        self._share = consumer.at_once
         self._thread = threading.Thread(target=self._work, name=f"north-{consumer.name}", daemon=True)
         self.progress = 0
         """Grows with every round of the thread, and while it waits for its peer."""
@@ -106,8 +111,12 @@ class Forwarder:
         """Say that there may be something to send; from any thread."""
         self._due.set()
 
-    def stop(self) -> None:
-        """End the thread when it comes to it; no attempt under way is waited for: it is made again if need be."""
+    def stop(self, *, forget: bool = False) -> None:
+        """End the thread when it comes to it; no attempt under way is waited for: it is made again if need be.
+
+        forget: store no cursor any more, not even one that was acknowledged: the consumer is none any more.
+        """
+        self._is_forgotten = forget
         self._stopping.set()
         self._due.set()
 
@@ -153,7 +162,7 @@ class Forwarder:
         try:
             return self._round()
         except PeerError as error:
-            return self._failed(error)
+            return 0.0 if self._stopping.is_set() else self._failed(error)
         except (AgentError, sqlite3.Error, OSError) as error:
             log.info("%s: what is to be sent is not known now: %s", self.consumer.name, error)
             return _STORE_S
@@ -236,12 +245,22 @@ class Forwarder:
             position = self._position(topic)
             if position.gap is None:
                 continue
-            chunk = self._feed.after(topic, *position.gap, self.consumer.at_once)
+            begun = monotonic_ns()
+            chunk = self._feed.after(topic, *position.gap, self._share)
             after, until = position.gap
             position = position.filled(chunk.reached if chunk.more else until)
             self._deliver(Batch(topic, chunk.rows, after, backfill=True), position)
+            self._adapt((monotonic_ns() - begun) / 1e9)
             return True
         return False
+
+    def _adapt(self, seconds: float) -> None:
+        """Choose how much is filled at once by how long the last took: what is new waits for it."""
+        least, most = FILL_S
+        if seconds > most:
+            self._share = max(1, self._share // 2)
+        elif seconds < least:
+            self._share = min(self.consumer.at_once, 2 * self._share)
 
     def _position(self, topic: str) -> Position:
         assert self._positions is not None  # noqa: S101 - _round restored them
@@ -283,7 +302,7 @@ class Forwarder:
         if self._positions is None:
             return
         positions = {topic: position.edges for topic, position in self._positions.items()}
-        job = partial(keep, name=self.consumer.name, positions=positions, numbers=dict(self._numbers))
+        job = partial(self._stored, name=self.consumer.name, positions=positions, numbers=dict(self._numbers))
         self._kept_ns = monotonic_ns()
         lost = self._ask(job)
         self._is_kept = True
@@ -291,6 +310,10 @@ class Forwarder:
             words = f"{lost} instants or rows were purged before it had them; the database had reached its bound"
             log.warning("%s: %s", self.consumer.name, words)
             self._tell("purged unsent", words)
+
+    def _stored(self, store: Store, **cursors: Any) -> int:
+        """Store cursors, in the writer's thread, unless they were dropped for good."""
+        return 0 if self._is_forgotten else keep(store, **cursors)
 
     def _number(self, key: str) -> int:
         if key not in self._numbers:

@@ -54,7 +54,7 @@ class Forwarding:
         """
         wanted = _wanted(placed)
         leaving = [key for key, made in self._made_for.items() if wanted.get(key) != made]
-        ended = {key: self._end(key) for key in leaving}
+        ended = {key: self._end(key, forget=key not in wanted) for key in leaving}
         for path, writer in writers.items():
             names = [name for place, name in wanted if place == path]
             rigs = [config.rig.name for config in placed.get(path, ())]
@@ -70,10 +70,10 @@ class Forwarding:
         self._forwarders[key] = Forwarder(wanted.consumer, place, make_peer, writer.ask, writer.publish)
         self._forwarders[key].start(before)
 
-    def _end(self, key: _Key) -> Forwarder:
+    def _end(self, key: _Key, *, forget: bool) -> Forwarder:
         forwarder = self._forwarders.pop(key)
         del self._made_for[key]
-        forwarder.stop()
+        forwarder.stop(forget=forget)
         return forwarder
 
     def _wake(self, path: Path) -> None:

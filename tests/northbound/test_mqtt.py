@@ -36,8 +36,8 @@ class Subscriber:
         return [row for row in found if backfill in {None, row["backfill"]}]
 
     def tail(self) -> list[dict[str, Any]]:
-        """Return the newest rows, whatever they are of."""
-        return [json.loads(payload) for topic, payload, _ in self.messages[-5000:] if "/estimates/" in topic]
+        """Return the newest rows that are no backfill."""
+        return [json.loads(payload) for topic, payload, _ in self.messages[-5000:] if "press-7/estimates/" in topic]
 
     def last(self, topic: str) -> bytes | None:
         return next((payload for where, payload, _ in reversed(self.messages) if where == topic), None)

@@ -190,7 +190,7 @@ class SpreadService(Service):
             entered = self._exchange_over(configs, places, {name: self._places[name] for name in before})
         finally:
             self._databases.coming = ()
-            self._databases.close_unused()
+            self._databases.close_without_rigs()
         names = [config.rig.name for config in configs]
         return {
             "restarted": [name for name in before if name in entered],

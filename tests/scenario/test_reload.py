@@ -225,10 +225,11 @@ def test_bundle_holds_what_support_needs_and_no_secret(left: dict[str, Any]) -> 
 
 
 @pytest.mark.soak
-def test_fifty_reloads_cost_the_other_rig_no_sample(tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_fifty_reloads_cost_the_other_rig_no_sample(workers: int, tmp_path: Path) -> None:
     text = example("modbus", tmp_path).read_text()
     with simulator(tmp_path, text, "--scenario", "steady"):
-        gateway = Gateway(tmp_path, text)
+        gateway = Gateway(tmp_path, text, workers)
         with agent(gateway.folder) as running:
             wait_until(lambda: min(hops(gateway.db, "left"), hops(gateway.db, "right")) >= 5, "rows of both")
             for number in range(50):

@@ -66,7 +66,7 @@ def configure(name: str, folder: Path, wire: Wire = COARSE, *, fast: bool = True
     if name == "cobs":
         assert 'sync = "AA55"' in text
         text = text.replace('sync = "AA55"', 'framing = "cobs"')
-    path.write_text(text, encoding="utf-8")
+    path.write_text(f"{text}\n[agent]\nworkers = 1\n", encoding="utf-8")  # fewer processes to trace
     return path
 
 

@@ -121,9 +121,7 @@ class _Watch:
         ears = []
         for connection in connect([rig], wake):
             columns = {
-                column: channels[name]
-                for use in connection.uses
-                for column, name in _columns(use, named[use.source])
+                column: channels[name] for use in connection.uses for column, name in _columns(use, named[use.source])
             }
             sources = tuple(named[use.source] for use in connection.uses)
             ears.append(_Ear(connection, connection.look_on(), sources, columns))

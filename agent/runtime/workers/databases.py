@@ -129,7 +129,7 @@ class WorkersDatabases:
         known = {**self._rigs.configs, **{config.rig.name: config for config in self.coming}}
         return [config for config in known.values() if path_of(config, self._rigs.db) == path]
 
-    def close_unused(self) -> None:
+    def close_without_rigs(self) -> None:
         """Close the databases that no rig names any more."""
         used = {path_of(config, self._rigs.db) for config in self._rigs.configs.values()}
         for path in set(self._rigs.writers) - used:

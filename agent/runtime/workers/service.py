@@ -46,7 +46,7 @@ class SpreadService(Service):
         self._databases = WorkersDatabases(
             self.rig_set, self._losses, self._commanded, self._reloading.locked, self._stop
         )  # fmt: skip
-        self.status.elsewhere = lambda: [rig for worker in self._all() for rig in worker.rigs()]
+        self.status.elsewhere = self._rigs
         self.status.workers = lambda: [worker.document() for worker in self._all()]
         self._adopt(configs)
 
@@ -65,6 +65,11 @@ class SpreadService(Service):
 
     def _all(self) -> list[Worker]:
         return [self._workers[number] for number in sorted(self._workers)]
+
+    def _rigs(self) -> list[dict[str, Any]]:
+        """Return the rigs of all workers as status documents, in the order of the files."""
+        found = {rig["rig"]: rig for worker in self._all() for rig in worker.rigs()}
+        return [found[name] for name in list(self.rig_set.configs) if name in found]
 
     def _own(self, configs: Sequence[RigConfig], number: int) -> list[RigConfig]:
         return [config for config in configs if self._places[config.rig.name] == number]
@@ -190,7 +195,7 @@ class SpreadService(Service):
             entered = self._exchange_over(configs, places, {name: self._places[name] for name in before})
         finally:
             self._databases.coming = ()
-            self._databases.close_unused()
+            self._databases.close_without_rigs()
         names = [config.rig.name for config in configs]
         return {
             "restarted": [name for name in before if name in entered],

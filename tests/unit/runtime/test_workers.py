@@ -13,6 +13,8 @@ import pytest
 
 from agent.config import RigConfig, load, load_many
 from agent.errors import AgentError, ConfigError, Fault
+from agent.runtime.databases import density_of
+from agent.runtime.service import Service
 from agent.runtime.workers.link import Link, Tell
 from agent.runtime.workers.losses import Losses
 from agent.runtime.workers.piped import RECORDS, PipedWriter
@@ -172,3 +174,11 @@ def test_samples_between_the_last_row_and_the_first_sample_after_it_are_lost(rig
     assert isinstance(lost, HealthEvent)
     assert "a: 3000 samples, 3.000 s, were lost" in lost.message
     assert see(rows_from(config, last_ns + 9 * SECOND, 20)) == []
+
+
+def test_how_soon_rows_are_stored_is_as_the_file_says(rig: Callable[..., RigConfig], tmp_path: Path) -> None:
+    prompt = rig("a", 1, "commit_s = 0.02\n[agent]\nround_s = 0.01")
+    service = Service([prompt], tmp_path / "x.db", "live")
+    (writer,) = service.rig_set.stores.values()
+    assert (writer._period, service._round_s) == (0.02, 0.01)
+    assert density_of([prompt, rig("b", 2)])[2] == 0.02

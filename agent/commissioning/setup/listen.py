@@ -99,6 +99,11 @@ class _Ear:
         }
 
 
+def _carried(rig: RigConfig) -> list[Channel | Covariate]:
+    """Return all that a rig's sources carry."""
+    return [*rig.channel, *rig.covariate]
+
+
 @dataclass
 class _Watch:
     """Everything that is listened to: per source the ledger and rates, per channel what it showed last and in all."""
@@ -117,7 +122,7 @@ class _Watch:
     def of(cls, rig: RigConfig, say: Say) -> "_Watch":
         wake = threading.Event()
         named = {source.name: source for source in _sources(rig)}
-        channels: dict[str, Channel | Covariate] = {channel.name: channel for channel in (*rig.channel, *rig.covariate)}
+        channels = {channel.name: channel for channel in _carried(rig)}
         ears = []
         for connection in connect([rig], wake):
             columns = {
@@ -219,7 +224,7 @@ class _Watch:
         }  # fmt: skip
 
     def _channel(self, source: Source, name: str) -> dict[str, Any]:
-        channel = next(channel for channel in (*self.rig.channel, *self.rig.covariate) if channel.name == name)
+        channel = next(channel for channel in _carried(self.rig) if channel.name == name)
         seen = self.seen.get(name, {})
         return {
             "name": name, "unit": channel.unit, "source": source.name, "field": _fields(source)[name],

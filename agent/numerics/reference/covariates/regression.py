@@ -11,7 +11,7 @@ Hoeting et al. 1999). A covariate stays only where it is worth its two numbers b
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import log, sqrt
+from math import hypot, log, sqrt
 
 import numpy as np
 
@@ -110,9 +110,13 @@ def _found(weighed: Sequence[Weighed], without: float, worth: float) -> Found:
     values = np.array([one[2] for one in weighed])
     sds = np.array([one[3] for one in weighed])
     variance = float(weight @ (sds**2 + (values - coefficient) ** 2))
-    good = [one[0].seconds for one in weighed if one[0].shape == lag.shape and one[1] >= best - WITHIN]
+    of_shape = sorted((one for one in weighed if one[0].shape == lag.shape), key=lambda one: one[0].seconds)
+    places = [place for place, one in enumerate(of_shape) if one[1] >= best - WITHIN]
+    around = of_shape[max(places[0] - 1, 0)], of_shape[min(places[-1] + 1, len(of_shape) - 1)]
+    between = max(abs(one[2] - coefficient) for one in around) / 2.0  # the truth may lie between lags of the grid
     gain = best - without
-    return Found(coefficient, sqrt(variance), lag, min(good), max(good), gain, gain > worth)
+    sd = hypot(sqrt(variance), between)
+    return Found(coefficient, sd, lag, around[0][0].seconds, around[1][0].seconds, gain, gain > worth)
 
 
 class _Fit:

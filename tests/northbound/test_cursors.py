@@ -118,6 +118,7 @@ def test_consumer_that_hangs_holds_up_neither_another_nor_the_writer_nor_the_end
     assert events(path) == []  # the agent's end is no failure of the consumer
 
 
+@pytest.mark.realtime
 def test_backfill_does_not_overtake_what_is_new(memory: Path) -> None:
     path = memory / "rig.db"
     with Store.open(path) as store:

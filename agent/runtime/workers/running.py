@@ -16,7 +16,6 @@ from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.databases import RunKind
 from agent.runtime.process.memory import keep_heap_small
 from agent.runtime.service import Reread, Service
-from agent.runtime.workers.service import SpreadService
 from agent.runtime.workers.spread import wanted_workers
 from drivers.port import DriverConfigError
 
@@ -50,7 +49,12 @@ def run(
 
 def _service(configs: Sequence[RigConfig], db: Path | None, kind: RunKind, reread: Reread) -> Service:
     most = wanted_workers(configs)
-    return SpreadService(configs, db, kind, most, reread) if most > 1 else Service(configs, db, kind, reread)
+    if most <= 1:
+        return Service(configs, db, kind, reread)
+
+    from agent.runtime.workers.service import SpreadService
+
+    return SpreadService(configs, db, kind, most, reread)
 
 
 @contextmanager

@@ -41,6 +41,7 @@ $(VENV)/.package: pyproject.toml | $(VENV)/bin/python
 	@touch $@ $(VENV)/.runtime
 
 demo: $(VENV)/.runtime
+	@echo "starting a simulated rig and the agent that watches it ..." >&2
 	@$(VENV)/bin/deltak demo $(ARGS)
 
 # First what two processes can share, the longest files first; then what holds a pace on the wall clock, one test after

@@ -99,11 +99,6 @@ class _Ear:
         }
 
 
-def _carried(rig: RigConfig) -> list[Channel | Covariate]:
-    """Return all that a rig's sources carry."""
-    return [*rig.channel, *rig.covariate]
-
-
 @dataclass
 class _Watch:
     """Everything that is listened to: per source the ledger and rates, per channel what it showed last and in all."""
@@ -122,7 +117,7 @@ class _Watch:
     def of(cls, rig: RigConfig, say: Say) -> "_Watch":
         wake = threading.Event()
         named = {source.name: source for source in _sources(rig)}
-        channels = {channel.name: channel for channel in _carried(rig)}
+        channels = _channels(rig)
         ears = []
         for connection in connect([rig], wake):
             columns = {
@@ -224,7 +219,7 @@ class _Watch:
         }  # fmt: skip
 
     def _channel(self, source: Source, name: str) -> dict[str, Any]:
-        channel = next(channel for channel in _carried(self.rig) if channel.name == name)
+        channel = _channels(self.rig)[name]
         seen = self.seen.get(name, {})
         return {
             "name": name, "unit": channel.unit, "source": source.name, "field": _fields(source)[name],
@@ -244,6 +239,12 @@ class _Watch:
 def _sources(rig: RigConfig) -> tuple[Source, ...]:
     """Return all sources, those of covariates alone last."""
     return (*rig.source, *rig.covariate_source)
+
+
+def _channels(rig: RigConfig) -> dict[str, Channel | Covariate]:
+    """Return the channels and covariates by name."""
+    found: dict[str, Channel | Covariate] = {channel.name: channel for channel in rig.channel}
+    return found | {covariate.name: covariate for covariate in rig.covariate}
 
 
 def _fields(source: Source) -> dict[str, str]:

@@ -117,7 +117,7 @@ class _Watch:
     def of(cls, rig: RigConfig, say: Say) -> "_Watch":
         wake = threading.Event()
         named = {source.name: source for source in _sources(rig)}
-        channels: dict[str, Channel | Covariate] = {channel.name: channel for channel in (*rig.channel, *rig.covariate)}
+        channels = _channels(rig)
         ears = []
         for connection in connect([rig], wake):
             columns = {
@@ -221,7 +221,7 @@ class _Watch:
         }  # fmt: skip
 
     def _channel(self, source: Source, name: str) -> dict[str, Any]:
-        channel = next(channel for channel in (*self.rig.channel, *self.rig.covariate) if channel.name == name)
+        channel = _channels(self.rig)[name]
         seen = self.seen.get(name, {})
         return {
             "name": name, "unit": channel.unit, "source": source.name, "field": _fields(source)[name],
@@ -241,6 +241,12 @@ class _Watch:
 def _sources(rig: RigConfig) -> tuple[Source, ...]:
     """Return all sources, those of covariates alone last."""
     return (*rig.source, *rig.covariate_source)
+
+
+def _channels(rig: RigConfig) -> dict[str, Channel | Covariate]:
+    """Return the channels and covariates by name."""
+    found: dict[str, Channel | Covariate] = {channel.name: channel for channel in rig.channel}
+    return found | {covariate.name: covariate for covariate in rig.covariate}
 
 
 def _fields(source: Source) -> dict[str, str]:

@@ -56,7 +56,7 @@ def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None
     """
     rng = np.random.default_rng([seed, 1717])
     hall = temperatures(rng, days, phase)
-    lagged = first_order(hall, LAG_S / STEP_S)
+    lagged = first_order(np.concatenate([hall[:1], hall[:-1]]), LAG_S / STEP_S)
     slow = first_order(rng.standard_normal(len(hall)) * np.sqrt(2.0 * SLOW), SLOW)
     k = K * (1.0 + PER_KELVIN * (lagged - 20.0) + SPREAD * slow)
     if lost_from is not None:
@@ -67,7 +67,7 @@ def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None
     rows[round(0.45 * len(k)) : round(0.45 * len(k)) + 5 * DAY] = False
     read = np.ones(len(k), dtype=bool)
     read[round(0.7 * len(k)) : round(0.7 * len(k)) + 3 * DAY] = False  # the thermometer's cable
-    return Year(t_ns[rows], k[rows], t_ns[read] - STEP_NS // 2, hall[read] + 0.1 * rng.standard_normal(read.sum()))
+    return Year(t_ns[rows], k[rows], t_ns[read] + 17 * 10**9, hall[read] + 0.1 * rng.standard_normal(read.sum()))
 
 
 def rows_of(played: Year, part: BoolArray | slice = slice(None), first_ns: int = START) -> EstimateBatch:

@@ -9,13 +9,14 @@ Hoeting et al. 1999). A covariate stays only where it is worth its two numbers b
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import hypot, log, sqrt
 
 import numpy as np
 
 from agent.numerics.reference.covariates.lags import Lag
+from agent.numerics.reference.spread import correlation_sum
 from agent.types import FloatArray, IntArray
 
 CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
@@ -87,7 +88,9 @@ def regress(y: FloatArray, number: IntArray, columns: Columns, count: int, span_
         cut = fit.cut(y, [*others, columns(j, chosen[j])])
         fine = [Lag(chosen[j].shape, chosen[j].seconds * ratio) for ratio in FINE] if chosen[j].seconds else []
         both = _weighed(fit, cut, others, partial(columns, j), [*lags(span_s), *fine])
-        found.append(_found(both, fit.last(cut, others)[0], log(len(y))))
+        known = _found(both, fit.last(cut, others)[0], log(len(y)))
+        wider = known.sd * fit.inflation(cut, [*others, columns(j, known.lag)])
+        found.append(replace(known, sd=wider))
     return found
 
 
@@ -124,12 +127,28 @@ class _Fit:
 
     def __init__(self, number: IntArray) -> None:
         apart = np.diff(number).astype(np.float64)
+        self._number = number
         self._ways = [_way(rho, apart) for rho in CORRELATIONS]
 
     def last(self, y: FloatArray, columns: Sequence[FloatArray]) -> tuple[float, float, float]:
         """Return the log-likelihood, and coefficient and sd of the last column; 0, 0 where there is none."""
         X = np.column_stack([*columns, np.ones(len(y))])
         return max(self._one(y, X, way) for way in self._ways)
+
+    def inflation(self, y: FloatArray, columns: Sequence[FloatArray]) -> float:
+        """Return by how much the sd of the last column is to grow where the noise is slower than an autoregression.
+
+        From the autocorrelation of the scores of its coefficient (Newey and West 1987).
+        """
+        X = np.column_stack([*columns, np.ones(len(y))])
+        left, scale, _ = max(self._ways, key=lambda way: self._one(y, X, way)[0])
+        Z = np.column_stack([X, y])
+        Z[1:] = (Z[1:] - left[:, None] * Z[:-1]) * scale[:, None]
+        last = X.shape[1] - 2
+        rest = np.delete(Z[:, :-1], last, axis=1)
+        own = Z[:, last] - rest @ np.linalg.lstsq(rest, Z[:, last], rcond=None)[0]
+        residual = Z[:, -1] - Z[:, :-1] @ np.linalg.lstsq(Z[:, :-1], Z[:, -1], rcond=None)[0]
+        return sqrt(correlation_sum(own * residual, self._number))
 
     def cut(self, y: FloatArray, columns: Sequence[FloatArray]) -> FloatArray:
         """Return y with residuals cut that no healthy period has."""

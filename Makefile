@@ -73,8 +73,9 @@ soak: $(VENV)/.develop $(VENV)/.package
 
 # What packages hold of others, each file by its hash; ARGS=--upgrade takes newer ones.
 lock: $(VENV)/.package
-	$(VENV)/bin/uv pip compile pyproject.toml --extra metrics --extra web --extra plot --python-version 3.11 --generate-hashes \
-	  --no-header --no-emit-index-url --no-emit-find-links --quiet --output-file deploy/requirements.lock $(ARGS)
+	$(VENV)/bin/uv pip compile pyproject.toml --extra metrics --extra web --extra plot --extra mqtt --extra postgres --extra opcua \
+	  --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-emit-find-links --quiet \
+	  --output-file deploy/requirements.lock $(ARGS)
 
 # Wheel, sdist, .deb, bill of materials, man page, completion of the last commit, into dist/.
 package: $(VENV)/.package

@@ -13,7 +13,7 @@ from tests.peers import ROOT
 
 LOCK = (ROOT / "deploy/requirements.lock").read_text(encoding="utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-EXTRAS = ("metrics", "web", "plot")
+EXTRAS = ("metrics", "web", "plot", "mqtt", "postgres", "opcua")
 WANTED = [*PROJECT["dependencies"], *chain.from_iterable(PROJECT["optional-dependencies"][extra] for extra in EXTRAS)]
 PINNED = {name: Version(version) for name, version in re.findall(r"^([\w.-]+)==(\S+) \\$", LOCK, re.MULTILINE)}
 

@@ -63,7 +63,7 @@ def test_views_of_a_new_file_have_exactly_the_promised_columns(path: Path, view:
 def test_tables_are_strict_and_have_a_growing_seq(path: Path) -> None:
     stored(path)
     tables = select(path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'")
-    assert len(tables) == 29
+    assert len(tables) == 30
     for name, sql in tables:
         assert sql.endswith("STRICT"), name
         assert "seq INTEGER PRIMARY KEY" in sql, name

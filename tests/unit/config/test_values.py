@@ -38,7 +38,8 @@ def test_config_with_little_written_has_the_defaults_of_the_contract() -> None:
     assert config.rig.clock == "counter"
     assert config.estimator.model_dump() == {
         "method": "window-ml", "window_s": 0.25, "hop_s": 0.05, "hold": "first", "estimate": ("k", "b"),
-        "observer": {"gain": "auto", "poles": (), "process_sd": None}, "resolve": 0.33, "passes": 10, "drift_s": None,
+        "observer": {"gain": "auto", "poles": (), "process_sd": None}, "resolve": 0.33, "passes": 10,
+        "stop": {"step": 1e-12, "cost": 0.0, "iterations": 20_000}, "rank": None, "drift_s": None,
     }  # fmt: skip
     alarm = config.alarm[0]
     assert (alarm.side, alarm.confidence, alarm.priority) == ("both", 0.95, "medium")

@@ -44,9 +44,10 @@ demo: $(VENV)/.runtime
 	@echo "starting a simulated rig and the agent that watches it ..." >&2
 	@$(VENV)/bin/deltak demo $(ARGS)
 
-# First what processes can share, the longest files first, three on two cores since many tests wait for processes; then what holds a pace on the wall clock, one test after
-# another, beside the one process (tests/lanes.py) whose tests have none to hold. Of those that hold a pace, what a busy
-# machine made late is asked once more with nothing beside it. Exit code 5 says that ARGS left nothing to run.
+# First what processes can share, the longest files first; three on two cores, since many tests wait for processes. Then
+# what holds a pace on the wall clock, one test after another, beside the one process (tests/lanes.py) whose tests have
+# none to hold. Of those that hold a pace, what a busy machine made late is asked once more with nothing beside it. Exit
+# code 5 says that ARGS left nothing to run.
 test: $(VENV)/.develop
 	sh tests/install_peers.sh
 	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m "not realtime and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]

@@ -6,12 +6,15 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+import typer
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
 from agent.numerics.model import margins_box, region
 from tests.property.random_rigs import written
 
+COMMAND = typer.main.get_command(app)
+"""Built once: the command line makes it anew for each call, which is one in a process."""
 RIGS, SOAK = 200, 5000
 REPLAYED = 40
 """Every so manieth rig is replayed in each run, every one when soaking: a fit costs a hundred times a check."""
@@ -32,7 +35,7 @@ def _without_what_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, str]:
     """Run one command and hold it against its promise; return exit code and standard output."""
-    code = guarded(app, arguments)
+    code = guarded(COMMAND, arguments)  # type: ignore[arg-type]
     out, err = capfd.readouterr()
     said = err.splitlines()
     assert code in (0, 2), f"{arguments}: {code} {err}"

@@ -1,7 +1,7 @@
 """The first lines of the command `deltak`: are `agent`, `drivers` and `sim_bus` deltak's own?
 
-Other distributions may use these names of import packages too, and pip writes one over the other without a word. So
-this file, whose name is nobody else's, looks before any of them is imported.
+Other distributions may use these names of import packages too, and pip writes one over the other without a
+word. So this file, whose name is nobody else's, looks before any of them is imported.
 """
 
 import sys

@@ -46,10 +46,10 @@ class Anchor(NamedTuple):
 class SampleLabels:
     """Time stamps of live samples: anchor + index / rate, drawn slowly towards the wall clock, never back.
 
-    The anchor is wall time at the first sample. The earliest arrivals of each 10 s say how far device and wall clock
-    have drifted apart; beyond 50 ms labels run up to 0.1 % faster or slower until they agree again. A wall clock that
-    was stepped by more than 1 s starts a new anchor, noted in `steps` as (label before, step), ns. `anchors` has the
-    new ones and the first; who reads them empties both lists.
+    The anchor is wall time at the first sample. The earliest arrivals of each 10 s say how far device and
+    wall clock have drifted apart; beyond 50 ms labels run up to 0.1 % faster or slower until they agree
+    again. A wall clock that was stepped by more than 1 s starts a new anchor, noted in `steps` as (label
+    before, step), ns. `anchors` has the new ones and the first; who reads them empties both lists.
     """
 
     rate_hz: float
@@ -95,4 +95,6 @@ class SampleLabels:
             error, self._least_lag, self._watched_from = self._least_lag, None, wall
             # from here on with the new stretch, continuous at this sample
             self._anchor_ns, self._base = label, index
-            self._stretch = 0.0 if abs(error) < DEAD_ZONE_NS else float(np.clip(error / SETTLE_NS, -SLEW, SLEW))
+            self._stretch = (
+                0.0 if abs(error) < DEAD_ZONE_NS else float(np.clip(error / SETTLE_NS, -SLEW, SLEW))
+            )

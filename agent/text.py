@@ -15,8 +15,8 @@ _AHEAD = (
 def with_sd(value: float, sd: float) -> str:
     """Write a value beside its standard deviation, both to the digits that the deviation allows: `25.1 ± 0.9`.
 
-    The deviation keeps two digits where it begins with 1 or 2, else one. Very small and very large pairs share a
-    power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone.
+    The deviation keeps two digits where it begins with 1 or 2, else one. Very small and very large pairs
+    share a power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone.
     """
     if not (math.isfinite(value) and math.isfinite(sd) and sd > 0.0):
         return number(value)
@@ -31,7 +31,11 @@ def with_sd(value: float, sd: float) -> str:
 
 def interval(lower: float | None, upper: float | None) -> str:
     """Write an interval to the digits that its width allows: `24.8 … 25.3`."""
-    if lower is None or upper is None or not (math.isfinite(lower) and math.isfinite(upper) and upper > lower):
+    if (
+        lower is None
+        or upper is None
+        or not (math.isfinite(lower) and math.isfinite(upper) and upper > lower)
+    ):
         return f"{number(lower)} … {number(upper)}"
     decimals = 1 - math.floor(math.log10(upper - lower))
     if not -4 <= math.floor(math.log10(max(abs(lower), abs(upper)))) < 7:

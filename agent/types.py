@@ -1,7 +1,7 @@
 """Values that cross a boundary inside the agent. Frozen, SI units unless a unit is named.
 
-Times are integer nanoseconds since the epoch (or since a recording's own start). Arrays are numpy; NaN in `value`,
-`sd`, `lower`, `upper`, `held` means "none" and never goes with status VALID.
+Times are integer nanoseconds since the epoch (or since a recording's own start). Arrays are numpy; NaN in
+`value`, `sd`, `lower`, `upper`, `held` means "none" and never goes with status VALID.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -118,12 +118,14 @@ class Samples:
     """Aligned samples of one rig: consecutive indices, SI units.
 
     Attributes:
-        index: (n,) sample index since the run's first sample, strictly increasing by one; a jump starts a new Samples.
+        index: (n,) sample index since the run's first sample, strictly increasing by one; a jump starts a new
+            Samples.
         t_ns: (n,) time stamps, ns.
         u: (n, m) model inputs (forces), N.
         y: (n, p) model outputs, SI.
         segment: number of the uninterrupted segment these belong to; counts up at each gap.
-        missing: (n, p+m) readings (outputs, then inputs) that were lost or refused and are filled in; None when none.
+        missing: (n, p+m) readings (outputs, then inputs) that were lost or refused and are filled in; None
+            when none.
         suspect: (n, p+m) inputs that may be spikes, as only the motion can tell; None when none.
         fault: a channel that spoils estimates made now; None when all are sound.
         usable: false while a channel is at fault: nothing is to be estimated from these samples.
@@ -148,7 +150,8 @@ class Samples:
 
 
 PER_HOP = (
-    "index", "t_ns", "value", "sd", "lower", "upper", "sd_repeat", "status", "reason", "held", "held_age_s", "window_s",
+    "index", "t_ns", "value", "sd", "lower", "upper", "sd_repeat", "status", "reason", "held", "held_age_s",
+    "window_s",
     "n_used", "n_missing", "dof",
 )  # fmt: skip
 """What an EstimateBatch has a row of an instant of."""
@@ -163,20 +166,24 @@ class EstimateBatch:
         method: "window-ml", "seed" ...
         parameters, units: (q,) names and units.
         reference: (q,) what delta is counted from.
-        baseline_id: (q,) the baseline that each reference comes from, None for the nominal; None where all are nominal.
+        baseline_id: (q,) the baseline that each reference comes from, None for the nominal; None where all
+            are nominal.
         index, t_ns: (N,) the newest sample of each window.
         value, sd, lower, upper: (N, q) estimate, standard deviation, 95 % interval: against the nominal.
-        sd_repeat: (N, q) standard deviation against another estimate of the same rig: the constants taken as they are.
+        sd_repeat: (N, q) standard deviation against another estimate of the same rig: the constants taken as
+            they are.
         status: (N, q) codes of Status.
         reason: (N, q) codes of Reason.
         held, held_age_s: (N, q) the last valid value and its age while status is UNEXCITED or INVALID.
         window_s: (N, q) length of the window used.
         n_used, n_missing: (N,) samples in the window and samples known missing from it.
         dof: (N,) degrees of freedom of the residual variance (for Student's t).
-        others: where there are several windows, what each of them says at the same hops; NaN where it is not whole, or
-            where it is the one that was chosen.
-        reference_sd: (q,) standard deviation of references that were learnt, NaN of others; None where none was.
-        remarks: (q,) why a reference is less well known than it was learnt, in words, empty where it is; None for none.
+        others: where there are several windows, what each of them says at the same hops; NaN where it is not
+            whole, or where it is the one that was chosen.
+        reference_sd: (q,) standard deviation of references that were learnt, NaN of others; None where none
+            was.
+        remarks: (q,) why a reference is less well known than it was learnt, in words, empty where it is; None
+            for none.
     """
 
     rig: str
@@ -221,9 +228,9 @@ AlarmState = Literal["NORM", "UNACK", "ACKED", "RTNUN", "SHLVD", "DSUPR", "OOSRV
 class AlarmTransition:
     """One step of one alarm's life (ISA-18.2). A new activation has from_state NORM and to_state UNACK.
 
-    parameter is the parameter's name for kinds "level" and "blind", "model" for "mismatch", the source's or channel's
-    name for the others; delta, sd, limit_value, probability and percent (delta as a share of the reference) are None
-    for kinds without a number. advice is what the configuration says to do.
+    parameter is the parameter's name for kinds "level" and "blind", "model" for "mismatch", the source's or
+    channel's name for the others; delta, sd, limit_value, probability and percent (delta as a share of the
+    reference) are None for kinds without a number. advice is what the configuration says to do.
     """
 
     rig: str
@@ -300,8 +307,9 @@ class EventRecord:
         t_ns: when the first alarm in it was raised; kind and parameter say which alarm that was.
         alarms: alarms raised while it was kept.
         file: its path from the database's folder.
-        state: "recording" (what came after the alarm is still awaited), "complete", "cut" (the agent ended, or the disk
-            failed, before all of it had come), "failed" (nothing could be kept), "purged" (it made room for others).
+        state: "recording" (what came after the alarm is still awaited), "complete", "cut" (the agent ended,
+            or the disk failed, before all of it had come), "failed" (nothing could be kept), "purged" (it
+            made room for others).
         from_ns, to_ns: times of its first and last sample.
         samples, bytes: how much it holds.
         baseline_id: the baseline that alarms counted from then; None for the nominal.
@@ -327,7 +335,8 @@ class EventRecord:
 class RunInfo:
     """What a run is: provenance of every row written in it.
 
-    learnt_key: what its rig's knowledge is kept under (see `Learnt`); None takes nothing up from earlier runs.
+    learnt_key: what its rig's knowledge is kept under (see `Learnt`); None takes nothing up from earlier
+    runs.
     """
 
     rig: str
@@ -352,11 +361,13 @@ class Baseline:
 
     Attributes:
         rig, parameter, unit: what it is of; graph: of the model, in words, empty where it is not known.
-        reference, sd: robust centre of the hours' means, and how well it is known, their autocorrelation counted.
+        reference, sd: robust centre of the hours' means, and how well it is known, their autocorrelation
+            counted.
         spread_sd: standard deviation of the hours' means about it.
         within_sd: of rows about the mean of their hour.
         days_sd: of the days' means; None from fewer than three days.
-        correlation_s: how long a departure from the reference lasts; n_effective: independent hours there were.
+        correlation_s: how long a departure from the reference lasts; n_effective: independent hours there
+            were.
         covariates: JSON list of what the reference depends on.
         from_ns, until_ns, n: first and last row learnt from, and how many.
         baseline_id: its number in the store; None before it is stored.
@@ -399,7 +410,8 @@ class ClockRecord:
 
     Attributes:
         index: the first sample with such a stamp; t_ns: its stamp.
-        offset_ns: wall clock minus monotonic clock. Stamps of one offset differ by what the monotonic clock says.
+        offset_ns: wall clock minus monotonic clock. Stamps of one offset differ by what the monotonic clock
+            says.
     """
 
     rig: str
@@ -413,7 +425,8 @@ class Learnt:
     """What a rig's windows have taught, for the next start: noise, constants, point of linearisation.
 
     Attributes:
-        key: what it was learnt for: a hash of the model, the channels and the rate; an edit elsewhere keeps it.
+        key: what it was learnt for: a hash of the model, the channels and the rate; an edit elsewhere keeps
+            it.
         content: JSON text.
     """
 
@@ -455,11 +468,14 @@ class WindowConditions:
 
     Attributes:
         window: samples.
-        defect: share of (10) that no one matrix explains: zero where (11) holds; defect_outputs: of the readings.
+        defect: share of (10) that no one matrix explains: zero where (11) holds; defect_outputs: of the
+            readings.
         rank, rank_joined: of the regressors, and with their targets: equal where (12) holds.
-        defect_special: (15), of the middle one of the window's states: zero where (14) may be used for any one.
+        defect_special: (15), of the middle one of the window's states: zero where (14) may be used for any
+            one.
         z_zero: the states fill all directions of the window: Z = 0 does, nothing is left for descent.
-        iterations: steps of descent in the last pass, over Z and W; converged: one of the paper's rules ended them.
+        iterations: steps of descent in the last pass, over Z and W; converged: one of the paper's rules ended
+            them.
         cost, step: (16) at the end of descent over Z, and its last step's size.
         passes: that were made; ratio: of the last two of their steps, None of fewer.
         trail: (passes, q) parameters after each pass.

@@ -1,7 +1,7 @@
 """The clock by which drivers wait, and whose lines they open: the machine's, or in one thread those of a played one.
 
-Played time is no faster clock: it stands still while somebody computes, and moves when somebody waits. What a driver
-does with it is then the same in every run.
+Played time is no faster clock: it stands still while somebody computes, and moves when somebody waits. What a
+driver does with it is then the same in every run.
 """
 
 import threading

@@ -8,8 +8,9 @@ Outsiders import it and say how their device is played:
         def make_line(self) -> Line:
             return MyLine()
 
-A line is a device under the test's control: it offers known samples, dies and comes back. Waiting is always on a
-condition with a deadline. A driver that misses a sample, invents one, or writes what a listener must not, fails.
+A line is a device under the test's control: it offers known samples, dies and comes back. Waiting is always
+on a condition with a deadline. A driver that misses a sample, invents one, or writes what a listener must
+not, fails.
 """
 
 # ruff: noqa: S101 (a test says what must hold by assert)
@@ -191,7 +192,9 @@ class DriverConformance(ABC):
 
     def test_fields_in_another_order_deliver_columns_in_that_order(self) -> None:
         request = self.line.request()
-        turned = SourceRequest(request.name, request.settings, request.fields[::-1], request.counter, request.folder)
+        turned = SourceRequest(
+            request.name, request.settings, request.fields[::-1], request.counter, request.folder
+        )
         self.driver = self.line.driver_class(turned)
         assert self.driver.resolution() == self.line.driver_class(request).resolution()[::-1]
         played = self.samples(20)
@@ -201,7 +204,9 @@ class DriverConformance(ABC):
 
     def test_field_that_does_not_exist_raises_config_error(self) -> None:
         request = self.line.request()
-        wrong = SourceRequest(request.name, request.settings, ("Nosuch.field",), request.counter, request.folder)
+        wrong = SourceRequest(
+            request.name, request.settings, ("Nosuch.field",), request.counter, request.folder
+        )
         assert raises(DriverConfigError, lambda: self.line.driver_class(wrong).open())
 
     def test_request_that_cannot_work_raises_config_error(self) -> None:
@@ -236,7 +241,9 @@ class DriverConformance(ABC):
             got.append(block)  # noqa: PERF402 (the loop ends by what it gathers)
         total = sum(map(len, got))
         assert total == count, f"{total} samples came of {count}; counts {self.driver.counts}"
-        counters = [np.zeros(len(block), np.int64) if block.counter is None else block.counter for block in got]
+        counters = [
+            np.zeros(len(block), np.int64) if block.counter is None else block.counter for block in got
+        ]
         return np.concatenate([block.values for block in got]), np.concatenate(counters)
 
     def blocks(self, wanted: Callable[[], bool]) -> Iterator[SampleBlock]:

@@ -1,7 +1,7 @@
 """Cyclic redundancy checks by their catalogue names, of many frames at once. Pure: no I/O.
 
-A CRC is linear: the check of a frame is the exclusive or of one table entry a byte, the table depending on the
-byte's place. So all frames of a batch are checked by one table look-up.
+A CRC is linear: the check of a frame is the exclusive or of one table entry a byte, the table depending on
+the byte's place. So all frames of a batch are checked by one table look-up.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,9 @@ class Crc:
         register = byte if self.mirrored else byte << np.uint64(self.width - 8)
         for _ in range(8):
             if self.mirrored:
-                register = (register >> np.uint64(1)) ^ np.where(register & np.uint64(1), self._mirrored_poly, 0)
+                register = (register >> np.uint64(1)) ^ np.where(
+                    register & np.uint64(1), self._mirrored_poly, 0
+                )
             else:
                 register = (register << np.uint64(1)) ^ np.where(register & top, np.uint64(self.poly), 0)
         return (register & np.uint64((1 << self.width) - 1)).astype(np.uint32)

@@ -63,9 +63,11 @@ class Layout:
 
     Attributes:
         fields: the fields in order.
-        byte_order: order of the bytes in a number ("little" for most serial devices, "big" in Modbus registers).
-        word_order: "little" turns the order of the 16-bit words in a number round. Instruments call the four pairs
-            of byte_order and word_order ABCD (big, big), CDAB (big, little), BADC (little, little), DCBA (little, big).
+        byte_order: order of the bytes in a number ("little" for most serial devices, "big" in Modbus
+            registers).
+        word_order: "little" turns the order of the 16-bit words in a number round. Instruments call the four
+            pairs of byte_order and word_order ABCD (big, big), CDAB (big, little), BADC (little, little),
+            DCBA (little, big).
         apart: each field fills registers of its own, so that none can straddle them.
     """
 
@@ -77,7 +79,9 @@ class Layout:
     def __post_init__(self) -> None:
         swapped = self.word_order == "little" and not self.apart
         if swapped and any(self.offsets[f.name] % 2 for f in self.fields if f.size > 1):
-            raise DriverConfigError("with words swapped every field of two bytes or more begins on a register")
+            raise DriverConfigError(
+                "with words swapped every field of two bytes or more begins on a register"
+            )
 
     @cached_property
     def offsets(self) -> Mapping[str, int]:

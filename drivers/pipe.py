@@ -1,7 +1,7 @@
 """Byte pipes to a device, over TCP or a serial line: deadlines on the monotonic clock, failures as DriverIOError.
 
-The libraries' own waits use the wall clock (a step of it stretches them) and poll a serial line with sleeps; these
-select on the descriptor. What may be sent is decided by `drivers.write_gate`.
+The libraries' own waits use the wall clock (a step of it stretches them) and poll a serial line with sleeps;
+these select on the descriptor. What may be sent is decided by `drivers.write_gate`.
 """
 
 import os

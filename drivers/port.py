@@ -4,7 +4,8 @@
     ├── DriverConfigError    the settings cannot work: do not retry
     └── DriverIOError        the bus or device failed: may be retried after a while
 
-A driver only listens. The bytes that drivers write are listed in `LISTENER_WRITES`; everything else is a fault.
+A driver only listens. The bytes that drivers write are listed in `LISTENER_WRITES`; everything else is a
+fault.
 """
 
 from abc import ABC, abstractmethod
@@ -50,15 +51,17 @@ class SampleBlock:
     """Consecutive samples of one source, in the order in which they arrived.
 
     Attributes:
-        values: (n, m) one column a requested field, in the field's unit (the field's own scale and offset applied);
-            NaN where the sample lacks that field.
+        values: (n, m) one column a requested field, in the field's unit (the field's own scale and offset
+            applied); NaN where the sample lacks that field.
         arrival_ns: monotonic time at which the block was received, ns.
         counter: (n,) the device's sample counter as on the wire, still wrapped; None where there is none.
         t_ns: (n,) the device's or the recording's time stamps, ns; None where there is none.
         epoch: counts up by one when the device is known to have begun counting anew (a restart): counters and
             time stamps of different epochs cannot be compared.
-        received_ns: (n,) monotonic time at which each sample was received, ns; None where only the block's is known.
-        wall_offset_ns: wall minus monotonic clock at the receipt, noted by whoever labels samples; drivers leave None.
+        received_ns: (n,) monotonic time at which each sample was received, ns; None where only the block's is
+            known.
+        wall_offset_ns: wall minus monotonic clock at the receipt, noted by whoever labels samples; drivers
+            leave None.
     """
 
     values: FloatArray
@@ -113,12 +116,12 @@ class Trace:
 class Counts:
     """Sample instants that a driver met since it was made; kept over re-opens.
 
-    received counts every instant that reached this process, good or bad; rejected those of them that were thrown
-    away, by reason ("crc", "overrun", "dlc" ...), so that received = delivered + sum(rejected); dropped those lost
-    before this process could read them where the bus tells (kernel queue, overwritten ring), by reason. faults
-    counts, by reason, what went wrong on the line without being a sample: late replies, stray bytes, text in a cell.
-    first shows, by reason, the first line or frame that was refused for it. trace, where somebody looks on, is shown
-    what comes; copies have none.
+    received counts every instant that reached this process, good or bad; rejected those of them that were
+    thrown away, by reason ("crc", "overrun", "dlc" ...), so that received = delivered + sum(rejected);
+    dropped those lost before this process could read them where the bus tells (kernel queue, overwritten
+    ring), by reason. faults counts, by reason, what went wrong on the line without being a sample: late
+    replies, stray bytes, text in a cell. first shows, by reason, the first line or frame that was refused for
+    it. trace, where somebody looks on, is shown what comes; copies have none.
     """
 
     received: int = 0

@@ -27,8 +27,9 @@ class LinkEvent:
     """What happened to a source, once for each fault and once for each recovery.
 
     Attributes:
-        cause: "lost" (cannot be opened or read), "stale" (open and silent), "recovered" (a sample came after either),
-            or what the driver reports of its bus: "bus-off", which is away as well, "error-passive" and such.
+        cause: "lost" (cannot be opened or read), "stale" (open and silent), "recovered" (a sample came after
+            either), or what the driver reports of its bus: "bus-off", which is away as well, "error-passive"
+            and such.
         message: in words.
         at_s: when, on the wrapper's clock.
         kind: a short word for what a lost source died of ("timeout", "exception 2 ..."), where one is known.
@@ -182,7 +183,9 @@ class ReconnectingDriver:
 
     def _recover(self, now: float) -> None:
         if self._fault is not None:
-            self._events.append(LinkEvent("recovered", f"{self.driver.request.name}: delivers samples again", now))
+            self._events.append(
+                LinkEvent("recovered", f"{self.driver.request.name}: delivers samples again", now)
+            )
             self._fault = None
 
     def _lose(self, cause: str, message: str, kind: str = "") -> None:

@@ -1,7 +1,7 @@
 """Opening a serial line: for reading only where the protocol is passive, for nobody else meanwhile.
 
-pyserial sets the line up (speeds that no table has, parity); it opens lines for writing too and locks them for those
-alone who ask for the same lock, so opening and locking are done here.
+pyserial sets the line up (speeds that no table has, parity); it opens lines for writing too and locks them
+for those alone who ask for the same lock, so opening and locking are done here.
 """
 
 import contextlib
@@ -38,8 +38,8 @@ class SerialKeys(DriverSettings):
 def open_port(keys: SerialKeys, device: str, *, read_only: bool) -> int:
     """Open a line, claim it, set it up and throw away what came before; return its descriptor.
 
-    A link is followed anew each time: an adapter that comes back under another number is found by its stable name.
-    Raises DriverIOError (not there, not ours, taken) and DriverConfigError (a speed that cannot be).
+    A link is followed anew each time: an adapter that comes back under another number is found by its stable
+    name. Raises DriverIOError (not there, not ours, taken) and DriverConfigError (a speed that cannot be).
     """
     # what comes between opening and clearing is lost: the library is there before
     line = _configuration(keys)
@@ -69,7 +69,9 @@ def port_hint(port: str) -> str | None:
     """Return advice on a port whose name another adapter may get, naming the link that stays; None on others."""
     if not _ENUMERATED.fullmatch(port):
         return None
-    stable = next((str(link) for link in _stable_names() if os.path.realpath(link) == port), f"its link under {BY_ID}")
+    stable = next(
+        (str(link) for link in _stable_names() if os.path.realpath(link) == port), f"its link under {BY_ID}"
+    )
     return f"{port} is numbered in the order of plugging, a replug may change it; write port = {stable}"
 
 

@@ -47,8 +47,8 @@ def _iso_ns(match: re.Match[str]) -> int | None:
 def column_to_ns(text: NDArray[np.uint8], start: IntArray, end: IntArray) -> IntArray | None:
     """Return nanoseconds of the plain decimal cells text[start:end], (n,); None when any cell is something else.
 
-    Each decimal place is one step over all cells: digits before the point build the seconds, the nine after it the
-    nanoseconds, and those beyond decide the rounding.
+    Each decimal place is one step over all cells: digits before the point build the seconds, the nine after
+    it the nanoseconds, and those beyond decide the rounding.
     """
     width = int((end - start).max(initial=0))
     if not 0 < width <= _WIDEST:
@@ -64,7 +64,9 @@ def column_to_ns(text: NDArray[np.uint8], start: IntArray, end: IntArray) -> Int
     if not (digit | point | sign)[inside].all() or points.max() > 1 or not digit.any(axis=0).all():
         return None
     digits_before = np.where(points > 0, point.argmax(axis=0), end - start)
-    return _accumulate(np.where(digit, cells - ord("0"), 0).astype(np.int64), digit, place - digits_before, negative)
+    return _accumulate(
+        np.where(digit, cells - ord("0"), 0).astype(np.int64), digit, place - digits_before, negative
+    )
 
 
 def _accumulate(

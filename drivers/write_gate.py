@@ -1,7 +1,7 @@
 """The gate that every byte written to a device passes: read requests and listed handshakes, nothing else.
 
-Drivers only listen. No other module of this package writes to a descriptor; `permitted` is what the test suite
-holds every traced write against.
+Drivers only listen. No other module of this package writes to a descriptor; `permitted` is what the test
+suite holds every traced write against.
 """
 
 import re

@@ -22,7 +22,8 @@ class PlayClock:
         now_ns: the monotonic clock; a played one where nothing is real.
 
     Attributes:
-        grain_s: for so long samples may gather in a device that sends by itself; a wake-up for each costs a processor.
+        grain_s: for so long samples may gather in a device that sends by itself; a wake-up for each costs a
+            processor.
     """
 
     grain_s = 0.0

@@ -27,7 +27,9 @@ def _list_faults(*, as_json: bool) -> None:
 
     kinds = {f"{driver}.{name}": kind for driver, faults in KNOWN.items() for name, kind in faults.items()}
     if as_json:
-        rows = [{"name": n, "words": k.words, "lasts_s": k.lasts_s, "cause": k.cause} for n, k in kinds.items()]
+        rows = [
+            {"name": n, "words": k.words, "lasts_s": k.lasts_s, "cause": k.cause} for n, k in kinds.items()
+        ]
         sys.stdout.write(json.dumps({"faults": rows}) + "\n")
         return
     for name, kind in kinds.items():
@@ -41,17 +43,23 @@ def sim(
         Path | None, typer.Argument(help="Configuration whose sources are played.", metavar="CONFIG")
     ] = None,
     scenario: Annotated[
-        str, typer.Option(help="Scenario file, or the name of one that comes along: steady, default, step ...")
+        str,
+        typer.Option(help="Scenario file, or the name of one that comes along: steady, default, step ..."),
     ] = "steady",
     fault: Annotated[
-        list[str] | None, typer.Option(help="Fault to cause, NAME@SECONDS, e.g. serial.garbage@10s.", metavar="F@T")
+        list[str] | None,
+        typer.Option(help="Fault to cause, NAME@SECONDS, e.g. serial.garbage@10s.", metavar="F@T"),
     ] = None,
     duration: Annotated[
         float | None,
-        typer.Option(min=0.0, max=1e9, help="Seconds to play, from the first reader on, then end.", metavar="S"),
+        typer.Option(
+            min=0.0, max=1e9, help="Seconds to play, from the first reader on, then end.", metavar="S"
+        ),
     ] = None,
     fast: Annotated[bool, typer.Option("--fast", help="Play as fast as the readers read.")] = False,
-    truth: Annotated[Path | None, typer.Option(help="Write what was played to this NPZ file at the end.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Write what was played to this NPZ file at the end.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the ledger as JSON at the end.")] = False,
     list_faults: Annotated[bool, typer.Option("--list-faults", help="Name every fault, then end.")] = False,
 ) -> None:
@@ -118,7 +126,9 @@ def _wait_for_readers(player: "Player", stop: threading.Event) -> None:
             return
     waiting = player.clock.unmet()
     if waiting:
-        sys.stderr.write(f"deltak: note: the clock starts when {', '.join(waiting)} is read; nobody reads it yet\n")
+        sys.stderr.write(
+            f"deltak: note: the clock starts when {', '.join(waiting)} is read; nobody reads it yet\n"
+        )
 
 
 @contextmanager

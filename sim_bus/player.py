@@ -28,7 +28,8 @@ class Player:
         duration_s: how long, instead of the scenario's own duration; 0 is without end.
         fast: as fast as the readers read.
         truth: where to write what was played.
-        grain_s: for so long samples may gather in a device that sends by itself; for many rigs on one processor.
+        grain_s: for so long samples may gather in a device that sends by itself; for many rigs on one
+            processor.
 
     Raises:
         SimUsageError: the scenario or a source cannot be played.
@@ -97,7 +98,11 @@ class Player:
     def ledger(self, played: int) -> dict[str, Any]:
         """Return what was played, in samples."""
         clock = self.clock
-        started = {"started_monotonic_ns": clock.start_ns, "started_wall_ns": clock.start_wall_ns, "fast": clock.fast}
+        started = {
+            "started_monotonic_ns": clock.start_ns,
+            "started_wall_ns": clock.start_wall_ns,
+            "fast": clock.fast,
+        }
         return ledger_of(self._rig_file, self._scenario, self.rig, self.devices, played) | started
 
 

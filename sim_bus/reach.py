@@ -27,7 +27,9 @@ def must_fit(rig: RigFile, scenario: Scenario, duration_s: float | None = None) 
     lines = _too_far(rig, scenario, carried_by(rig), duration_s)
     if lines:
         names = ", ".join(fitting(rig))
-        raise SimUsageError([f"{line}; play one that fits this rig ({names}) or widen the field" for line in lines])
+        raise SimUsageError(
+            [f"{line}; play one that fits this rig ({names}) or widen the field" for line in lines]
+        )
 
 
 def fitting(rig: RigFile) -> list[str]:

@@ -19,8 +19,12 @@ from tests.tracing import run as tracing
 
 SEED = int(os.environ.get("DELTAK_SEED", "0"))
 
-hypothesis.settings.register_profile("quick", derandomize=True, database=None, deadline=None, max_examples=100)
-hypothesis.settings.register_profile("soak", parent=hypothesis.settings.get_profile("quick"), max_examples=5000)
+hypothesis.settings.register_profile(
+    "quick", derandomize=True, database=None, deadline=None, max_examples=100
+)
+hypothesis.settings.register_profile(
+    "soak", parent=hypothesis.settings.get_profile("quick"), max_examples=5000
+)
 hypothesis.settings.load_profile(os.environ.get("DELTAK_HYPOTHESIS", "quick"))
 
 
@@ -42,7 +46,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave files unread in which nothing holds a pace where just that is asked for: importing all takes 10 s."""
+    """Leave files unread in which nothing holds a pace where just that is asked for: importing all takes 10
+    s."""
     return lanes.has_no_pace(collection_path) if config.getvalue("markexpr").startswith("realtime") else None
 
 
@@ -89,7 +94,9 @@ def pytest_report_header() -> list[str]:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """List forbidden writes, figures, and, as the last thing before the closing line, what was not tested."""
     permitted, forbidden = terminalreporter.config.stash[_WRITES]
-    terminalreporter.line(f"writes of drivers: {permitted} read requests and handshakes, {len(forbidden)} others")
+    terminalreporter.line(
+        f"writes of drivers: {permitted} read requests and handshakes, {len(forbidden)} others"
+    )
     for text in forbidden:
         terminalreporter.line(f"FORBIDDEN WRITE in {text}", red=True)
     if figures.FIGURES:

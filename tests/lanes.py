@@ -7,16 +7,19 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 LONGEST = ("tests/statistical/", "tests/property/")
-"""Files here have few tests that compute for long; begun last, one of them would run on with nothing beside it."""
+"""Files here have few tests that compute for long; begun last, one of them would run on with nothing beside
+it."""
 
 BESIDE = (
-    "tests/docs/", "tests/uml/", "tests/vcan/", "tests/scenario/test_no_write.py", "tests/scenario/test_wires.py",
+    "tests/docs/", "tests/uml/", "tests/vcan/", "tests/scenario/test_no_write.py",
+    "tests/scenario/test_wires.py",
 )  # fmt: skip
 """What waits for processes and for guests, and has no clock to keep up with."""
 
 
 class Lanes(LoadScopeScheduling):
-    """Tests that hold a pace on the wall clock, one after another; beside them, one after another, what has none."""
+    """Tests that hold a pace on the wall clock, one after another; beside them, one after another, what has
+    none."""
 
     def _split_scope(self, nodeid: str) -> str:
         return "beside" if nodeid.startswith(BESIDE) else "pace"

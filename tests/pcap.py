@@ -55,11 +55,14 @@ def _segment(packet: bytes) -> Segment:
     source, target = (".".join(map(str, packet[at : at + 4])) for at in (12, 16))
     tcp = packet[header:]
     from_port, to_port, number = struct.unpack_from(">HHI", tcp)
-    return Segment((source, from_port), (target, to_port), number, tcp[4 * (tcp[12] >> 4) :], bool(tcp[13] & 2))
+    return Segment(
+        (source, from_port), (target, to_port), number, tcp[4 * (tcp[12] >> 4) :], bool(tcp[13] & 2)
+    )
 
 
 def streams(path: Path) -> dict[tuple[tuple[str, int], tuple[str, int]], list[bytes]]:
-    """Return what went each way of each connection, one piece a packet; bytes that were sent twice count once."""
+    """Return what went each way of each connection, one piece a packet; bytes that were sent twice count
+    once."""
     found: dict[tuple[tuple[str, int], tuple[str, int]], list[bytes]] = defaultdict(list)
     due: dict[tuple[tuple[str, int], tuple[str, int]], int] = {}
     for segment in segments(path):

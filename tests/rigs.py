@@ -10,8 +10,11 @@ SCHEDULE = ((50.0, 150.0, 5.0, 5.0), (25.0, 100.0, 2.0, 2.0), (75.0, 75.0, 5.0, 
 """(k1, k2, B1, B2) in each second."""
 
 
-def step_matrices(k1: float, k2: float, B1: float, B2: float, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return F, G0, G1 of x(i+1) = F x(i) + G0 u(i) + G1 u(i+1), exact for a force on m2 that is linear between."""
+def step_matrices(
+    k1: float, k2: float, B1: float, B2: float, h: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return F, G0, G1 of x(i+1) = F x(i) + G0 u(i) + G1 u(i+1), exact for a force on m2 that is linear
+    between."""
     m1, m2 = MASSES
     M = np.zeros((6, 6))
     M[0, 2] = M[1, 3] = 1.0

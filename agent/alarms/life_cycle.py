@@ -1,11 +1,12 @@
 # ruff: noqa: E501 - the table
 """The life cycle of an alarm: one total table, state x cause -> state (ANSI/ISA-18.2-2016 and IEC 62682, clause 5.4).
 
-Clause 5.4 draws the states A to I and the arrows between them; E and F are of latching alarms, which there are none of
-here. To G by the operator and for a limited time, to H by the design of the system, to I by whoever maintains it; from
-each of them back to what the condition is then. Where the diagram leaves open in what state an alarm comes back, the
-table says it: a shelf that the operator ends is ACKED, one that ends by itself UNACK. OPC UA Part 9 has the same as
-variables and methods (AcknowledgeableConditionType, AlarmConditionType, ShelvedStateMachineType 5.8.17).
+Clause 5.4 draws the states A to I and the arrows between them; E and F are of latching alarms, which there
+are none of here. To G by the operator and for a limited time, to H by the design of the system, to I by
+whoever maintains it; from each of them back to what the condition is then. Where the diagram leaves open in
+what state an alarm comes back, the table says it: a shelf that the operator ends is ACKED, one that ends by
+itself UNACK. OPC UA Part 9 has the same as variables and methods (AcknowledgeableConditionType,
+AlarmConditionType, ShelvedStateMachineType 5.8.17).
 """
 
 from collections.abc import Mapping
@@ -41,14 +42,21 @@ _MEANING: Final[Mapping[AlarmState, tuple[str, str, str]]] = {
     "NORM": ("A", "nothing", "ActiveState false, AckedState true"),
     "UNACK": ("B", "the condition stands, nobody has acknowledged it", "ActiveState true, AckedState false"),
     "ACKED": ("C", "the condition stands, somebody knows", "ActiveState true, AckedState true"),
-    "RTNUN": ("D", "the condition is over, nobody has acknowledged it", "ActiveState false, AckedState false"),
+    "RTNUN": (
+        "D",
+        "the condition is over, nobody has acknowledged it",
+        "ActiveState false, AckedState false",
+    ),
     "SHLVD": ("G", "silenced by the operator for a limited time", "ShelvingState TimedShelved"),
     "DSUPR": ("H", "silenced by the design of the system", "SuppressedState true"),
     "OOSRV": ("I", "out of service until it is returned", "OutOfServiceState true"),
 }
 _RULES: Final[Mapping[Cause, tuple[str, str]]] = {
     "raise": ("5.4: A to B, D to B", "the condition has held for its on-delay; a new activation"),
-    "clear": ("5.4: B to D, C to A", "the condition has been over for its off-delay; missing data never clears"),
+    "clear": (
+        "5.4: B to D, C to A",
+        "the condition has been over for its off-delay; missing data never clears",
+    ),
     "acknowledge": ("5.4: B to C, D to A", "deltak ack; Acknowledge"),
     "shelve": ("5.4 to G", "deltak shelve --for; TimedShelve, at most MaxTimeShelved"),
     "unshelve": ("5.4 from G", "deltak unshelve: whoever ends it knows of the alarm, so ACKED; Unshelve"),

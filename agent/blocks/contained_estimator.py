@@ -1,8 +1,8 @@
 """A numerical failure inside a method costs the rows of a window, with a reason, and never the run.
 
-An estimator that raised is in no state to go on with: a new one takes its place, and the samples of the call go through
-it again a window at a time, so that only the window that fails has no estimates. What fails for another reason than its
-numbers is a fault of the program and passes on.
+An estimator that raised is in no state to go on with: a new one takes its place, and the samples of the call
+go through it again a window at a time, so that only the window that fails has no estimates. What fails for
+another reason than its numbers is a fault of the program and passes on.
 """
 
 import logging
@@ -77,7 +77,10 @@ class ContainedEstimator:
         pieces = []
         for start in range(0, len(y), self.plan.window):
             piece = slice(start, start + self.plan.window)
-            doubts = (None if missing is None else missing[piece], None if suspect is None else suspect[piece])
+            doubts = (
+                None if missing is None else missing[piece],
+                None if suspect is None else suspect[piece],
+            )
             pieces.append(self._piece(index + start, y[piece], u[piece], *doubts))
         return replace(Outcome.joined(pieces, self.q), failures=(failure,))
 

@@ -76,7 +76,8 @@ class Labels:
         frictions: how many of the last inputs are shares of a dry friction, -1 or 1 while it slides.
         least: (q,) what is reported of a parameter does not go below; its estimate does, lest noise bias it.
         reference_sd: see `EstimateBatch`.
-        enough: (q,) sd from which on a window tells nothing of a change; a learnt reference asks it of sd_repeat.
+        enough: (q,) sd from which on a window tells nothing of a change; a learnt reference asks it of
+            sd_repeat.
     """
 
     rig: str
@@ -201,7 +202,11 @@ class Estimation:
         self._mark(rows, status, reason, window)
         held, age = self._hold(rows.theta, status, t_ns)
         least = labels.least
-        begun = np.minimum(rows.index - self._first + 1, labels.window) if samples.usable else np.zeros_like(window)
+        begun = (
+            np.minimum(rows.index - self._first + 1, labels.window)
+            if samples.usable
+            else np.zeros_like(window)
+        )
         used = np.where(full, window, begun)
         return EstimateBatch(
             rig=labels.rig, method=labels.method, parameters=labels.parameters, units=labels.units,
@@ -216,7 +221,9 @@ class Estimation:
             reference_sd=labels.reference_sd,
         )  # fmt: skip
 
-    def _other(self, rows: Outcome, other: Outcome, samples: Samples, t_ns: IntArray, lost: IntArray) -> EstimateBatch:
+    def _other(
+        self, rows: Outcome, other: Outcome, samples: Samples, t_ns: IntArray, lost: IntArray
+    ) -> EstimateBatch:
         """Return what one of several windows says where it is not the one chosen."""
         alone = replace(self, _held=self._held.copy(), _held_ns=self._held_ns.copy())
         batch = alone._batch(other, samples)  # noqa: SLF001 - of a copy of this block

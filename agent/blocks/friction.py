@@ -47,7 +47,9 @@ def friction_inputs(config: RigConfig, resolution: FloatArray) -> FrictionInputs
 
 def signals(config: RigConfig) -> int:
     """Return how many of the model's inputs differ from sample to sample: those measured and the signs."""
-    return len(config.inputs) + (len(config.model.friction) if isinstance(config.model, MechanicsModel) else 0)
+    return len(config.inputs) + (
+        len(config.model.friction) if isinstance(config.model, MechanicsModel) else 0
+    )
 
 
 def mechanics_of(model: Model) -> MassSpringDamper | None:

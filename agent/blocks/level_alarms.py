@@ -1,17 +1,19 @@
 """Health assessment: level alarms raised by probability, with delays, a deadband and the states of ISA-18.2.
 
-Each judged row asks two questions of Student's t with the row's own standard deviation and degrees of freedom:
+Each judged row asks two questions of Student's t with the row's own standard deviation and degrees of
+freedom:
 
     raise   P(|Δ| > limit)            ≥ confidence at every row for the on-delay, at least half a window
     clear   P(|Δ| < limit − deadband) ≥ confidence at every row for the off-delay
 
-Rows that are not VALID answer neither and pause both timers, so missing data never clears an alarm. Timers count
-sample indices, never a clock: a step of the wall clock changes no alarm.
+Rows that are not VALID answer neither and pause both timers, so missing data never clears an alarm. Timers
+count sample indices, never a clock: a step of the wall clock changes no alarm.
 
     NORM, RTNUN --raise--> UNACK --clear--> RTNUN      a raise is an activation of its own, also from RTNUN
                            ACKED --clear--> NORM       where an earlier run left it so
 
-What operators do meanwhile is not this block's: `advisory/alarm_states.py` takes each step as their commands have it.
+What operators do meanwhile is not this block's: `advisory/alarm_states.py` takes each step as their commands
+have it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -62,8 +64,9 @@ class _Timers:
     def advance(self, steps: IntArray, met: BoolArray, assessed: BoolArray) -> IntArray:
         """Return for how many samples the condition has held at each row, (N, r).
 
-        steps (N, 1) samples since the row before, met (N, r) rows that meet the condition, judged (N, r) rows that
-        could. The time between two rows counts when both meet it; a judged row that does not starts from zero again.
+        steps (N, 1) samples since the row before, met (N, r) rows that meet the condition, judged (N, r) rows
+        that could. The time between two rows counts when both meet it; a judged row that does not starts from
+        zero again.
         """
         before = np.vstack([self.met, met[:-1]])
         total = self.held + np.cumsum(np.where(met & before, steps, 0), axis=0)
@@ -75,8 +78,8 @@ class _Timers:
 class LevelAlarms:
     """The level alarms of one rig: batches of estimates in, transitions out; cutting a batch in two changes nothing.
 
-    rules: the configuration's alarm tables, at most one a parameter. sample_rate_hz turns delays into samples.
-    Raises ValueError for a rule that cannot be judged.
+    rules: the configuration's alarm tables, at most one a parameter. sample_rate_hz turns delays into
+    samples. Raises ValueError for a rule that cannot be judged.
     """
 
     def __init__(self, rig: str, rules: Sequence[LevelRule], sample_rate_hz: float) -> None:
@@ -193,16 +196,25 @@ class _Judgement:
     """One batch as the rules see it: one column a rule."""
 
     def __init__(
-        self, batch: EstimateBatch, columns: list[int], up: BoolArray, down: BoolArray, rules: tuple[LevelRule, ...]
+        self,
+        batch: EstimateBatch,
+        columns: list[int],
+        up: BoolArray,
+        down: BoolArray,
+        rules: tuple[LevelRule, ...],
     ) -> None:
         value = batch.value[:, columns]
         sd = _deviation_sd(batch, columns)
         self.batch, self.columns, self.rules = batch, columns, rules
-        self.assessed: BoolArray = (batch.status[:, columns] == Status.VALID) & np.isfinite(value) & np.isfinite(sd)
+        self.assessed: BoolArray = (
+            (batch.status[:, columns] == Status.VALID) & np.isfinite(value) & np.isfinite(sd)
+        )
         self.deviations = Deviations(value - batch.reference[columns], sd, batch.dof, up, down)
         origins = zip(rules, batch.reference[columns], strict=True)
         self.limit = np.array([_limit(rule, float(origin)) for rule, origin in origins])
-        self.level = np.array([_level(rule, float(limit)) for rule, limit in zip(rules, self.limit, strict=True)])
+        self.level = np.array(
+            [_level(rule, float(limit)) for rule, limit in zip(rules, self.limit, strict=True)]
+        )
 
     def on_delay_s(self) -> FloatArray:
         """Return each row's on-delay (N, r): at least half the row's window, the whole of it by default."""
@@ -260,7 +272,8 @@ def _percent(delta: float, reference: float) -> float | None:
 def _deviation_sd(batch: EstimateBatch, columns: list[int]) -> FloatArray:
     """Return the sd (N, r) of each row's deviation from its reference.
 
-    A reference that was learnt is of the same masses and gains as the row, whose sd against it is sd_repeat therefore.
+    A reference that was learnt is of the same masses and gains as the row, whose sd against it is sd_repeat
+    therefore.
     """
     sd = batch.sd[:, columns]
     if batch.reference_sd is None:

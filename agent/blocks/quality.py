@@ -1,8 +1,8 @@
 """Data manipulation: what of the readings can be believed.
 
-Short gaps and missing readings are filled and marked, spikes are refused and treated alike; channels that are stuck,
-clipped or silent are named, and while one is nothing is estimated. Everything is decided by sample numbers and values,
-never by how the stream was cut.
+Short gaps and missing readings are filled and marked, spikes are refused and treated alike; channels that are
+stuck, clipped or silent are named, and while one is nothing is estimated. Everything is decided by sample
+numbers and values, never by how the stream was cut.
 """
 
 from collections import Counter

@@ -16,10 +16,13 @@ def counted_from(
 ) -> tuple[Labels, list[str]]:
     """Return labels whose references are baselines where there are any that fit; and why others do not, in words.
 
-    labels: with nominal references. graph: of the rig; a baseline that knows none fits any. covariates: their units.
+    labels: with nominal references. graph: of the rig; a baseline that knows none fits any. covariates: their
+    units.
     """
     units = dict(zip(labels.parameters, labels.units, strict=True))
-    own = [(one, _unfitting(one, units, graph, covariates or {})) for one in baselines if one.parameter in units]
+    own = [
+        (one, _unfitting(one, units, graph, covariates or {})) for one in baselines if one.parameter in units
+    ]
     refused = [words for _, words in own if words]
     fitting = {one.parameter: one for one, words in own if not words}
     return _labelled(labels, fitting) if fitting else labels, refused
@@ -30,7 +33,9 @@ def _labelled(labels: Labels, fitting: Mapping[str, Baseline]) -> Labels:
     nominal = labels.reference.tolist()
     return replace(
         labels,
-        reference=np.array([n if one is None else one.reference for one, n in zip(found, nominal, strict=True)]),
+        reference=np.array(
+            [n if one is None else one.reference for one, n in zip(found, nominal, strict=True)]
+        ),
         baseline_id=tuple(None if one is None else one.baseline_id for one in found),
         reference_sd=tuple(nan if one is None else one.sd for one in found),
     )

@@ -79,7 +79,9 @@ def _limit(config: RigConfig, parameter: Parameter) -> float:
     for alarm in config.limits:
         if alarm.parameter == parameter.name:
             percent = alarm.limit_percent
-            return alarm.limit if alarm.limit is not None else abs(parameter.nominal) * (percent or 10.0) / 100
+            return (
+                alarm.limit if alarm.limit is not None else abs(parameter.nominal) * (percent or 10.0) / 100
+            )
     return 0.1 * abs(parameter.nominal)
 
 
@@ -152,7 +154,8 @@ def _disturbance(model: Model) -> FloatArray:
 def output_noise(config: RigConfig, resolution: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return sigma (p,), NaN where the configuration does not say, and the floor (p,) that the wire sets, SI.
 
-    resolution (p,) is the wire's smallest step of each output, SI; it is uniform noise of resolution / sqrt(12).
+    resolution (p,) is the wire's smallest step of each output, SI; it is uniform noise of resolution /
+    sqrt(12).
     """
     floor = resolution / np.sqrt(12.0)
     stated = np.array([np.nan if c.noise_sd is None else c.noise_sd * c.si_factor for c in config.outputs])

@@ -82,7 +82,9 @@ class SensorLabels:
         """Label samples v (N, c) of sources of which it is not known how they go together: no channel is at fault."""
         m = self._inputs
         fault = SensorFault("", Reason.REALIGNING)
-        return Labelled([Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)])
+        return Labelled(
+            [Samples(index, t_ns, v[:, :m], v[:, m:], self._segment, None, None, fault, usable=False)]
+        )
 
     def _speaks_again(self, piece: Piece) -> None:
         if self._silent and len(piece.index):
@@ -133,5 +135,13 @@ class SensorLabels:
             for mask in (clean.missing, clean.suspect)
         ]
         return Samples(
-            piece.index[part], piece.t_ns[part], v[:, :m], v[:, m:], self._segment, masks[0], masks[1], fault, usable
+            piece.index[part],
+            piece.t_ns[part],
+            v[:, :m],
+            v[:, m:],
+            self._segment,
+            masks[0],
+            masks[1],
+            fault,
+            usable,
         )

@@ -1,8 +1,9 @@
 """Health assessment of sources: of all that is counted about one, an event an episode, with the most telling cause.
 
-A source that fails does so in several ways at once: a broken frame is refused, and leaves a gap. What is counted
-within a moment of the first sign is one episode, told once, and over when nothing was counted for a while. What a
-driver tells by itself (lost, stale, bus-off ...) begins an episode too, in which the counts add nothing.
+A source that fails does so in several ways at once: a broken frame is refused, and leaves a gap. What is
+counted within a moment of the first sign is one episode, told once, and over when nothing was counted for a
+while. What a driver tells by itself (lost, stale, bus-off ...) begins an episode too, in which the counts add
+nothing.
 """
 
 from collections import Counter

@@ -85,7 +85,9 @@ def statistical_rig(config: RigConfig) -> Rig:
     driven = np.arange(len(columns)) < measured
     nominal = model.nominal[:q]
     limits = np.where(built.limits > 0, built.limits, np.nan)
-    scale = np.where(nominal != 0, np.abs(nominal), np.where(np.isfinite(limits), limits, _sizes(built.model)[:q]))
+    scale = np.where(
+        nominal != 0, np.abs(nominal), np.where(np.isfinite(limits), limits, _sizes(built.model)[:q])
+    )
     physical = np.array([p.kind in PHYSICAL for p in built.parameters], dtype=bool)
     needed = np.array([p.kind in NEEDED or p.name in _holding(config) for p in built.parameters], dtype=bool)
     lower = np.where(physical & (nominal > 0), np.where(needed, 0.02 * scale, 0.0), -np.inf)
@@ -234,7 +236,9 @@ def _rubbings(config: RigConfig, pushed: _Pushed) -> tuple[Rubbing, ...]:
     rubbing = {frozenset(f.between) for f in config.model.friction}
     out = []
     for damper in config.model.damper:
-        ends = [(node, sign) for node, sign in zip(damper.between, (1.0, -1.0), strict=True) if node != GROUND]
+        ends = [
+            (node, sign) for node, sign in zip(damper.between, (1.0, -1.0), strict=True) if node != GROUND
+        ]
         if frozenset(damper.between) in rubbing or not all(node in places for node, _ in ends):
             continue
         speed, push = np.zeros(len(states)), np.zeros(len(places))

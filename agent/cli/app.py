@@ -1,7 +1,7 @@
 """The command line. Each command imports what it needs when it runs, so that `deltak --help` answers at once.
 
-Command bodies return the documents of the JSON interface as plain dicts and print nothing; this module prints them,
-turns errors into lines and exit codes, and knows no more.
+Command bodies return the documents of the JSON interface as plain dicts and print nothing; this module prints
+them, turns errors into lines and exit codes, and knows no more.
 """
 
 import os
@@ -57,20 +57,35 @@ class RunKind(StrEnum):
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout and nothing else.")]
 Csv = Annotated[bool, typer.Option("--csv", help="CSV on stdout, every digit, empty for none.")]
-Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).", show_default=False)]
-Database = Annotated[Path, typer.Argument(metavar="DB", help="Database file of the agent.", show_default=False)]
+Config = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="Configuration file (TOML).", show_default=False)
+]
+Database = Annotated[
+    Path, typer.Argument(metavar="DB", help="Database file of the agent.", show_default=False)
+]
 Agent = Annotated[
     Path | None,
-    typer.Argument(metavar="[CONFIG|DB]", help="Whose agent; without it the only one there is.", show_default=False),
+    typer.Argument(
+        metavar="[CONFIG|DB]", help="Whose agent; without it the only one there is.", show_default=False
+    ),
 ]
-NewDb = Annotated[Path | None, typer.Option("--db", metavar="FILE", help="Database to write; created if missing.")]
+NewDb = Annotated[
+    Path | None, typer.Option("--db", metavar="FILE", help="Database to write; created if missing.")
+]
 Rig = Annotated[str | None, typer.Option("--rig", help="Only this rig.")]
 Since = Annotated[
-    str | None, typer.Option("--since", metavar="T", help="ISO 8601, or an age back from the newest row: 90s, 12h, 30d")
+    str | None,
+    typer.Option("--since", metavar="T", help="ISO 8601, or an age back from the newest row: 90s, 12h, 30d"),
 ]
-Until = Annotated[str | None, typer.Option("--until", metavar="T", help="As --since; both ends belong to the answer.")]
-Plot = Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw to FILE (.png, .svg or .pdf).")]
-Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=0.0, help="Stop after S seconds.")]
+Until = Annotated[
+    str | None, typer.Option("--until", metavar="T", help="As --since; both ends belong to the answer.")
+]
+Plot = Annotated[
+    Path | None, typer.Option("--plot", metavar="FILE", help="Draw to FILE (.png, .svg or .pdf).")
+]
+Duration = Annotated[
+    float | None, typer.Option("--duration", metavar="S", min=0.0, help="Stop after S seconds.")
+]
 
 
 @app.callback(invoke_without_command=True)
@@ -78,7 +93,8 @@ def _start(
     ctx: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
     _verbose: Annotated[
-        int, typer.Option("-v", "--verbose", count=True, show_default=False, help="Log progress; -vv logs all.")
+        int,
+        typer.Option("-v", "--verbose", count=True, show_default=False, help="Log progress; -vv logs all."),
     ] = 0,
     _debug: Annotated[bool, typer.Option("--debug", help="Log all, and show tracebacks.")] = False,
 ) -> None:
@@ -97,8 +113,12 @@ def demo(
     rig: Annotated[
         DemoRig, typer.Option(help="Two masses, or a voice coil: voltage in, position out.")
     ] = DemoRig.MASSES,
-    scenario: Annotated[str | None, typer.Option(metavar="NAME", help="A scenario that ships with deltak.")] = None,
-    fast: Annotated[bool, typer.Option("--fast", help="As fast as no sample is lost, not in real time.")] = False,
+    scenario: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A scenario that ships with deltak.")
+    ] = None,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="As fast as no sample is lost, not in real time.")
+    ] = False,
     db: NewDb = None,
     json: Json = False,
 ) -> None:
@@ -129,12 +149,16 @@ def paper(
 def check(
     config: Config,
     recording: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Judge by this recording: each channel, and the sd to expect.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Judge by this recording: each channel, and the sd to expect."),
     ] = None,
-    probe: Annotated[bool, typer.Option("--probe", help="Listen to the sources for 5 s and judge by that.")] = False,
+    probe: Annotated[
+        bool, typer.Option("--probe", help="Listen to the sources for 5 s and judge by that.")
+    ] = False,
     plot: Plot = None,
     db: Annotated[
-        Path | None, typer.Option("--db", metavar="FILE", help="With --plot: show the newest estimates of a database.")
+        Path | None,
+        typer.Option("--db", metavar="FILE", help="With --plot: show the newest estimates of a database."),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -154,7 +178,9 @@ def check(
 
 @app.command()
 def run(
-    configs: Annotated[list[Path], typer.Argument(metavar="CONFIG", help="Configuration files (TOML), or folders.")],
+    configs: Annotated[
+        list[Path], typer.Argument(metavar="CONFIG", help="Configuration files (TOML), or folders.")
+    ],
     db: NewDb = None,
     duration: Duration = None,
     json: Json = False,
@@ -188,7 +214,9 @@ def reload(agent: Agent = None, json: Json = False) -> None:
 @app.command()
 def diag(
     agent: Agent = None,
-    to: Annotated[Path, typer.Option(metavar="FILE.tar.gz", help="The bundle to write.")] = Path("deltak-diag.tar.gz"),
+    to: Annotated[Path, typer.Option(metavar="FILE.tar.gz", help="The bundle to write.")] = Path(
+        "deltak-diag.tar.gz"
+    ),
     json: Json = False,
 ) -> None:
     """Bundle what support needs: configuration without secrets, log, ledgers, versions, status, raw samples."""
@@ -200,7 +228,9 @@ def diag(
 @app.command()
 def replay(
     config: Config,
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")
+    ],
     db: NewDb = None,
     json: Json = False,
 ) -> None:
@@ -232,9 +262,12 @@ def identify(
         list[Path] | None, typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")
     ] = None,
     probe: Annotated[
-        float | None, typer.Option("--probe", metavar="S", min=0.0, help="Listen to the sources for S seconds.")
+        float | None,
+        typer.Option("--probe", metavar="S", min=0.0, help="Listen to the sources for S seconds."),
     ] = None,
-    write: Annotated[bool, typer.Option("--write", help="Put the values found into CONFIG; comments stay.")] = False,
+    write: Annotated[
+        bool, typer.Option("--write", help="Put the values found into CONFIG; comments stay.")
+    ] = False,
     graph: Annotated[
         bool, typer.Option("--graph", help="Choose first which springs and dampers there are at all.")
     ] = False,
@@ -261,9 +294,12 @@ def identify(
 @app.command()
 def compare(
     config: Config,
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="CSV, NPZ, CAN logs, own recordings.")
+    ],
     methods: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="Of window-ml, ekf, ukf, rls, observer, seed; all without.")
+        str | None,
+        typer.Option(metavar="A,B,...", help="Of window-ml, ekf, ukf, rls, observer, seed; all without."),
     ] = None,
     json: Json = False,
     plot: Plot = None,
@@ -287,7 +323,9 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
     mass: Annotated[list[str] | None, typer.Option(metavar="NAME=KG", help="A mass; again for each.")] = None,
     spring: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=NODE,NODE[:NOMINAL]", help="A spring; none: no spring; left out: a chain."),
+        typer.Option(
+            metavar="NAME=NODE,NODE[:NOMINAL]", help="A spring; none: no spring; left out: a chain."
+        ),
     ] = None,
     damper: Annotated[
         list[str] | None, typer.Option(metavar="NAME=NODE,NODE[:NOMINAL]", help="A damper, as --spring.")
@@ -297,25 +335,45 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
     ] = None,
     channel: Annotated[
         list[str] | None,
-        typer.Option(metavar="[NAME=]QUANTITY@MASS[:UNIT[:FIELD]]", help="A signal, e.g. x1=displacement@m1:mm."),
+        typer.Option(
+            metavar="[NAME=]QUANTITY@MASS[:UNIT[:FIELD]]", help="A signal, e.g. x1=displacement@m1:mm."
+        ),
     ] = None,
-    counter: Annotated[str | None, typer.Option(metavar="FIELD", help="The field that counts the samples.")] = None,
-    interface: Annotated[str | None, typer.Option(help="CAN: as python-can names it; socketcan without.")] = None,
+    counter: Annotated[
+        str | None, typer.Option(metavar="FIELD", help="The field that counts the samples.")
+    ] = None,
+    interface: Annotated[
+        str | None, typer.Option(help="CAN: as python-can names it; socketcan without.")
+    ] = None,
     bus_channel: Annotated[str | None, typer.Option(metavar="NAME", help="CAN: such as can0.")] = None,
-    dbc: Annotated[str | None, typer.Option(metavar="FILE", help="CAN: the DBC file, from FILE's folder.")] = None,
+    dbc: Annotated[
+        str | None, typer.Option(metavar="FILE", help="CAN: the DBC file, from FILE's folder.")
+    ] = None,
     host: Annotated[str | None, typer.Option(help="Modbus TCP, socketcand: where the device is.")] = None,
     port: Annotated[str | None, typer.Option(help="TCP port, or the device of a serial line.")] = None,
     baudrate: Annotated[int | None, typer.Option(metavar="N", help="Serial, Modbus RTU.")] = None,
-    columns: Annotated[str | None, typer.Option(metavar="A,B,...", help="Serial: the cells of a line of text.")] = None,
-    sync: Annotated[str | None, typer.Option(metavar="HEX", help="Serial: how a binary frame begins.")] = None,
+    columns: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Serial: the cells of a line of text.")
+    ] = None,
+    sync: Annotated[
+        str | None, typer.Option(metavar="HEX", help="Serial: how a binary frame begins.")
+    ] = None,
     fields: Annotated[
         str | None,
-        typer.Option(metavar="NAME[@ADDRESS]:TYPE[:SCALE],...", help="Serial, Modbus: what follows one another."),
+        typer.Option(
+            metavar="NAME[@ADDRESS]:TYPE[:SCALE],...", help="Serial, Modbus: what follows one another."
+        ),
     ] = None,
     crc: Annotated[str | None, typer.Option(metavar="NAME", help="Serial: such as CRC-16/IBM-3740.")] = None,
-    device_id: Annotated[int | None, typer.Option("--device-id", metavar="N", help="Modbus: the unit.")] = None,
-    index: Annotated[str | None, typer.Option(metavar="ADDRESS[:TYPE]", help="Modbus: samples written so far.")] = None,
-    ring: Annotated[str | None, typer.Option(metavar="ADDRESS:SLOTS", help="Modbus: where the samples lie.")] = None,
+    device_id: Annotated[
+        int | None, typer.Option("--device-id", metavar="N", help="Modbus: the unit.")
+    ] = None,
+    index: Annotated[
+        str | None, typer.Option(metavar="ADDRESS[:TYPE]", help="Modbus: samples written so far.")
+    ] = None,
+    ring: Annotated[
+        str | None, typer.Option(metavar="ADDRESS:SLOTS", help="Modbus: where the samples lie.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Write a first configuration: asks on a terminal for what the flags leave open."""
@@ -324,8 +382,10 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
     from agent.commissioning.setup import plan
 
     keys = {
-        "interface": interface, "channel": bus_channel, "dbc": dbc, "host": host, "port": port, "baudrate": baudrate,
-        "columns": columns, "sync": sync, "fields": fields, "crc": crc, "device_id": device_id, "index": index,
+        "interface": interface, "channel": bus_channel, "dbc": dbc, "host": host, "port": port,
+        "baudrate": baudrate,
+        "columns": columns, "sync": sync, "fields": fields, "crc": crc, "device_id": device_id,
+        "index": index,
         "ring": ring,
     }  # fmt: skip
     elements = {"spring": spring, "damper": damper, "friction": friction}
@@ -337,7 +397,8 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
 @app.command()
 def score(
     scenarios: Annotated[
-        list[str] | None, typer.Argument(metavar="SCENARIO...", help="Scenarios that name their rig; all that ship.")
+        list[str] | None,
+        typer.Argument(metavar="SCENARIO...", help="Scenarios that name their rig; all that ship."),
     ] = None,
     fault: Annotated[
         list[str] | None, typer.Option(metavar="F@T", help="One more fault in each, NAME@SECONDS.")
@@ -376,10 +437,16 @@ def alarms(
         Path | None, typer.Argument(metavar="DB", help="Database file of the agent.", show_default=False)
     ] = None,
     rig: Rig = None,
-    active: Annotated[bool, typer.Option("--active", help="Only those whose condition still stands.")] = False,
-    stats: Annotated[bool, typer.Option("--stats", help="Rates, floods, chattering: the standard's measures.")] = False,
+    active: Annotated[
+        bool, typer.Option("--active", help="Only those whose condition still stands.")
+    ] = False,
+    stats: Annotated[
+        bool, typer.Option("--stats", help="Rates, floods, chattering: the standard's measures.")
+    ] = False,
     since: Since = None,
-    states: Annotated[bool, typer.Option("--states", help="The table of states and causes; needs no DB.")] = False,
+    states: Annotated[
+        bool, typer.Option("--states", help="The table of states and causes; needs no DB.")
+    ] = False,
     json: Json = False,
     csv: Csv = False,
 ) -> None:
@@ -395,7 +462,9 @@ def alarms(
         body.alarms(_named(db), rig, form, active=active)
 
 
-Ids = Annotated[list[int], typer.Argument(metavar="ID...", help="Numbers of alarms, as deltak alarms lists them.")]
+Ids = Annotated[
+    list[int], typer.Argument(metavar="ID...", help="Numbers of alarms, as deltak alarms lists them.")
+]
 By = Annotated[str | None, typer.Option("--by", metavar="WHO", help="Who does it; the user by default.")]
 Comment = Annotated[str | None, typer.Option("--comment", metavar="TEXT", help="Why.")]
 
@@ -459,7 +528,9 @@ def notify_list(
 @notify.command("resend")
 def notify_resend(
     db: Database,
-    ids: Annotated[list[int], typer.Argument(metavar="ID...", help="Numbers that deltak notify list --dead shows.")],
+    ids: Annotated[
+        list[int], typer.Argument(metavar="ID...", help="Numbers that deltak notify list --dead shows.")
+    ],
     json: Json = False,
 ) -> None:
     """Let notifications that were given up be tried anew by the agent."""
@@ -482,7 +553,9 @@ def notify_test(config: Config, json: Json = False) -> None:
 @app.command()
 def explain(
     db: Database,
-    alarm: Annotated[int, typer.Argument(metavar="ID", help="Number of an alarm, as deltak alarms lists it.")],
+    alarm: Annotated[
+        int, typer.Argument(metavar="ID", help="Number of an alarm, as deltak alarms lists it.")
+    ],
     plot: Plot = None,
     json: Json = False,
 ) -> None:
@@ -510,9 +583,12 @@ def verdicts(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False
 
 @app.command()
 def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
-    db: Annotated[Path, typer.Argument(metavar="DB|TABLE", help="Database, or CSV or Parquet.", show_default=False)],
+    db: Annotated[
+        Path, typer.Argument(metavar="DB|TABLE", help="Database, or CSV or Parquet.", show_default=False)
+    ],
     parameter: Annotated[
-        str | None, typer.Argument(metavar="PARAMETER", help="For example k1; all without.", show_default=False)
+        str | None,
+        typer.Argument(metavar="PARAMETER", help="For example k1; all without.", show_default=False),
     ] = None,
     rig: Rig = None,
     since: Since = None,
@@ -522,9 +598,12 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
         float | None, typer.Option("--from-reference", metavar="R", help="Take --limit as a change from R.")
     ] = None,
     like: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Like machines: DB, TABLE, or a prior of fleet learn.")
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Like machines: DB, TABLE, or a prior of fleet learn."),
     ] = None,
-    horizon: Annotated[str | None, typer.Option(metavar="T", help="How far ahead the chance is of: 90d, 12h.")] = None,
+    horizon: Annotated[
+        str | None, typer.Option(metavar="T", help="How far ahead the chance is of: 90d, 12h.")
+    ] = None,
     json: Json = False,
     csv: Csv = False,
     plot: Plot = None,
@@ -540,12 +619,18 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
 @app.command()
 def fleet(
     files: Annotated[
-        list[Path], typer.Argument(metavar="[learn] DB|FOLDER|TABLE...", help="Databases, or folders of them.")
+        list[Path],
+        typer.Argument(metavar="[learn] DB|FOLDER|TABLE...", help="Databases, or folders of them."),
     ],
-    within: Annotated[str, typer.Option(metavar="T", help="How far ahead the chance is of: 90d, 12h.")] = "90d",
+    within: Annotated[
+        str, typer.Option(metavar="T", help="How far ahead the chance is of: 90d, 12h.")
+    ] = "90d",
     parameter: Annotated[str | None, typer.Option(metavar="P", help="Only this parameter.")] = None,
     limit_percent: Annotated[
-        float, typer.Option("--limit-percent", metavar="X", help="The limit of a parameter that never raised an alarm.")
+        float,
+        typer.Option(
+            "--limit-percent", metavar="X", help="The limit of a parameter that never raised an alarm."
+        ),
     ] = 20.0,
     to: Annotated[Path | None, typer.Option(metavar="PRIOR", help="With learn: the file to write.")] = None,
     limit: Annotated[float | None, typer.Option(metavar="V", help="With learn: where lives end.")] = None,
@@ -565,7 +650,8 @@ def fleet(
 @app.command()
 def watch(
     target: Annotated[
-        Path | None, typer.Argument(metavar="[CONFIG|DB]", help="The only *.db here without.", show_default=False)
+        Path | None,
+        typer.Argument(metavar="[CONFIG|DB]", help="The only *.db here without.", show_default=False),
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="One frame, for scripts and pipes.")] = False,
 ) -> None:
@@ -581,12 +667,14 @@ def serve(  # noqa: PLR0913, PLR0917 the signature is the command line
         list[Path] | None, typer.Option("--db", metavar="DB", help="Database to show; may be repeated.")
     ] = None,
     config: Annotated[
-        list[Path] | None, typer.Option("--config", metavar="CONFIG", help="Shows its database, limits and model.")
+        list[Path] | None,
+        typer.Option("--config", metavar="CONFIG", help="Shows its database, limits and model."),
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for a free one.")] = 8765,
     password_file: Annotated[
-        Path | None, typer.Option("--password-file", metavar="FILE", help="Hash of the password for acknowledging.")
+        Path | None,
+        typer.Option("--password-file", metavar="FILE", help="Hash of the password for acknowledging."),
     ] = None,
     token_file: Annotated[
         Path | None, typer.Option("--token-file", metavar="FILE", help="A token instead of a password.")
@@ -596,10 +684,12 @@ def serve(  # noqa: PLR0913, PLR0917 the signature is the command line
         list[str] | None, typer.Option("--hostname", metavar="NAME", help="A name that the server goes by.")
     ] = None,
     proxy: Annotated[
-        str | None, typer.Option("--proxy", metavar="ADDRESS", help="The reverse proxy whose headers are believed.")
+        str | None,
+        typer.Option("--proxy", metavar="ADDRESS", help="The reverse proxy whose headers are believed."),
     ] = None,
     new_password: Annotated[
-        Path | None, typer.Option("--new-password", metavar="FILE", help="Ask for a password, write its hash, stop.")
+        Path | None,
+        typer.Option("--new-password", metavar="FILE", help="Ask for a password, write its hash, stop."),
     ] = None,
 ) -> None:
     """Show the page and answer the HTTP API; a process of its own that only reads the databases."""
@@ -615,7 +705,8 @@ def serve(  # noqa: PLR0913, PLR0917 the signature is the command line
 @app.command()
 def opcua(  # noqa: PLR0913, PLR0917 the signature is the command line
     target: Annotated[
-        list[Path] | None, typer.Argument(metavar="DB|CONFIG...", help="What to serve; a configuration its database.")
+        list[Path] | None,
+        typer.Argument(metavar="DB|CONFIG...", help="What to serve; a configuration its database."),
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for a free one.")] = 4840,
@@ -623,17 +714,21 @@ def opcua(  # noqa: PLR0913, PLR0917 the signature is the command line
         str | None, typer.Option("--hostname", metavar="NAME", help="The name under which clients reach it.")
     ] = None,
     users: Annotated[
-        Path | None, typer.Option("--users", metavar="FILE", help="Users that may act, with hashes of passwords.")
+        Path | None,
+        typer.Option("--users", metavar="FILE", help="Users that may act, with hashes of passwords."),
     ] = None,
     new_user: Annotated[
-        str | None, typer.Option("--new-user", metavar="NAME", help="Ask for a password, add it to --users, stop.")
+        str | None,
+        typer.Option("--new-user", metavar="NAME", help="Ask for a password, add it to --users, stop."),
     ] = None,
     certificate: Annotated[
-        Path | None, typer.Option("--certificate", metavar="FILE", help="The server's certificate, PEM or DER.")
+        Path | None,
+        typer.Option("--certificate", metavar="FILE", help="The server's certificate, PEM or DER."),
     ] = None,
     key: Annotated[Path | None, typer.Option("--key", metavar="FILE", help="Its private key.")] = None,
     trusted: Annotated[
-        Path | None, typer.Option("--trusted", metavar="FOLDER", help="Certificates of clients; others are refused.")
+        Path | None,
+        typer.Option("--trusted", metavar="FOLDER", help="Certificates of clients; others are refused."),
     ] = None,
     private: Annotated[bool, typer.Option("--private", help="Reading needs a user too.")] = False,
 ) -> None:
@@ -651,16 +746,28 @@ def opcua(  # noqa: PLR0913, PLR0917 the signature is the command line
 def upgrade(
     places: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[CONFIG|DB]...", help="Without it what the services run on.", show_default=False),
+        typer.Argument(
+            metavar="[CONFIG|DB]...", help="Without it what the services run on.", show_default=False
+        ),
     ] = None,
-    check: Annotated[bool, typer.Option("--check", help="Say what this version would do; change nothing.")] = False,
-    to: Annotated[str | None, typer.Option("--to", metavar="VERSION", help="Have an installed version run.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Say what this version would do; change nothing.")
+    ] = False,
+    to: Annotated[
+        str | None, typer.Option("--to", metavar="VERSION", help="Have an installed version run.")
+    ] = None,
     within: Annotated[
         float, typer.Option(metavar="S", min=0.0, help="With --to: back after S seconds without valid rows.")
     ] = 180.0,
-    stop: Annotated[str | None, typer.Option(metavar="COMMAND", help="Ends the agents; else systemd does.")] = None,
-    start: Annotated[str | None, typer.Option(metavar="COMMAND", help="Starts them; else systemd does.")] = None,
-    home: Annotated[Path, typer.Option(metavar="DIR", help="Where versions lie side by side.")] = Path("/opt/deltak"),
+    stop: Annotated[
+        str | None, typer.Option(metavar="COMMAND", help="Ends the agents; else systemd does.")
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(metavar="COMMAND", help="Starts them; else systemd does.")
+    ] = None,
+    home: Annotated[Path, typer.Option(metavar="DIR", help="Where versions lie side by side.")] = Path(
+        "/opt/deltak"
+    ),
     json: Json = False,
 ) -> None:
     """Check what this version would do to databases and configurations, or have another version take over."""
@@ -696,7 +803,10 @@ def export(
 
 
 Place = Annotated[
-    Path, typer.Argument(metavar="DB|CONFIG", help="Database, or the configuration that names it.", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="DB|CONFIG", help="Database, or the configuration that names it.", show_default=False
+    ),
 ]
 baseline = typer.Typer(
     help="What parameters are like on a healthy machine: learn, show, exchange.", no_args_is_help=True,
@@ -777,14 +887,19 @@ def limits(  # noqa: PLR0913, PLR0917 the signature is the command line
     place: Place,
     rig: Rig = None,
     per_year: Annotated[
-        float, typer.Option("--per-year", metavar="N", help="False alarms a year at the most, each parameter.")
+        float,
+        typer.Option("--per-year", metavar="N", help="False alarms a year at the most, each parameter."),
     ] = 1.0,
-    write: Annotated[bool, typer.Option("--write", help="Put limits and delays into CONFIG; all else stays.")] = False,
+    write: Annotated[
+        bool, typer.Option("--write", help="Put limits and delays into CONFIG; all else stays.")
+    ] = False,
     config: Annotated[
-        Path | None, typer.Option("--config", metavar="CONFIG", help="With --write and a DB: the file to write to.")
+        Path | None,
+        typer.Option("--config", metavar="CONFIG", help="With --write and a DB: the file to write to."),
     ] = None,
     trial: Annotated[
-        Path | None, typer.Option("--try", metavar="FILE", help="Decide the stored history under FILE's limits.")
+        Path | None,
+        typer.Option("--try", metavar="FILE", help="Decide the stored history under FILE's limits."),
     ] = None,
     since: Since = None,
     until: Until = None,
@@ -805,15 +920,19 @@ def limits(  # noqa: PLR0913, PLR0917 the signature is the command line
 def excite(
     config: Config,
     seconds: Annotated[float, typer.Option(metavar="S", help="How long the motion may be.")],
-    to: Annotated[Path, typer.Option(metavar="FILE.csv", help="The file for the operator's own shaker or drive.")],
+    to: Annotated[
+        Path, typer.Option(metavar="FILE.csv", help="The file for the operator's own shaker or drive.")
+    ],
     recording: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The recording at hand, to compare with.")
     ] = None,
     max_force: Annotated[
-        float | None, typer.Option("--max-force", metavar="F", help="Greatest force, in the force channel's unit.")
+        float | None,
+        typer.Option("--max-force", metavar="F", help="Greatest force, in the force channel's unit."),
     ] = None,
     max_stroke: Annotated[
-        float | None, typer.Option("--max-stroke", metavar="X", help="Greatest displacement, in its channel's unit.")
+        float | None,
+        typer.Option("--max-stroke", metavar="X", help="Greatest displacement, in its channel's unit."),
     ] = None,
     band: Annotated[
         tuple[float, float] | None, typer.Option(metavar="LO HI", help="Frequencies that are allowed, Hz.")
@@ -844,7 +963,9 @@ def examples_list(json: Json = False) -> None:
 
 @examples.command("copy")
 def examples_copy(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="As examples list shows it.", show_default=False)],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="As examples list shows it.", show_default=False)
+    ],
     folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Where to; made if missing.")] = Path(),
     json: Json = False,
 ) -> None:
@@ -886,7 +1007,9 @@ def db_compact(db: Database, json: Json = False) -> None:
 @database.command("backup")
 def db_backup(
     db: Database,
-    target: Annotated[Path, typer.Argument(metavar="TARGET", help="The copy; must not exist.", show_default=False)],
+    target: Annotated[
+        Path, typer.Argument(metavar="TARGET", help="The copy; must not exist.", show_default=False)
+    ],
     json: Json = False,
 ) -> None:
     """Copy a file, also while an agent writes to it."""
@@ -897,7 +1020,7 @@ def db_backup(
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave with its exit code."""
-    # two threads are ten times slower than one on the small products here; numpy reads this when it is first imported
+    # two threads are ten times slower than one on the small products here; numpy reads this at its import
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with done_when_terminated():
         from agent.cli.terminal.errors import guarded
@@ -921,7 +1044,9 @@ def _operate(
     _answer(document, body.print_taken, as_json=json)
 
 
-def _answer(document: Mapping[str, Any], table: Callable[[Mapping[str, Any]], None], *, as_json: bool) -> None:
+def _answer(
+    document: Mapping[str, Any], table: Callable[[Mapping[str, Any]], None], *, as_json: bool
+) -> None:
     """Print a document as JSON or as a table."""
     from agent.cli.terminal.output import print_json
 

@@ -17,7 +17,11 @@ def print_check(document: Document) -> None:
     given = defaultdict(list[Any], {key: value for key, value in document.items() if value is not None})
     if given["ok"]:
         identified = "observable" in given
-        show("the configuration is usable" if identified else "the configuration is usable once it is identified")
+        show(
+            "the configuration is usable"
+            if identified
+            else "the configuration is usable once it is identified"
+        )
     for warning in given["warnings"]:
         show(f"warning: {warning if isinstance(warning, str) else _fault(warning)}")
     if "observable" in given:
@@ -41,7 +45,9 @@ def report_faults(document: Document) -> int:
 
 
 def _fault(error: Mapping[str, Any]) -> Fault:
-    return Fault(str(error.get("path") or ""), str(error.get("message") or ""), str(error.get("advice") or ""))
+    return Fault(
+        str(error.get("path") or ""), str(error.get("message") or ""), str(error.get("advice") or "")
+    )
 
 
 def _print_poles(poles: list[Document]) -> None:
@@ -49,7 +55,11 @@ def _print_poles(poles: list[Document]) -> None:
         return
     columns = ("pole", "frequency, Hz", "damping ratio")
     rows = (
-        (f"{pole['re']:.6g} {pole['im']:+.6g}j", number(pole.get("freq_hz"), 4), number(pole.get("damping_ratio"), 4))
+        (
+            f"{pole['re']:.6g} {pole['im']:+.6g}j",
+            number(pole.get("freq_hz"), 4),
+            number(pole.get("damping_ratio"), 4),
+        )
         for pole in poles
     )
     print_table("poles of the nominal model", columns, rows, right=columns)
@@ -61,7 +71,9 @@ def _print_conditions(document: Document) -> None:
         radii = f"model {number(third.get('radius_model'))}, observer {number(third.get('radius_observer'))}"
         show(f"condition (3) {_holds(third)}: spectral radius of the {radii}")
     if eighth:
-        sizes = f"perturbation {number(eighth.get('perturbation_norm'))}, margin {number(eighth.get('delta'))}"
+        sizes = (
+            f"perturbation {number(eighth.get('perturbation_norm'))}, margin {number(eighth.get('delta'))}"
+        )
         show(f"condition (8) {_holds(eighth)}: {sizes}")
 
 
@@ -85,16 +97,24 @@ def _print_paper(found: Document | None, passes: Document | None) -> None:
     if found:
         exists, ranks, special = found["condition_11"], found["condition_12"], found["condition_15"]
         left = f"{100 * exists['defect_states']:.3g} % of (10) for the states, {100 * exists['defect_outputs']:.3g} %"
-        show(f"condition (11) over the last {found['window_s']:g} s: no one matrix explains {left} for the outputs")
+        show(
+            f"condition (11) over the last {found['window_s']:g} s: no one matrix explains {left} for the outputs"
+        )
         show(
             f"condition (12): rank {ranks['rank']} of the states, {ranks['rank_joined']} with what they are to explain"
         )
         one = f"for one sample alone Z = 0 leaves {100 * special['defect_of_one_sample']:.3g} %"
-        over = "Z = 0 would do here" if special["z_zero"] else "the states fill too few directions, so Z is needed"
+        over = (
+            "Z = 0 would do here"
+            if special["z_zero"]
+            else "the states fill too few directions, so Z is needed"
+        )
         show(f"condition (15) over the window: {over}; {one}")
     if passes:
         reach = "reach" if passes["converges"] else "do not reach"
-        show(f"re-centred passes {reach} the right parameters: each step is {number(passes['ratio'])} of the last")
+        show(
+            f"re-centred passes {reach} the right parameters: each step is {number(passes['ratio'])} of the last"
+        )
 
 
 def _print_box(box: Document | None) -> None:
@@ -109,7 +129,17 @@ def _print_box(box: Document | None) -> None:
 def _print_recording(facts: Document | None, what: str) -> None:
     if not facts:
         return
-    columns = ("channel", "unit", "samples a second", "least", "most", "noise sd", "missing", "gaps", "clock, ppm")
+    columns = (
+        "channel",
+        "unit",
+        "samples a second",
+        "least",
+        "most",
+        "noise sd",
+        "missing",
+        "gaps",
+        "clock, ppm",
+    )
     rows = (_channel(c) for c in facts["channels"])
     if facts["channels"]:
         ledger = f"{facts['used']:,} samples in {number(facts['span_s'], 4)} s, {facts['gaps']} gaps"

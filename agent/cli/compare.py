@@ -23,7 +23,8 @@ def print_compared(document: Document) -> None:
     columns = ("method", *names, "prediction, sd", "% of motion", "µs a sample", "tuned to")
     rows = (
         (
-            name, *(_estimate(row["estimates"][parameter]) for parameter in names), number(row["prediction_rms"], 3),
+            name, *(_estimate(row["estimates"][parameter]) for parameter in names),
+            number(row["prediction_rms"], 3),
             number(row["prediction_percent"], 3),
             number(row["cost_us_per_sample"], 3), row["tuned"],
         )
@@ -75,7 +76,10 @@ def _draw_parameter(axis: Any, rows: Mapping[str, Estimates], column: int, sampl
         shown = np.where(found.valid[some, column], found.theta[some, column], np.nan)
         (line,) = axis.plot(found.index[some], shown, lw=0.9, label=name)
         if name == "window-ml":
-            band = (np.where(np.isfinite(shown), edge[some, column], np.nan) for edge in (found.lower, found.upper))
+            band = (
+                np.where(np.isfinite(shown), edge[some, column], np.nan)
+                for edge in (found.lower, found.upper)
+            )
             axis.fill_between(found.index[some], *band, color=line.get_color(), alpha=0.2, lw=0)
         late = shown[(found.index[some] > samples // 2) & np.isfinite(shown)]
         seen.append(np.percentile(late, [2, 98]) if len(late) else np.array([]))

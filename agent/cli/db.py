@@ -12,7 +12,8 @@ Document = dict[str, Any]
 FORMS = ("", ".csv", ".parquet")
 """Ends of names that can be written; without one it is CSV."""
 EXPORTS = (
-    "estimates", "alarms", "alarm_events", "health", "runs", "event_records", "verdicts", "baselines", "forecast",
+    "estimates", "alarms", "alarm_events", "health", "runs", "event_records", "verdicts", "baselines",
+    "forecast",
     "covariates",
 )  # fmt: skip
 
@@ -24,7 +25,9 @@ def check(db: Path, *, as_json: bool) -> None:
     if as_json:
         print_json({"db": str(db), "problems": report.problems, "bytes": report.bytes, "rows": report.rows})
     else:
-        print_table(f"{db}: {report.bytes} bytes", ("view", "rows"), ((k, str(n)) for k, n in report.rows.items()))
+        print_table(
+            f"{db}: {report.bytes} bytes", ("view", "rows"), ((k, str(n)) for k, n in report.rows.items())
+        )
         show("sound" if not report.problems else "damaged")
     if report.problems:
         advice = f"deltak db repair {db} keeps every row that proves itself"
@@ -65,7 +68,9 @@ def export(db: Path, what: str, rig: str | None, to: Path | None) -> None:
         maintenance.export_csv(db, what, stdout_text(), rig)
         return
     if to.suffix.lower() not in FORMS:
-        raise UsageError.at("--to", f"{to}: {to.suffix} cannot be written", "give a name that ends in .csv or .parquet")
+        raise UsageError.at(
+            "--to", f"{to}: {to.suffix} cannot be written", "give a name that ends in .csv or .parquet"
+        )
     try:
         count = _export_to(db, what, to, rig)
     except OSError as error:

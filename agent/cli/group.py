@@ -21,8 +21,8 @@ GROUP = "deltak.commands"
 class CommandGroup(TyperGroup):
     """Commands of this package, then those that entry points of the group `deltak.commands` name.
 
-    A plug-in is a plain annotated function. Listing the commands imports none of them; one that cannot be imported
-    fails alone, when it is called.
+    A plug-in is a plain annotated function. Listing the commands imports none of them; one that cannot be
+    imported fails alone, when it is called.
     """
 
     def list_commands(self, ctx: Any) -> list[str]:

@@ -21,7 +21,13 @@ def print_identified(document: Document) -> None:
     """Print values with intervals, what could not be known, what is unexplained, and what a file was given."""
     columns = ("parameter", "value", "unit", "95 %", "")
     rows = (
-        (name, with_sd(row["value"], row["sd"]), row["unit"], interval(row["lower"], row["upper"]), row["why"] or "")
+        (
+            name,
+            with_sd(row["value"], row["sd"]),
+            row["unit"],
+            interval(row["lower"], row["upper"]),
+            row["why"] or "",
+        )
         for name, row in document["parameters"].items()
     )
     title = f"{document['rig']}: {document['windows']} windows of {number(document['window_s'], 3)} s"

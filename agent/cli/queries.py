@@ -13,12 +13,14 @@ from agent.text import interval, number, short_time, with_sd
 Row = Mapping[str, Any]
 
 ESTIMATE_COLUMNS = (
-    "rig", "run_id", "time", "t_ns", "parameter", "unit", "value", "delta", "reference", "baseline_id", "sd", "lower",
+    "rig", "run_id", "time", "t_ns", "parameter", "unit", "value", "delta", "reference", "baseline_id", "sd",
+    "lower",
     "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used", "n_missing", "span_s", "method",
     "sd_repeat",
 )  # fmt: skip
 RECORD_COLUMNS = (
-    "id", "rig", "run_id", "t_ns", "time", "kind", "parameter", "alarm_id", "alarms", "from_ns", "to_ns", "samples",
+    "id", "rig", "run_id", "t_ns", "time", "kind", "parameter", "alarm_id", "alarms", "from_ns", "to_ns",
+    "samples",
     "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
 )  # fmt: skip
 VERDICT_COLUMNS = ("rig", "run_id", "t_ns", "time", "hypothesis", "size", "sd", "unit", "probability")
@@ -62,7 +64,9 @@ def _print_estimate_table(rows: Sequence[Row]) -> None:
     cells = (_estimate_cells(row)[skip:] for row in rows[-TABLE_ROWS:])
     print_table("", columns[skip:], cells, right={"value ± sd", "95 %", "change"})
     if len(rows) > TABLE_ROWS:
-        sys.stderr.write(f"the newest {TABLE_ROWS} of {len(rows)} rows; --csv and --json give all, --since fewer\n")
+        sys.stderr.write(
+            f"the newest {TABLE_ROWS} of {len(rows)} rows; --csv and --json give all, --since fewer\n"
+        )
 
 
 def _estimate_cells(row: Row) -> tuple[str, ...]:
@@ -87,7 +91,9 @@ def _print_record_table(rows: Sequence[Row]) -> None:
 
 
 def _record_cells(row: Row) -> tuple[str, ...]:
-    what = f"{row['kind']} {row['parameter']}" + (f" and {row['alarms'] - 1} more" if row["alarms"] > 1 else "")
+    what = f"{row['kind']} {row['parameter']}" + (
+        f" and {row['alarms'] - 1} more" if row["alarms"] > 1 else ""
+    )
     words = f"{row['state']}: {row['message']}" if row["message"] else row["state"]
     return str(row["id"]), row["rig"], short_time(row["time"]), what, words, str(row["samples"]), row["file"]
 
@@ -97,7 +103,9 @@ def _print_verdict_table(rows: Sequence[Row]) -> None:
         sys.stdout.write("no verdicts\n")
         return
     columns = ("rig", "time", "what is off", "by ± sd", "unit", "probability")
-    print_table("", columns, (_verdict_cells(row) for row in rows[-TABLE_ROWS:]), right={"by ± sd", "probability"})
+    print_table(
+        "", columns, (_verdict_cells(row) for row in rows[-TABLE_ROWS:]), right={"by ± sd", "probability"}
+    )
     if len(rows) > TABLE_ROWS:
         sys.stderr.write(f"the newest {TABLE_ROWS} of {len(rows)} rows; --csv and --json give all\n")
 

@@ -27,7 +27,9 @@ def print_results(document: Document) -> None:
 def print_demo(document: Document) -> None:
     """Print what the agent found beside what was played."""
     show(f"{document.get('bus', '')}, scenario {document.get('scenario', '')}: {_span(document)}")
-    show("A simulated rig wore in steps; the agent, another process, knew its drawing and what came over the bus.")
+    show(
+        "A simulated rig wore in steps; the agent, another process, knew its drawing and what came over the bus."
+    )
     for segment in document.get("truth", []):
         _print_segment(segment, _units(document))
     if document.get("truth"):
@@ -103,7 +105,11 @@ def _print_alarms(run: Document) -> None:
     rows = (
         [short_time(alarm.get("raised_at")), short_time(alarm.get("cleared_at"))]
         + [str(alarm.get(key) or "") for key in ("priority", "state")]
-        + [f"{alarm['message']}; {alarm['advice']}" if alarm.get("advice") else str(alarm.get("message") or "")]
+        + [
+            f"{alarm['message']}; {alarm['advice']}"
+            if alarm.get("advice")
+            else str(alarm.get("message") or "")
+        ]
         for alarm in alarms
     )
     print_table("alarms", columns, rows)
@@ -116,7 +122,9 @@ def _print_delays(document: Document) -> None:
             show(f"{delay['parameter']} changed at {number(changed)} s: not alarmed")
         else:
             lag = number(delay.get("delay_s"), 4)
-            show(f"{delay['parameter']} changed at {number(changed)} s: alarm at {number(raised)} s, {lag} s later")
+            show(
+                f"{delay['parameter']} changed at {number(changed)} s: alarm at {number(raised)} s, {lag} s later"
+            )
 
 
 def _print_samples(run: Document) -> None:

@@ -37,10 +37,16 @@ def warnings(
 def _poles(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     radii = np.abs(np.linalg.eigvals(sampled(config, rig).model.A))
     if np.any(radii > 1 + 1e-6):
-        yield Fault("model", "the nominal model is unstable: a motion grows by itself", "look at signs and values")
+        yield Fault(
+            "model", "the nominal model is unstable: a motion grows by itself", "look at signs and values"
+        )
     elif np.any(radii > 1 - MARGINAL):
-        what = "the nominal model has a motion that does not decay: a mass that nothing holds or nothing damps"
-        yield Fault("model", what, "the observer keeps correcting it, which costs information; add what holds it")
+        what = (
+            "the nominal model has a motion that does not decay: a mass that nothing holds or nothing damps"
+        )
+        yield Fault(
+            "model", what, "the observer keeps correcting it, which costs information; add what holds it"
+        )
 
 
 def _modes(config: RigConfig, rig: RigModel) -> list[complex]:
@@ -57,10 +63,14 @@ def _windows(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     fastest = max(frequencies, default=0.0)
     if shortest * slowest < 1:
         what = f"{shortest:g} s is shorter than a period of the slowest mode, {1 / slowest:.3g} s"
-        yield Fault("estimator.window_s", what, "a longer window tells far more of the parameters behind that mode")
+        yield Fault(
+            "estimator.window_s", what, "a longer window tells far more of the parameters behind that mode"
+        )
     if fastest > rate / 2:
         what = f"{rate:g} Hz does not show the mode at {fastest:.4g} Hz"
-        yield Fault("rig.sample_rate_hz", what, f"sample above {2 * fastest:.4g} Hz, better ten times the mode")
+        yield Fault(
+            "rig.sample_rate_hz", what, f"sample above {2 * fastest:.4g} Hz, better ten times the mode"
+        )
     elif fastest > rate / FEW_A_PERIOD:
         what = f"{rate:g} Hz are few samples a period of the mode at {fastest:.4g} Hz: {rate / fastest:.3g}"
         hold = "cubic" if fastest < rate / FEWER_A_PERIOD else "quintic"
@@ -75,7 +85,9 @@ def _predicted(
     """Warn where the sd to expect is above what can be judged, with the window or the force that would mend it."""
     rate = config.rig.sample_rate_hz
     for prediction in predicted:
-        for parameter, sd, limit in zip(rig.parameters, prediction.sd.tolist(), rig.limits.tolist(), strict=True):
+        for parameter, sd, limit in zip(
+            rig.parameters, prediction.sd.tolist(), rig.limits.tolist(), strict=True
+        ):
             enough = config.estimator.resolve * limit
             if limit > 0 and isfinite(sd) and sd > enough:
                 window_s = prediction.window / rate
@@ -83,7 +95,9 @@ def _predicted(
                 what += f"resolve x limit = {enough:.2g} ({prediction.assumes})"
                 yield Fault("estimator.window_s", what, _remedy(config, sd / enough, window_s))
         if not np.all(np.isfinite(prediction.sd)) and recorded is not None:
-            what = f"{recorded.name} has no uninterrupted {prediction.window / rate:g} s, or no motion in them"
+            what = (
+                f"{recorded.name} has no uninterrupted {prediction.window / rate:g} s, or no motion in them"
+            )
             yield Fault("estimator.window_s", what, "give a longer recording")
 
 
@@ -124,7 +138,11 @@ def _units(config: RigConfig) -> Iterator[Fault]:
     for number, channel in enumerate(config.channel):
         if meant := near_miss(channel.quantity, channel.unit):
             what = f'{channel.name}: "{channel.unit}" is no unit that is known; it is kept as it is'
-            yield Fault(f"channel[{number}].unit", what, f"is {meant} meant? Parameters would come out in another unit")
+            yield Fault(
+                f"channel[{number}].unit",
+                what,
+                f"is {meant} meant? Parameters would come out in another unit",
+            )
 
 
 def _sources(config: RigConfig) -> Iterator[Fault]:
@@ -145,5 +163,7 @@ def _clocks(config: RigConfig) -> Iterator[Fault]:
 
 def _recorded(recorded: Recorded | None) -> Iterator[Fault]:
     if recorded is not None and recorded.facts["gaps"]:
-        what = f"{recorded.name} has {recorded.facts['gaps']} gaps, {recorded.facts['missing']} samples missing"
+        what = (
+            f"{recorded.name} has {recorded.facts['gaps']} gaps, {recorded.facts['missing']} samples missing"
+        )
         yield Fault("", what, "each gap costs the windows that it falls into")

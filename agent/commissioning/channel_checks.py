@@ -46,7 +46,11 @@ def _same(config: RigConfig, v: FloatArray) -> Iterator[dict[str, Any]]:
     inputs = len(config.inputs)
     channels = channels_of(config)
     for first, second in combinations(range(len(channels)), 2):
-        if second >= inputs and np.array_equal(v[:, first], v[:, second]) and len(np.unique(v[:, first])) >= LEVELS:
+        if (
+            second >= inputs
+            and np.array_equal(v[:, first], v[:, second])
+            and len(np.unique(v[:, first])) >= LEVELS
+        ):
             names = [channels[first].name, channels[second].name]
             said = f"{names[0]} and {names[1]} read the same to the last digit: two names for one sensor?"
             yield suspicion("same", names, said)

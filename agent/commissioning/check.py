@@ -13,7 +13,12 @@ from agent.commissioning.baseline.limits import limit_warnings
 from agent.commissioning.evidence import Evidence, Gathered
 from agent.commissioning.prediction import predictions, rows, sampled
 from agent.commissioning.progress import Progress, on_terminal
-from agent.commissioning.recorded_windows import left_open, paper_conditions, recentring_faults, recentring_ratio
+from agent.commissioning.recorded_windows import (
+    left_open,
+    paper_conditions,
+    recentring_faults,
+    recentring_ratio,
+)
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
 from agent.numerics.model.margins import condition_3, condition_8
@@ -40,13 +45,16 @@ T = TypeVar("T")
 ROUNDS, OBSERVER_ROUNDS = 8, 3
 """Of line searches for the worst point; each point of the observer's costs an exponential."""
 _NOTHING: dict[str, Any] = {
-    "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None, "region": None,
+    "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None,
+    "region": None,
     "box_margin": None, "paper_conditions": None, "recentring": None,
     "predicted_sd": [], "recording": None, "probe": None, "bytes_per_rig_year": None,
 }  # fmt: skip
 
 
-def check(*, config: Path, recording: Path | None, probe: bool, progress: Progress | None = None) -> dict[str, Any]:
+def check(
+    *, config: Path, recording: Path | None, probe: bool, progress: Progress | None = None
+) -> dict[str, Any]:
     """Check a configuration; return the document of CONTRACT section 8, with "ok" false and every fault in "errors".
 
     Args:
@@ -55,8 +63,8 @@ def check(*, config: Path, recording: Path | None, probe: bool, progress: Progre
         probe: listen to the sources for some seconds and judge with what they deliver.
         progress: told how far long work is; a terminal's own line by default.
 
-    Raises UsageError for a probe without sources, RecordingError for a recording that cannot be used, BusError for a
-    source that cannot be opened.
+    Raises UsageError for a probe without sources, RecordingError for a recording that cannot be used,
+    BusError for a source that cannot be opened.
     """
     try:
         rig_config = load(config)
@@ -70,7 +78,11 @@ def check(*, config: Path, recording: Path | None, probe: bool, progress: Progre
 def _unread(error: ConfigError, *, accepted: bool) -> dict[str, Any]:
     """Return the document of a file with faults, which are warnings where it is accepted as it is."""
     faults = [_fault(fault) for fault in error.faults]
-    return {"ok": accepted, "errors": [] if accepted else faults, "warnings": faults if accepted else []} | _NOTHING
+    return {
+        "ok": accepted,
+        "errors": [] if accepted else faults,
+        "warnings": faults if accepted else [],
+    } | _NOTHING
 
 
 def _lacks_nominals_only(config: Path) -> bool:
@@ -159,12 +171,16 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         "condition_8": tried("condition (8)", lambda: _condition_8(config, rig, discrete, gain)),
         "region": tried("the conditions over the region", lambda: _region(config, rig, gain)),
         "box_margin": tried("the range proven stable", lambda: _box(rig)),
-        "paper_conditions": tried("(11) to (15)", lambda: paper_conditions(config, discrete, start, recorded)),
+        "paper_conditions": tried(
+            "(11) to (15)", lambda: paper_conditions(config, discrete, start, recorded)
+        ),
         "recentring": passes,
         "predicted_sd": rows(predicted, config, rig),
     }
     learnt = limit_warnings(config)
-    unseen = tried("what the recording leaves open", lambda: left_open(config, rig, resolution, recorded)) or []
+    unseen = (
+        tried("what the recording leaves open", lambda: left_open(config, rig, resolution, recorded)) or []
+    )
     warned = [
         *warnings(config, rig, predicted, recorded),
         *learnt,
@@ -183,7 +199,11 @@ def _observer(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
 
 def _condition_3(discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
     found = condition_3(discrete.model.A, gain, discrete.model.C)
-    return {"holds": found.holds, "radius_model": found.radius_model, "radius_observer": found.radius_observer}
+    return {
+        "holds": found.holds,
+        "radius_model": found.radius_model,
+        "radius_observer": found.radius_observer,
+    }
 
 
 def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: FloatArray) -> dict[str, Any]:
@@ -193,7 +213,8 @@ def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: Flo
     none = np.zeros_like(discrete.model.A)
     margin = condition_8(discrete.model.A, gain, discrete.model.C, none, np.zeros_like(discrete.model.C))
     return {
-        "delta": margin.delta, "h_infinity": margin.h_infinity, "perturbation_norm": size, "holds": size < margin.delta,
+        "delta": margin.delta, "h_infinity": margin.h_infinity, "perturbation_norm": size,
+        "holds": size < margin.delta,
     }  # fmt: skip
 
 
@@ -206,9 +227,12 @@ def _region(config: RigConfig, rig: RigModel, gain: FloatArray) -> dict[str, Any
         measures["radius_observer"] = radius_of_observer(model, period_s, gain)
     found = {}
     for name, measure in measures.items():
-        worst = worst_in_box(measure, nominal, rig.limits, OBSERVER_ROUNDS if name == "radius_observer" else ROUNDS)
+        worst = worst_in_box(
+            measure, nominal, rig.limits, OBSERVER_ROUNDS if name == "radius_observer" else ROUNDS
+        )
         found[name] = {
-            "nominal": abs(measure(nominal)), "value": abs(worst.value), "at": named(model.parameters, worst.theta),
+            "nominal": abs(measure(nominal)), "value": abs(worst.value),
+            "at": named(model.parameters, worst.theta),
             "at_vertex": worst.at_vertex,
         }  # fmt: skip
     return {"radius_observer": found["radius_model"]} | found  # without a gain the observer is the model

@@ -81,8 +81,13 @@ def _sources(config: RigConfig, sources: Sequence[dict[str, Any]]) -> Iterator[F
             yield Fault(place, f"{source['name']}: no samples came", "see that the device sends")
         elif abs(rate / nominal - 1) > OFF_RATE:
             what = f"{source['name']}: {rate:.4g} samples a second come, {nominal:.4g} are configured"
-            yield Fault(place, what, "correct rig.sample_rate_hz, or rate_hz of the source; or mend what is lost")
-        elif source["drift_ppm"] is not None and abs(source["drift_ppm"]) - 2 * source["drift_sd_ppm"] > DRIFTS_PPM:
+            yield Fault(
+                place, what, "correct rig.sample_rate_hz, or rate_hz of the source; or mend what is lost"
+            )
+        elif (
+            source["drift_ppm"] is not None
+            and abs(source["drift_ppm"]) - 2 * source["drift_sd_ppm"] > DRIFTS_PPM
+        ):
             what = f"{source['name']}: the device's clock runs {source['drift_ppm']:+.0f} ± "
             what += f"{2 * source['drift_sd_ppm']:.0f} millionths off the gateway's"
             yield Fault(place, what, "stiffness is off by twice that share; correct rig.sample_rate_hz")

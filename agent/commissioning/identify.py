@@ -1,7 +1,7 @@
 """`deltak identify`: the elements of the configured graph from recordings; no nominal is needed, none is trusted.
 
-recordings -> weak form (a start from nothing) -> all windows joined by the estimator's likelihood -> free run -> values
-or a refusal. Equations and limits are in docs/identify.md.
+recordings -> weak form (a start from nothing) -> all windows joined by the estimator's likelihood -> free run
+-> values or a refusal. Equations and limits are in docs/identify.md.
 """
 
 import time
@@ -73,8 +73,8 @@ def identify(
 ) -> tuple[dict[str, Any], Explained]:  # fmt: skip
     """Identify a rig; return the document of CONTRACT section 8, and predicted against measured motion.
 
-    "ok" is false, with "errors", where the graph is not the machine's; nothing is written then. Raises ConfigError,
-    RecordingError, ModelError, UsageError.
+    "ok" is false, with "errors", where the graph is not the machine's; nothing is written then. Raises
+    ConfigError, RecordingError, ModelError, UsageError.
     """
     began = time.monotonic()
     said = progress or on_terminal()
@@ -114,7 +114,9 @@ def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tup
 
 def with_blanks(rig: RigConfig) -> RigConfig:
     """Return a configuration with 1 for every nominal that is to be found."""
-    return with_nominals(rig, {e.name: 1.0 for e in elements_of(rig.model) if e.name in rig.estimator.estimate})
+    return with_nominals(
+        rig, {e.name: 1.0 for e in elements_of(rig.model) if e.name in rig.estimator.estimate}
+    )
 
 
 def elements_of(model: object) -> tuple[Any, ...]:
@@ -137,7 +139,9 @@ def require_motion_sensors(config: RigConfig) -> None:
     names, nodes = hidden(mechanics(config))
     if names:
         what = f"{', '.join(names)} cannot be started: no displacement or velocity of {', '.join(nodes)} is measured"
-        raise ModelError.at("channel", what, f"measure the displacement of {', '.join(nodes)}, or state these nominals")
+        raise ModelError.at(
+            "channel", what, f"measure the displacement of {', '.join(nodes)}, or state these nominals"
+        )
 
 
 def material_of(recordings: Sequence[Path], probe_s: float | None) -> Material:
@@ -192,18 +196,23 @@ def _require_motion(
 ) -> None:
     quiet, nodes = still(model, pieces, sigma)
     if len(nodes) == len(model.structure.masses):
-        raise RecordingError.at("", "nothing moves beyond the noise of its sensor", "record while the machine moves")
+        raise RecordingError.at(
+            "", "nothing moves beyond the noise of its sensor", "record while the machine moves"
+        )
     if quiet:
         where = f"{', '.join(nodes)} rests" if nodes else "both ends move as one"
         what = f"{', '.join(quiet)} cannot be known: {where} in all of the recordings"
-        raise ModelError.at("estimator.estimate", what, "record a motion that stretches them, or state their nominals")
+        raise ModelError.at(
+            "estimator.estimate", what, "record a motion that stretches them, or state their nominals"
+        )
 
 
 def _positive(config: RigConfig, values: Mapping[str, float]) -> dict[str, float]:
     """Return values of which none is negative: a motion that grows by itself starts no estimate."""
     kinds = {name: config.parameters[name].kind for name in values}
     largest = {
-        kind: max([v for n, v in values.items() if kinds[n] == kind and v > 0], default=1.0) for kind in kinds.values()
+        kind: max([v for n, v in values.items() if kinds[n] == kind and v > 0], default=1.0)
+        for kind in kinds.values()
     }
     return {name: max(value, LEAST * largest[kinds[name]]) for name, value in values.items()}
 
@@ -218,7 +227,9 @@ def slowest_period_s(config: RigConfig) -> float:
 def window_length(config: RigConfig, records: Sequence[Recorded]) -> int:
     """Return the length of the windows that are joined, samples: some periods of the slowest mode."""
     lengths = [b - a for record in records for a, b in record.pieces]
-    wanted = max(PERIODS * slowest_period_s(config) * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST)
+    wanted = max(
+        PERIODS * slowest_period_s(config) * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST
+    )
     longest = max(lengths)
     # equal parts of the longest piece: a remainder would be lost
     return min(longest // max(1, int(longest / wanted)), LONGEST)
@@ -257,7 +268,12 @@ def windowed(
     """Return the configuration with windows of so many samples, the estimator's settings, and the windows."""
     length = window / begun.rig.sample_rate_hz
     # a polynomial between samples differs from lines by little
-    update = {"window_s": length, "hop_s": length, "method": "window-ml", "hold": straight(begun.estimator.hold)}
+    update = {
+        "window_s": length,
+        "hop_s": length,
+        "method": "window-ml",
+        "hold": straight(begun.estimator.hold),
+    }
     config = begun.model_copy(update={"estimator": begun.estimator.model_copy(update=update)})
     settings = estimator_settings(config, np.zeros(len(config.outputs)))
     columns = len(settings.rig.measured)
@@ -271,7 +287,11 @@ def windowed(
 
 def _weighed(config: RigConfig, said: Pooled, constants: Sequence[Constant]) -> RigConfig:
     """Return the configuration with masses as the data have them: the values were found together with these."""
-    masses = {mass.name: mass.value for mass in config.model.mass} if isinstance(config.model, MechanicsModel) else {}
+    masses = (
+        {mass.name: mass.value for mass in config.model.mass}
+        if isinstance(config.model, MechanicsModel)
+        else {}
+    )
     pairs = [(c.name, eta) for c, eta in zip(constants, said.eta.tolist(), strict=True) if c.kind == "mass"]
     return with_nominals(config, {name: float(masses[name] * np.exp(eta)) for name, eta in pairs})
 
@@ -282,7 +302,8 @@ def document_of(rig: RigConfig, found: Found) -> dict[str, Any]:
     rows = {p.name: _row(found, i) for i, p in enumerate(found.rig.parameters)}
     shares = {c.name: 100.0 * s for c, s in zip(rig.outputs, found.seen.share.tolist(), strict=True)}
     return {
-        "rig": rig.rig.name, "ok": not errors, "parameters": rows, "unexplained_percent": max(shares.values()),
+        "rig": rig.rig.name, "ok": not errors, "parameters": rows,
+        "unexplained_percent": max(shares.values()),
         "unexplained": shares, "graph": [], "windows": found.windows,
         "window_s": found.window / rig.rig.sample_rate_hz, "scatter": found.pooled.scatter,
         "changes": _changes(rig, rows), "written": None,
@@ -293,7 +314,11 @@ def document_of(rig: RigConfig, found: Found) -> dict[str, Any]:
 def _refusals(rig: RigConfig, found: Found) -> list[Fault]:
     """Return why the graph is not the machine's; empty where it is."""
     worst = [
-        Fault("model", f"the graph leaves {percent(share)} of the motion of {channel.name} unexplained", LOOK_FOR)
+        Fault(
+            "model",
+            f"the graph leaves {percent(share)} of the motion of {channel.name} unexplained",
+            LOOK_FOR,
+        )
         for channel, share in zip(rig.outputs, found.seen.beyond.tolist(), strict=True)
         if not share <= UNEXPLAINED
     ]
@@ -308,7 +333,11 @@ def _refusals(rig: RigConfig, found: Found) -> list[Fault]:
 
 def _pulled(found: Found) -> str:
     """Return the constant that the data pull beyond its data sheet, in words; nothing where none is."""
-    pairs = [(c, eta) for c, eta in zip(found.constants, found.pooled.eta.tolist(), strict=True) if c.kind != "delay"]
+    pairs = [
+        (c, eta)
+        for c, eta in zip(found.constants, found.pooled.eta.tolist(), strict=True)
+        if c.kind != "delay"
+    ]
     constant, eta = max(pairs, key=lambda pair: abs(pair[1]) / pair[0].sheet, default=(None, 0.0))
     if constant is None or abs(eta) <= PULLED * constant.sheet:
         return ""
@@ -321,7 +350,8 @@ def _row(found: Found, i: int) -> dict[str, Any]:
     why = _why(found, i)
     return {
         "value": value, "sd": sd, "sd_repeat": float(found.pooled.sd_repeat[i]), "lower": value - T975 * sd,
-        "upper": value + T975 * sd, "unit": found.rig.parameters[i].unit, "identifiable": why is None, "why": why,
+        "upper": value + T975 * sd, "unit": found.rig.parameters[i].unit, "identifiable": why is None,
+        "why": why,
     }  # fmt: skip
 
 

@@ -27,7 +27,8 @@ MOST_ROWS = 50_000
 CALM = 0.2
 """Of an input's rms: what differences leave beyond is no noise but the force itself."""
 
-# ------------------------------------------------------------------ channels that may be exchanged, scaled or late
+# ------------------------------------------------------------------ channels that may be exchanged, scaled or
+# late
 LEVELS = 10
 """Different readings that two channels must show: coarse ones may well agree on fewer."""
 STRETCHES = 2

@@ -28,8 +28,8 @@ def findings(
 ) -> list[dict[str, Any]]:
     """Return what is suspected of readings v (N, c), inputs first, with uninterrupted pieces as (first, end) rows.
 
-    What is plain without a model comes first. Of the rest one fault at a time: two that spoil each other's explanation
-    are found one after the other, if at all.
+    What is plain without a model comes first. Of the rest one fault at a time: two that spoil each other's
+    explanation are found one after the other, if at all.
     """
     stretches = [v[first:end] for first, end in _liveliest(config, v, pieces)]
     if not stretches:
@@ -60,7 +60,9 @@ def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
         return []
     first = found[0]
     channels = channels_of(config)
-    said = "; or ".join(_asked_words(one, channels[one.channel], one.channel < examiner.inputs) for one in found)
+    said = "; or ".join(
+        _asked_words(one, channels[one.channel], one.channel < examiner.inputs) for one in found
+    )
     factor = first.size if first.kind == "scale" else None
     row = suspicion(first.kind, [channels[first.channel].name], said, factor)
     return [row | {"left_before": before, "left_after": first.left}]
@@ -71,14 +73,14 @@ def _asked_words(asked: Asked, channel: Channel, drives: bool) -> str:
     name = channel.name
     if asked.kind == "offset":
         where = f"{number(abs(asked.size), 3)} {channel.si_unit} too {'high' if asked.size > 0 else 'low'}"
-        return (
-            f"{name} reads {where}, as if never zeroed: zero it, correct its offset, or set bias = true on that channel"
-        )
+        return f"{name} reads {where}, as if never zeroed: zero it, correct its offset, or set bias = true on that channel"
     if asked.kind == "delay":
         late = "late" if asked.size > 0 else "early"
         whose = "that channel" if asked.size > 0 else "the others"
         size = number(1e3 * abs(asked.size), 3)
-        return f"{name} comes {size} ms {late} against the other channels: state that under delay_s of {whose}"
+        return (
+            f"{name} comes {size} ms {late} against the other channels: state that under delay_s of {whose}"
+        )
     if not drives:
         return f"{name} reads {number(asked.size, 3)} times what moves there: correct its scale"
     other = number(1.0 / asked.size, 3)
@@ -140,7 +142,11 @@ def _words(hypothesis: Hypothesis, channels: Sequence[Channel], inputs: int) -> 
     if hypothesis.kind == "swap":
         return f"{names[0]} and {names[1]} look swapped"
     outputs = [channel.name for channel in channels[inputs:]]
-    every = f", or all of {', '.join(outputs)}" if hypothesis.channels[0] < inputs == 1 and len(outputs) > 1 else ""
+    every = (
+        f", or all of {', '.join(outputs)}"
+        if hypothesis.channels[0] < inputs == 1 and len(outputs) > 1
+        else ""
+    )
     if hypothesis.kind == "sign":
         return f"{names[0]} looks turned round (its sign is wrong){every and every + ' do'}"
     much, far = _times(hypothesis.factor)

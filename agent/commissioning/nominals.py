@@ -31,7 +31,8 @@ def with_nominals(config: RigConfig, values: Mapping[str, float]) -> RigConfig:
 def write_nominals(file: Path, values: Mapping[str, float]) -> None:
     """Write the values of elements and masses into a file; comments and all else stay as they are.
 
-    Raises UsageError where the file cannot be written, or its text is not one in which the values can be placed.
+    Raises UsageError where the file cannot be written, or its text is not one in which the values can be
+    placed.
     """
     replace_file(file, edited(read_bytes(file).decode("utf-8"), values, file))
 

@@ -9,7 +9,14 @@ import numpy as np
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, output_noise
 from agent.blocks.statistical_rig import statistical_rig
-from agent.commissioning.limits import DECAY_FROM, FORCE_RMS, GUESSED_NOISE, MOST_GROWN, SETTLE_MOST, SPAN_MOST
+from agent.commissioning.limits import (
+    DECAY_FROM,
+    FORCE_RMS,
+    GUESSED_NOISE,
+    MOST_GROWN,
+    SETTLE_MOST,
+    SPAN_MOST,
+)
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.numerics.fitting.fit import GREATEST
@@ -44,7 +51,8 @@ class Excitation:
 class Prediction:
     """The sds to expect of every parameter, (q,), from a window of that length under what is assumed.
 
-    sd: against nominal, the constants known as their data sheets say; sd_repeat: against another window of the rig.
+    sd: against nominal, the constants known as their data sheets say; sd_repeat: against another window of
+    the rig.
     """
 
     window: int
@@ -72,14 +80,18 @@ def predictions(
     discrete = sampled(config, rig)
     lengths = windows(config)
     excitation = (
-        recorded_excitation(discrete, recorded) if recorded else assumed_excitation(config, discrete, rig, max(lengths))
+        recorded_excitation(discrete, recorded)
+        if recorded
+        else assumed_excitation(config, discrete, rig, max(lengths))
     )
     sigma, noise_words = expected_noise(config, resolution, excitation, recorded)
     # the excitation is of straight lines, which is near enough for an sd
     statistical = replace(statistical_rig(config), hold=straight(config.estimator.hold))
     words = "; ".join([excitation.words, noise_words, *_constants(statistical)])
     found = [_expected(discrete, statistical, excitation, sigma, length) for length in lengths]
-    return [Prediction(length, one.sd, one.sd_repeat, words) for length, one in zip(lengths, found, strict=True)]
+    return [
+        Prediction(length, one.sd, one.sd_repeat, words) for length, one in zip(lengths, found, strict=True)
+    ]
 
 
 def _constants(rig: Rig) -> list[str]:
@@ -87,7 +99,9 @@ def _constants(rig: Rig) -> list[str]:
     return ["masses, gains and the delay as well known as stated"] if rig.constants else []
 
 
-def _expected(discrete: Discrete, rig: Rig, excitation: Excitation, sigma: FloatArray, window: int) -> PredictedSd:
+def _expected(
+    discrete: Discrete, rig: Rig, excitation: Excitation, sigma: FloatArray, window: int
+) -> PredictedSd:
     """Return the medians over the windows of an excitation; NaN where none fits into it."""
     found = []
     for start in excitation.starts(window):
@@ -124,7 +138,8 @@ def assumed_excitation(config: RigConfig, discrete: Discrete, rig: RigModel, lon
     inputs = " and ".join(f"{FORCE_RMS:g} {channel.si_unit} rms" for channel in config.inputs)
     kind = "force" if config.inputs[0].quantity == "force" else "input"
     return Excitation(
-        u, lambda window: _spread(settle, count - window, window), lambda start, _: x[start], _rms(y[settle:]),
+        u, lambda window: _spread(settle, count - window, window), lambda start, _: x[start],
+        _rms(y[settle:]),
         f"white {kind} of {inputs}",
     )  # fmt: skip
 
@@ -200,7 +215,9 @@ def expected_noise(
     ways = {}
     for r in np.flatnonzero(~np.isfinite(stated)):
         seen = recorded.noise[r] if recorded is not None else 0.0
-        sigma[r], ways[config.outputs[r].name] = _guess(float(seen), float(floor[r]), float(excitation.rms[r]))
+        sigma[r], ways[config.outputs[r].name] = _guess(
+            float(seen), float(floor[r]), float(excitation.rms[r])
+        )
     known = [c.name for c in config.outputs if c.name not in ways]
     return sigma, "; ".join(_way(list(ways), ways, known))
 
@@ -217,7 +234,9 @@ def _way(names: list[str], ways: Mapping[str, str], known: list[str]) -> list[st
     said = [f"noise of {', '.join(known)} as configured"] if known and names else []
     if not names:
         return ["noise as configured"]
-    return said + [f"{', '.join(n for n in names if ways[n] == way)}: {way}" for way in dict.fromkeys(ways.values())]
+    return said + [
+        f"{', '.join(n for n in names if ways[n] == way)}: {way}" for way in dict.fromkeys(ways.values())
+    ]
 
 
 def rows(predicted: Sequence[Prediction], config: RigConfig, rig: RigModel) -> list[dict[str, Any]]:

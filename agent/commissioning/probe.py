@@ -45,7 +45,11 @@ def require_sources(config: RigConfig) -> None:
 
 
 def _listen(
-    gathering: Gathering, connections: Sequence[Connection], wake: threading.Event, progress: Progress, listen_s: float
+    gathering: Gathering,
+    connections: Sequence[Connection],
+    wake: threading.Event,
+    progress: Progress,
+    listen_s: float,
 ) -> None:
     """Hand on what arrives until every source has been heard for listen_s, or one stays away."""
     started = monotonic_ns()

@@ -29,7 +29,8 @@ class Recorded:
         measured: (N, c) readings of the channels, inputs first.
         u, y: (N, m) the model's inputs (with the signs of dry friction), (N, p) outputs.
         pieces: uninterrupted stretches as (first, end) rows.
-        noise: (p,) standard deviation of each output's noise as its high frequencies show it; 0 where too short.
+        noise: (p,) standard deviation of each output's noise as its high frequencies show it; 0 where too
+            short.
         facts: for the document.
     """
 
@@ -51,7 +52,9 @@ class Recorded:
         row = model.C
         for k in range(len(u)):
             free[k], row = row, row @ model.A
-        found = np.linalg.lstsq(free.reshape(-1, model.n), (self.y[start:stop] - forced).ravel(), rcond=1e-12)[0]
+        found = np.linalg.lstsq(
+            free.reshape(-1, model.n), (self.y[start:stop] - forced).ravel(), rcond=1e-12
+        )[0]
         return np.asarray(found + shift)
 
 
@@ -66,7 +69,9 @@ class Gathering:
 
     def __init__(self, config: RigConfig, sources: Maps, *, keep: bool = True) -> None:
         self._config, self._maps, self._keep = config, sources, keep
-        self.acquisition = make_acquisition(config, sources, np.zeros(len(config.outputs)), keep_incomplete=False)
+        self.acquisition = make_acquisition(
+            config, sources, np.zeros(len(config.outputs)), keep_incomplete=False
+        )
         self.counts = {name: Counts() for name in sources}
         self._clocks = SourceClocks()
         self._aligned: list[Aligned] = []
@@ -97,7 +102,8 @@ class Gathering:
     def recorded(self, name: str, config: RigConfig | None = None) -> Recorded | None:
         """Return what came, in SI units; None where no sample has every channel.
 
-        config: whose nominals give the signs of dry friction; by default those with which samples were gathered.
+        config: whose nominals give the signs of dry friction; by default those with which samples were
+        gathered.
         """
         if not self._aligned:
             return None
@@ -122,7 +128,8 @@ class Gathering:
             "rate_hz": self._rate(state), "nominal_hz": state.indexer.rate_hz,
             "drift_ppm": None if clock is None else clock.drift_ppm,
             "drift_sd_ppm": None if clock is None else clock.drift_sd_ppm,
-            "skew_s": None if clock is None else clock.skew_s, "skew_sd_s": None if clock is None else clock.skew_sd_s,
+            "skew_s": None if clock is None else clock.skew_s,
+            "skew_sd_s": None if clock is None else clock.skew_sd_s,
         }  # fmt: skip
 
     def _skew(self, name: str) -> tuple[float | None, float | None]:
@@ -145,7 +152,9 @@ class Gathering:
         noises = [_calm(v[:, c]) for c in range(v.shape[1] - len(noise))] + noise.tolist()
         rate = (len(index) - 1) / span if span else None
         channels = channels_of(self._config)
-        factors = np.array([channel.si_factor for channel in channels])  # what people state is in a channel's own unit
+        factors = np.array(
+            [channel.si_factor for channel in channels]
+        )  # what people state is in a channel's own unit
         shown = [
             {
                 "name": channel.name, "unit": channel.unit, "source": owner[channel.name]["name"],
@@ -153,7 +162,8 @@ class Gathering:
                 "max": float(values.max()), "rms": float(np.sqrt(np.mean(values**2))),
                 "noise_sd": None if sd is None else sd / channel.si_factor,
                 "gaps": owner[channel.name]["gaps"], "missing": self._missing[channel.name],
-                "drift_ppm": owner[channel.name]["drift_ppm"], "drift_sd_ppm": owner[channel.name]["drift_sd_ppm"],
+                "drift_ppm": owner[channel.name]["drift_ppm"],
+                "drift_sd_ppm": owner[channel.name]["drift_sd_ppm"],
             }
             for channel, values, sd in zip(channels, (v / factors).T, noises, strict=True)
         ]  # fmt: skip
@@ -195,7 +205,8 @@ def _pieces(aligned: list[Aligned]) -> tuple[tuple[int, int], ...]:
 def noise_of(signal: FloatArray, forces: FloatArray | None = None) -> float:
     """Estimate white noise from the sixth difference, by its median so that jumps do not count.
 
-    forces (N, m): what drives the signal; what they explain is motion, as an accelerometer shows a force at once.
+    forces (N, m): what drives the signal; what they explain is motion, as an accelerometer shows a force at
+    once.
     """
     if len(signal) < 10 * ORDER:
         return 0.0
@@ -209,7 +220,9 @@ def _unexplained(signal: FloatArray, forces: FloatArray | None) -> FloatArray:
     if forces is None or not forces.size or len(signal) < LEAST_ROWS * REACH * forces.shape[1]:
         return signal
     signal, forces = signal[-MOST_ROWS:], forces[-MOST_ROWS:]
-    near = np.lib.stride_tricks.sliding_window_view(forces, REACH, axis=0).reshape(len(signal) - REACH + 1, -1)
+    near = np.lib.stride_tricks.sliding_window_view(forces, REACH, axis=0).reshape(
+        len(signal) - REACH + 1, -1
+    )
     here = signal[REACH - 1 - AHEAD : len(signal) - AHEAD]
     scale = np.maximum(np.abs(near).max(axis=0), 1e-300)
     return np.asarray(here - near / scale @ np.linalg.lstsq(near / scale, here, rcond=1e-10)[0])

@@ -74,7 +74,9 @@ class _Look:
         return len(self.weak(model, np.append(sigma, noise))) < open_before
 
 
-def left_open(config: RigConfig, rig: RigModel, resolution: FloatArray, recorded: Recorded | None) -> list[Fault]:
+def left_open(
+    config: RigConfig, rig: RigModel, resolution: FloatArray, recorded: Recorded | None
+) -> list[Fault]:
     """Say each change that the longest window of a recording cannot tell, and which output would help."""
     if recorded is None or not rig.parameters:
         return []
@@ -84,8 +86,16 @@ def left_open(config: RigConfig, rig: RigModel, resolution: FloatArray, recorded
     if not len(excitation.starts(look.length)):
         return []
     weak = look.weak(rig.model, sigma)
-    more = [name for name, model in further_outputs(rig) if len(weak) and look.leaves_less(model, sigma, len(weak))]
-    advice = f"measure {more[0]} as well" if more else "give another excitation, a longer window, or fewer parameters"
+    more = [
+        name
+        for name, model in further_outputs(rig)
+        if len(weak) and look.leaves_less(model, sigma, len(weak))
+    ]
+    advice = (
+        f"measure {more[0]} as well"
+        if more
+        else "give another excitation, a longer window, or fewer parameters"
+    )
     span = f"over {look.length / config.rig.sample_rate_hz:g} s of {recorded.name}"
     return [Fault("estimator.estimate", f"{span} {_words(rig, blend)}", advice) for blend in weak]
 
@@ -97,7 +107,9 @@ def _sizes(rig: RigModel) -> FloatArray:
 
 def _words(rig: RigModel, blend: FloatArray) -> str:
     apart = " apart" if np.count_nonzero(blend) > 1 else ""
-    return f"{blend_named(rig, blend)} cannot be told{apart}: {blend_in_words(rig, blend)} drowns in the noise"
+    return (
+        f"{blend_named(rig, blend)} cannot be told{apart}: {blend_in_words(rig, blend)} drowns in the noise"
+    )
 
 
 def paper_conditions(
@@ -108,7 +120,9 @@ def paper_conditions(
     The observer of `gain` (n, p) runs on the nominal model, as the paper's does.
     """
     length = max(windows(config))
-    first, end = max(recorded.pieces, key=lambda piece: piece[1] - piece[0]) if recorded is not None else (0, 0)
+    first, end = (
+        max(recorded.pieces, key=lambda piece: piece[1] - piece[0]) if recorded is not None else (0, 0)
+    )
     if recorded is None or end - first < length:
         return None
     y = recorded.y[first:end]
@@ -121,9 +135,15 @@ def paper_conditions(
     one = [special_case_defect(solution.base, state) for state in x[: -1 : max(1, length // 50)]]
     return {
         "window_s": length / config.rig.sample_rate_hz,
-        "condition_11": {"defect_states": existence(states).defect, "defect_outputs": existence(outputs).defect},
+        "condition_11": {
+            "defect_states": existence(states).defect,
+            "defect_outputs": existence(outputs).defect,
+        },
         "condition_12": {"rank": existence(states).rank, "rank_joined": existence(states).rank_joined},
-        "condition_15": {"z_zero": solution.rank == discrete.model.n, "defect_of_one_sample": float(np.median(one))},
+        "condition_15": {
+            "z_zero": solution.rank == discrete.model.n,
+            "defect_of_one_sample": float(np.median(one)),
+        },
     }
 
 

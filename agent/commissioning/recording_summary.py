@@ -59,10 +59,14 @@ def read_recording(config: RigConfig, path: Path) -> Recorded:
     recorded = gathering.recorded(path.name)
     evidence.notes = driver.take_notes()
     evidence.estimates = recorded is not None
-    for fault in assess(config, str(path), evidence, driver.counts, gathering.acquisition.sources[SOURCE].refusals()):
+    for fault in assess(
+        config, str(path), evidence, driver.counts, gathering.acquisition.sources[SOURCE].refusals()
+    ):
         log.warning("%s", fault)
     if recorded is None:
-        raise RecordingError.at(str(path), "holds no sample with every channel", "see that channels and columns fit")
+        raise RecordingError.at(
+            str(path), "holds no sample with every channel", "see that channels and columns fit"
+        )
     return recorded
 
 

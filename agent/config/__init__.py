@@ -2,7 +2,8 @@
 
 `load` reads one file, `load_many` those of one agent; both raise ConfigError with every fault at once.
 
-    toml_file -> parse (tables.py, fields.py, units.py) -> rules_* (what must hold between values) -> RigConfig
+    toml_file -> parse (tables.py, fields.py, units.py) -> rules_* (what must hold between values) ->
+    RigConfig
 """
 
 from agent.config.linear import LinearModel, LinearParameter

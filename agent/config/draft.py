@@ -32,9 +32,9 @@ from agent.config.tables import (
 class Draft:
     """The tables of one file with their key paths, and the faults found in it.
 
-    Values that could not be read are None; rules pass over them, because they have been complained of already.
-    rig and model are None where the file has none. identified: nominals are yet to be found, none need be stated.
-    attached: the SHA-256 of files that stand beside it and hold a part of it.
+    Values that could not be read are None; rules pass over them, because they have been complained of
+    already. rig and model are None where the file has none. identified: nominals are yet to be found, none
+    need be stated. attached: the SHA-256 of files that stand beside it and hold a part of it.
     """
 
     folder: Path
@@ -80,7 +80,9 @@ class Draft:
     @property
     def outputs(self) -> list[Entry[Channel]]:
         """The channels that are measured (those of unreadable quantity left out)."""
-        return [entry for entry in self.channels if readable(entry.table.quantity) and not entry.table.is_input]
+        return [
+            entry for entry in self.channels if readable(entry.table.quantity) and not entry.table.is_input
+        ]
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -105,7 +107,9 @@ class Draft:
     @property
     def plant(self) -> Plant | None:
         """The equations of a template, where it could be read and nothing is wrong with it."""
-        if not isinstance(self.model, Domain) or any(fault.path.startswith("model") for fault in self.faults.found):
+        if not isinstance(self.model, Domain) or any(
+            fault.path.startswith("model") for fault in self.faults.found
+        ):
             return None
         return self.model.plant(frozenset(entry.table.quantity for entry in self.channels))
 

@@ -9,7 +9,9 @@ from pydantic import Field
 from agent.config.reading.fields import Asked, Matrix, Name, Number, Positive, Table, Text
 
 MATRICES: Final = ("A", "B", "C", "D")
-ENTRY: Final = re.compile(r"(?P<matrix>[ABCD])\[(?P<row>0|[1-9][0-9]{0,3}),\s*(?P<column>0|[1-9][0-9]{0,3})\]")
+ENTRY: Final = re.compile(
+    r"(?P<matrix>[ABCD])\[(?P<row>0|[1-9][0-9]{0,3}),\s*(?P<column>0|[1-9][0-9]{0,3})\]"
+)
 
 
 class State(Table):
@@ -39,13 +41,15 @@ class LinearParameter(Table):
 class LinearModel(Table):
     """x' = A x + B u, y = C x + D u, x' the derivative or the next state; the channels are its inputs and outputs.
 
-    uncertain: entries such as "A[0,1]" (counted from zero) or whole matrices, each entry a parameter of that name.
-    rate_hz: at which a model in discrete time was sampled.
+    uncertain: entries such as "A[0,1]" (counted from zero) or whole matrices, each entry a parameter of that
+    name. rate_hz: at which a model in discrete time was sampled.
     """
 
     kind: Literal["linear"]
     time: Literal["continuous", "discrete"] = "continuous"
-    rate_hz: Positive | None = Field(default=None, description="of a model in discrete time: samples a second")
+    rate_hz: Positive | None = Field(
+        default=None, description="of a model in discrete time: samples a second"
+    )
     A: Matrix
     B: Matrix = ()
     C: Matrix
@@ -83,7 +87,9 @@ class LinearModel(Table):
 
     def _entry(self, matrix: str, row: int, column: int) -> LinearParameter:
         rows: Matrix = getattr(self, matrix)
-        unit = tuple(tuple(float((i, j) == (row, column)) for j in range(len(cells))) for i, cells in enumerate(rows))
+        unit = tuple(
+            tuple(float((i, j) == (row, column)) for j in range(len(cells))) for i, cells in enumerate(rows)
+        )
         changes: dict[str, Any] = {f"d{name}": unit if name == matrix else () for name in MATRICES}
         name = f"{matrix}[{row},{column}]"
         return LinearParameter.model_construct(None, name=name, nominal=rows[row][column], unit="", **changes)

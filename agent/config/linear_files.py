@@ -76,15 +76,21 @@ class _Reader:
     def _read(self, file: Path, name: str, *, stated: bool) -> list[list[float]]:
         read = _READERS.get(file.suffix.lower())
         if read is None:
-            raise _UnreadableError(f"{shown(file.suffix)} is no kind of file that is read; {listing(_READERS)} are")
+            raise _UnreadableError(
+                f"{shown(file.suffix)} is no kind of file that is read; {listing(_READERS)} are"
+            )
         if file.exists() and not file.is_file():
             raise _UnreadableError("is no file, its end may never come; name a file there is")
         try:
             data = file.read_bytes() if file.stat().st_size <= LIMIT_BYTES else None
         except OSError as error:
-            raise _UnreadableError(f"cannot be read: {error.strerror or error}; name a file there is") from error
+            raise _UnreadableError(
+                f"cannot be read: {error.strerror or error}; name a file there is"
+            ) from error
         if data is None:
-            raise _UnreadableError(f"is larger than {LIMIT_BYTES // 1_000_000} MB; a plant's matrices are small")
+            raise _UnreadableError(
+                f"is larger than {LIMIT_BYTES // 1_000_000} MB; a plant's matrices are small"
+            )
         matrix = _chosen(read(file), name, stated=stated)
         self.digests.append(hashlib.sha256(data).hexdigest())
         return matrix
@@ -115,7 +121,9 @@ def _npz(file: Path) -> Mapping[str, Any]:
     import numpy as np
 
     if _unpacked_bytes(file) > LIMIT_BYTES:
-        raise _UnreadableError(f"unpacks to more than {LIMIT_BYTES // 1_000_000} MB; a plant's matrices are small")
+        raise _UnreadableError(
+            f"unpacks to more than {LIMIT_BYTES // 1_000_000} MB; a plant's matrices are small"
+        )
     try:
         with np.load(file, allow_pickle=False) as arrays:
             return {str(name): arrays[name] for name in arrays.files}
@@ -152,4 +160,8 @@ def _csv(file: Path) -> Mapping[str, Any]:
         raise _UnreadableError("is not numbers with commas between; a row a line, no header") from error
 
 
-_READERS: Final[Mapping[str, Callable[[Path], Mapping[str, Any]]]] = {".mat": _mat, ".npz": _npz, ".csv": _csv}
+_READERS: Final[Mapping[str, Callable[[Path], Mapping[str, Any]]]] = {
+    ".mat": _mat,
+    ".npz": _npz,
+    ".csv": _csv,
+}

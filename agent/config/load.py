@@ -41,7 +41,8 @@ from agent.config.tables import (
 from agent.errors import ConfigError, Fault
 
 TABLES: Final = (
-    "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "baseline", "metrics",
+    "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "baseline",
+    "metrics",
     "notify", "north", "agent",
 )  # fmt: skip
 RESERVED: Final = ("http", "mqtt", "security")
@@ -55,7 +56,8 @@ _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel] | type[Domai
     **DOMAINS,
 }
 _RULES: Final = (
-    check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources, check_forecast,
+    check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources,
+    check_forecast,
     check_notify, check_north, check_covariates,
 )  # fmt: skip
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
@@ -64,8 +66,8 @@ _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";"
 def load(path: str | Path, *, identified: bool = False) -> RigConfig:
     """Read and check one configuration file; identified: nominals are yet to be found, none need be stated.
 
-    Relative paths in it start at its folder. Raises ConfigError with every fault of the file; each names its key
-    path, or file and line where the file is not TOML.
+    Relative paths in it start at its folder. Raises ConfigError with every fault of the file; each names its
+    key path, or file and line where the file is not TOML.
     """
     file = Path(os.path.abspath(path))  # noqa: PTH100 - resolve() would follow links and change the folder
     data = read_bytes(file)
@@ -210,7 +212,9 @@ def _read_model(raw: object, draft: Draft) -> None:
     kind = raw.get("kind", mechanical)
     is_known = isinstance(kind, str) and kind in _KINDS
     if not is_known:
-        draft.faults.add("model.kind", f"{shown(kind)} is none of {listing(map(shown, _KINDS))}", "choose one")
+        draft.faults.add(
+            "model.kind", f"{shown(kind)} is none of {listing(map(shown, _KINDS))}", "choose one"
+        )
         kind = "linear" if "A" in raw else mechanical
         raw = {**raw, "kind": kind}
     if kind == "linear":
@@ -237,7 +241,9 @@ def _read_columns(raw: object, draft: Draft) -> None:
 def _ordered(faults: list[Fault]) -> list[Fault]:
     """Sort by the file's tables; the order within a table is the order of finding."""
     rank = {name: number for number, name in enumerate(TABLES)}
-    return sorted(dict.fromkeys(faults), key=lambda fault: rank.get(fault.path.split(".")[0].split("[")[0], -1))
+    return sorted(
+        dict.fromkeys(faults), key=lambda fault: rank.get(fault.path.split(".")[0].split("[")[0], -1)
+    )
 
 
 def _finished(draft: Draft, file: Path, sha256: str) -> RigConfig:

@@ -19,7 +19,8 @@ def linear_table(system: Any, *, uncertain: Sequence[str]) -> str:
             `state_labels`, `input_labels`, `output_labels` where there are any.
         uncertain: entries such as "A[0,1]", or whole matrices, that are to be estimated.
 
-    Raises UsageError for what is no state space: an improper transfer function, no sampling time of a discrete one.
+    Raises UsageError for what is no state space: an improper transfer function, no sampling time of a
+    discrete one.
     """
     system = _state_space(system)
     matrices = {name: np.atleast_2d(np.asarray(getattr(system, name), dtype=float)) for name in MATRICES}
@@ -30,7 +31,13 @@ def linear_table(system: Any, *, uncertain: Sequence[str]) -> str:
     lines += [f"uncertain = {json.dumps(list(uncertain))}"]
     for quantity, count in (("input", matrices["B"].shape[1]), ("output", len(matrices["C"]))):
         for name in _labels(system, quantity, count):
-            lines += ["", "[[channel]]", f"name = {json.dumps(name)}", f'quantity = "{quantity}"', 'unit = "1"']
+            lines += [
+                "",
+                "[[channel]]",
+                f"name = {json.dumps(name)}",
+                f'quantity = "{quantity}"',
+                'unit = "1"',
+            ]
     return "\n".join([*lines, ""])
 
 
@@ -47,7 +54,9 @@ def _state_space(system: Any) -> Any:
         raise UsageError.at("system", what, "give a StateSpace of scipy.signal or python-control")
     if hasattr(system, "E") and not np.allclose(np.asarray(system.E), np.eye(len(system.A))):
         what = "is a descriptor system, E x' = A x + B u: a singular E is an improper plant"
-        raise UsageError.at("system", what, "solve for x' where E has an inverse; else add what it leaves out")
+        raise UsageError.at(
+            "system", what, "solve for x' where E has an inverse; else add what it leaves out"
+        )
     return system
 
 

@@ -24,7 +24,11 @@ def driver_class(name: str) -> type[Driver]:
     try:
         loaded: object = entries[name].load()
     except (ImportError, AttributeError) as error:
-        raise ConfigError.at("driver", f'"{name}" cannot be loaded: {error}', "install what it needs") from error
+        raise ConfigError.at(
+            "driver", f'"{name}" cannot be loaded: {error}', "install what it needs"
+        ) from error
     if not (isinstance(loaded, type) and issubclass(loaded, Driver)):
-        raise ConfigError.at("driver", f'"{name}" is no driver', f"{entries[name].value} is not a drivers.port.Driver")
+        raise ConfigError.at(
+            "driver", f'"{name}" is no driver', f"{entries[name].value} is not a drivers.port.Driver"
+        )
     return loaded

@@ -32,7 +32,9 @@ def check_channels(draft: Draft) -> None:
     _check_same_units(draft.channels, draft.faults)
     complete = readable(*(entry.table.quantity for entry in draft.channels))
     if draft.channels and complete and not draft.outputs:
-        draft.faults.add("channel", "nothing is measured", "add a displacement, velocity or acceleration channel")
+        draft.faults.add(
+            "channel", "nothing is measured", "add a displacement, velocity or acceleration channel"
+        )
     _check_columns(draft)
 
 
@@ -50,7 +52,9 @@ def _check_names(channels: list[Entry[Channel]], faults: Faults) -> None:
     for path, channel in channels:
         if channel.name in owner:
             faults.add(
-                f"{path}.name", f"{shown(channel.name)} is the name of {owner[channel.name]}", "names must differ"
+                f"{path}.name",
+                f"{shown(channel.name)} is the name of {owner[channel.name]}",
+                "names must differ",
             )
         elif channel.name in RESERVED:
             faults.add(f"{path}.name", f"{shown(channel.name)} is reserved", RESERVED[channel.name])
@@ -81,7 +85,9 @@ def _check_place(entry: Entry[Channel], model: MechanicsModel, faults: Faults) -
     if channel.at not in values:
         faults.add(f"{path}.at", f"no mass is called {shown(channel.at)}", f"masses are {listing(values)}")
     elif channel.quantity == "acceleration" and values[channel.at] == 0:
-        faults.add(f"{path}.at", f"{shown(channel.at)} has no mass, so no acceleration", "measure its displacement")
+        faults.add(
+            f"{path}.at", f"{shown(channel.at)} has no mass, so no acceleration", "measure its displacement"
+        )
 
 
 def _check_quantity(entry: Entry[Channel], faults: Faults) -> None:
@@ -104,7 +110,9 @@ def _check_same_units(channels: list[Entry[Channel]], faults: Faults) -> None:
         owner, before = first.setdefault(channel.quantity, (path, unit))
         if unit != before:
             what = f"{shown(channel.unit)} does not go with {shown(before)} of {owner}"
-            faults.add(f"{path}.unit", what, f"give every {channel.quantity} the same unit, by scale and offset")
+            faults.add(
+                f"{path}.unit", what, f"give every {channel.quantity} the same unit, by scale and offset"
+            )
 
 
 def _check_columns(draft: Draft) -> None:
@@ -133,8 +141,12 @@ def split_channels(raw: object, faults: Faults) -> tuple[list[tuple[str, Any]], 
             covariates.append(Entry(path, read_table(Covariate, row, path, faults)))
             continue
         if role not in ROLES:
-            faults.add(join(path, "role"), f"{shown(role)} is none of {listing(map(shown, ROLES))}", "choose one")
-        signals.append((path, {k: v for k, v in row.items() if k != "role"} if isinstance(row, dict) else row))
+            faults.add(
+                join(path, "role"), f"{shown(role)} is none of {listing(map(shown, ROLES))}", "choose one"
+            )
+        signals.append(
+            (path, {k: v for k, v in row.items() if k != "role"} if isinstance(row, dict) else row)
+        )
     return signals, covariates
 
 
@@ -150,7 +162,9 @@ def check_covariates(draft: Draft) -> None:
         if one.scale == 0:
             draft.faults.add(join(path, "scale"), "must not be 0", "it would make every reading the same")
         if readable(one.range) and one.range is not None and not one.range[0] < one.range[1]:
-            draft.faults.add(join(path, "range"), "must rise", "give the lowest value first, such as [-10.0, 40.0]")
+            draft.faults.add(
+                join(path, "range"), "must rise", "give the lowest value first, such as [-10.0, 40.0]"
+            )
     _check_named(draft, [one.name for _, one in draft.covariates])
 
 

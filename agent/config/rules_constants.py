@@ -49,7 +49,12 @@ def _check_gain(entry: Entry[Channel], estimated: set[str], faults: Faults) -> N
 
 def _check_delay(entry: Entry[Channel], faults: Faults) -> None:
     path, channel = entry
-    if _stated(channel, "delay_sd_s") and readable(channel.quantity) and channel.delay_sd_s and not channel.is_input:
+    if (
+        _stated(channel, "delay_sd_s")
+        and readable(channel.quantity)
+        and channel.delay_sd_s
+        and not channel.is_input
+    ):
         what = "goes with a force or an input: what is early or late is them against all that is measured"
         faults.add(f"{path}.delay_sd_s", what, "state it there")
 

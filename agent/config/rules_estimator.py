@@ -46,7 +46,11 @@ def _check_names(draft: Draft) -> None:
         elif known[name].kind == "mass" and known[name].nominal == 0:
             faults.add(path, f"{shown(name)} is a massless node", "a mass of 0 cannot be estimated")
     if draft.estimator.estimate == () and not draft.defaults and isinstance(draft.model, MechanicsModel):
-        faults.add("estimator.estimate", "is missing: there is no spring and no damper", f"choose of {listing(known)}")
+        faults.add(
+            "estimator.estimate",
+            "is missing: there is no spring and no damper",
+            f"choose of {listing(known)}",
+        )
 
 
 def _check_seed(draft: Draft) -> None:
@@ -67,7 +71,9 @@ def _check_seed_only(draft: Draft) -> None:
     """Note keys that only the paper's method has."""
     for key in ("stop", "rank"):
         if key in draft.estimator.model_fields_set:
-            draft.faults.add(f"estimator.{key}", 'goes with method = "seed"', "remove it: there is no descent to end")
+            draft.faults.add(
+                f"estimator.{key}", 'goes with method = "seed"', "remove it: there is no descent to end"
+            )
 
 
 def _check_sensors(draft: Draft) -> None:
@@ -78,7 +84,9 @@ def _check_sensors(draft: Draft) -> None:
     for path in asked:
         what = 'method = "seed" estimates no offset of a sensor'
         draft.faults.add(path, what, f"remove it; {_OTHER_METHOD}")
-    known = [entry for entry in draft.outputs if not (entry.table.gain or f"{entry.table.name}.gain" in names)]
+    known = [
+        entry for entry in draft.outputs if not (entry.table.gain or f"{entry.table.name}.gain" in names)
+    ]
     if draft.outputs and not known:
         what = 'method = "seed" leans its observer on outputs whose gain is not estimated, and there is none'
         draft.faults.add("estimator.estimate", what, f"leave one gain out; {_OTHER_METHOD}")
@@ -147,7 +155,11 @@ def _check_belongs(path: str, key: str, gain: str, observer: Observer, faults: F
     if observer.gain == gain and not there:
         faults.add(f"{path}.{key}", f'is missing: gain = "{gain}" needs it', "add it")
     elif observer.gain != gain and there:
-        faults.add(f"{path}.{key}", f'goes with gain = "{gain}", not "{observer.gain}"', "remove it or change the gain")
+        faults.add(
+            f"{path}.{key}",
+            f'goes with gain = "{gain}", not "{observer.gain}"',
+            "remove it or change the gain",
+        )
 
 
 def _check_lengths(draft: Draft, rate_hz: float) -> None:
@@ -222,7 +234,9 @@ def _check_kind(path: str, alarm: Alarm, draft: Draft) -> None:
     key = _NEEDED.get(alarm.kind)
     if key is not None and key not in alarm.model_fields_set:
         example = {"within": '"30d"', "rate_per_day": "0.5"}[key]
-        draft.faults.add(f"{path}.{key}", f'is missing: kind = "{alarm.kind}" needs it', f"write {key} = {example}")
+        draft.faults.add(
+            f"{path}.{key}", f'is missing: kind = "{alarm.kind}" needs it', f"write {key} = {example}"
+        )
 
 
 def _check_within(path: str, alarm: Alarm, draft: Draft) -> None:
@@ -231,7 +245,9 @@ def _check_within(path: str, alarm: Alarm, draft: Draft) -> None:
     if alarm.within is not None and math.isinf(alarm.within):
         draft.faults.add(f"{path}.within", '"forever" is no time', 'write "30d"')
     if alarm.within is not None and not given:
-        draft.faults.add(f"{path}.within", "goes with a limit that is to be reached", "give limit or limit_percent")
+        draft.faults.add(
+            f"{path}.within", "goes with a limit that is to be reached", "give limit or limit_percent"
+        )
 
 
 def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
@@ -240,7 +256,9 @@ def _check_parameter(path: str, alarm: Alarm, draft: Draft) -> None:
         return
     if alarm.parameter in known:
         what = f"{shown(alarm.parameter)} is not estimated"
-        draft.faults.add(f"{path}.parameter", what, f"add it to estimator.estimate; estimated are {listing(estimated)}")
+        draft.faults.add(
+            f"{path}.parameter", what, f"add it to estimator.estimate; estimated are {listing(estimated)}"
+        )
     else:
         what = f"no parameter is called {shown(alarm.parameter)}"
         draft.faults.add(f"{path}.parameter", what, f"estimated are {listing(estimated)}")

@@ -42,7 +42,9 @@ def _check_skews(draft: Draft, model: LinearModel) -> None:
     measured = [path for path, source in draft.sources if source.skew_s == "auto"]
     for path in measured[1:]:
         what = 'is "auto": a model in discrete time says nothing of what lies between its samples'
-        draft.faults.add(f"{path}.skew_s", what, "state in seconds how much later this source is read, such as 0.0")
+        draft.faults.add(
+            f"{path}.skew_s", what, "state in seconds how much later this source is read, such as 0.0"
+        )
 
 
 def _complained(path: str, faults: Faults) -> bool:
@@ -59,7 +61,9 @@ def _check_time(draft: Draft, model: LinearModel) -> None:
             advice = "give the rate at which it was sampled, 1 / Ts"
             draft.faults.add(path, 'is missing: time = "discrete" needs it', advice)
     elif model.time == "continuous":
-        draft.faults.add(path, 'goes with time = "discrete"', "remove it, or say that the model is in discrete time")
+        draft.faults.add(
+            path, 'goes with time = "discrete"', "remove it, or say that the model is in discrete time"
+        )
     elif draft.rate_hz is not None and abs(rate / draft.rate_hz - 1) > SAME_RATE:
         what = f"{rate:g} Hz is not the rate of the rig, {draft.rate_hz:g} Hz"
         draft.faults.add(path, what, "sample the model at the rig's rate, or give it in continuous time")
@@ -70,23 +74,31 @@ def _check_states(model: LinearModel, n: int, faults: Faults) -> None:
         return
     unique([(f"model.state[{i}]", state) for i, state in enumerate(model.state)], faults)
     if len(model.state) != n:
-        faults.add("model.state", f"has {len(model.state)} names for {n} states", "name each row of A, in order")
+        faults.add(
+            "model.state", f"has {len(model.state)} names for {n} states", "name each row of A, in order"
+        )
 
 
 def _check_parameters(model: LinearModel, shapes: dict[str, tuple[int, int]], faults: Faults) -> None:
     entries = [Entry(f"model.parameter[{i}]", parameter) for i, parameter in enumerate(model.parameter or ())]
     if not entries and not model.uncertain and readable(model.parameter, model.uncertain):
-        advice = 'name at least one, with its dA, dB, dC or dD: { name = "R", ... }, or uncertain = ["A[0,1]"]'
+        advice = (
+            'name at least one, with its dA, dB, dC or dD: { name = "R", ... }, or uncertain = ["A[0,1]"]'
+        )
         faults.add("model.parameter", "is missing", advice)
     unique(entries, faults)
     for path, parameter in entries:
         _check_parameter(path, parameter, shapes, faults)
 
 
-def _check_parameter(path: str, parameter: LinearParameter, shapes: dict[str, tuple[int, int]], faults: Faults) -> None:
+def _check_parameter(
+    path: str, parameter: LinearParameter, shapes: dict[str, tuple[int, int]], faults: Faults
+) -> None:
     if readable(parameter.name) and ENTRY.fullmatch(parameter.name):
         what = f"{shown(parameter.name)} is the name of a matrix's entry"
-        faults.add(f"{path}.name", what, f"list it as uncertain = [{shown(parameter.name)}], or take another name")
+        faults.add(
+            f"{path}.name", what, f"list it as uncertain = [{shown(parameter.name)}], or take another name"
+        )
     changes = parameter.derivatives
     for matrix, derivative in changes.items():
         if derivative:
@@ -122,7 +134,11 @@ def _check_entry(path: str, text: str, model: LinearModel, faults: Faults) -> No
     if _complained(f"model.{name}", faults):
         return
     if not rows:
-        faults.add(path, f"{shown(text)}: {name} is not given", f"give {name} at nominal, zeros where there is nothing")
+        faults.add(
+            path,
+            f"{shown(text)}: {name} is not given",
+            f"give {name} at nominal, zeros where there is nothing",
+        )
         return
     what = f"{shown(text)}: {name} has {len(rows)} rows of {len(rows[0])} columns"
     faults.add(path, what, "rows and columns are counted from zero")

@@ -46,13 +46,17 @@ def _elements(model: MechanicsModel) -> Iterator[Entry[Element]]:
 
 def _check_mechanics(draft: Draft, model: MechanicsModel) -> None:
     if not model.mass and not any(fault.path == "model.mass" for fault in draft.faults.found):
-        draft.faults.add("model.mass", "is missing", 'name at least one, such as { name = "m1", value = 5.0 }')
+        draft.faults.add(
+            "model.mass", "is missing", 'name at least one, such as { name = "m1", value = 5.0 }'
+        )
     masses = [Entry(f"model.mass[{i}]", mass) for i, mass in enumerate(model.mass)]
     elements = list(_elements(model))
     unique([*masses, *elements], draft.faults)
     for path, mass in masses:
         if mass.name == GROUND:
-            draft.faults.add(f"{path}.name", f'"{GROUND}" is reserved', "it is the fixed node; use another name")
+            draft.faults.add(
+                f"{path}.name", f'"{GROUND}" is reserved', "it is the fixed node; use another name"
+            )
     for entry in elements:
         _check_element(entry, [mass.name for mass in model.mass], draft.faults)
     for entry in elements:
@@ -83,9 +87,13 @@ def _check_element(entry: Entry[Element], masses: list[str], faults: Faults) -> 
         return
     for i, node in enumerate(element.between):
         if node not in masses and node != GROUND:
-            faults.add(f"{path}.between[{i}]", f"no mass is called {shown(node)}", f"masses are {listing(masses)}")
+            faults.add(
+                f"{path}.between[{i}]", f"no mass is called {shown(node)}", f"masses are {listing(masses)}"
+            )
     if element.between[0] == element.between[1]:
-        faults.add(f"{path}.between", f"both ends are {shown(element.between[0])}", "name two different nodes")
+        faults.add(
+            f"{path}.between", f"both ends are {shown(element.between[0])}", "name two different nodes"
+        )
 
 
 def reachable(starts: Iterable[str], edges: Iterable[tuple[str, str]]) -> set[str]:
@@ -93,7 +101,12 @@ def reachable(starts: Iterable[str], edges: Iterable[tuple[str, str]]) -> set[st
     found, edges = set(starts), list(edges)
     grew = True
     while grew:
-        new = {b for edge in edges for a, b in (edge, edge[::-1]) if a in found and a != GROUND and b not in found}
+        new = {
+            b
+            for edge in edges
+            for a, b in (edge, edge[::-1])
+            if a in found and a != GROUND and b not in found
+        }
         found |= new
         grew = bool(new)
     return found
@@ -119,4 +132,6 @@ def _check_measured(masses: list[Entry[Mass]], elements: list[Entry[Element]], d
     for path, mass in masses:
         if mass.name not in seen:
             what = f'no channel measures "{mass.name}" or anything that it is connected to'
-            draft.faults.add(path, what, "add a displacement, velocity or acceleration there, or remove the mass")
+            draft.faults.add(
+                path, what, "add a displacement, velocity or acceleration there, or remove the mass"
+            )

@@ -35,7 +35,10 @@ _LIBRARY: Final = {
 _PREFIX: Final = {
     "mqtt": (re.compile(r"[^+#$\x00][^+#\x00]*"), "a topic without + and #"),
     "sparkplug": (re.compile(r"[^+#/$\x00]+"), "a group's name without +, # and /"),
-    "postgres": (re.compile(r"([a-z_][a-z0-9_]{0,40}\.)?[a-z_][a-z0-9_]{0,40}"), 'such as "deltak" or "plant.deltak"'),
+    "postgres": (
+        re.compile(r"([a-z_][a-z0-9_]{0,40}\.)?[a-z_][a-z0-9_]{0,40}"),
+        'such as "deltak" or "plant.deltak"',
+    ),
 }
 
 
@@ -61,19 +64,25 @@ def _faults(path: str, consumer: North) -> Iterator[Fault]:
         yield Fault(join(path, "every"), "must be a time, not for ever", 'write "1d"')
     yield from _strange_keys(path, consumer)
     if is_vague(consumer.password):
-        yield Fault(join(path, "password"), "must name one place", '{ file = "..." } or { credential = "..." }')
+        yield Fault(
+            join(path, "password"), "must name one place", '{ file = "..." } or { credential = "..." }'
+        )
     if consumer.cert is not None and consumer.key is None:
         yield Fault(join(path, "key"), "is missing", "a client certificate needs the file of its private key")
     library, extra = _LIBRARY[consumer.kind]
     if not _is_installed(library):
-        yield Fault(join(path, "kind"), f"needs {library}, which is not installed", f"pip install 'deltak[{extra}]'")
+        yield Fault(
+            join(path, "kind"), f"needs {library}, which is not installed", f"pip install 'deltak[{extra}]'"
+        )
     yield from _address_faults(join(path, "url"), consumer)
     yield from _prefix_faults(join(path, "prefix"), consumer)
 
 
 def _strange_keys(path: str, consumer: North) -> Iterator[Fault]:
     """Keys that belong to consumers of another kind."""
-    strange = sorted(consumer.model_fields_set & {k for keys in _OWN.values() for k in keys} - {*_OWN[consumer.kind]})
+    strange = sorted(
+        consumer.model_fields_set & {k for keys in _OWN.values() for k in keys} - {*_OWN[consumer.kind]}
+    )
     for key in strange:
         owners = listing(kind for kind, keys in _OWN.items() if key in keys)
         yield Fault(join(path, key), f"belongs to kind = {owners}", "leave it out, or change the kind")
@@ -116,7 +125,9 @@ def _unknown_parameters(path: str, consumer: North, draft: Draft) -> Iterator[Fa
     known = draft.estimated
     for name in consumer.parameters or ():
         if known and name not in known:
-            yield Fault(join(path, "parameters"), f"{shown(name)} is not estimated", f"estimated are {listing(known)}")
+            yield Fault(
+                join(path, "parameters"), f"{shown(name)} is not estimated", f"estimated are {listing(known)}"
+            )
 
 
 def _is_installed(library: str) -> bool:

@@ -70,7 +70,9 @@ def _keys(model: type[BaseModel]) -> list[str]:
     """Return every key that a driver's model knows at any depth, then those of every source."""
     schema = model.model_json_schema()
     tables = [schema, *schema.get("$defs", {}).values()]
-    return list(dict.fromkeys([key for table in tables for key in table.get("properties", ())] + list(COMMON)))
+    return list(
+        dict.fromkeys([key for table in tables for key in table.get("properties", ())] + list(COMMON))
+    )
 
 
 def check_sources(draft: Draft) -> None:
@@ -85,13 +87,17 @@ def check_sources(draft: Draft) -> None:
     channels = [(path, channel.name) for path, channel in draft.channels]
     for path, name in [*channels, *((path, one.name) for path, one in draft.covariates)]:
         if readable(name) and name not in owner:
-            draft.faults.add(path, f"no source maps {shown(name)}", f'add {name} = "..." to the map of a source')
+            draft.faults.add(
+                path, f"no source maps {shown(name)}", f'add {name} = "..." to the map of a source'
+            )
 
 
 def _check_mapped(path: str, channel: str, owner: dict[str, str], draft: Draft) -> None:
     names = [*draft.channel_names, *draft.covariate_names]
     if channel in owner:
-        draft.faults.add(path, f"{shown(channel)} is mapped by {owner[channel]} already", "map each channel once")
+        draft.faults.add(
+            path, f"{shown(channel)} is mapped by {owner[channel]} already", "map each channel once"
+        )
     elif channel in names:
         owner[channel] = path.rpartition(".map")[0]
     elif len(names) == len(draft.channels) + len(draft.covariates):
@@ -109,7 +115,11 @@ def _named(sources: list[Entry[Source]], faults: Faults) -> Iterator[Entry[Sourc
     taken: dict[str, str] = {}
     for path, source in sources:
         if source.name and source.name in taken:
-            faults.add(f"{path}.name", f"{shown(source.name)} is the name of {taken[source.name]}", "names must differ")
+            faults.add(
+                f"{path}.name",
+                f"{shown(source.name)} is the name of {taken[source.name]}",
+                "names must differ",
+            )
         name = source.name or _free_name(source.driver, [s.name for _, s in sources] + list(taken))
         taken[name] = path
         yield Entry(path, source.model_copy(update={"name": name}))

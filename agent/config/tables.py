@@ -62,7 +62,9 @@ class Mass(Table):
 
     name: Name
     value: NotNegative = Field(description="a mass is in kg; 0 makes a massless node, which needs a damper")
-    sd_percent: NotNegative = Field(default=2.0, description="how well the mass is known, per cent; 0 for exactly")
+    sd_percent: NotNegative = Field(
+        default=2.0, description="how well the mass is known, per cent; 0 for exactly"
+    )
 
 
 class Element(Table):
@@ -101,12 +103,18 @@ class Channel(Table):
     scale: Number = 1.0
     offset: Number = 0.0
     noise_sd: Positive | None = Field(default=None, description="leave it out where the noise is not known")
-    noise_sd_spread: Positive = Field(default=0.3, description="how far noise_sd may be off, as a share of it")
-    gain_sd_percent: NotNegative = Field(default=1.0, description="how far the gain may be off, per cent; 0: exact")
+    noise_sd_spread: Positive = Field(
+        default=0.3, description="how far noise_sd may be off, as a share of it"
+    )
+    gain_sd_percent: NotNegative = Field(
+        default=1.0, description="how far the gain may be off, per cent; 0: exact"
+    )
     bias: bool = False
     gain: bool = False
     delay_s: NotNegative = 0.0
-    delay_sd_s: NotNegative | None = Field(default=None, description="how far delay_s may be off; 0 for exactly")
+    delay_sd_s: NotNegative | None = Field(
+        default=None, description="how far delay_s may be off; 0 for exactly"
+    )
     _drives: bool | None = PrivateAttr(default=None)
 
     @property
@@ -159,7 +167,9 @@ class Estimator(Table):
     resolve: Positive = 0.33
     passes: int = Field(default=10, ge=1, le=1000)
     stop: Stop = Stop()
-    rank: int | None = Field(default=None, ge=1, description="directions that are solved before descent; 1 is printed")
+    rank: int | None = Field(
+        default=None, ge=1, description="directions that are solved before descent; 1 is printed"
+    )
     drift_s: Positive | None = None
 
     @property
@@ -173,11 +183,12 @@ class Estimator(Table):
 class Alarm(Table):
     """A limit on one parameter; deadband and on_delay_s are None where only the alarm can know them.
 
-    A limit on the change raises alarms of kind level. within raises one of kind forecast where a forecast has the limit
-    reached sooner, rate_per_day one of kind rate where the drift is faster; kind leaves of these only one.
+    A limit on the change raises alarms of kind level. within raises one of kind forecast where a forecast has
+    the limit reached sooner, rate_per_day one of kind rate where the drift is faster; kind leaves of these
+    only one.
 
-    The deadband of a limit_percent is 0.1 of the limit that the reference gives; the on-delay of several windows is
-    the window in use.
+    The deadband of a limit_percent is 0.1 of the limit that the reference gives; the on-delay of several
+    windows is the window in use.
     """
 
     parameter: Asked
@@ -190,9 +201,13 @@ class Alarm(Table):
     on_delay_s: NotNegative | None = None
     off_delay_s: NotNegative = 0.0
     priority: Literal["low", "medium", "high", "critical"] = "medium"
-    blind_s: Positive | None = Field(default=None, description="how long without a valid estimate raises an alarm")
+    blind_s: Positive | None = Field(
+        default=None, description="how long without a valid estimate raises an alarm"
+    )
     at_rest: Literal["hold", "suppress"] = "hold"
-    re_alarm_s: Positive | None = Field(default=None, description="how long after its acknowledgement it asks again")
+    re_alarm_s: Positive | None = Field(
+        default=None, description="how long after its acknowledgement it asks again"
+    )
     advice: Text | None = Field(default=None, description="what to do about it, in words")
     within: Duration | None = None
     rate_per_day: Positive | None = Field(default=None, description="the parameter's unit a day, such as 0.5")
@@ -205,7 +220,11 @@ class Alarm(Table):
     @property
     def kinds(self) -> tuple[str, ...]:
         """The kinds of alarms that it raises."""
-        asked = {"level": self.has_limit, "forecast": self.within is not None, "rate": self.rate_per_day is not None}
+        asked = {
+            "level": self.has_limit,
+            "forecast": self.within is not None,
+            "rate": self.rate_per_day is not None,
+        }
         only = self.kind if "kind" in self.model_fields_set else None
         return tuple(kind for kind, wanted in asked.items() if wanted and only in {None, kind})
 
@@ -213,7 +232,8 @@ class Alarm(Table):
 class Source(Table):
     """A bus or recording that samples come from; settings is an instance of the driver's own model.
 
-    map has the model's channels; covariates those that are beside the model, which the file has in the same map.
+    map has the model's channels; covariates those that are beside the model, which the file has in the same
+    map.
     """
 
     driver: Name = Field(description='a driver such as "can"')
@@ -224,7 +244,9 @@ class Source(Table):
     record: bool = False
     skew_s: Skew = "auto"
     own_clock: bool = False
-    rate_hz: Positive | None = Field(default=None, description="samples a second of this device, such as 200.0")
+    rate_hz: Positive | None = Field(
+        default=None, description="samples a second of this device, such as 200.0"
+    )
     settings: Any = None
     covariates: dict[str, Text] = Field(default_factory=dict)
 
@@ -294,8 +316,8 @@ class Columns(Table):
 class Forecast(Table):
     """When forecasts are made and how far ahead; like names histories of like machines, or a prior learnt of them.
 
-    every: from one forecast of a parameter to the next; infinite makes them at alarms only. horizon: what the chance is
-    of; None for as long again as the history is.
+    every: from one forecast of a parameter to the next; infinite makes them at alarms only. horizon: what the
+    chance is of; None for as long again as the history is.
     """
 
     every: Duration = 3600.0
@@ -351,7 +373,9 @@ class Notify(Table):
     quiet: Hours | None = None
     timeout_s: Positive = 30.0
     attempts: int = Field(default=400, ge=1, le=100_000)
-    command: Texts | None = Field(default=None, description='a list such as ["/usr/local/bin/page", "--shift"]')
+    command: Texts | None = Field(
+        default=None, description='a list such as ["/usr/local/bin/page", "--shift"]'
+    )
     url: Text | Secret | None = None
     token: Secret | None = None
     host: Text | None = None
@@ -375,8 +399,8 @@ class Parameter(NamedTuple):
 class RigConfig(Table):
     """One checked configuration file.
 
-    channel has the model's channels, covariate those of role "covariate"; source the sources that carry any of the
-    model's, covariate_source those that carry nothing but covariates.
+    channel has the model's channels, covariate those of role "covariate"; source the sources that carry any
+    of the model's, covariate_source those that carry nothing but covariates.
     """
 
     rig: Rig
@@ -442,7 +466,9 @@ def parameters_of(model: Model, channels: tuple[Channel, ...]) -> dict[str, Para
 
 
 def _linear(model: LinearModel, channels: tuple[Channel, ...]) -> list[Parameter]:
-    return [Parameter(p.name, "linear", p.nominal, p.unit or _unit(p, model, channels)) for p in model.parameters]
+    return [
+        Parameter(p.name, "linear", p.nominal, p.unit or _unit(p, model, channels)) for p in model.parameters
+    ]
 
 
 def _unit(parameter: LinearParameter, model: LinearModel, channels: tuple[Channel, ...]) -> str:
@@ -453,9 +479,12 @@ def _unit(parameter: LinearParameter, model: LinearModel, channels: tuple[Channe
     states = [state.unit for state in model.state or ()]
     inputs = [channel.unit for channel in channels if channel.is_input]
     outputs = [channel.unit for channel in channels if not channel.is_input]
-    rows, columns = {"A": (states, states), "B": (states, inputs), "C": (outputs, states), "D": (outputs, inputs)}[
-        entry["matrix"]
-    ]
+    rows, columns = {
+        "A": (states, states),
+        "B": (states, inputs),
+        "C": (outputs, states),
+        "D": (outputs, inputs),
+    }[entry["matrix"]]
     row, column = int(entry["row"]), int(entry["column"])
     units = rows[row : row + 1] + columns[column : column + 1]
     if len(units) < 2 or not all(units):
@@ -490,8 +519,8 @@ def _units(channels: tuple[Channel, ...]) -> dict[str, str]:
 def learnt_key(config: RigConfig) -> str:
     """Return the SHA-256, in hexadecimal, of the model, the channels, the rate, window, hop, hold and estimate.
 
-    An edit of alarms, store or sources leaves it as it is, so does a default that is written out; a key that a later
-    version brings changes it only where it is used.
+    An edit of alarms, store or sources leaves it as it is, so does a default that is written out; a key that
+    a later version brings changes it only where it is used.
     """
     estimator = config.estimator
     parts = [

@@ -1,5 +1,5 @@
 """Northbound: rows of the database on their way to consumers beyond the gateway; the database is the only buffer.
 
-feed (rows by their growing numbers, agent.storage.read.forward) -> forwarder (a thread a consumer) -> peer (broker,
-database, archive) -> its acknowledgement -> cursor (table `consumers`, through the store's writer)
+feed (rows by their growing numbers, agent.storage.read.forward) -> forwarder (a thread a consumer) -> peer
+(broker, database, archive) -> its acknowledgement -> cursor (table `consumers`, through the store's writer)
 """

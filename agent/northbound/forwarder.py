@@ -1,7 +1,8 @@
 """A thread a consumer: it sends what the consumer lacks, new rows first, and moves its cursors when it has them.
 
-It reads through a read-only connection and stores cursors through the database's single writer. A consumer that hangs,
-refuses or is gone holds up nobody: not the writer, not the other consumers, not the end of the agent.
+It reads through a read-only connection and stores cursors through the database's single writer. A consumer
+that hangs, refuses or is gone holds up nobody: not the writer, not the other consumers, not the end of the
+agent.
 """
 
 import logging
@@ -73,7 +74,8 @@ class Forwarder:
         self._pause_s, self._late_s, self._keep_s = pause_s, late_s, keep_s
         self._feed = Feed(place.db, consumer.parameters)
         self._place = replace(
-            place, newest=self._feed.newest, number=self._number, keep_number=self._keep_number, waiting=self._go_on,
+            place, newest=self._feed.newest, number=self._number, keep_number=self._keep_number,
+            waiting=self._go_on,
             wake=self.wake,
         )  # fmt: skip
         self._peer: Peer | None = None
@@ -307,7 +309,9 @@ class Forwarder:
         lost = self._ask(job)
         self._is_kept = True
         if lost:
-            words = f"{lost} instants or rows were purged before it had them; the database had reached its bound"
+            words = (
+                f"{lost} instants or rows were purged before it had them; the database had reached its bound"
+            )
             log.warning("%s: %s", self.consumer.name, words)
             self._tell("purged unsent", words)
 
@@ -344,7 +348,9 @@ class Forwarder:
     def _tell(self, cause: str, words: str) -> None:
         t_ns = wall_ns()
         source = self.consumer.name
-        self._publish([HealthEvent(rig, source, t_ns, cause, f"{source}: {words}") for rig in self._place.rigs])
+        self._publish(
+            [HealthEvent(rig, source, t_ns, cause, f"{source}: {words}") for rig in self._place.rigs]
+        )
 
     def _leave(self) -> None:
         peer, self._peer = self._peer, None

@@ -47,7 +47,9 @@ class Forwarding:
         """Return what `deltak status` shows of each; from any thread."""
         return [forwarder.document() for forwarder in self.forwarders]
 
-    def exchange(self, placed: Mapping[Path, Sequence[RigConfig]], writers: Mapping[Path, StoreWriter]) -> None:
+    def exchange(
+        self, placed: Mapping[Path, Sequence[RigConfig]], writers: Mapping[Path, StoreWriter]
+    ) -> None:
         """Have the consumers of these configurations, by their database, supplied from now on; others no more.
 
         Consumers that stay as they are go on. The writers are open.
@@ -58,7 +60,9 @@ class Forwarding:
         for path, writer in writers.items():
             names = [name for place, name in wanted if place == path]
             rigs = [config.rig.name for config in placed.get(path, ())]
-            threading.Thread(target=_forget, args=(writer, rigs, names), name="north cursors", daemon=True).start()
+            threading.Thread(
+                target=_forget, args=(writer, rigs, names), name="north cursors", daemon=True
+            ).start()
             writer.on_stored = partial(self._wake, path)
         for key, one in wanted.items():
             if key not in self._made_for:

@@ -1,7 +1,7 @@
 """A thread a target: it sends what the outbox holds for the target, in order, until the target has it.
 
-It reads and marks through the database's single writer. One that hangs holds up nobody: not the writer, not the other
-targets, not the end of the agent.
+It reads and marks through the database's single writer. One that hangs holds up nobody: not the writer, not
+the other targets, not the end of the agent.
 """
 
 import logging
@@ -50,7 +50,8 @@ class Notifier:
         target: whom.
         folder: where the configuration's relative paths start.
         ask: has something done with the store, in its writer's thread.
-        wanted: tells whether a step is for the target; what was done while no agent ran is caught up with by that.
+        wanted: tells whether a step is for the target; what was done while no agent ran is caught up with by
+            that.
         deliver: brings a message to the target.
         now: local time, for the quiet hours.
         pause_s: shortest and longest pause after a failed attempt.
@@ -155,11 +156,17 @@ class Notifier:
             tried = f"given up after {row.attempts + 1} attempts"
             log.warning("%s: notification %d is %s: %s", self.target.name, row.seq, tried, words)
         elif self._failures == 1:
-            log.warning("%s: notification %d was not sent and is tried again: %s", self.target.name, row.seq, words)
+            log.warning(
+                "%s: notification %d was not sent and is tried again: %s", self.target.name, row.seq, words
+            )
         return bool(dead)
 
     def _back_off_s(self) -> float:
-        return min(self._longest_s, self._shortest_s * 2.0 ** min(self._failures - 1, 30)) if self._failures else 0.0
+        return (
+            min(self._longest_s, self._shortest_s * 2.0 ** min(self._failures - 1, 30))
+            if self._failures
+            else 0.0
+        )
 
 
 def _urgent(found: Sequence[Due]) -> Iterable[Due]:

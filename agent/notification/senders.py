@@ -1,7 +1,7 @@
 """How a message reaches a target. Each returns once the target has it, and raises SendError where it may not.
 
-A target that hangs is left after the target's timeout_s; whether it took the message is then not known, and the next
-attempt carries the same key.
+A target that hangs is left after the target's timeout_s; whether it took the message is then not known, and
+the next attempt carries the same key.
 """
 
 import json
@@ -53,14 +53,24 @@ def _secret(secret: Secret | str | None, folder: Path) -> str:
 
 def _command(target: Notify, message: Message, folder: Path) -> None:
     """Start a program with the document on its standard input; it has the message when it exits with 0."""
-    said = {f"DELTAK_{name.upper()}": str(value) for name, value in message.document.items() if _is_plain(value)}
-    environment = {**os.environ, **said, "DELTAK_IDEMPOTENCY_KEY": message.key, "DELTAK_SUBJECT": message.subject}
+    said = {
+        f"DELTAK_{name.upper()}": str(value) for name, value in message.document.items() if _is_plain(value)
+    }
+    environment = {
+        **os.environ,
+        **said,
+        "DELTAK_IDEMPOTENCY_KEY": message.key,
+        "DELTAK_SUBJECT": message.subject,
+    }
     with subprocess.Popen(
-        target.command or (), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=folder,
+        target.command or (), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        cwd=folder,
         env={name: value.replace("\0", "") for name, value in environment.items()}, start_new_session=True,
     ) as process:  # fmt: skip
         try:
-            _, complaint = process.communicate(json.dumps(message.document).encode(), timeout=target.timeout_s)
+            _, complaint = process.communicate(
+                json.dumps(message.document).encode(), timeout=target.timeout_s
+            )
         except subprocess.TimeoutExpired as error:
             os.killpg(process.pid, signal.SIGKILL)
             raise SendError(f"did not end within {target.timeout_s:g} s") from error

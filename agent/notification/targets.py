@@ -29,7 +29,9 @@ class Targets:
         """Return the names of the targets that a step is for; from any thread."""
         return route(self._configs, step)
 
-    def exchange(self, placed: Mapping[Path, Sequence[RigConfig]], writers: Mapping[Path, StoreWriter]) -> None:
+    def exchange(
+        self, placed: Mapping[Path, Sequence[RigConfig]], writers: Mapping[Path, StoreWriter]
+    ) -> None:
         """Have the targets of these configurations, by their database, notified from now on; others no more.
 
         Targets that stay as they are go on. The writers are open.
@@ -50,7 +52,9 @@ class Targets:
             writer.on_outbox = partial(self._wake, path)
 
     def _begin(self, key: _Key, target: Notify, folder: Path, writer: StoreWriter) -> None:
-        from agent.notification.notifier import Notifier  # with it come mail, HTTP and TLS: 2 MB of a small gateway
+        from agent.notification.notifier import (
+            Notifier,
+        )  # with it come mail, HTTP and TLS: 2 MB of a small gateway
 
         self._notifiers[key] = Notifier(target, folder, writer.ask, partial(self._is_for, target.name))
         self._notifiers[key].start()

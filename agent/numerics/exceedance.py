@@ -41,7 +41,8 @@ class Deviations:
 
     def exceed(self, level: FloatArray, confidence: FloatArray, among: BoolArray) -> BoolArray:
         """Return where P(beyond level) ≥ confidence (r,), in [0.5, 1), of the elements among (N, r)."""
-        # Both tails together reach one half only from one sd under the level on: 2 T(−1; ν) ≤ 2 T(−1; 1) = 1/2.
+        # Both tails together reach one half only from one sd under the level on: 2 T(−1; ν) ≤ 2 T(−1; 1) =
+        # 1/2.
         maybe = np.nonzero(among & (self._margin(level) > -1.0))
         result = np.zeros(among.shape, dtype=np.bool_)
         result[maybe] = self.beyond(level, maybe) >= confidence[maybe[1]]

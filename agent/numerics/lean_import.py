@@ -1,7 +1,8 @@
 """scipy without what it takes along and does not use: numpy's compiler of Fortran and its tools for tests.
 
-scipy's layer for other array libraries copies every name of numpy, and by that imports all of its lazy submodules, a
-twentieth of what a small agent keeps in memory. While scipy is imported, their names stand for nothing.
+scipy's layer for other array libraries copies every name of numpy, and by that imports all of its lazy
+submodules, a twentieth of what a small agent keeps in memory. While scipy is imported, their names stand for
+nothing.
 """
 
 import numpy as np

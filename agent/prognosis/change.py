@@ -1,10 +1,11 @@
 """Whether a parameter changes, asked apart from the shape of the change: level, slope and curvature of block means.
 
-    y = X β + e,   Cov e = diag(sd²) + s² R(τ) + a² S,   R = exp(−|Δt|/τ), at τ → ∞ a random walk;   S: a yearly season
+    y = X β + e,   Cov e = diag(sd²) + s² R(τ) + a² S,   R = exp(−|Δt|/τ), at τ → ∞ a random walk;   S: a
+    yearly season
 
-The variances are not known: each (s, τ, a) of a grid is weighed by its restricted likelihood (REML, Patterson &
-Thompson 1971), and every answer is the mixture over the grid. So an interval is wide where a random walk cannot be told
-from scatter, and narrow where it can.
+The variances are not known: each (s, τ, a) of a grid is weighed by its restricted likelihood (REML, Patterson
+& Thompson 1971), and every answer is the mixture over the grid. So an interval is wide where a random walk
+cannot be told from scatter, and narrow where it can.
 """
 
 from dataclasses import dataclass
@@ -46,7 +47,8 @@ class Change:
         slope, slope_sd, slope_lower, slope_upper: of the line through the whole span, and its 95 % interval.
         newest, newest_sd: slope of the newest half. rates: its density.
         curvature, curvature_sd: second derivative.
-        p_whole, p_half: how probable as much change is without any, over the whole span and over its newest half.
+        p_whole, p_half: how probable as much change is without any, over the whole span and over its newest
+            half.
         trend: whether either is below ASKED.
     """
 
@@ -176,10 +178,20 @@ class _Scatter:
         apart = np.abs(t[:, None] - t[None, :]) / step
         white = np.eye(len(t))
         walk = (1.0 + np.minimum(t[:, None], t[None, :])) / step - np.eye(len(t)) / 6.0
-        shapes = [white, *(np.exp(-apart / k) for k in (1.0, 2.5, 6.0)), walk, white + 0.1 * walk, white + 0.01 * walk]
+        shapes = [
+            white,
+            *(np.exp(-apart / k) for k in (1.0, 2.5, 6.0)),
+            walk,
+            white + 0.1 * walk,
+            white + 0.01 * walk,
+        ]
         turned = [np.linalg.eigh(R / np.outer(sd, sd)) for R in shapes]
         phase = 2.0 * np.pi * t * span / YEAR
-        season = np.column_stack([np.cos(phase), np.sin(phase)]) if span > SEASONAL * YEAR else np.zeros((len(t), 0))
+        season = (
+            np.column_stack([np.cos(phase), np.sin(phase)])
+            if span > SEASONAL * YEAR
+            else np.zeros((len(t), 0))
+        )
         return cls(
             [(V / sd[:, None]).T for _, V in turned],
             [np.maximum(values, 0.0) for values, _ in turned],
@@ -203,7 +215,9 @@ def _reml(X: FloatArray, y: FloatArray, scatter: _Scatter) -> _Mixture:
     found = [_weighed(np.concatenate(gram), p, a) for a in (STRENGTHS if seasonal else (None,))]
     log_weight = np.concatenate([prior + more for *_, more in found])
     weight = np.exp(log_weight - log_weight.max())
-    return _Mixture(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]), weight / weight.sum())
+    return _Mixture(
+        np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]), weight / weight.sum()
+    )
 
 
 def _weighed(gram: FloatArray, p: int, strength: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -232,12 +246,15 @@ def _line(whole: _Mixture, origin: float, size: float, span: float) -> Change:
     lower, upper = (per * end for end in whole.interval(row, 0.95))
     p = whole.improbable([1])
     return Change(
-        origin + size * level, size * level_sd, slope, slope_sd, lower, upper, slope, slope_sd, 0.0, np.inf, p, 1.0,
+        origin + size * level, size * level_sd, slope, slope_sd, lower, upper, slope, slope_sd, 0.0, np.inf,
+        p, 1.0,
         whole.rates(row, per),
     )  # fmt: skip
 
 
-def _answer(whole: _Mixture, bent: _Mixture, half: _Mixture, origin: float, size: float, span: float) -> Change:
+def _answer(
+    whole: _Mixture, bent: _Mixture, half: _Mixture, origin: float, size: float, span: float
+) -> Change:
     level, level_sd = whole.moments(np.array([1.0, 0.0]))
     slope, slope_sd = whole.moments(np.array([0.0, 1.0]))
     lower, upper = whole.interval(np.array([0.0, 1.0]), 0.95)

@@ -1,15 +1,15 @@
 """The family of degradation laws, each made linear: a level u that moves at a steady rate b with noise.
 
     constant     du = b dt + q dW                        u = y
-    rate law     dy = b (y/y0)^m dt (…)                  u(y) = y0 ((y/y0)^(1−m) − 1)/(1 − m)     Box & Cox 1964
-                 where level and limit differ in sign    u(y) = L (1 − exp(−κ (y − y0)/L))/κ
+    rate law     dy = b (y/y0)^m dt (…)                  u(y) = y0 ((y/y0)^(1−m) − 1)/(1 − m)     Box & Cox
+                 1964 where level and limit differ in sign    u(y) = L (1 − exp(−κ (y − y0)/L))/κ
     ramp         du = b (1 + r (t − t0)) dt + q dW       u = y
     run-in       a rate that wanders freely until t_in, then the rate law
     onset        nothing until t_on, then the rate law
     saturation   du = b exp(−(t − t0)/τ) dt + q dW       u = y
 
-In the scale of u a rate law is a line, so one Kalman filter serves the whole family. How bent a law is has one measure:
-κ = log of the rate at the limit over the rate at the start.
+In the scale of u a rate law is a line, so one Kalman filter serves the whole family. How bent a law is has
+one measure: κ = log of the rate at the limit over the rate at the start.
 """
 
 from dataclasses import dataclass
@@ -64,7 +64,9 @@ def scale_of(smooth: FloatArray, limit: float) -> Scale:
     lowest = min(float(np.min(smooth * np.sign(origin))), limit * np.sign(origin))
     if lowest > 0.02 * abs(origin):
         gone = float(np.max(np.abs(np.log(smooth / origin))))
-        return Scale(origin, abs(origin), True, way / abs(origin), _sign_max(np.log(limit / origin), gone, sign))
+        return Scale(
+            origin, abs(origin), True, way / abs(origin), _sign_max(np.log(limit / origin), gone, sign)
+        )
     size = max(abs(way), float(np.ptp(smooth)), 1e-12)
     return Scale(origin, size, False, way / size, sign)
 
@@ -76,8 +78,8 @@ def _sign_max(way: float, gone: float, sign: float) -> float:
 def bent(z: FloatArray, bend: FloatArray, scale: Scale) -> tuple[FloatArray, FloatArray]:
     """Return u and du/dz of scaled levels z for the laws' κ; arrays that broadcast.
 
-    With x the law's own coordinate, u = (exp(−λ x) − 1)/(−λ) and λ = κ/reach − 1 for a power of the level (whose
-    dz = exp(x) dx), κ/reach else.
+    With x the law's own coordinate, u = (exp(−λ x) − 1)/(−λ) and λ = κ/reach − 1 for a power of the level
+    (whose dz = exp(x) dx), κ/reach else.
     """
     if scale.relative:
         sign = np.sign(scale.origin)
@@ -139,7 +141,8 @@ def instant(logit: FloatArray) -> FloatArray:
 def progress(t: FloatArray, member: str, shape: FloatArray) -> FloatArray:
     """Return what a rate of one adds to the level from t[0] to each t; (n, N).
 
-    t: (n,) in spans of the history, 0 the newest row and −1 the first. shape: (N, d) as SHAPES names its columns.
+    t: (n,) in spans of the history, 0 the newest row and −1 the first. shape: (N, d) as SHAPES names its
+    columns.
     """
     if member == "onset":
         return np.maximum(t[:, None] - instant(shape[:, 1]), 0.0)

@@ -2,8 +2,8 @@
 
     u(k+1) = u(k) + h(k) b(k) + η,   b(k+1) = b(k) + ζ,   y(k) = u(k) + ε(k)
 
-the local linear trend (Harvey 1989, Forecasting, Structural Time Series Models, section 2.3) with steps h of any
-length.
+the local linear trend (Harvey 1989, Forecasting, Structural Time Series Models, section 2.3) with steps h of
+any length.
 """
 
 from dataclasses import dataclass
@@ -48,8 +48,8 @@ def run_filter(
 ) -> tuple[State, FloatArray]:
     """Return the state at the newest reading and the log likelihood of all readings, (N,).
 
-    y, variance: (n, N) readings and the variance of ε. start: the state at the first reading before it is read.
-    total: the log likelihood of readings before these.
+    y, variance: (n, N) readings and the variance of ε. start: the state at the first reading before it is
+    read. total: the log likelihood of readings before these.
     """
     state, gained = _read(start, y[0], variance[0])
     total = total + gained

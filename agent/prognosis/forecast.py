@@ -1,7 +1,7 @@
 """When a parameter first reaches a limit, and how sure that is: P10, P50 and P90 over a family of laws.
 
-The band holds what the estimates' sd leaves open, what a history leaves open of each law's parameters, and which law it
-is. It is of the first passage of the parameter itself, not of the crossing of a mean line.
+The band holds what the estimates' sd leaves open, what a history leaves open of each law's parameters, and
+which law it is. It is of the first passage of the parameter itself, not of the crossing of a mean line.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,13 +51,17 @@ class Forecast:
 
 
 def forecast(
-    history: History, limit: float, horizon: float | None = None, like: Learnt | None = None, effort: Effort = FULL
+    history: History,
+    limit: float,
+    horizon: float | None = None,
+    like: Learnt | None = None,
+    effort: Effort = FULL,
 ) -> Forecast:
     """Forecast the first passage of a limit.
 
-    history: rows until now, t in days. horizon: days ahead that the chance is of; None for as long again as the history
-    is. like: what was learnt of like machines. effort: what it may
-    cost. Nothing but the arguments enters: later rows cannot.
+    history: rows until now, t in days. horizon: days ahead that the chance is of; None for as long again as
+    the history is. like: what was learnt of like machines. effort: what it may cost. Nothing but the
+    arguments enters: later rows cannot.
     """
     horizon = history.span if horizon is None else horizon
     history = without(history, find_steps(history))
@@ -78,7 +82,9 @@ def forecast(
     family = _weights(found)
     if passages[len(passages) // 2] == 0.0:
         return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
-    passages = np.maximum(passages - float(history.t[-1] - thin.t[-1]), 0.0)  # a mean is older than its newest row
+    passages = np.maximum(
+        passages - float(history.t[-1] - thin.t[-1]), 0.0
+    )  # a mean is older than its newest row
     return _stated(passages, horizon, history.span, family, lambda: _steady(history))
 
 
@@ -90,7 +96,9 @@ def _steady(history: History) -> bool:
 def _past_limit(readings: Readings, scale: Scale) -> bool:
     """Tell whether the newest means lie on the limit's other side."""
     newest = float(np.mean(readings.smooth[-3:]))
-    return (scale.limit - newest) * scale.limit <= 0.0 and (scale.limit - float(readings.z[-1])) * scale.limit <= 0.0
+    return (scale.limit - newest) * scale.limit <= 0.0 and (
+        scale.limit - float(readings.z[-1])
+    ) * scale.limit <= 0.0
 
 
 def _weights(found: list[Particles]) -> dict[str, float]:
@@ -131,11 +139,13 @@ def readings_of(thin: History, limit: float) -> tuple[Readings, Scale]:
 def plain_prior(readings: Readings, left: float) -> Prior:
     """Return what is believed without like machines: sizes from the history's own scatter, shapes as machines have.
 
-    left: share of the way that is not gone yet. However short it is, the rate at the limit may differ as much from
-    what the law says: parts fail faster than they wore.
+    left: share of the way that is not gone yet. However short it is, the rate at the limit may differ as much
+    from what the law says: parts fail faster than they wore.
     """
     second = np.diff(readings.z, 2)
-    scatter = max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0), 1e-6 * max(float(np.ptp(readings.z)), 1e-9))
+    scatter = max(
+        1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0), 1e-6 * max(float(np.ptp(readings.z)), 1e-9)
+    )
     of = {
         "walk": Student(float(np.log(0.3 * scatter * np.sqrt(len(readings.z)))), 1.5),
         "wander": Student(float(np.log(0.05)), 0.9, 30.0),

@@ -60,8 +60,9 @@ def disjoint(t_ns: IntArray, span_s: FloatArray) -> NDArray[np.intp]:
 def sound(history: History) -> History:
     """Return the rows that are no outliers among their neighbours and have a time of their own.
 
-    A row is left out where it stands apart from the median of the rows around it (Hampel 1974). That median is the row
-    itself on a drift, and of the row's own side at a step; the newest rows have nothing yet to stand apart from.
+    A row is left out where it stands apart from the median of the rows around it (Hampel 1974). That median
+    is the row itself on a drift, and of the row's own side at a step; the newest rows have nothing yet to
+    stand apart from.
     """
     history = history[np.flatnonzero(np.r_[np.diff(history.t) > 0.0, True][: len(history)])]
     n = len(history)
@@ -71,7 +72,9 @@ def sound(history: History) -> History:
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
     apart = np.abs(history.value - around)
     deviation = np.hypot(max(_scatter(history), 1.4826 * float(np.median(apart))), history.sd)
-    drift = float(np.median(np.abs(np.diff(history.value))))  # an outlier moves its neighbours' median by so much
+    drift = float(
+        np.median(np.abs(np.diff(history.value)))
+    )  # an outlier moves its neighbours' median by so much
     keep = (apart <= OUTLIER * deviation + drift) | (np.arange(n) >= n - NEIGHBOURS)
     return history[np.flatnonzero(keep)]
 

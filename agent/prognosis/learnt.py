@@ -1,8 +1,8 @@
 """What like machines teach of a law: its parameters' mean and spread from machine to machine (empirical Bayes).
 
-Each history gives the parameters of the rate law with what it leaves open of them; the spread between histories is the
-prior's, with Student's tails as heavy as their number allows. Numbers are a day and relative to the level at the start,
-so a machine of another size or limit may use them.
+Each history gives the parameters of the rate law with what it leaves open of them; the spread between
+histories is the prior's, with Student's tails as heavy as their number allows. Numbers are a day and relative
+to the level at the start, so a machine of another size or limit may use them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,8 +34,9 @@ WANDER = 10.0
 class Learnt:
     """What n like machines teach.
 
-    of: Student densities by parameter, (loc, scale, dof) each. way: what lives are counted over. later: by how much κ
-    differs beyond what a history has shown, as (share of the way gone, loc, scale), the shares ascending.
+    of: Student densities by parameter, (loc, scale, dof) each. way: what lives are counted over. later: by
+    how much κ differs beyond what a history has shown, as (share of the way gone, loc, scale), the shares
+    ascending.
     """
 
     of: Mapping[str, tuple[float, float, float]]
@@ -89,8 +90,8 @@ def _closest(t: FloatArray, z: FloatArray, scale: Scale) -> tuple[float, float]:
 def _later(t: FloatArray, z: FloatArray, whole: float, seen: float, scale: Scale) -> tuple[float, float]:
     """Return the way gone after a share of the life, and by how much κ differed for the rest to take its time.
 
-    Differed from what a forecast made there would take it for: the κ of like machines, whole lives, as long as little
-    of the way is gone, and of the rows up to then the more of it is.
+    Differed from what a forecast made there would take it for: the κ of like machines, whole lives, as long
+    as little of the way is gone, and of the rows up to then the more of it is.
     """
     now = float(np.interp(seen, t, z))
     way = way_share(now, scale)
@@ -124,8 +125,8 @@ def learn(specimens: Sequence[Specimen]) -> Learnt:
 def _later_of(later: FloatArray) -> tuple[tuple[float, float, float], ...]:
     """Return place, mean and spread of later κ at each of SEEN, of (n, len(SEEN), 2).
 
-    The spread is that between machines, and half the way to the neighbours' means: the next machine's stages fall
-    elsewhere.
+    The spread is that between machines, and half the way to the neighbours' means: the next machine's stages
+    fall elsewhere.
     """
     n = len(later)
     later = later[:, np.argsort(later[..., 0].mean(axis=0))]

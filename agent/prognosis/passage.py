@@ -32,8 +32,8 @@ def first_passages(
 ) -> FloatArray:  # fmt: skip
     """Return (effort.paths,) times to the first passage, in spans of the history; inf where a path never gets there.
 
-    Each path starts from a particle, drawn by its weight, with level and rate drawn from its Gaussian. newest: scaled
-    level up to which the history shows the law; later: how much κ differs beyond.
+    Each path starts from a particle, drawn by its weight, with level and rate drawn from its Gaussian.
+    newest: scaled level up to which the history shows the law; later: how much κ differs beyond.
     """
     evidence = np.array([p.log_evidence for p in found])
     share = np.exp(evidence - evidence.max())
@@ -41,11 +41,19 @@ def first_passages(
     counts = np.floor(share * effort.paths + 1e-9).astype(int)
     counts[int(np.argmax(share))] += effort.paths - counts.sum()
     drawn = zip(found, counts.tolist(), strict=True)
-    return np.concatenate([_paths(member, scale, newest, later, n, effort.steps, rng) for member, n in drawn if n])
+    return np.concatenate(
+        [_paths(member, scale, newest, later, n, effort.steps, rng) for member, n in drawn if n]
+    )
 
 
 def _paths(
-    found: Particles, scale: Scale, newest: float, later: Student, n: int, steps: int, rng: np.random.Generator
+    found: Particles,
+    scale: Scale,
+    newest: float,
+    later: Student,
+    n: int,
+    steps: int,
+    rng: np.random.Generator,
 ) -> FloatArray:
     weight = np.exp(found.log_weight)
     places = (rng.uniform() + np.arange(n)) / n
@@ -62,7 +70,9 @@ def _paths(
     lean = np.divide(s.ub[index], s.bb[index], out=np.zeros(n), where=s.bb[index] > 0)
     rest = np.maximum(s.uu[index] - lean * s.ub[index], 0.0)
     u = s.u[index] + lean * (b - s.b[index]) + np.sqrt(rest) * normal[1]
-    course = _Course(np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]))
+    course = _Course(
+        np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index])
+    )
     q, w = np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index])
     return _simulated(np.sign(scale.limit) * (limit - u), np.sign(scale.limit) * b, q, w, course, steps, rng)
 

@@ -1,7 +1,7 @@
 """The law's parameters given a history: population Monte Carlo over what is not linear, Kalman filters over the rest.
 
-A Rao-Blackwellised particle set (Cappé et al. 2004): each particle is one (walk, wander, scatter, shape); level and
-rate given a particle are Gaussian and exact. The sum of the weights is the member's evidence.
+A Rao-Blackwellised particle set (Cappé et al. 2004): each particle is one (walk, wander, scatter, shape);
+level and rate given a particle are Gaussian and exact. The sum of the weights is the member's evidence.
 """
 
 from dataclasses import dataclass
@@ -46,8 +46,8 @@ class Readings:
 
     Attributes:
         t: (n,) in spans, 0 the newest and −1 the first.
-        z, sd, smooth: (n,) scaled levels, their stated sd, and the levels without noise, about which laws are made
-            linear.
+        z, sd, smooth: (n,) scaled levels, their stated sd, and the levels without noise, about which laws are
+            made linear.
         breadth: sd of the rate before anything is known of it, in sizes a span.
         usual: rate that the wander is relative to, in sizes a span.
         sign: of the rate that leads to the limit.
@@ -143,7 +143,9 @@ def _weigh(readings: Readings, scale: Scale, prior: Prior, swarms: list[_Swarm])
 def _particles(found: _Weighed, prior: Prior) -> Particles:
     swarm, log_weight = found.swarm, found.log_weight
     top = float(log_weight.max())
-    evidence = top + float(np.log(np.mean(np.exp(log_weight - top)))) + float(np.log(prior.members[swarm.member]))
+    evidence = (
+        top + float(np.log(np.mean(np.exp(log_weight - top)))) + float(np.log(prior.members[swarm.member]))
+    )
     return Particles(swarm.member, swarm.names, swarm.theta, log_weight - top, found.state, evidence)
 
 
@@ -164,7 +166,11 @@ def _proposed(
     drawn[:fresh] = prior.draw(rng, names, fresh)
     distance = np.linalg.solve(root, (drawn - mean).T)
     square = np.einsum("ij,ij->j", distance, distance)
-    local = _student_constant(d, dof) - float(np.log(np.diag(root)).sum()) - 0.5 * (dof + d) * np.log1p(square / dof)
+    local = (
+        _student_constant(d, dof)
+        - float(np.log(np.diag(root)).sum())
+        - 0.5 * (dof + d) * np.log1p(square / dof)
+    )
     share = fresh / n
     return drawn, np.logaddexp(np.log(1 - share) + local, np.log(share) + prior.log_density(names, drawn))
 
@@ -258,14 +264,18 @@ def _walk(t: FloatArray, readings: Readings, swarm: _Swarm, column: dict[str, Fl
     """Return the steps between instants t (n,) of some of the readings."""
     member = swarm.member
     count = len(swarm.theta)
-    shape = np.column_stack([column[name] for name in SHAPES[member]]) if SHAPES[member] else np.zeros((count, 0))
+    shape = (
+        np.column_stack([column[name] for name in SHAPES[member]]) if SHAPES[member] else np.zeros((count, 0))
+    )
     h = np.diff(progress(t, member, shape), axis=0)
     dt = np.diff(t)[:, None]
     usual = np.exp(column["rate"]) if "rate" in column else readings.usual
     rate = np.broadcast_to((np.exp(column["wander"]) * usual) ** 2, h.shape)
     if "run_in" in column:
         rate = np.where(t[1:, None] < instant(column["run_in"]), (RUN_IN * usual) ** 2, rate)
-    return Walk(h, np.exp(2.0 * column["walk"]) * dt + rate * h * h * dt / 3.0, rate * dt, rate * h * dt / 2.0)
+    return Walk(
+        h, np.exp(2.0 * column["walk"]) * dt + rate * h * h * dt / 3.0, rate * dt, rate * h * dt / 2.0
+    )
 
 
 def _start(readings: Readings, u: FloatArray, column: dict[str, FloatArray]) -> State:

@@ -1,9 +1,9 @@
 """What is believed of a law's parameters before a history is seen: independent Student t densities.
 
-Parameters by name, in the scale of the law (levels in sizes, times in spans of the history): `life` log of the time to
-the limit, `walk` log q, `wander` log of the rate's relative random walk, `scatter` log of the readings' sd beyond what
-is stated, and the shapes. A prior learnt of like machines holds its numbers a day and relative to the level at the
-start.
+Parameters by name, in the scale of the law (levels in sizes, times in spans of the history): `life` log of
+the time to the limit, `walk` log q, `wander` log of the rate's relative random walk, `scatter` log of the
+readings' sd beyond what is stated, and the shapes. A prior learnt of like machines holds its numbers a day
+and relative to the level at the start.
 """
 
 import math
@@ -29,7 +29,12 @@ class Student:
         from scipy.special import gammaln
 
         half = 0.5 * (self.dof + 1.0)
-        constant = gammaln(half) - gammaln(0.5 * self.dof) - 0.5 * math.log(self.dof * math.pi) - math.log(self.scale)
+        constant = (
+            gammaln(half)
+            - gammaln(0.5 * self.dof)
+            - 0.5 * math.log(self.dof * math.pi)
+            - math.log(self.scale)
+        )
         return np.asarray(constant - half * np.log1p(((x - self.loc) / self.scale) ** 2 / self.dof))
 
 

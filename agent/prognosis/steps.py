@@ -27,8 +27,9 @@ class Step:
 def find_steps(history: History) -> list[Step]:
     """Return steps in order of time, the MOST largest.
 
-    The difference of the means on both sides is held against its own robust scatter over the history: a random walk or
-    a drift has such differences everywhere, a step has one. What is no less on either side of it is a fast change.
+    The difference of the means on both sides is held against its own robust scatter over the history: a
+    random walk or a drift has such differences everywhere, a step has one. What is no less on either side of
+    it is a fast change.
     """
     thin = blocks(sound(history), PARTS)
     if len(thin) < 6 * ASIDE:

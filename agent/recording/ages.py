@@ -19,8 +19,8 @@ log = logging.getLogger(__name__)
 class Ages:
     """Since when files have been complete, in seconds that agents ran; kept in a small file beside them.
 
-    A file that it does not know, and all where its own file is lost or damaged, are new: they stay longer, not shorter.
-    The time between two runs is not counted, since only the wall clock knows it.
+    A file that it does not know, and all where its own file is lost or damaged, are new: they stay longer,
+    not shorter. The time between two runs is not counted, since only the wall clock knows it.
 
     Args:
         path: of its file; in a folder that may not be there yet.
@@ -78,4 +78,6 @@ def _read(path: Path) -> tuple[float, dict[str, float]]:
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return 0.0, {}
     # what ended later than all that ran is a lie, and so is what is no number
-    return (ran_s, {name: at for name, at in ended.items() if 0.0 <= at <= ran_s}) if ran_s >= 0.0 else (0.0, {})
+    return (
+        (ran_s, {name: at for name, at in ended.items() if 0.0 <= at <= ran_s}) if ran_s >= 0.0 else (0.0, {})
+    )

@@ -3,12 +3,12 @@ r"""Samples as they were delivered: the form of sources whose bus has no form of
 A file "NAME-NNNNNNNN.raw" is
 
     "DELTAKRAW1\n"  magic and version
-    u32, JSON       length and header: source, fields, counter_modulus, config_sha256, code_version, byte_order,
-                    created_ns, rig
-    blocks          u32 length of what follows, u32 its CRC-32, then
-                    i64 arrival_ns (monotonic), i64 wall_offset_ns (wall minus monotonic), u32 epoch, u32 rows,
-                    u16 columns, u16 flags (1: counter, 2: t_ns, 4: wall_offset_ns is known, 8: received_ns),
-                    rows x columns float64 row by row, rows int64 counter, rows int64 t_ns, rows int64 received_ns
+    u32, JSON       length and header: source, fields, counter_modulus, config_sha256, code_version,
+                    byte_order, created_ns, rig
+    blocks          u32 length of what follows, u32 its CRC-32, then i64 arrival_ns (monotonic), i64
+                    wall_offset_ns (wall minus monotonic), u32 epoch, u32 rows, u16 columns, u16 flags (1:
+                    counter, 2: t_ns, 4: wall_offset_ns is known, 8: received_ns), rows x columns float64 row
+                    by row, rows int64 counter, rows int64 t_ns, rows int64 received_ns
 
 Everything is little-endian. A file cut short (power, full disk) is read up to its last whole block.
 """
@@ -63,7 +63,9 @@ def decode_block(content: bytes) -> SampleBlock:
     arrival, offset, epoch, rows, columns, flags = _HEAD.unpack_from(content)
     values = np.frombuffer(content, "<f8", rows * columns, _HEAD.size).reshape(rows, columns)
     place = _HEAD.size + 8 * rows * columns
-    found: dict[int, np.ndarray[tuple[int], np.dtype[np.int64]] | None] = dict.fromkeys((_COUNTER, _TIMES, _RECEIVED))
+    found: dict[int, np.ndarray[tuple[int], np.dtype[np.int64]] | None] = dict.fromkeys(
+        (_COUNTER, _TIMES, _RECEIVED)
+    )
     for flag in found:
         if flags & flag:
             found[flag] = np.frombuffer(content, "<i8", rows, place)
@@ -77,7 +79,9 @@ def decode_block(content: bytes) -> SampleBlock:
 def read_header(file: BinaryIO, path: Path) -> RawHeader:
     """Read a file's header. Raises RecordingError when it is none."""
     if file.read(len(MAGIC)) != MAGIC:
-        raise RecordingError.at(str(path), "is not a raw recording of this version", "give a .raw file of the agent")
+        raise RecordingError.at(
+            str(path), "is not a raw recording of this version", "give a .raw file of the agent"
+        )
     try:
         (length,) = struct.unpack("<I", file.read(4))
         return RawHeader.of(json.loads(file.read(min(length, 1 << 20))))

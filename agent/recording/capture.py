@@ -1,8 +1,9 @@
 """What a bus carried, in a form that other tools read, and beside it an index of when it was received.
 
-A recording "NAME-NNNNNNNN.log" of CAN is what `candump -L` writes, and nothing else, so that canplayer, log2asc,
-python-can and whatever reads such logs read it. What the text cannot carry stands in "NAME-NNNNNNNN.log.idx", lines of
-JSON in UTF-8: first the header, with {"format": "DELTAKHEARD1"}, then a line for each piece that one read delivered:
+A recording "NAME-NNNNNNNN.log" of CAN is what `candump -L` writes, and nothing else, so that canplayer,
+log2asc, python-can and whatever reads such logs read it. What the text cannot carry stands in
+"NAME-NNNNNNNN.log.idx", lines of JSON in UTF-8: first the header, with {"format": "DELTAKHEARD1"}, then a
+line for each piece that one read delivered:
 
     lines, crc        how many lines of the log it is, and the CRC-32 of their bytes
     arrival_ns        monotonic time of its receipt
@@ -54,7 +55,9 @@ def read_header(path: Path) -> RawHeader:
             raise ValueError
         return RawHeader.of(facts)
     except OSError as error:
-        raise RecordingError.at(str(index_of(path)), error.strerror or str(error), "look at its permissions") from error
+        raise RecordingError.at(
+            str(index_of(path)), error.strerror or str(error), "look at its permissions"
+        ) from error
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         advice = "remove it to replay the log as any other"
         raise RecordingError.at(str(index_of(path)), "is no index of this version", advice) from error

@@ -1,11 +1,12 @@
 """The files of event records: what stands in them, and how they come and go so that a power cut leaves whole ones.
 
-A rig with one source keeps one NPZ file an event, "RIG-NNNNNNNN-KIND-PARAMETER.npz", that `deltak replay` reads like
-any recording: `t` (datetime64, the time stamps of the live run) and an array of raw readings for each channel; beside
-them `index` (the sample's number), `counter` where the device counts, `meta`, a JSON text with the provenance, and
-`state` (see `states`), from which `deltak explain` computes the alarms in it again.
-A rig with several sources keeps a raw recording (see `blocks`) for each, "RIG-NNNNNNNN-KIND-PARAMETER.SOURCE.raw",
-which are replayed together, and "RIG-NNNNNNNN-KIND-PARAMETER.state.npz" with the state.
+A rig with one source keeps one NPZ file an event, "RIG-NNNNNNNN-KIND-PARAMETER.npz", that `deltak replay`
+reads like any recording: `t` (datetime64, the time stamps of the live run) and an array of raw readings for
+each channel; beside them `index` (the sample's number), `counter` where the device counts, `meta`, a JSON
+text with the provenance, and `state` (see `states`), from which `deltak explain` computes the alarms in it
+again. A rig with several sources keeps a raw recording (see `blocks`) for each,
+"RIG-NNNNNNNN-KIND-PARAMETER.SOURCE.raw", which are replayed together, and
+"RIG-NNNNNNNN-KIND-PARAMETER.state.npz" with the state.
 """
 
 import io
@@ -29,7 +30,8 @@ from drivers.port import SampleBlock
 
 FORMAT = "DELTAKEVENT1"
 META = (
-    "rig", "t_ns", "kind", "parameter", "alarms", "from_ns", "to_ns", "samples", "state", "baseline_id", "message",
+    "rig", "t_ns", "kind", "parameter", "alarms", "from_ns", "to_ns", "samples", "state", "baseline_id",
+    "message",
 )  # fmt: skip
 """What `meta` holds of the record; beside it config_sha256 and code_version."""
 _PART = ".part"

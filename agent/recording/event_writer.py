@@ -166,7 +166,9 @@ class EventWriter:
         events: list[Record] = [record]
         if self._failing:
             self._failing = False
-            events.append(self._event("event records resumed", f"event records are kept again; {self.lost} were lost"))
+            events.append(
+                self._event("event records resumed", f"event records are kept again; {self.lost} were lost")
+            )
         self._publish(events)
 
     def _written(self, job: Job) -> EventRecord:
@@ -175,7 +177,11 @@ class EventWriter:
             return self._written_raw(job)
         table = table_of(job.items, job.labels, job.span)
         (channels,) = self._facts.channels.values()
-        span = (int(table.t_ns[0]), int(table.t_ns[-1])) if len(table.t_ns) else (job.record.t_ns, job.record.t_ns)
+        span = (
+            (int(table.t_ns[0]), int(table.t_ns[-1]))
+            if len(table.t_ns)
+            else (job.record.t_ns, job.record.t_ns)
+        )
         record = replace(job.record, from_ns=span[0], to_ns=span[1], samples=len(table.t_ns))
         content = npz_bytes(table, channels, self._meta(record), _state(job))
         self._folder.write(Path(record.file).name, content)
@@ -186,7 +192,8 @@ class EventWriter:
         for source, fields in self._facts.fields.items():
             items = [item for item in job.items if item.source == source]
             own = RawHeader(
-                source, fields, job.moduli.get(source), self._facts.config_sha256, self._facts.code_version, wall_ns(),
+                source, fields, job.moduli.get(source), self._facts.config_sha256, self._facts.code_version,
+                wall_ns(),
                 rig=self._facts.rig,
             )  # fmt: skip
             content = raw_bytes(own, items)
@@ -197,7 +204,9 @@ class EventWriter:
             self._folder.write(state_name(Path(job.record.file).name), state)
         total += len(state)
         stamps = [label.t_ns for label in job.labels]
-        first, last = (int(stamps[0][0]), int(stamps[-1][-1])) if stamps else (job.record.t_ns, job.record.t_ns)
+        first, last = (
+            (int(stamps[0][0]), int(stamps[-1][-1])) if stamps else (job.record.t_ns, job.record.t_ns)
+        )
         return replace(job.record, from_ns=first, to_ns=last, samples=samples, bytes=total)
 
     def _meta(self, record: EventRecord) -> dict[str, Any]:
@@ -222,7 +231,8 @@ class EventWriter:
         log.warning("%s: %s", self._facts.rig, message)
         return HealthEvent(self._facts.rig, "events", wall_ns(), cause, message)
 
-    # --- bounds ------------------------------------------------------------------------------------------------
+    # --- bounds
+    # ------------------------------------------------------------------------------------------------
 
     def _take_stock(self) -> None:
         """See what earlier runs left: half-written files go, records that were cut say so, lost rows are made anew."""

@@ -1,8 +1,8 @@
 """Event records: the raw samples from some seconds before an alarm to some seconds after it.
 
-This part lives in the processing thread: it keeps what came last in memory and hands it over when an alarm is raised,
-at once with what was before it, so that no later failure takes that away, and again when what comes after is there.
-It copies no sample and waits for nothing; files are written by the EventWriter.
+This part lives in the processing thread: it keeps what came last in memory and hands it over when an alarm is
+raised, at once with what was before it, so that no later failure takes that away, and again when what comes
+after is there. It copies no sample and waits for nothing; files are written by the EventWriter.
 """
 
 import time
@@ -73,7 +73,8 @@ class Open:
 class Memory:
     """What came last: blocks and time stamps that reach `span` samples back, and no more bytes than may be.
 
-    It is cut where the records of what came are known: an alarm may be raised by the first of many new samples.
+    It is cut where the records of what came are known: an alarm may be raised by the first of many new
+    samples.
     """
 
     span: int
@@ -165,7 +166,9 @@ class EventKeeper:
     def begin_round(self, snapshot: Callable[[], bytes | None]) -> None:
         """Note that what is taken from now on is computed together, and from time to time what is known before it."""
         self._round += 1
-        if self._states is None or (self._states and self._moment - self._states[-1].moment < self._state_every):
+        if self._states is None or (
+            self._states and self._moment - self._states[-1].moment < self._state_every
+        ):
             return
         content = snapshot()
         if content is None:
@@ -224,7 +227,8 @@ class EventKeeper:
         if not self._may_begin(now):
             return
         record = EventRecord(
-            alarm.rig, alarm.t_ns, alarm.kind, alarm.parameter, 1, self._writer.name(alarm.kind, alarm.parameter),
+            alarm.rig, alarm.t_ns, alarm.kind, alarm.parameter, 1,
+            self._writer.name(alarm.kind, alarm.parameter),
             "recording", alarm.t_ns, alarm.t_ns, 0, 0, self._baselines.get(alarm.parameter),
         )  # fmt: skip
         until_s = now + self._after_s + PATIENCE_S
@@ -234,7 +238,9 @@ class EventKeeper:
         first = self._serial if state is None else state.serial
         items = [item for item in self._memory.items if item.moment >= since or item.serial >= first]
         labels = list(self._memory.labels)
-        self._open = Open(record, items, labels, since, at + self._after, until_s, last, last_s, state, self._round)
+        self._open = Open(
+            record, items, labels, since, at + self._after, until_s, last, last_s, state, self._round
+        )
         self._submit(record)
 
     def _state_before(self, at: int, since: int) -> State | None:
@@ -258,7 +264,9 @@ class EventKeeper:
         if now - self._reported_s > _HOUR_S:
             self._reported_s = now
             words = f"{len(self._begun)} event records were made within the hour; alarms go on without"
-            self._publish([HealthEvent(self._config.rig.name, "events", wall_ns(), "event records skipped", words)])
+            self._publish(
+                [HealthEvent(self._config.rig.name, "events", wall_ns(), "event records skipped", words)]
+            )
         return False
 
     def _end(self, state: str, message: str) -> None:

@@ -56,7 +56,11 @@ class Shelf:
     def files(self) -> list[Path]:
         """Return the files, oldest first."""
         pattern = re.compile(rf"{re.escape(self.name)}-(\d{{8}})({'|'.join(map(re.escape, self.suffixes))})")
-        found = [path for path in self.folder.iterdir() if pattern.fullmatch(path.name)] if self.folder.is_dir() else []
+        found = (
+            [path for path in self.folder.iterdir() if pattern.fullmatch(path.name)]
+            if self.folder.is_dir()
+            else []
+        )
         return sorted(found, key=lambda path: path.stem.rsplit("-", 1)[1])
 
     def next(self, suffix: str) -> Path:

@@ -51,7 +51,8 @@ class Recorder:
         suffix: of the text that the driver hears, where it has one; None for its samples.
         limits: see Limits.
         most: deliveries that wait for the disk at most.
-        tell: told, in the recorder's thread, when recording begins to fail and when it goes on: cause and words.
+        tell: told, in the recorder's thread, when recording begins to fail and when it goes on: cause and
+            words.
     """
 
     def __init__(
@@ -110,7 +111,9 @@ class Recorder:
         while not over:
             with self._condition:
                 # one write and sync a period: a flash wears by the number of them
-                self._condition.wait_for(lambda: self._stopping or len(self._queue) >= self._most // 2, PERIOD_S)
+                self._condition.wait_for(
+                    lambda: self._stopping or len(self._queue) >= self._most // 2, PERIOD_S
+                )
                 waiting = list(self._queue)
                 over = self._stopping
                 self._queue.clear()
@@ -206,7 +209,9 @@ class Recorder:
             return
         why = self._failing or "the disk was too slow"
         self._failing, self._reported_dropped = None, self.dropped
-        self._report("recording resumed", f"{self._header.source}: recorded again; {lost} samples were not ({why})")
+        self._report(
+            "recording resumed", f"{self._header.source}: recorded again; {lost} samples were not ({why})"
+        )
 
 
 def shelf(folder: Path, header: RawHeader, suffix: str | None, limits: Limits) -> Shelf:

@@ -55,7 +55,9 @@ def event_writer(config: RigConfig, db: Path, publish: Publish) -> EventWriter:
 def _rows(db: Path, rig: str) -> list[EventRecord]:
     """Return the index's rows of a rig; none where the file cannot be read now."""
     try:
-        return [EventRecord(**{name: row[name] for name in _COLUMNS}) for row in queries.event_records(db, rig)]
+        return [
+            EventRecord(**{name: row[name] for name in _COLUMNS}) for row in queries.event_records(db, rig)
+        ]
     except AgentError as error:
         log.info("%s: the event records of earlier runs are not known: %s", rig, error)
         return []

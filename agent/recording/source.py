@@ -138,7 +138,9 @@ def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
     missing = [source.name for source in rig.source if source.name not in files]
     if missing:
         advice = "give the recordings of every source"
-        raise RecordingError.at("", f"{paths[0]}: the source {', '.join(missing)} is not in the recordings", advice)
+        raise RecordingError.at(
+            "", f"{paths[0]}: the source {', '.join(missing)} is not in the recordings", advice
+        )
     there = [source for source in sources if source.name in files]
     return {source.name: _driver(rig, source, files[source.name], source.fields) for source in there}
 
@@ -152,7 +154,9 @@ def own_recording(rig: RigConfig, path: Path) -> Driver:
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     missing = [name for name in channels if name not in source.map]
     if missing:
-        raise RecordingError.at("", f"{path}: {source.name} does not carry {', '.join(missing)}", "replay all sources")
+        raise RecordingError.at(
+            "", f"{path}: {source.name} does not carry {', '.join(missing)}", "replay all sources"
+        )
     return _driver(rig, source, [path.absolute()], tuple(source.map[name] for name in channels))
 
 
@@ -179,6 +183,8 @@ def _driver(rig: RigConfig, source: Source, paths: Sequence[Path], fields: tuple
     if all(path.suffix == blocks.SUFFIX for path in paths):
         return RawDriver(request)
     if any(path.suffix == blocks.SUFFIX for path in paths):
-        raise RecordingError.at("", f"{paths[0]}: recordings of {source.name} have two forms", "replay each by itself")
+        raise RecordingError.at(
+            "", f"{paths[0]}: recordings of {source.name} have two forms", "replay each by itself"
+        )
     own = SourceRequest(source.name, source.settings, fields, source.counter, rig.folder)
     return CaptureDriver(request, driver_class(source.driver)(own))

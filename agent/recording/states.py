@@ -1,8 +1,8 @@
 """What a rig knew before the samples of an event record, so that its verdicts can be computed again to the same digits.
 
-The state is a pickle of the pipeline and of the rounds in which its samples were computed. It is read by names: of
-classes and functions of the packages that only compute, of numpy's arrays and of a few of Python's own; all else is
-refused, so that a file from elsewhere runs nothing.
+The state is a pickle of the pipeline and of the rounds in which its samples were computed. It is read by
+names: of classes and functions of the packages that only compute, of numpy's arrays and of a few of Python's
+own; all else is refused, so that a file from elsewhere runs nothing.
 """
 
 import io
@@ -21,13 +21,16 @@ from agent.recording.event_files import Labels, Taken
 MOST_BYTES: Final = 16 << 20
 """A pipeline that takes more is not kept: it would cost more to remember than to explain is worth."""
 _PACKAGES: Final = (
-    "agent.numerics.", "agent.blocks.", "agent.config.", "agent.types", "agent.alarms.", "agent.runtime.pipeline",
+    "agent.numerics.", "agent.blocks.", "agent.config.", "agent.types", "agent.alarms.",
+    "agent.runtime.pipeline",
     "agent.runtime.ledger", "agent.runtime.assembly.", "agent.recording.event_files", "drivers.",
 )  # fmt: skip
 _OTHERS: Final = frozenset({
-    ("collections", "Counter"), ("collections", "deque"), ("collections", "OrderedDict"), ("functools", "partial"),
+    ("collections", "Counter"), ("collections", "deque"), ("collections", "OrderedDict"),
+    ("functools", "partial"),
     ("collections", "defaultdict"), ("builtins", "set"), ("builtins", "frozenset"), ("builtins", "complex"),
-    ("builtins", "slice"), ("builtins", "range"), ("builtins", "bytearray"), ("builtins", "list"), ("builtins", "dict"),
+    ("builtins", "slice"), ("builtins", "range"), ("builtins", "bytearray"), ("builtins", "list"),
+    ("builtins", "dict"),
     ("numpy", "dtype"), ("numpy", "ndarray"), ("numpy._core.multiarray", "_reconstruct"),
     ("numpy._core.multiarray", "scalar"), ("numpy._core.numeric", "_frombuffer"), ("pathlib", "PosixPath"),
     ("pathlib", "Path"), ("pathlib._local", "PosixPath"), ("numpy.random._pickle", "__generator_ctor"),

@@ -1,7 +1,8 @@
 """A fault in the numerics of one rig is that rig's: it is reported, counted and survived, and no other rig notices.
 
-The numerics of the rig (quality, estimation) start anew; numbers, clocks and alarms go on. Samples on their way when it
-happened are counted as `failure`, as are those of the pause after it, which grows while the fault comes back.
+The numerics of the rig (quality, estimation) start anew; numbers, clocks and alarms go on. Samples on their
+way when it happened are counted as `failure`, as are those of the pause after it, which grows while the fault
+comes back.
 """
 
 import logging
@@ -14,7 +15,16 @@ from agent.blocks.acquisition.interface import Label
 from agent.blocks.estimation import ESTIMATION, FAILURE
 from agent.runtime.limits import PAUSE_NS
 from agent.runtime.pipeline import Pipeline
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, IntArray, Reason, Record, Status
+from agent.types import (
+    AlarmTransition,
+    EstimateBatch,
+    FloatArray,
+    HealthEvent,
+    IntArray,
+    Reason,
+    Record,
+    Status,
+)
 from drivers.port import SampleBlock
 
 T = TypeVar("T")
@@ -102,7 +112,8 @@ class IsolatedPipeline:
 
     def _alarm(self, message: str, *, lost: bool) -> AlarmTransition:
         return AlarmTransition(
-            rig=self._rig, kind="source", parameter=ESTIMATION, priority="high", t_ns=self._pipeline.newest_ns,
+            rig=self._rig, kind="source", parameter=ESTIMATION, priority="high",
+            t_ns=self._pipeline.newest_ns,
             from_state="NORM" if lost else "UNACK", to_state="UNACK" if lost else "RTNUN",
             cause="raise" if lost else "clear", message=message,
         )  # fmt: skip

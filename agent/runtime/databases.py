@@ -47,7 +47,12 @@ class Writer(Protocol):
         """Take records; never blocks."""
 
     def exchange(
-        self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention, commit_s: float
+        self,
+        leaving: Collection[str],
+        entering: Sequence[RunInfo],
+        every_s: float,
+        keep: Retention,
+        commit_s: float,
     ) -> None:
         """End the runs of some rigs and begin others. Raises StoreError."""
 
@@ -64,7 +69,8 @@ def path_of(config: RigConfig, db: Path | None) -> Path:
 
 
 def writers_of(
-    configs: Sequence[RigConfig], db: Path | None, kind: RunKind, handlers: Mapping[str, Handler] | None = None,
+    configs: Sequence[RigConfig], db: Path | None, kind: RunKind,
+    handlers: Mapping[str, Handler] | None = None,
     route: Route = nobody,
 ) -> dict[Path, StoreWriter]:  # fmt: skip
     """Return one writer a database, by its file.
@@ -86,19 +92,28 @@ def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
     offset = now - monotonic_ns()
     return [
         RunInfo(
-            c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset, c.rig.site, c.rig.labels,
+            c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset, c.rig.site,
+            c.rig.labels,
             graph_of(c),
         ) for c in configs
     ]  # fmt: skip
 
 
 def writer_of(
-    path: Path, runs: Sequence[RunInfo], members: Sequence[RigConfig], handlers: Mapping[str, Handler], route: Route
+    path: Path,
+    runs: Sequence[RunInfo],
+    members: Sequence[RigConfig],
+    handlers: Mapping[str, Handler],
+    route: Route,
 ) -> StoreWriter:
     """Return the writer of one database, for runs of some of the configurations that share it."""
     every_s, keep, commit_s = density_of(members)
     return StoreWriter(
-        lambda: Store.open(path, keep=keep, route=route), runs, every_s=every_s, period_s=commit_s, served=handlers
+        lambda: Store.open(path, keep=keep, route=route),
+        runs,
+        every_s=every_s,
+        period_s=commit_s,
+        served=handlers,
     )
 
 
@@ -109,5 +124,7 @@ def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention, float]:
 
 def _retention(members: Sequence[RigConfig]) -> Retention:
     """How long rows of a shared file are kept: as long as the most patient of its configurations asks."""
-    full, minute, hour = (max(getattr(c.store.keep, tier) for c in members) for tier in ("full", "minute", "hour"))
+    full, minute, hour = (
+        max(getattr(c.store.keep, tier) for c in members) for tier in ("full", "minute", "hour")
+    )
     return Retention(full, minute, hour, max(c.store.max_mb for c in members) * 1e6)

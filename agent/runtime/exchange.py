@@ -114,7 +114,8 @@ def exchange(rigs: RigSet, prepared: Prepared, within: Within) -> None:
 
     within: does something, or breaks it off when the agent must end.
 
-    Raises RuntimeError where a database refuses at this very moment: an agent started anew begins with the new files.
+    Raises RuntimeError where a database refuses at this very moment: an agent started anew begins with the
+    new files.
     """
     wanted, parts = prepared.plan, prepared.parts
     _leave(rigs, wanted.leaving, within)
@@ -181,7 +182,11 @@ def _tell(rigs: RigSet, wanted: Plan) -> None:
     for config in wanted.entering:
         name = config.rig.name
         begun = "begins anew" if name in wanted.leaving else "begins"
-        why = "; its file did not change, but it shares a source with one whose did" if name in wanted.together else ""
+        why = (
+            "; its file did not change, but it shares a source with one whose did"
+            if name in wanted.together
+            else ""
+        )
         tell(rigs, [name], "reloaded", f"the configuration was reloaded: {name} {begun}{why}")
 
 

@@ -1,6 +1,7 @@
 """Ledger of a rig's samples: received = used + rejected by reason + dropped by reason, for every source, at any time.
 
-Driver, acquisition, quality and estimation each give their own count; they are added up here and nowhere else.
+Driver, acquisition, quality and estimation each give their own count; they are added up here and nowhere
+else.
 """
 
 from collections import Counter
@@ -58,7 +59,9 @@ class Ledger:
         """Return a source's samples that were refused by its driver, or after it, by reason."""
         return driver.rejected + self.acquisition.sources[source].refusals() + self.ends(source)[1]
 
-    def health(self, conservation: Mapping[str, Conservation], t_ns: int, lag_s: float | None) -> list[Health]:
+    def health(
+        self, conservation: Mapping[str, Conservation], t_ns: int, lag_s: float | None
+    ) -> list[Health]:
         """Return the ledger of every source.
 
         Samples that were taken and not computed yet are in no count but the driver's.

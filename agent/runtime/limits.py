@@ -1,7 +1,7 @@
 """Tuned numbers of the running agent: name, value, unit in the name or in the words, where from, and what needs it.
 
-The tests that need these are tests/scenario (rounds, order of rounds, isolation, ends) and tests/replay (recordings
-that are of no use).
+The tests that need these are tests/scenario (rounds, order of rounds, isolation, ends) and tests/replay
+(recordings that are of no use).
 """
 
 # ------------------------------------------------------------------ rounds of the service

@@ -96,7 +96,9 @@ class Lateness:
             return []
         self.standing = not self.standing
         state = (
-            f"computing is {late_ns / 1e9:.1f} s behind its samples" if self.standing else "computing keeps up again"
+            f"computing is {late_ns / 1e9:.1f} s behind its samples"
+            if self.standing
+            else "computing keeps up again"
         )
         words = f"{self._rig}: {state}"
         cause = BEHIND if self.standing else "recovered"

@@ -2,8 +2,8 @@
 
     SampleBlock -> acquisition (DA) -> quality (DM) -> estimation (SD) -> alarms (HA, AG) -> records
 
-Each stage's step takes what the one before it returned. No clock is read and nothing is input or output; labels and
-counts are handed in.
+Each stage's step takes what the one before it returned. No clock is read and nothing is input or output;
+labels and counts are handed in.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -63,7 +63,8 @@ class Pipeline:
 
     Args:
         config: the rig's configuration.
-        resolution: (channels,) smallest step of the wire for each channel, in the reading's unit; inputs first.
+        resolution: (channels,) smallest step of the wire for each channel, in the reading's unit; inputs
+            first.
         sources: names of its sources with their channel -> field maps; one called "recording" for a replay.
 
     Attributes:
@@ -127,7 +128,8 @@ class Pipeline:
     def take(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
         """Number, convert and label a block of one source; `compute` makes of it and of others what it leads to.
 
-        label: time stamps of sample indices; None takes the block's own stamps (a recording's), or index / rate.
+        label: time stamps of sample indices; None takes the block's own stamps (a recording's), or index /
+        rate.
         """
         self._keep(self.acquisition.step(source, block, modulus, label))
         if label is not None and len(block):
@@ -140,7 +142,8 @@ class Pipeline:
     def compute(self) -> list[Record]:
         """Return what all blocks taken since the last call lead to, in order of time.
 
-        The rows are the same however many blocks that were. Their cost is mostly by the call: many are cheaper at once.
+        The rows are the same however many blocks that were. Their cost is mostly by the call: many are
+        cheaper at once.
         """
         taken, events = self._taken, self._source_events
         self._taken, self._source_events = [], []
@@ -189,7 +192,9 @@ class Pipeline:
             piece = aligned.index, t_ns, np.hstack([aligned.u, aligned.y])
             self._taken.append(Taken(aligned.anew, aligned.realigning, piece))
         rig, t_ns_now = self.config.rig.name, self.newest_ns
-        self._source_events += [HealthEvent(rig, e.source, t_ns_now, e.cause, e.message) for e in acquired.events]
+        self._source_events += [
+            HealthEvent(rig, e.source, t_ns_now, e.cause, e.message) for e in acquired.events
+        ]
 
     def _estimated(self, labelled: Labelled) -> list[Record]:
         """Return the estimates of samples, and the alarms that they and their channels raise."""
@@ -221,7 +226,10 @@ class Pipeline:
     def _failures(self, estimated: Estimated) -> list[Record]:
         """Return an event for each numerical failure of the method."""
         rig, words = self.config.rig.name, "the estimation failed and starts anew: {}".format
-        return [HealthEvent(rig, ESTIMATION, estimated.newest_ns, FAILURE, words(w)) for _, w in estimated.failures]
+        return [
+            HealthEvent(rig, ESTIMATION, estimated.newest_ns, FAILURE, words(w))
+            for _, w in estimated.failures
+        ]
 
     def _conditions(self, estimated: Estimated) -> list[Record]:
         """Return what the paper's conditions say of windows, of each length as often as estimates are kept."""

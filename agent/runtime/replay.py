@@ -139,7 +139,9 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
         return [_track(rig, path) for path in recordings]
     if len(own) < len(recordings):
         other = next(path for path in recordings if not is_own(path))
-        raise RecordingError.at(str(other), f"is no recording of the agent like {own[0]}", "replay each by itself")
+        raise RecordingError.at(
+            str(other), f"is no recording of the agent like {own[0]}", "replay each by itself"
+        )
     sources = {source.name: source for source in (*rig.source, *rig.covariate_source)}
     return [_divided(name, _open(driver), sources[name]) for name, driver in own_recordings(rig, own).items()]
 
@@ -147,7 +149,9 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
 def _divided(name: str, driver: Driver, source: Source) -> Track:
     """Return the recording of a source, whose columns are its signals, then its covariates."""
     own = len(source.map)
-    return Track(name, driver, tuple(range(own)), {c: own + place for place, c in enumerate(source.covariates)})
+    return Track(
+        name, driver, tuple(range(own)), {c: own + place for place, c in enumerate(source.covariates)}
+    )
 
 
 def _track(rig: RigConfig, path: Path) -> Track:
@@ -168,7 +172,9 @@ def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
     """
     steps = []
     for source in rig.source:
-        request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, rig.folder)
+        request = SourceRequest(
+            source.name, source.settings, tuple(source.map.values()), source.counter, rig.folder
+        )
         try:
             steps.append(driver_class(source.driver)(request).resolution())
         except DriverConfigError as error:
@@ -196,7 +202,9 @@ def _seen_steps(rig: RigConfig, recording: Driver) -> tuple[float, ...]:
 def opened(rig: RigConfig, path: Path) -> Driver:
     """Return the driver of a recording, open. Raises RecordingError."""
     _must_be_a_file(path)
-    kind = own_recording if is_own(path) else dict.fromkeys(CAN_LOGS, _can_log).get(path.suffix.lower(), _table)
+    kind = (
+        own_recording if is_own(path) else dict.fromkeys(CAN_LOGS, _can_log).get(path.suffix.lower(), _table)
+    )
     return _open(kind(rig, path))
 
 
@@ -230,7 +238,9 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     missing = [name for name in channels if name not in source.map]
     if missing:
-        raise RecordingError.at(str(path), f"the CAN source does not carry {', '.join(missing)}", "map every channel")
+        raise RecordingError.at(
+            str(path), f"the CAN source does not carry {', '.join(missing)}", "map every channel"
+        )
     keys = recording.settings_model.model_fields.keys() & source.settings.model_fields_set
     layout = {key: getattr(source.settings, key) for key in keys}
     settings = recording.settings_model(path=path.absolute(), **layout)  # type: ignore[call-arg]
@@ -254,7 +264,8 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     if db is None:
         return None
     run = RunInfo(
-        rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, boot_id=boot_id(), learnt_key=learnt_key(rig),
+        rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, boot_id=boot_id(),
+        learnt_key=learnt_key(rig),
         site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
     )  # fmt: skip
     writer = StoreWriter(lambda: Store.open(db), [run], lossless=True)
@@ -262,7 +273,9 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
     return writer
 
 
-def _whole_counts(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> tuple[Counts, Counter[str]]:
+def _whole_counts(
+    pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence
+) -> tuple[Counts, Counter[str]]:
     """Return what all drivers counted and what acquisition refused; the drivers' remarks go to the evidence."""
     total = Counts()
     refused = Counter[str]()
@@ -291,7 +304,9 @@ def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) ->
         signals = _signals(pipeline, track, block, played)
         if signals is None:
             continue
-        records = pipeline.step(track.source, signals, track.driver.counter_modulus, label if received else None)
+        records = pipeline.step(
+            track.source, signals, track.driver.counter_modulus, label if received else None
+        )
         yield [*_settings(pipeline.config.rig.name, labels), *records]
         if due is None or not due - HEALTH_PERIOD_NS <= pipeline.newest_ns < due:
             due = pipeline.newest_ns + HEALTH_PERIOD_NS
@@ -300,7 +315,9 @@ def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) ->
     yield _ledger(pipeline, tracks)
 
 
-def _signals(pipeline: Pipeline, track: Track, block: SampleBlock, played: Counter[str]) -> SampleBlock | None:
+def _signals(
+    pipeline: Pipeline, track: Track, block: SampleBlock, played: Counter[str]
+) -> SampleBlock | None:
     """Return the signals of a block, whose covariates are taken; None where it has nothing else."""
     if not track.covariates:
         return block

@@ -78,16 +78,20 @@ class RunSummary:
     def _newest(self, change: AlarmTransition) -> dict[str, Any] | None:
         """Return the newest activation of the alarm that a step is of; None where the run has seen none."""
         key = (change.kind, change.parameter)
-        return next((alarm for alarm in reversed(self._alarms) if (alarm["kind"], alarm["parameter"]) == key), None)
+        return next(
+            (alarm for alarm in reversed(self._alarms) if (alarm["kind"], alarm["parameter"]) == key), None
+        )
 
     def _activation(self, change: AlarmTransition) -> dict[str, Any]:
         return {
             "rig": change.rig, "run_id": self.run_id, "kind": change.kind, "parameter": change.parameter,
             "priority": change.priority, "state": change.to_state, "raised_at": iso_time(change.t_ns),
-            "raised_ns": change.t_ns, "cleared_at": None, "acked_at": None, "acked_by": None, "shelved_until": None,
+            "raised_ns": change.t_ns, "cleared_at": None, "acked_at": None, "acked_by": None,
+            "shelved_until": None,
             "delta": change.delta, "sd": change.sd, "limit_value": change.limit_value,
             "probability": change.probability, "message": change.message, "advice": change.advice,
-            "percent": change.percent, "site": self.config.rig.site, "labels": dict(self.config.rig.labels) or None,
+            "percent": change.percent, "site": self.config.rig.site,
+            "labels": dict(self.config.rig.labels) or None,
         }  # fmt: skip
 
     @property
@@ -102,7 +106,8 @@ class RunSummary:
         return {
             "rig": self.config.rig.name, "db": self.db, "run_id": self.run_id, "samples": samples,
             "faults": self.faults(), "span_s": span,
-            "windows": self.windows, "estimates": self.estimates(), "alarms": self._alarms, "advice": self._advice,
+            "windows": self.windows, "estimates": self.estimates(), "alarms": self._alarms,
+            "advice": self._advice,
             "seconds": seconds,
             "samples_per_s": samples["received"] / seconds if seconds > 0 else None,
         }  # fmt: skip

@@ -26,7 +26,16 @@ from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
 from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
-from agent.types import AlarmTransition, Baseline, ClockRecord, CovariateMean, HealthEvent, IntArray, Learnt, Record
+from agent.types import (
+    AlarmTransition,
+    Baseline,
+    ClockRecord,
+    CovariateMean,
+    HealthEvent,
+    IntArray,
+    Learnt,
+    Record,
+)
 from drivers.reconnect import LinkEvent
 
 WORKER = "worker"
@@ -71,7 +80,10 @@ class RigRuntime:
         self._commanded: deque[AlarmTransition] = deque()
 
     def restore(
-        self, standing: Sequence[AlarmRow], learnt: Learnt | None = None, covariates: Sequence[CovariateMean] = ()
+        self,
+        standing: Sequence[AlarmRow],
+        learnt: Learnt | None = None,
+        covariates: Sequence[CovariateMean] = (),
     ) -> None:
         """Go on with the alarms that the run before left standing, and with what it knew of rig and covariates."""
         self.pipeline.adopt(learnt, covariates)
@@ -97,7 +109,9 @@ class RigRuntime:
         for words in self.pipeline.count_from(baselines):
             message = f"{words}; it is not used: learn it anew"
             log.warning("%s: %s", self.config.rig.name, message)
-            self._emit([HealthEvent(self.config.rig.name, "baseline", self._wall(), "baseline unused", message)])
+            self._emit(
+                [HealthEvent(self.config.rig.name, "baseline", self._wall(), "baseline unused", message)]
+            )
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -144,7 +158,9 @@ class RigRuntime:
         seen_s = arrival.block.arrival_ns / 1e9
         if self._lost.pop(WORKER, False):
             words = f"{self.config.rig.name}: samples are computed again"
-            self._emit([self._source_alarm(WORKER, LinkEvent("recovered", words, seen_s), self._wall(), lost=False)])
+            self._emit(
+                [self._source_alarm(WORKER, LinkEvent("recovered", words, seen_s), self._wall(), lost=False)]
+            )
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
         offset = arrival.block.wall_offset_ns
@@ -248,13 +264,17 @@ class RigRuntime:
     def _note_steps(self) -> None:
         """Publish what time stamps mean from now on, before the rows that carry them, and each step of the clock."""
         rig = self.config.rig.name
-        found: list[Record] = [ClockRecord(rig, a.label_ns, a.first, a.offset_ns) for a in self._labels.anchors]
+        found: list[Record] = [
+            ClockRecord(rig, a.label_ns, a.first, a.offset_ns) for a in self._labels.anchors
+        ]
         self.clock_steps += len(self._labels.steps)
         for label, step in self._labels.steps:
             words = f"the wall clock was stepped by {step / 1e9:+.3f} s; time stamps start a new anchor"
             log.warning("%s", f"{words}; rows from before are kept as long as if it had not been")
             found.append(HealthEvent(rig, "clock", label, "clock step", words))
-        if found:  # event records have nothing to see in them, and would forget what the rows to come refer to
+        if (
+            found
+        ):  # event records have nothing to see in them, and would forget what the rows to come refer to
             self._publish(found)
         self._labels.steps.clear()
         self._labels.anchors.clear()
@@ -286,7 +306,8 @@ class RigRuntime:
     def ledger(self, connections: Sequence[Connection]) -> None:
         """Publish the conservation ledger of every source, as of the newest sample.
 
-        Before there is one its instant is that of the first ledger, so standstill is one row however long it lasts.
+        Before there is one its instant is that of the first ledger, so standstill is one row however long it
+        lasts.
         """
         conservation = {
             use.source: Conservation(*self.waiting.counts(use, connection))

@@ -23,7 +23,9 @@ from agent.storage.write.command_socket import Handler
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition
 
-MakeWriters = Callable[[Sequence[RigConfig], Path | None, RunKind, Mapping[str, Handler], Route], Mapping[Path, Writer]]
+MakeWriters = Callable[
+    [Sequence[RigConfig], Path | None, RunKind, Mapping[str, Handler], Route], Mapping[Path, Writer]
+]
 """Makes one writer a database, of configurations, the common file if any, the kind of run, handlers and route."""
 
 
@@ -126,7 +128,9 @@ class RigSet:
     @property
     def stores(self) -> Mapping[Path, StoreWriter]:
         """What writes to databases in this process."""
-        return {path: writer for path, writer in dict(self.writers).items() if isinstance(writer, StoreWriter)}
+        return {
+            path: writer for path, writer in dict(self.writers).items() if isinstance(writer, StoreWriter)
+        }
 
     def _placed(self) -> Mapping[Path, Sequence[RigConfig]]:
         """The configurations of each database."""
@@ -142,7 +146,9 @@ class RigSet:
         What comes for those stays in the queues of its connections, which are bounded.
         """
         behind = {name for name, rig in self.rigs.items() if rig.waiting}
-        free = [connection for connection in self.connections if not behind & {use.rig for use in connection.uses}]
+        free = [
+            connection for connection in self.connections if not behind & {use.rig for use in connection.uses}
+        ]
         taken = [(connection, *connection.take()) for connection in free]
         arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
         for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
@@ -150,7 +156,9 @@ class RigSet:
                 own = arrival if use.base is None else arrival._replace(counts=use.counts(arrival.counts))
                 self.rigs[use.rig].waiting.add(use, own)
         # samples first: those that came before a loss must not end it
-        noted = [(use, event) for connection, _, events in taken for use in connection.uses for event in events]
+        noted = [
+            (use, event) for connection, _, events in taken for use in connection.uses for event in events
+        ]
         for use, event in noted:
             self.rigs[use.rig].waiting.add(use, event)
 
@@ -168,7 +176,9 @@ class RigSet:
                 config = wanted.get((use.rig, use.source))
                 if config is not None:
                     path = path_of(config, self.db)
-                    connection.make_recorder = partial(recorder, config, path, use.source, writers[path].publish)
+                    connection.make_recorder = partial(
+                        recorder, config, path, use.source, writers[path].publish
+                    )
 
     def _keep_events(self, parts: Parts, writers: Mapping[Path, Writer]) -> dict[str, EventWriter]:
         """See that raw samples around alarms are kept, unless the configuration says that none are."""

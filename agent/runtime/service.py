@@ -153,7 +153,8 @@ class Service:
     def run(self, duration_s: float | None) -> None:
         """Read, compute and store until stopped or duration_s has passed.
 
-        Raises StoreError where a database can never be opened, RuntimeError where a writer ended by a fault of its own.
+        Raises StoreError where a database can never be opened, RuntimeError where a writer ended by a fault
+        of its own.
         """
         started = monotonic_ns()
 
@@ -237,7 +238,9 @@ class Service:
         return prepared.plan.document([name for name in self.rigs if name not in entered])
 
     def _refused(self, error: Exception) -> dict[str, Any]:
-        faults = getattr(error, "faults", None) or [Fault("reload", str(error) or "it took too long", "see the log")]
+        faults = getattr(error, "faults", None) or [
+            Fault("reload", str(error) or "it took too long", "see the log")
+        ]
         words = "; ".join(str(fault) for fault in faults)
         said = f"the changed configuration is refused, the old one stays: {words}"
         tell(self.rig_set, list(self.rig_set.configs), "refused", said)
@@ -254,7 +257,9 @@ class Service:
     def _refuse_asked(self) -> None:
         while not self._asked.empty():
             _, answer = self._asked.get()
-            answer.set_exception(AgentError.at("reload", "the agent is ending", "it reads its files when it starts"))
+            answer.set_exception(
+                AgentError.at("reload", "the agent is ending", "it reads its files when it starts")
+            )
 
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Compute what has arrived, of each rig a part at once, until it `ended`."""

@@ -240,7 +240,9 @@ def _since(counts: Counts, base: Counts) -> Counts:
     )  # fmt: skip
 
 
-def connect(configs: Sequence[RigConfig], wake: threading.Event, there: Collection[str] = ()) -> list[Connection]:
+def connect(
+    configs: Sequence[RigConfig], wake: threading.Event, there: Collection[str] = ()
+) -> list[Connection]:
     """Make one connection for each set of identical source keys over all rigs; nothing is opened yet.
 
     there: keys of connections that exist already.
@@ -256,14 +258,18 @@ def _connection(members: Sequence[tuple[RigConfig, Source]], wake: threading.Eve
     config, first = members[0]
     fields = tuple(dict.fromkeys(name for _, source in members for name in source.fields))
     counter = next((source.counter for _, source in members if source.counter is not None), None)
-    driver = driver_class(first.driver)(SourceRequest(first.name, first.settings, fields, counter, config.folder))
+    driver = driver_class(first.driver)(
+        SourceRequest(first.name, first.settings, fields, counter, config.folder)
+    )
     uses = [_use(rig.rig.name, source, fields) for rig, source in members]
     return Connection(driver, uses, min(source.stale_s for _, source in members), wake, key)
 
 
 def _use(rig: str, source: Source, fields: tuple[str, ...]) -> Use:
     columns = tuple(fields.index(name) for name in source.map.values())
-    return Use(rig, source.name, columns, {name: fields.index(text) for name, text in source.covariates.items()})
+    return Use(
+        rig, source.name, columns, {name: fields.index(text) for name, text in source.covariates.items()}
+    )
 
 
 def wire_steps(config: RigConfig) -> Mapping[str, float]:
@@ -277,7 +283,9 @@ def wire_steps(config: RigConfig) -> Mapping[str, float]:
 
 def source_hints(config: RigConfig) -> list[tuple[int, str]]:
     """Return what the drivers say of settings that work but may disappoint: the source's number, and words."""
-    return [(n, hint) for n, source in enumerate(config.source) for hint in _own_driver(config, source).hints()]
+    return [
+        (n, hint) for n, source in enumerate(config.source) for hint in _own_driver(config, source).hints()
+    ]
 
 
 def unordered_sources(config: RigConfig) -> list[int]:
@@ -294,5 +302,7 @@ def unordered_sources(config: RigConfig) -> list[int]:
 
 def _own_driver(config: RigConfig, source: Source) -> Driver:
     """Return a driver for one source alone, not opened."""
-    request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
+    request = SourceRequest(
+        source.name, source.settings, tuple(source.map.values()), source.counter, config.folder
+    )
     return driver_class(source.driver)(request)

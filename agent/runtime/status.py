@@ -1,6 +1,7 @@
 """The agent as it is now: the document of `deltak status` (CONTRACT section 8), and what metrics are made of.
 
-Any thread may ask while the processing thread works, and even where that one hangs: nothing here waits for it.
+Any thread may ask while the processing thread works, and even where that one hangs: nothing here waits for
+it.
 """
 
 import shutil
@@ -56,7 +57,9 @@ class Status:
         return {
             "version": __version__,
             "uptime_s": (monotonic_ns() - self._started_ns) / 1e9,
-            "rigs": [_with_alarms(rig, standing.get(rig["rig"], {})) for rig in [*self.rigs(), *self.elsewhere()]],
+            "rigs": [
+                _with_alarms(rig, standing.get(rig["rig"], {})) for rig in [*self.rigs(), *self.elsewhere()]
+            ],
             "stores": [_store(path, writer) for path, writer in self._rigs.stores.items()],
             "north": self._rigs.forwarding.documents(),
             "threads": self._threads(),
@@ -80,7 +83,8 @@ class Status:
     def _rig(self, rig: RigRuntime) -> Document:
         ledgers = rig.summary.ledgers()
         return {
-            "rig": rig.config.rig.name, "run_id": rig.summary.run_id, "db": rig.summary.db, "lag_s": rig.lag_s(),
+            "rig": rig.config.rig.name, "run_id": rig.summary.run_id, "db": rig.summary.db,
+            "lag_s": rig.lag_s(),
             "sources": [self._source(rig, source, ledgers.get(source)) for source in rig.sources],
             "estimates": {p: {k: row[k] for k in ("value", "sd", "unit", "status", "reason", "t_ns")}
                           for p, row in rig.summary.estimates().items()},
@@ -99,7 +103,9 @@ class Status:
     def _state(self, rig: RigRuntime, source: str) -> str:
         """Return "ok", "lost" (tried again), or "ended" (a fault that no trying mends)."""
         own = (rig.config.rig.name, source)
-        read = [c for c in list(self._rigs.connections) if any((use.rig, use.source) == own for use in c.uses)]
+        read = [
+            c for c in list(self._rigs.connections) if any((use.rig, use.source) == own for use in c.uses)
+        ]
         if any(connection.progress and not connection.is_alive() for connection in read):
             return "ended"
         return "lost" if rig.is_lost(source) else "ok"

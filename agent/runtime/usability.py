@@ -39,7 +39,9 @@ class Evidence:
     def see(self, records: Iterable[Record]) -> None:
         """Note what the recording leads to."""
         batches = (record for record in records if isinstance(record, EstimateBatch))
-        self.estimates = self.estimates or any(bool((batch.status != Status.WARMING).any()) for batch in batches)
+        self.estimates = self.estimates or any(
+            bool((batch.status != Status.WARMING).any()) for batch in batches
+        )
 
     def watch(self, block: SampleBlock) -> None:
         """Note the time stamps of a block, as they stand in the recording."""
@@ -53,7 +55,9 @@ class Evidence:
         unread = rejected["time"] + rejected["missing value"] > MOST_REFUSED * received
         found = list(_texts(self.notes)) if unread else []
         if rejected["backwards"] > MOST_REFUSED * received:
-            found.append(("its times run backwards from row to row", "sort the rows by time, the oldest first"))
+            found.append(
+                ("its times run backwards from row to row", "sort the rows by time, the oldest first")
+            )
         elif not unread:
             found += self._pace()
         return [Fault(name, what, advice) for what, advice in found]
@@ -86,7 +90,10 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
     if text is None:
         return
     if _COMMA.fullmatch(text):
-        yield f'its numbers have decimal commas ("{text}")', "write them with points: sed 's/,/./g' OLD.csv > NEW.csv"
+        yield (
+            f'its numbers have decimal commas ("{text}")',
+            "write them with points: sed 's/,/./g' OLD.csv > NEW.csv",
+        )
         return
     try:
         late = abs(float(text)) > LATEST_S
@@ -98,7 +105,9 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
         yield f'most of its rows cannot be read: "{text}" is no number', "see that columns and delimiter fit"
 
 
-def assess(config: RigConfig, name: str, evidence: Evidence, counts: Counts, refused: Counter[str]) -> list[Fault]:
+def assess(
+    config: RigConfig, name: str, evidence: Evidence, counts: Counts, refused: Counter[str]
+) -> list[Fault]:
     """Return what to tell the user of a recording that was read; raise RecordingError where nothing of it is of use.
 
     counts: of its drivers. refused: samples that acquisition refused, by reason.

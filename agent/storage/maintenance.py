@@ -160,7 +160,8 @@ def compact(path: Path | str) -> tuple[int, int]:
 def store_baselines(path: Path | str, baselines: Sequence[Baseline]) -> list[int]:
     """Store baselines in a file, made if missing; returns their numbers once they are committed.
 
-    An agent that writes to it is asked to, and counts from them at once. Raises StoreError as `Store.open` does.
+    An agent that writes to it is asked to, and counts from them at once. Raises StoreError as `Store.open`
+    does.
     """
     path = Path(path)
     fields = [asdict(one) for one in baselines]
@@ -204,7 +205,9 @@ def backup(path: Path | str, target: Path | str) -> int:
             source.backup(copy)
             found = problems(copy)
             if found:
-                raise StoreError.at(str(path), f"the database is damaged ({found[0]})", "run `deltak db repair`")
+                raise StoreError.at(
+                    str(path), f"the database is damaged ({found[0]})", "run `deltak db repair`"
+                )
         part.rename(target)
         sync_folder(target.parent)
     finally:
@@ -228,7 +231,9 @@ def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[st
     if what not in _EXPORTED:
         raise UsageError.at("what", f'there is no view "{what}"', f"views are {', '.join(_EXPORTED)}")
     if rig is not None and rig not in queries.rigs(path):
-        raise UsageError.at("--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}")
+        raise UsageError.at(
+            "--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}"
+        )
     own = "alarm_id IN (SELECT id FROM v_alarms WHERE rig = ?)" if what == "alarm_events" else "rig = ?"
     condition, values = (own, (rig,)) if rig is not None else ("1 = 1", ())
     rows = _rows(Path(path), f"v_{what}", condition, values)

@@ -17,7 +17,8 @@ def command_alarms(path: Path | str, request: Request) -> list[dict[str, Any]]:
     """Have alarms take a step; returns what each did once it is committed.
 
     Raises:
-        StoreError: as `Store.open`; no such alarm, or one that refuses: then nothing is changed; no answer in 5 s.
+        StoreError: as `Store.open`; no such alarm, or one that refuses: then nothing is changed; no answer in
+            5 s.
     """
     path = _existing(path)
     request = Request.read(request.document())

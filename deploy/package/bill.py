@@ -22,7 +22,9 @@ def write(environment: Path, project: Path, version: str, to: Path, epoch: int) 
         str(to),
     ]
     command = [tool, "environment", *form, str(environment / "bin/python")]
-    subprocess.run(command, env=os.environ | {"SOURCE_DATE_EPOCH": str(epoch)}, check=True, capture_output=True)
+    subprocess.run(
+        command, env=os.environ | {"SOURCE_DATE_EPOCH": str(epoch)}, check=True, capture_output=True
+    )
     found = json.loads(to.read_text(encoding="utf-8"))
     found["metadata"]["component"]["version"] = version
     to.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")

@@ -63,7 +63,9 @@ def _zip(text: str, target: Path) -> None:
 
 
 def _built(root: Path, templates: Path, version: str, to: Path, epoch: int) -> Path:
-    asked = subprocess.run(["/usr/bin/dpkg", "--print-architecture"], check=True, capture_output=True, text=True)
+    asked = subprocess.run(
+        ["/usr/bin/dpkg", "--print-architecture"], check=True, capture_output=True, text=True
+    )
     architecture = asked.stdout.strip()
     kilobytes = sum(path.lstat().st_size for path in root.rglob("*") if path.is_file()) // 1024
     words = {"@VERSION@": version, "@ARCHITECTURE@": architecture, "@KILOBYTES@": str(kilobytes)}

@@ -24,7 +24,10 @@ _ON_FIRST_CALL = '\nif [ "$funcstack[1]" = _deltak ]; then _deltak_completion "$
 EXITS = (
     ("0", "done, also after SIGTERM and --duration"),
     ("1", "unforeseen; or a scenario of score is not as expected; or an upgrade was taken back"),
-    ("2", "the command line, the configuration, a model that cannot be observed, a recording that cannot be used"),
+    (
+        "2",
+        "the command line, the configuration, a model that cannot be observed, a recording that cannot be used",
+    ),
     ("3", "the database: missing, not deltak's, damaged, newer than this version, locked, not to be written"),
     ("4", "a bus that cannot exist or be opened, in demo and check --probe"),
     ("130", "interrupted"),
@@ -33,7 +36,10 @@ FILES = (
     ("/etc/deltak/conf.d/*.toml", "configurations that deltak.service runs, one a rig"),
     ("/etc/deltak/NAME.toml", "the configuration that deltak@NAME.service runs"),
     ("/var/lib/deltak", "databases, and beside them raw recordings, locks and sockets"),
-    ("/opt/deltak/releases", "versions of the program; the link /opt/deltak/current leads to the one that runs"),
+    (
+        "/opt/deltak/releases",
+        "versions of the program; the link /opt/deltak/current leads to the one that runs",
+    ),
     ("/usr/share/doc/deltak", "the runbook, the table of alarms, the bill of materials"),
 )
 

@@ -1,7 +1,7 @@
 """The environment of a gateway: Debian's interpreter, the locked dependencies, deltak, byte code.
 
-It works at the one path that its version names, /opt/deltak/releases/VERSION, so that several versions can lie side by
-side.
+It works at the one path that its version names, /opt/deltak/releases/VERSION, so that several versions can
+lie side by side.
 """
 
 import os
@@ -38,7 +38,9 @@ def lay(to: Path, wheel: Path, lock: Path, epoch: int) -> None:
     _pip(site, "--require-hashes", "--requirement", str(lock))
     # by its name: of a wheel that is named by its path pip notes that path
     _pip(site, "--no-index", "--find-links", str(wheel.parent), f"deltak=={version_of(wheel)}")
-    shutil.rmtree(site / "bin", ignore_errors=True)  # commands of the dependencies, which work at no other place
+    shutil.rmtree(
+        site / "bin", ignore_errors=True
+    )  # commands of the dependencies, which work at no other place
     (site / "deltak-plugins.pth").write_text(f"{PLUGINS}\n", encoding="ascii")
     place = place_of(version_of(wheel))
     _interpreter(to, place)
@@ -53,7 +55,13 @@ def version_of(wheel: Path) -> str:
 
 
 def _pip(site: Path, *words: str) -> None:
-    fixed = ("--no-compile", "--no-deps", "--only-binary=:all:", "--python-version=3.11", "--implementation=cp")
+    fixed = (
+        "--no-compile",
+        "--no-deps",
+        "--only-binary=:all:",
+        "--python-version=3.11",
+        "--implementation=cp",
+    )
     _run([sys.executable, "-m", "pip", "install", "--quiet", "--target", str(site), *fixed, *words])
 
 

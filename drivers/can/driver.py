@@ -50,12 +50,16 @@ class DbcDriver(CanCapture):
             database = load(self.request.folder / settings.dbc)
             self._messages = message_codecs(database, self.request.fields, self.request.counter, settings)
             errors = ErrorWatch(self.request.name, self.counts, self.report)
-            self._decoder = FrameDecoder(self._messages, len(self.request.fields), self.counts, self.note, errors)
+            self._decoder = FrameDecoder(
+                self._messages, len(self.request.fields), self.counts, self.note, errors
+            )
             self.counter_modulus = self._decoder.modulus
 
     def resolution(self) -> tuple[float, ...]:
         self.prepare()
-        steps = {signal.column: signal.codec.resolution for codec in self._messages for signal in codec.selected}
+        steps = {
+            signal.column: signal.codec.resolution for codec in self._messages for signal in codec.selected
+        }
         return tuple(steps[column] for column in range(len(self.request.fields)))
 
     def restart(self) -> None:

@@ -52,8 +52,13 @@ class CsvFile(RecordedFile):
             text = line.decode("utf-8-sig").rstrip("\r\n")
         except UnicodeDecodeError:
             text = "\0"
-        if any(ord(character) < 32 and character != "\t" for character in text) or len(line) == _LONGEST_HEADER:
-            kinds = "a CSV or NPZ file, or a CAN log (.log, .asc, .blf, .trc, .mf4); unpack what is compressed"
+        if (
+            any(ord(character) < 32 and character != "\t" for character in text)
+            or len(line) == _LONGEST_HEADER
+        ):
+            kinds = (
+                "a CSV or NPZ file, or a CAN log (.log, .asc, .blf, .trc, .mf4); unpack what is compressed"
+            )
             raise DriverConfigError(f"{self._wanted.path}:1: is not text; a recording is {kinds}")
         if not text.strip():
             raise DriverConfigError(f"{self._wanted.path}:1: is blank; the first line must name the columns")
@@ -67,7 +72,9 @@ class CsvFile(RecordedFile):
 
     def _report(self, line: int, column: int, text: str) -> None:
         place = f"{self._wanted.path}:{self._line + line}"
-        self._wanted.fault(f'{place}: {self._names[column]}: "{text[:40]}" is no number; it counts as missing')
+        self._wanted.fault(
+            f'{place}: {self._names[column]}: "{text[:40]}" is no number; it counts as missing'
+        )
 
     def rows(self) -> Iterator[Rows]:
         size = min(len(self._first) * BLOCK_ROWS, _MOST_BYTES)

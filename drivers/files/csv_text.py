@@ -1,7 +1,7 @@
 """Tables of numbers written as text, a chunk of whole lines at a time: fast where every cell is a number.
 
-A chunk whose every cell is a number or empty goes through numpy at once; any other is read row by row, and each
-cell that is no number is reported with its line.
+A chunk whose every cell is a number or empty goes through numpy at once; any other is read row by row, and
+each cell that is no number is reported with its line.
 """
 
 import csv
@@ -87,7 +87,9 @@ class Table:
         if fast is not None:
             return fast
         pairs = zip(starts.tolist(), ends.tolist(), strict=True)
-        return np.array([self._time(chunk[a:b].decode("utf-8", "replace"), i) for i, (a, b) in enumerate(pairs)])
+        return np.array(
+            [self._time(chunk[a:b].decode("utf-8", "replace"), i) for i, (a, b) in enumerate(pairs)]
+        )
 
     def _time(self, text: str, line: int) -> int:
         nanoseconds = text_to_ns(text)

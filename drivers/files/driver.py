@@ -26,7 +26,8 @@ class RecordingSettings(DriverSettings):
     Attributes:
         path: an .npz file, or a text table of any other name.
         delimiter: between the cells of a table; found among comma, semicolon and tab when not given.
-        columns: field name -> column name in the recording, for those that differ ("t" may be renamed as well).
+        columns: field name -> column name in the recording, for those that differ ("t" may be renamed as
+            well).
         optional: fields that the recording may be without; they are NaN then.
         clock: with "uniform" the time column may be missing and its unreadable cells do no harm.
     """
@@ -41,8 +42,8 @@ class RecordingSettings(DriverSettings):
 class RecordingDriver(Driver):
     """Plays a recording as fast as it is read; `read` raises EOFError at its end.
 
-    An empty or unreadable cell is NaN, the latter counted in counts.faults["text"] and noted with its line; a row
-    without a readable time is rejected ("time"), unless the clock is uniform.
+    An empty or unreadable cell is NaN, the latter counted in counts.faults["text"] and noted with its line; a
+    row without a readable time is rejected ("time"), unless the clock is uniform.
     """
 
     settings_model: ClassVar[type[DriverSettings]] = RecordingSettings

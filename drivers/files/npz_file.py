@@ -49,7 +49,9 @@ class _Column:
         except _DAMAGE as error:
             raise DriverConfigError(f"{path}: is damaged: {error}") from error
         if self.dtype.kind not in "fiubM" or len(self.shape) != 1:
-            raise DriverConfigError(f"{path}: is an array {self.shape} of {self.dtype}; a row of numbers is needed")
+            raise DriverConfigError(
+                f"{path}: is an array {self.shape} of {self.dtype}; a row of numbers is needed"
+            )
 
     def take(self, count: int) -> NDArray[np.generic]:
         """Return the next `count` numbers; DriverConfigError when the file ends before."""
@@ -91,7 +93,9 @@ class NpzFile(RecordedFile):
         self._time = None if time is None else self._column(self._wanted.time)
         lengths = {column.shape[0] for column in [*self._columns, self._time] if column is not None}
         if len(lengths) != 1:
-            raise DriverConfigError(f"{self._wanted.path}: its arrays have different lengths: {sorted(lengths)}")
+            raise DriverConfigError(
+                f"{self._wanted.path}: its arrays have different lengths: {sorted(lengths)}"
+            )
         (self._length,) = lengths
         if not self._length:
             raise DriverConfigError(f"{self._wanted.path}: its arrays are empty")

@@ -19,8 +19,9 @@ REACHES = (1e5, 1e7, np.inf)
 def grid_step(values: FloatArray) -> float:
     """Return the step between the levels of readings (n,) if nearly all are whole steps apart, else 0.
 
-    It is the common divisor of the closest levels, whichever of them follow one another in time: of 16 bits most
-    readings differ from the next by many steps. Where it is less than the readings resolve, there is none.
+    It is the common divisor of the closest levels, whichever of them follow one another in time: of 16 bits
+    most readings differ from the next by many steps. Where it is less than the readings resolve, there is
+    none.
     """
     finite = values[np.isfinite(values)]
     least = RESOLVED * float(np.abs(finite).max(initial=0.0))

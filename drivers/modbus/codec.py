@@ -1,7 +1,8 @@
 """Modbus registers and rings of slots: which registers to ask for, and what their bytes mean. Pure: no I/O.
 
-A ring holds the newest samples of a device: sample n lies in slot n mod slots, and an index register counts the
-samples written so far. Samples are counted here by an unwrapped number; `Ring.raw` is what the wire shows.
+A ring holds the newest samples of a device: sample n lies in slot n mod slots, and an index register counts
+the samples written so far. Samples are counted here by an unwrapped number; `Ring.raw` is what the wire
+shows.
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,7 +44,9 @@ class Ring:
 
     def __post_init__(self) -> None:
         if not 1 <= self.registers <= MAX_REGISTERS:
-            raise DriverConfigError(f"a slot of {self.registers} registers does not fit one request; at most 125 do")
+            raise DriverConfigError(
+                f"a slot of {self.registers} registers does not fit one request; at most 125 do"
+            )
         if self.address + self.slots * self.registers > 65536:
             raise DriverConfigError(
                 f"ring: {self.slots} slots of {self.registers} registers from {self.address} end beyond register 65535"
@@ -82,8 +85,8 @@ class Ring:
     def overtaken(self, first: int, samples: int, head: int) -> NDArray[np.bool_]:
         """Tell of each sample whether its slot was, or may just be being, overwritten when `head` are written.
 
-        The slot of sample n is next used by sample n + slots, or sooner by the first sample after the index wraps
-        that falls into it.
+        The slot of sample n is next used by sample n + slots, or sooner by the first sample after the index
+        wraps that falls into it.
         """
         numbers = np.arange(first, first + samples, dtype=np.int64)
         raw = numbers % self.modulus
@@ -101,7 +104,9 @@ def slot_layout(fields: Sequence[FieldSpec], orders: tuple[Order, Order]) -> Lay
     """Return the layout of one slot, in an order of bytes and of words; DriverConfigError unless it fills registers."""
     layout = Layout(tuple(fields), *orders)
     if layout.size % 2:
-        raise DriverConfigError(f"fields: a slot takes {layout.size} bytes; registers have two, so it must be even")
+        raise DriverConfigError(
+            f"fields: a slot takes {layout.size} bytes; registers have two, so it must be even"
+        )
     return layout
 
 

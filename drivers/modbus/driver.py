@@ -25,10 +25,11 @@ _REQUEST_BYTES, _ANSWER_BYTES, _BITS_A_BYTE = 8, 5, 11
 class ModbusDriver(Driver):
     """Samples of a device that speaks Modbus: a ring of slots, polled registers or a queue.
 
-    Sources on one serial line or one TCP address share its connection. Raises DriverConfigError when made with fields
-    that the settings do not have. A request that the device refuses, a broken line and several requests in a row
-    without a good answer raise DriverIOError; opened again, the driver goes on where it stopped. After a bad reply the
-    device is asked again at once; one that says it is busy, and one that missed a request, are asked again later.
+    Sources on one serial line or one TCP address share its connection. Raises DriverConfigError when made
+    with fields that the settings do not have. A request that the device refuses, a broken line and several
+    requests in a row without a good answer raise DriverIOError; opened again, the driver goes on where it
+    stopped. After a bad reply the device is asked again at once; one that says it is busy, and one that
+    missed a request, are asked again later.
     """
 
     settings_model: ClassVar[type[DriverSettings]] = ModbusSettings
@@ -87,7 +88,9 @@ class ModbusDriver(Driver):
     def hints(self) -> tuple[str, ...]:
         if self._settings.transport == "tcp":
             return ()
-        return tuple(hint for hint in (port_hint(str(self._settings.port)), self._slow_hint()) if hint is not None)
+        return tuple(
+            hint for hint in (port_hint(str(self._settings.port)), self._slow_hint()) if hint is not None
+        )
 
     def _slow_hint(self) -> str | None:
         """Return advice where the longest answer cannot come over the line in time."""
@@ -119,7 +122,10 @@ class ModbusDriver(Driver):
             timeout_s = settings.timeout_s
             return ModbusLine(lambda: tcp_pipe(host, port, timeout_s), TcpFrames(), None)
         keys = SerialKeys(
-            port=str(settings.port), baudrate=settings.baudrate, parity=settings.parity, stopbits=settings.stopbits
+            port=str(settings.port),
+            baudrate=settings.baudrate,
+            parity=settings.parity,
+            stopbits=settings.stopbits,
         )
         # the standard: silence of 3.5 characters between frames, and 1.75 ms where that would be shorter
         pause_s = 3.5 * _BITS_A_BYTE / min(settings.baudrate, FASTEST_PACED)

@@ -17,11 +17,13 @@ _WIDEST = 1 << 62
 class FifoReader(Reader):
     """Reads a queue with function 24.
 
-    With a counter field, samples that were seen before are left out (the standard says that reading does not empty
-    the queue); without one every reply is taken for new samples.
+    With a counter field, samples that were seen before are left out (the standard says that reading does not
+    empty the queue); without one every reply is taken for new samples.
     """
 
-    def __init__(self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]):
+    def __init__(
+        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
+    ):
         super().__init__(source, settings, counts, note)
         self.layout = slot_layout(settings.fields, settings.orders)
         self._request = Request(settings.device_id, FIFO, settings.address or 0)
@@ -47,7 +49,9 @@ class FifoReader(Reader):
         rest = len(data) % self.layout.size
         if rest:
             self.counts.faults["queue"] += 1
-            self.note(f"the queue holds {len(data) // 2} registers, no whole number of samples; the last part is left")
+            self.note(
+                f"the queue holds {len(data) // 2} registers, no whole number of samples; the last part is left"
+            )
         return slots_of(data[: len(data) - rest], self.layout)
 
     def _new(self, slots: ByteArray) -> ByteArray:

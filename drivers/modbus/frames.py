@@ -1,7 +1,8 @@
 """Modbus requests and replies as bytes, over TCP and RTU, each reply held against its request.
 
-pymodbus builds the requests and finds the frames in the stream; every field of a reply is then checked here, since
-the library hands out replies of another function, unit, transaction or length as good ones. Pure: no I/O.
+pymodbus builds the requests and finds the frames in the stream; every field of a reply is then checked here,
+since the library hands out replies of another function, unit, transaction or length as good ones. Pure: no
+I/O.
 """
 
 import importlib
@@ -112,7 +113,8 @@ def _register_bytes(pdu: bytes, request: Request) -> ByteArray:
     said, true = pdu[1] if len(pdu) > 1 else -1, len(pdu) - 2
     if said != 2 * request.count or true != said:
         raise ReplyError(
-            "reply", f"a reply of {true} bytes that says {said} where {2 * request.count} belong to {request.words}"
+            "reply",
+            f"a reply of {true} bytes that says {said} where {2 * request.count} belong to {request.words}",
         )
     return np.frombuffer(pdu, np.uint8, offset=2)
 
@@ -121,7 +123,9 @@ def _fifo_bytes(pdu: bytes, request: Request) -> ByteArray:
     said = int.from_bytes(pdu[1:3], "big")
     count = int.from_bytes(pdu[3:5], "big")
     if len(pdu) < 5 or said != len(pdu) - 3 or said != 2 + 2 * count or count > FIFO_REGISTERS:
-        raise ReplyError("reply", f"a reply whose counts ({said} bytes, {count} registers) disagree to {request.words}")
+        raise ReplyError(
+            "reply", f"a reply whose counts ({said} bytes, {count} registers) disagree to {request.words}"
+        )
     return np.frombuffer(pdu, np.uint8, offset=5)
 
 
@@ -130,8 +134,8 @@ class Frames(ABC):
 
     Attributes:
         protocol: its name in `drivers.write_gate`.
-        late: of each reply to a request that was given up and stood in the bytes handed to `reply` last, the number
-            that `give_up` gave it; 0 where replies do not say what they answer.
+        late: of each reply to a request that was given up and stood in the bytes handed to `reply` last, the
+            number that `give_up` gave it; 0 where replies do not say what they answer.
     """
 
     protocol: str
@@ -217,7 +221,9 @@ class TcpFrames(Frames):
 def _check_header(data: bytes) -> None:
     length = int.from_bytes(data[4:6], "big") + 6
     if data[2:4] != b"\x00\x00":
-        raise ReplyError("reply", f"a reply of protocol {int.from_bytes(data[2:4], 'big')}, which is not Modbus")
+        raise ReplyError(
+            "reply", f"a reply of protocol {int.from_bytes(data[2:4], 'big')}, which is not Modbus"
+        )
     if not 8 < length <= _LONGEST_TCP:
         raise ReplyError("reply", f"a reply that says it has {length} bytes")
 
@@ -241,9 +247,9 @@ class RtuFrames(Frames):
     def reply(self, data: bytes, request: Request) -> ByteArray | None:
         """Return the reply's register bytes, None while there is none; ReplyError for an exception reply.
 
-        The library's framer gives up at a stray byte that looks like a function code, so each place at which the
-        expected reply can begin is offered to it by itself. An echo of the request (two-wire adapters) is passed over,
-        and so is a sound reply of another length: it answers a request that was given up.
+        The library's framer gives up at a stray byte that looks like a function code, so each place at which
+        the expected reply can begin is offered to it by itself. An echo of the request (two-wire adapters) is
+        passed over, and so is a sound reply of another length: it answers a request that was given up.
         """
         self.late = ()
         for start in _starts(data, request):

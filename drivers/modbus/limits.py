@@ -1,7 +1,7 @@
 """Tuned numbers of Modbus: name, value, unit in the name or in the words, where from, and what needs it.
 
-What the protocol fixes stands in `frames.py`. The tests that need these are tests/unit/drivers/modbus (units, rings),
-tests/faults/test_shared_line.py and test_bad_replies.py (lost units, late replies).
+What the protocol fixes stands in `frames.py`. The tests that need these are tests/unit/drivers/modbus (units,
+rings), tests/faults/test_shared_line.py and test_bad_replies.py (lost units, late replies).
 """
 
 # ------------------------------------------------------------------ one request on a line

@@ -1,11 +1,11 @@
 """One connection to the units behind it, shared by all sources that name it: a serial line, a gateway, a device.
 
-Requests go out one at a time, the most urgent first. A unit that does not answer costs the others little: once it has
-failed it is given no longer than its answers used to take, but for now and then, and is asked ever more seldom, in the
-others' pauses; `modbus_units` says what that comes to. A late answer is never taken for another's: over TCP its
-transaction is known to be given up; over RTU, where answers do not say what they answer, the unit is left alone for a
-while and then asked for a number of registers that it owes no answer of. Units answer in order, so that with that
-answer all late ones have come.
+Requests go out one at a time, the most urgent first. A unit that does not answer costs the others little:
+once it has failed it is given no longer than its answers used to take, but for now and then, and is asked
+ever more seldom, in the others' pauses; `modbus_units` says what that comes to. A late answer is never taken
+for another's: over TCP its transaction is known to be given up; over RTU, where answers do not say what they
+answer, the unit is left alone for a while and then asked for a number of registers that it owes no answer of.
+Units answer in order, so that with that answer all late ones have come.
 """
 
 import threading
@@ -102,8 +102,9 @@ class ModbusLine:
             faults: counts late replies and stray bytes.
             spare: registers behind those requested that may be read along.
 
-        Raises LaterError while an answer of the unit may still be under way and while one that keeps silent leaves the
-        line to the others, ReplyError for a missing or wrong answer, DriverIOError when the line is gone.
+        Raises LaterError while an answer of the unit may still be under way and while one that keeps silent
+        leaves the line to the others, ReplyError for a missing or wrong answer, DriverIOError when the line
+        is gone.
         """
         unit = self._units.setdefault(request.unit, Unit())
         with self._line_lock.taken(clock.monotonic() + POLITE_S if unit.is_lost else urgent_at):
@@ -117,12 +118,16 @@ class ModbusLine:
         now = clock.monotonic()
         begin = unit.late_until
         if unit.is_lost:
-            others = [other for other in list(self._units.values()) if other is not unit and other.is_active(now)]
+            others = [
+                other for other in list(self._units.values()) if other is not unit and other.is_active(now)
+            ]
             begin = max(begin, unit.start(now, others))
         if begin > now + ROUNDING_S:
             raise LaterError(begin)
 
-    def _come_level(self, request: Request, unit: Unit, timeout_s: float, faults: Counter[str], spare: int) -> None:
+    def _come_level(
+        self, request: Request, unit: Unit, timeout_s: float, faults: Counter[str], spare: int
+    ) -> None:
         """Ask for a number of registers that the unit owes no answer of; with that, every late one has come."""
         probe = _unowed(request, unit, timeout_s, spare)
         if probe is not None:
@@ -161,7 +166,9 @@ class ModbusLine:
                 faults["cut reply"] += 1
             return self._once(self._connected(), request, unit, timeout_s, faults)
 
-    def _once(self, pipe: Pipe, request: Request, unit: Unit, timeout_s: float, faults: Counter[str]) -> ByteArray:
+    def _once(
+        self, pipe: Pipe, request: Request, unit: Unit, timeout_s: float, faults: Counter[str]
+    ) -> ByteArray:
         try:
             self._settle(pipe, faults)
             pipe.send(self.frames.protocol, self.frames.request(request))
@@ -191,7 +198,9 @@ class ModbusLine:
     def _await(self, pipe: Pipe, request: Request, timeout_s: float, asked: _Asked) -> ByteArray:
         """Return the answer; a failure is noted before it is raised."""
         try:
-            return self._answer(pipe, request, asked.at + asked.unit.allowed_s(timeout_s, self._usual_s), asked)
+            return self._answer(
+                pipe, request, asked.at + asked.unit.allowed_s(timeout_s, self._usual_s), asked
+            )
         except ReplyError as error:
             self._failed(request, asked, error, timeout_s)
             raise
@@ -261,13 +270,15 @@ class ModbusLine:
 def _unowed(request: Request, unit: Unit, timeout_s: float, spare: int) -> Request | None:
     """Return a request from the same address whose answer cannot be one that the unit owes.
 
-    None when no other length may be asked for, and the owed answers are so old that they will not come. LaterError
-    while one may come and every length is owed.
+    None when no other length may be asked for, and the owed answers are so old that they will not come.
+    LaterError while one may come and every length is owed.
     """
     most = 0 if request.function == FIFO else min(request.count + spare, MAX_REGISTERS)
     lengths = [*range(request.count - 1, 0, -1), *range(request.count + 1, most + 1)]
     remembered_s = max(timeout_s, min(REMEMBERED_S, REMEMBERED_EACH_S * len(lengths)))
-    free_at = {count: unit.lost.get(count, -remembered_s) + remembered_s for count in lengths or [request.count]}
+    free_at = {
+        count: unit.lost.get(count, -remembered_s) + remembered_s for count in lengths or [request.count]
+    }
     count = min(free_at, key=lambda count: free_at[count])
     if free_at[count] > clock.monotonic() + ROUNDING_S:
         raise LaterError(free_at[count])
@@ -288,7 +299,9 @@ def shared_line(name: str, manner: str, make: Callable[[], ModbusLine]) -> Modbu
     with _LOCK:
         line = _LINES.get(key)
         if line is not None and line.users and line.manner != manner:
-            raise DriverConfigError(f"{name}: {manner} here and {line.manner} for another source; a line has one")
+            raise DriverConfigError(
+                f"{name}: {manner} here and {line.manner} for another source; a line has one"
+            )
         if line is None or line.manner != manner:
             line = _LINES[key] = make()
             line.manner = manner

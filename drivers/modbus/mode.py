@@ -37,7 +37,9 @@ class Reader(ABC):
     layout: Layout
     modulus: int | None = None
 
-    def __init__(self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]):
+    def __init__(
+        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
+    ):
         self.source = source
         self.settings = settings
         self.counts = counts

@@ -1,8 +1,8 @@
 """Whether a link keeps up with a ring that is overwritten while it is read, and where to go on if it does not.
 
-Who reads the oldest slot next is always late on a link that is slower than the device's rate, and delivers nothing for
-ever. Reading that goes on near the newest sample instead has the whole ring to fall behind in: as many samples come in
-a row as it has room for, then the next ones are left out.
+Who reads the oldest slot next is always late on a link that is slower than the device's rate, and delivers
+nothing for ever. Reading that goes on near the newest sample instead has the whole ring to fall behind in: as
+many samples come in a row as it has room for, then the next ones are left out.
 """
 
 from math import inf

@@ -37,11 +37,13 @@ class _Run:
     gaps: frozenset[int] = frozenset()
 
 
-def poll_plan(fields: Sequence[ModbusField], settings: ModbusSettings, apart: frozenset[int] = frozenset()) -> Plan:
+def poll_plan(
+    fields: Sequence[ModbusField], settings: ModbusSettings, apart: frozenset[int] = frozenset()
+) -> Plan:
     """Return the requests for fields, ordered by address.
 
-    Registers between fields are read along when there are `settings.gap` of them or fewer, but for those before the
-    addresses in `apart`, which have to be asked for anew.
+    Registers between fields are read along when there are `settings.gap` of them or fewer, but for those
+    before the addresses in `apart`, which have to be asked for anew.
     """
     runs: list[_Run] = []
     places: list[int] = []
@@ -54,7 +56,9 @@ def poll_plan(fields: Sequence[ModbusField], settings: ModbusSettings, apart: fr
         # a byte alone is the low one of its register
         spare = field.size % 2 if low_byte_is_first else 0
         places.extend(range(last - field.size - spare, last - spare))
-    requests = (Request(settings.device_id, settings.function, run.start, run.end - run.start) for run in runs)
+    requests = (
+        Request(settings.device_id, settings.function, run.start, run.end - run.start) for run in runs
+    )
     return Plan(tuple(requests), tuple(run.gaps for run in runs), tuple(places))
 
 
@@ -74,10 +78,13 @@ def _joins(run: _Run, address: int, end: int, gap: int) -> bool:
 class PollReader(Reader):
     """Reads the fields' registers each period: one sample a poll.
 
-    A device that refuses a request with registers in it that nobody named is asked for them apart from then on.
+    A device that refuses a request with registers in it that nobody named is asked for them apart from then
+    on.
     """
 
-    def __init__(self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]):
+    def __init__(
+        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
+    ):
         super().__init__(source, settings, counts, note)
         self._fields = sorted(settings.fields, key=lambda field: field.address or 0)
         self._apart: frozenset[int] = frozenset()
@@ -149,7 +156,9 @@ class PollReader(Reader):
         request, gaps = self._plan.requests[number], self._plan.gaps[number]
         if code not in {ADDRESS, VALUE} or not gaps:
             return False
-        self.note(f"the device refuses {request.words} (exception {code}): the gaps in it are left out from now on")
+        self.note(
+            f"the device refuses {request.words} (exception {code}): the gaps in it are left out from now on"
+        )
         self.counts.faults["gap refused"] += 1
         self._apart |= gaps
         self._plan = poll_plan(self._fields, self.settings, self._apart)

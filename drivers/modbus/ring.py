@@ -45,13 +45,16 @@ class _Part:
 class RingReader(Reader):
     """Reads a ring: the index, the slots up to it, the index again.
 
-    Slots that were read before a request failed are kept over that and over a re-open; the index is read behind them.
+    Slots that were read before a request failed are kept over that and over a re-open; the index is read
+    behind them.
 
-    After a stall reading goes on with the oldest sample that is left; on a link that is too slow for the device, near
-    the newest (see `modbus_pace`).
+    After a stall reading goes on with the oldest sample that is left; on a link that is too slow for the
+    device, near the newest (see `modbus_pace`).
     """
 
-    def __init__(self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]):
+    def __init__(
+        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
+    ):
         super().__init__(source, settings, counts, note)
         if settings.ring is None or settings.index is None:
             raise DriverConfigError(f'{source.name}: mode "ring" needs index and ring')
@@ -62,7 +65,9 @@ class RingReader(Reader):
         self._ring = Ring(settings.ring.address, settings.ring.slots, self.layout.size // 2, index.modulus)
         counted_by_index = source.counter in (None, INDEX)
         self._counter = None if counted_by_index else source.counter
-        self.modulus = index.modulus if self._counter is None else self.layout.counter_field(self._counter).modulus
+        self.modulus = (
+            index.modulus if self._counter is None else self.layout.counter_field(self._counter).modulus
+        )
         self._next: int | None = None
         self._seen: int | None = None
         self._pause_s = 0.0
@@ -130,7 +135,9 @@ class RingReader(Reader):
             self._next = number
 
     def _restart(self, raw: int) -> int:
-        self.note(f"the device's index ran back to {raw}: it was restarted; reading goes on with its oldest sample")
+        self.note(
+            f"the device's index ran back to {raw}: it was restarted; reading goes on with its oldest sample"
+        )
         self.counts.faults["restart"] += 1
         self.epoch += 1
         self._next = self._asked = None
@@ -174,7 +181,9 @@ class RingReader(Reader):
         if self._pace.behind(late, self._carried(part, after - part.head)):
             self._fall_back(after)
         backlog = after - self._next
-        self._seen = self._follow(after % self._ring.modulus) if backlog >= self._ring.samples_a_request else None
+        self._seen = (
+            self._follow(after % self._ring.modulus) if backlog >= self._ring.samples_a_request else None
+        )
         return block
 
     def _carried(self, part: _Part, written: int) -> Carried:

@@ -59,7 +59,9 @@ class ModbusSettings(DriverSettings):
     index: IndexKeys | None = None
     ring: RingKeys | None = None
     address: Address | None = None
-    period_s: float = Field(default_factory=lambda keys: RING_S if keys.get("mode") == "ring" else POLL_S, gt=0)
+    period_s: float = Field(
+        default_factory=lambda keys: RING_S if keys.get("mode") == "ring" else POLL_S, gt=0
+    )
     gap: int = Field(default=8, ge=0, le=120)
     share: bool = True
     fields: Annotated[tuple[ModbusField, ...], AfterValidator(unique_names), Field(min_length=1)]
@@ -92,9 +94,13 @@ class ModbusSettings(DriverSettings):
             return self
         is_path = isinstance(self.port, str)
         if not is_path:
-            raise ValueError('transport "rtu" needs the path of its serial port, e.g. port = "/dev/serial/by-id/..."')
+            raise ValueError(
+                'transport "rtu" needs the path of its serial port, e.g. port = "/dev/serial/by-id/..."'
+            )
         if self.device_id == 0:
-            raise ValueError("device_id 0 calls all units of a serial line at once, and none of them answers; 1 to 247")
+            raise ValueError(
+                "device_id 0 calls all units of a serial line at once, and none of them answers; 1 to 247"
+            )
         if not self.share:
             raise ValueError("share: a serial line is one connection; false is for TCP")
         return self
@@ -105,7 +111,9 @@ class ModbusSettings(DriverSettings):
         missing = [key for key in needed if getattr(self, key) is None]
         if missing:
             raise ValueError(f'mode "{self.mode}" needs {" and ".join(missing)}')
-        foreign = {"ring": ("address",), "poll": ("index", "ring", "address"), "fifo": ("index", "ring")}[self.mode]
+        foreign = {"ring": ("address",), "poll": ("index", "ring", "address"), "fifo": ("index", "ring")}[
+            self.mode
+        ]
         given = [key for key in foreign if getattr(self, key) is not None]
         if given:
             raise ValueError(f'mode "{self.mode}" has no {" and no ".join(given)}')
@@ -118,7 +126,9 @@ class ModbusSettings(DriverSettings):
         if absent and self.mode == "poll":
             raise ValueError(f'mode "poll" needs an address for every field; {", ".join(absent)} have none')
         if absent:
-            raise ValueError(f'mode "{self.mode}" packs its fields; {", ".join(absent)} must not have an address')
+            raise ValueError(
+                f'mode "{self.mode}" packs its fields; {", ".join(absent)} must not have an address'
+            )
         return self
 
     @model_validator(mode="after")

@@ -1,16 +1,17 @@
 """What is known of the units on a line: how long each is waited for, and when one that keeps silent is asked again.
 
-A request to a silent unit holds the line for c seconds: until it is given up or its gateway says that nobody answers.
-After the n-th failure in a row, n >= 3, the unit is left alone for p seconds,
+A request to a silent unit holds the line for c seconds: until it is given up or its gateway says that nobody
+answers. After the n-th failure in a row, n >= 3, the unit is left alone for p seconds,
 
     p = min(4**(n - 2) c, 99 c, max(1.4 s - c, 3 c)),
 
-so that it takes the share c / (c + p) of the line: 20 %, then 6 %, and so on to 1 %, but where c is over 14 ms no less
-than what finding it again within 2 s costs. That is c / 1.4 s: 3.6 % at 50 ms, 11 % at 150 ms; from 350 ms on it is
-25 %, and the unit is found after 4 c. A request then is put where it disturbs least: into the longest pause that the
-others leave within the next 0.2 s. A poll of theirs is lost only where c is longer than that pause and their period
-together. A unit that returns right after it was asked in vain is asked again after p + 0.2 s, and at most 0.2 s later
-where the line is never free: 1.8 s, and what it takes to answer.
+so that it takes the share c / (c + p) of the line: 20 %, then 6 %, and so on to 1 %, but where c is over 14
+ms no less than what finding it again within 2 s costs. That is c / 1.4 s: 3.6 % at 50 ms, 11 % at 150 ms;
+from 350 ms on it is 25 %, and the unit is found after 4 c. A request then is put where it disturbs least:
+into the longest pause that the others leave within the next 0.2 s. A poll of theirs is lost only where c is
+longer than that pause and their period together. A unit that returns right after it was asked in vain is
+asked again after p + 0.2 s, and at most 0.2 s later where the line is never free: 1.8 s, and what it takes to
+answer.
 """
 
 from collections.abc import Sequence

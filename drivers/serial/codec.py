@@ -1,7 +1,8 @@
 """Bytes of a serial line to samples: frames of one length that begin with sync bytes. Pure: no I/O.
 
-Every decoder of a line takes bytes in pieces of any size, keeps at most one unfinished frame or line, and finds the
-next good one behind whatever is wrong. Lines of text are in serial_text, frames that an end divides in serial_ends.
+Every decoder of a line takes bytes in pieces of any size, keeps at most one unfinished frame or line, and
+finds the next good one behind whatever is wrong. Lines of text are in serial_text, frames that an end divides
+in serial_ends.
 """
 
 from abc import ABC, abstractmethod
@@ -88,12 +89,18 @@ class Skipped:
 class BinaryDecoder(SerialDecoder):
     """Frames of one length: sync bytes, packed fields, check (low byte first, over all after sync).
 
-    Bytes between good frames are counted as so many bad frames ("crc" when one of them began with the sync bytes,
-    else "sync") as they make up, or, when fewer than half a frame, as stray.
+    Bytes between good frames are counted as so many bad frames ("crc" when one of them began with the sync
+    bytes, else "sync") as they make up, or, when fewer than half a frame, as stray.
     """
 
     def __init__(
-        self, sync: bytes, layout: Layout, crc: Crc | None, names: Sequence[str], counter: str | None, counts: Counts
+        self,
+        sync: bytes,
+        layout: Layout,
+        crc: Crc | None,
+        names: Sequence[str],
+        counter: str | None,
+        counts: Counts,
     ) -> None:
         self._sync = np.frombuffer(sync, np.uint8)
         self._layout = layout
@@ -182,7 +189,11 @@ class BinaryDecoder(SerialDecoder):
         self._skipped.add(len(piece), reason)
         if len(piece) >= self._size:
             shown = piece[: self._size].tobytes().hex(" ")
-            why = "has another checksum than crc" if crc_failed else f"does not begin with sync {self._sync_text}"
+            why = (
+                "has another checksum than crc"
+                if crc_failed
+                else f"does not begin with sync {self._sync_text}"
+            )
             self._counts.first.setdefault(reason, f"{shown} {why}")
         if 2 * len(piece) >= self._size and self._counts.trace is not None:
             self._counts.trace.bad(reason, [piece[: 2 * self._size].tobytes().hex(" ")])
@@ -197,7 +208,10 @@ class BinaryDecoder(SerialDecoder):
         counter = self._layout.counter(body, self._counter) if self._counter else None
         values = self._layout.values(body, self._names)
         if self._counts.trace is not None:
-            frames = [text[start : start + self._size].tobytes().hex(" ") for start in starts[-Trace.NEWEST :].tolist()]
+            frames = [
+                text[start : start + self._size].tobytes().hex(" ")
+                for start in starts[-Trace.NEWEST :].tolist()
+            ]
             self._counts.trace.good(frames, values[-Trace.NEWEST :])
         return values, counter
 

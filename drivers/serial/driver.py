@@ -70,7 +70,9 @@ class SerialSettings(SerialKeys):
             return self
         has_ends = self.framing != "sync" or self.sync is not None
         if not has_ends or not self.fields:
-            raise ValueError('format "binary" needs sync and fields, or a framing "cobs" or "slip" and fields')
+            raise ValueError(
+                'format "binary" needs sync and fields, or a framing "cobs" or "slip" and fields'
+            )
         if self.framing != "sync" and self.sync is not None:
             raise ValueError(f'framing "{self.framing}" has no sync: its ends divide the frames')
         of_text = (self.columns, self.pattern, self.delimiter, self.counter_modulus, self.checksum != "none")
@@ -97,9 +99,13 @@ class SerialSettings(SerialKeys):
         if self.checksum != "nmea":
             return self
         if any("$" in column for column in self.columns):
-            raise ValueError(f"columns: {_NMEA} and columns are the cells behind the address; leave the address out")
+            raise ValueError(
+                f"columns: {_NMEA} and columns are the cells behind the address; leave the address out"
+            )
         if self.pattern and _DOLLAR_FIRST.match(self.pattern):
-            raise ValueError(f"pattern: {_NMEA} and it is held against ADDRESS,cells; leave the dollar sign out")
+            raise ValueError(
+                f"pattern: {_NMEA} and it is held against ADDRESS,cells; leave the dollar sign out"
+            )
         return self
 
 
@@ -157,7 +163,9 @@ class SerialDriver(Driver):
 
     def open(self) -> None:
         self.close()
-        self._pipe = serial_pipe(self._settings, str(self.request.folder / self._settings.port), read_only=True)
+        self._pipe = serial_pipe(
+            self._settings, str(self.request.folder / self._settings.port), read_only=True
+        )
         self._decoder.restart()
         self.counts.reopened += self._opened
         self._opened = True

@@ -1,7 +1,8 @@
 """Two ways to mark where a frame ends on a serial line: COBS and SLIP. Pure: bytes to bytes.
 
-COBS (Cheshire and Baker 1999) ends frames with a zero and takes every other zero out of them; SLIP (RFC 1055) ends
-them with 0xC0 and writes that byte as two where it stands within. Either way a reader is back in step one end later.
+COBS (Cheshire and Baker 1999) ends frames with a zero and takes every other zero out of them; SLIP (RFC 1055)
+ends them with 0xC0 and writes that byte as two where it stands within. Either way a reader is back in step
+one end later.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,8 +1,9 @@
 """Whether a regular expression can be trusted with whatever bytes come: found from its text, before any line.
 
-Python's engine tries one way after another through a pattern. Where two ways begin with the same character, a line
-that fits neither is tried both ways; repeats multiply that. `effort` bounds it: the number of ways, as a power of
-two, in which a line of LONGEST characters can be tried. What cannot be bounded by MOST is refused by `check`.
+Python's engine tries one way after another through a pattern. Where two ways begin with the same character, a
+line that fits neither is tried both ways; repeats multiply that. `effort` bounds it: the number of ways, as a
+power of two, in which a line of LONGEST characters can be tried. What cannot be bounded by MOST is refused by
+`check`.
 """
 
 import importlib

@@ -19,10 +19,10 @@ _SHOWN = 60
 class TextDecoder(SerialDecoder):
     """Lines of delimited text, or lines that a pattern with named groups matches whole.
 
-    With checksum "nmea" a line is `$ADDRESS,cells*HH`: the address is passed over, HH is the exclusive or of what
-    lies between $ and *. Rejects by "length", "checksum", "columns", "pattern" and "text" (a cell that is no number);
-    an empty cell is a missing value. Without a checksum the piece of a line amid which the port was opened is passed
-    over. The first line that is rejected for a reason is noted.
+    With checksum "nmea" a line is `$ADDRESS,cells*HH`: the address is passed over, HH is the exclusive or of
+    what lies between $ and *. Rejects by "length", "checksum", "columns", "pattern" and "text" (a cell that
+    is no number); an empty cell is a missing value. Without a checksum the piece of a line amid which the
+    port was opened is passed over. The first line that is rejected for a reason is noted.
     """
 
     def __init__(

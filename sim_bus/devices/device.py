@@ -78,7 +78,9 @@ class Bench:
         if pace is None:
             return self.clock
         if self.clock.fast and self.rig.slow_or_fast:
-            raise SimUsageError("--fast: devices that sample at other rates (rate_hz) are played in real time only")
+            raise SimUsageError(
+                "--fast: devices that sample at other rates (rate_hz) are played in real time only"
+            )
         return OwnClock(self.clock, pace)
 
     def trajectory_of(self, number: int) -> Trajectory:

@@ -18,7 +18,9 @@ def make_devices(bench: Bench) -> list[Device]:
     """Return the devices of every source; SimUsageError for a source that cannot be played."""
     kinds = [source.driver for source in bench.rig.source]
     foreign = [
-        f'source[{n}].driver: "{kind}" cannot be simulated' for n, kind in enumerate(kinds) if kind not in MAKERS
+        f'source[{n}].driver: "{kind}" cannot be simulated'
+        for n, kind in enumerate(kinds)
+        if kind not in MAKERS
     ]
     if foreign:
         raise SimUsageError([f"{text}; {', '.join(sorted(MAKERS))} can" for text in foreign])

@@ -37,7 +37,8 @@ def virtual_can(interface: str, channel: str, key: str) -> None:
 def pty_link(port: str, folder: Path, key: str) -> Path:
     """Return the path at which a link to a pseudo-terminal may be made; SimUsageError where something real may be.
 
-    The path must be free, or a link that leads to a pseudo-terminal (or nowhere any more), and not under /dev.
+    The path must be free, or a link that leads to a pseudo-terminal (or nowhere any more), and not under
+    /dev.
     """
     path = Path(os.path.abspath(folder / port))  # noqa: PTH100 (resolve would follow the link itself)
     leads_to_pty = path.is_symlink() and os.readlink(path).startswith("/dev/pts/")  # noqa: PTH115 (text is wanted)

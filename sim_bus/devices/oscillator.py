@@ -1,9 +1,9 @@
 """Devices with clocks of their own: at another rate, a little too slowly or too fast, and never quite in time.
 
-A device of r samples a second whose clock drifts takes its sample k at the rig's time k·(1 + drift) / r; what is read
-there lies between two samples of the rig. Displacements of nodes with mass are interpolated by Hermite's cubic through
-position and velocity (exact but for terms of the fourth order), other motions by the cubic through four samples, forces
-as they are held.
+A device of r samples a second whose clock drifts takes its sample k at the rig's time k·(1 + drift) / r; what
+is read there lies between two samples of the rig. Displacements of nodes with mass are interpolated by
+Hermite's cubic through position and velocity (exact but for terms of the fourth order), other motions by the
+cubic through four samples, forces as they are held.
 """
 
 from dataclasses import dataclass
@@ -69,7 +69,9 @@ class OwnTrajectory(Trajectory):
     def _resampled(self, number: int) -> Chunk:
         index = np.arange(number * CHUNK, (number + 1) * CHUNK)
         pace = self._pace
-        jitter = np.clip(pace.jitter_s * pace.rate_hz * self._rng.standard_normal(CHUNK), -_MOST_JITTER, _MOST_JITTER)
+        jitter = np.clip(
+            pace.jitter_s * pace.rate_hz * self._rng.standard_normal(CHUNK), -_MOST_JITTER, _MOST_JITTER
+        )
         moment = (index + jitter) * pace.stride
         columns = [
             chain.read(index, self._at(column, np.maximum(moment - chain.delay_s * pace.rigs_hz, 0.0)))

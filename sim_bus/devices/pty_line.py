@@ -53,7 +53,9 @@ class PtyLine:
             fresh.replace(link)
         except OSError as error:
             self.close()
-            raise SimBusError(f"{link}: the link to the serial line cannot be made: {error.strerror}") from error
+            raise SimBusError(
+                f"{link}: the link to the serial line cannot be made: {error.strerror}"
+            ) from error
 
     def has_reader(self) -> bool:
         """Tell whether somebody has the far end open."""

@@ -162,7 +162,9 @@ def make_stream(bench: Bench, number: int) -> Stream:
         numbers = _text_numbers(settings, source)
         pack = text_packer(settings)
     else:
-        numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
+        numbers = [
+            WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields
+        ]
         pack = binary_packer(settings)
     feed = Feed(bench.trajectory_of(number), bench.rig, source, numbers, pack, faults.strikes)
     return Stream(source.name, feed, bench.clock_of(number), lambda _index, row: row, faults)
@@ -181,7 +183,11 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
         settings = bench.settings(SerialSettings, number)
         link = guard.pty_link(settings.port, bench.rig.folder, f"source[{number}].port")
         if link in taken:
-            raise SimUsageError(f"source[{number}].port: {settings.port} is played for another source already")
+            raise SimUsageError(
+                f"source[{number}].port: {settings.port} is played for another source already"
+            )
         taken.add(link)
-        devices.append(SerialDevice(bench.clock, make_stream(bench, number), PtyLine(link), greeting(settings)))
+        devices.append(
+            SerialDevice(bench.clock, make_stream(bench, number), PtyLine(link), greeting(settings))
+        )
     return devices

@@ -97,7 +97,12 @@ class Stream:
     """
 
     def __init__(
-        self, source: str, feed: Feed, clock: PlayClock, render: Callable[[int, bytes], bytes], faults: LineFaults
+        self,
+        source: str,
+        feed: Feed,
+        clock: PlayClock,
+        render: Callable[[int, bytes], bytes],
+        faults: LineFaults,
     ) -> None:
         self.source = source
         self.outlets: list[Outlet] = []

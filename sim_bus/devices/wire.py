@@ -1,7 +1,7 @@
 """From what a sensor reads to the number that goes over the wire, and what does not fit it.
 
-reading in the channel's unit → minus channel offset, over channel scale → minus field offset, over field scale →
-rounded half to even → held at the ends of the field's range, and counted there.
+reading in the channel's unit → minus channel offset, over channel scale → minus field offset, over field
+scale → rounded half to even → held at the ends of the field's range, and counted there.
 """
 
 from collections import Counter, deque
@@ -62,7 +62,11 @@ class WireNumber:
             return scaled, np.zeros(len(values), dtype=np.bool_)
         rounded = np.rint(scaled)
         # the largest 64-bit numbers are no floats: one step inwards keeps them from wrapping
-        top = float(self.high) if self.high < 2**53 else float(np.nextafter(float(min(self.high, 2**63 - 1)), 0.0))
+        top = (
+            float(self.high)
+            if self.high < 2**53
+            else float(np.nextafter(float(min(self.high, 2**63 - 1)), 0.0))
+        )
         held = np.clip(rounded, float(self.low), top)
         return held.astype(np.int64), held != rounded
 
@@ -95,7 +99,9 @@ class Feed:
         self._pack = pack
         self._channels = list(rig.channel)
         self._columns = _columns(rig, source, {number.name for number in numbers})
-        trajectory.rig.carried.update({self._columns[n.name]: n.bounds for n in numbers if n.name in self._columns})
+        trajectory.rig.carried.update(
+            {self._columns[n.name]: n.bounds for n in numbers if n.name in self._columns}
+        )
         self._counters = _counters(source, self._numbers)
         tops = {number.name: number.high for number in numbers}
         self._faults = NumberFaults(strikes, [(field, tops[field]) for field in source.map.values()])
@@ -162,7 +168,9 @@ def _columns(rig: RigFile, source: Source, fields: set[str]) -> dict[str, int]:
     lost = [field for field in source.map.values() if field not in fields]
     if lost:
         known = ", ".join(sorted(fields))
-        raise SimUsageError(f'source "{source.name}": no field is called {", ".join(lost)}; fields are {known}')
+        raise SimUsageError(
+            f'source "{source.name}": no field is called {", ".join(lost)}; fields are {known}'
+        )
     return {field: names.index(channel) for channel, field in source.map.items()}
 
 
@@ -173,7 +181,9 @@ def _counters(source: Source, numbers: Sequence[WireNumber]) -> frozenset[str]:
     signal = source.counter.rpartition(".")[2]
     mapped = set(source.map.values())
     same = {
-        n.name for n in numbers if n.name.rpartition(".")[2] == signal and n.name not in mapped and n.low is not None
+        n.name
+        for n in numbers
+        if n.name.rpartition(".")[2] == signal and n.name not in mapped and n.low is not None
     }
     return frozenset(same)
 

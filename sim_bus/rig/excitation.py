@@ -1,6 +1,7 @@
 """Forces on the nodes: one column a node, one row a sample, in order and without end.
 
-Random forces are independent normal numbers at the samples; with hold "first" the force runs linearly between them.
+Random forces are independent normal numbers at the samples; with hold "first" the force runs linearly between
+them.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,10 +27,11 @@ _NEEDS = {
 class Force(BaseModel):
     """One [[force]] of a scenario. Without `at` it acts wherever the configuration has a force channel.
 
-    random: normal, `rms`, N. sweep: `amplitude`, `from_hz` to `to_hz` in `over_s`, again and again. steps: plus and
-    minus `amplitude`, changing each half `period_s`. impacts: a half sine of `amplitude` and `width_s` each `period_s`,
-    every blow another by `spread` (a share of the amplitude, one standard deviation).
-    recorded: `column` of an NPZ or CSV `file`, times `gain`, again and again. Outside `from_s` .. `until_s` it is 0.
+    random: normal, `rms`, N. sweep: `amplitude`, `from_hz` to `to_hz` in `over_s`, again and again. steps:
+    plus and minus `amplitude`, changing each half `period_s`. impacts: a half sine of `amplitude` and
+    `width_s` each `period_s`, every blow another by `spread` (a share of the amplitude, one standard
+    deviation). recorded: `column` of an NPZ or CSV `file`, times `gain`, again and again. Outside `from_s` ..
+    `until_s` it is 0.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -61,7 +63,9 @@ class Force(BaseModel):
 def _sweep(force: Force, t: FloatArray) -> FloatArray:
     low, high, over = force.from_hz or 0.0, force.to_hz or 0.0, force.over_s or 1.0
     into = np.mod(t, over)
-    return (force.amplitude or 0.0) * np.sin(2.0 * np.pi * (low * into + (high - low) * into**2 / (2.0 * over)))
+    return (force.amplitude or 0.0) * np.sin(
+        2.0 * np.pi * (low * into + (high - low) * into**2 / (2.0 * over))
+    )
 
 
 def _steps(force: Force, t: FloatArray) -> FloatArray:
@@ -123,17 +127,28 @@ class ForceStream:
     """
 
     def __init__(
-        self, forces: Sequence[tuple[Force, str]], nodes: Sequence[str], sample_rate_hz: float, seed: int, folder: Path
+        self,
+        forces: Sequence[tuple[Force, str]],
+        nodes: Sequence[str],
+        sample_rate_hz: float,
+        seed: int,
+        folder: Path,
     ) -> None:
         self._nodes = len(nodes)
         self._rate = sample_rate_hz
         self._next = 0
         self._parts = [
-            (list(nodes).index(at), self._generator(force, np.random.default_rng([seed, 1, number]), folder), force)
+            (
+                list(nodes).index(at),
+                self._generator(force, np.random.default_rng([seed, 1, number]), folder),
+                force,
+            )
             for number, (force, at) in enumerate(forces)
         ]
 
-    def _generator(self, force: Force, rng: np.random.Generator, folder: Path) -> Callable[[IntArray], FloatArray]:
+    def _generator(
+        self, force: Force, rng: np.random.Generator, folder: Path
+    ) -> Callable[[IntArray], FloatArray]:
         if force.kind == "random":
             rms = force.rms or 0.0
             return lambda index: rms * rng.standard_normal(len(index))

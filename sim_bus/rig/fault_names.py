@@ -1,6 +1,7 @@
 """Every fault that a device or a line can have, by name: how long it lasts, what it is, what a reader makes of it.
 
-`cause` is what a reader that counts everything can say of it ("" where there is nothing to be seen from its side).
+`cause` is what a reader that counts everything can say of it ("" where there is nothing to be seen from its
+side).
 """
 
 from collections.abc import Mapping
@@ -71,7 +72,9 @@ BYTES: Mapping[str, FaultKind] = {
     "insert": FaultKind("one byte too many lies in the sample", "crc", loses=True),
     "break": FaultKind("32 zeros come before the sample", "sync"),
     "baud": FaultKind("every byte is another one, as at a wrong bit rate", "sync", SOME_TIME, loses=True),
-    "stolen": FaultKind("another program takes a part of each sample from the line", "crc", SOME_TIME, loses=True),
+    "stolen": FaultKind(
+        "another program takes a part of each sample from the line", "crc", SOME_TIME, loses=True
+    ),
 }
 """What a serial line can do besides."""
 
@@ -84,8 +87,12 @@ FRAMES: Mapping[str, FaultKind] = {
     "checksum": FaultKind("one bit of the frame's data is wrong; its checksum tells", "checksum", loses=True),
     "error-frame": FaultKind("the controller reports a bus error", "bus error"),
     "error-warning": FaultKind("the controller sees many errors (adapters)", "error-warning", SOME_TIME),
-    "error-passive": FaultKind("the controller may signal errors no more (adapters)", "error-passive", SOME_TIME),
-    "overrun": FaultKind("the controller had no room for the sample (adapters)", "controller overflow", loses=True),
+    "error-passive": FaultKind(
+        "the controller may signal errors no more (adapters)", "error-passive", SOME_TIME
+    ),
+    "overrun": FaultKind(
+        "the controller had no room for the sample (adapters)", "controller overflow", loses=True
+    ),
     "bus-off": FaultKind("the controller is off the bus, and comes back", "bus-off", SOME_TIME, loses=True),
 }
 """What a CAN bus can do besides."""
@@ -112,11 +119,17 @@ REPLIES: Mapping[str, FaultKind] = {
     "reset": FaultKind("the connection is reset in the middle of each answer", "lost", 0.05, timed=True),
     "hang-up": FaultKind("the connection is closed after each answer", "", SOME_TIME, timed=True),
     "accept-close": FaultKind("connections are accepted and closed", "lost", SOME_TIME, timed=True),
-    "black-hole": FaultKind("neither answers come nor new connections about", "timeout", SOME_TIME, timed=True),
+    "black-hole": FaultKind(
+        "neither answers come nor new connections about", "timeout", SOME_TIME, timed=True
+    ),
     "half-open": FaultKind("the connection is dead and nobody says so", "timeout", 0.05, timed=True),
     "wrong-unit": FaultKind("answers carry another unit's number", "unit", 0.05, timed=True),
-    "wrong-transaction": FaultKind("answers carry another transaction number", "transaction", 0.05, timed=True),
-    "wrong-protocol": FaultKind("answers carry a protocol number that is not Modbus", "reply", 0.05, timed=True),
+    "wrong-transaction": FaultKind(
+        "answers carry another transaction number", "transaction", 0.05, timed=True
+    ),
+    "wrong-protocol": FaultKind(
+        "answers carry a protocol number that is not Modbus", "reply", 0.05, timed=True
+    ),
     "wrong-function": FaultKind("answers are of another function", "reply", 0.05, timed=True),
     "wrong-count": FaultKind("answers say another number of bytes than they have", "reply", 0.05, timed=True),
     "short": FaultKind("answers have a register too few", "reply", 0.05, timed=True),
@@ -125,7 +138,9 @@ REPLIES: Mapping[str, FaultKind] = {
     "truncate": FaultKind("the second half of each answer is missing", "timeout", 0.05, timed=True),
     "garbage": FaultKind("rubbish comes before each answer", "reply", 0.05, timed=True),
     "duplicate": FaultKind("each answer comes twice", "reply", 0.05, timed=True),
-    "restart": FaultKind("no answer, then an empty ring and an index from 0 on", "timeout", SOME_TIME, timed=True),
+    "restart": FaultKind(
+        "no answer, then an empty ring and an index from 0 on", "timeout", SOME_TIME, timed=True
+    ),
 }
 """What a Modbus device or its line can do."""
 

@@ -1,6 +1,7 @@
 """Faults of devices and lines by name, each for an exact run of samples.
 
-A fault is called `<driver>.<name>`, e.g. serial.garbage; it strikes every source of that driver, or the one named.
+A fault is called `<driver>.<name>`, e.g. serial.garbage; it strikes every source of that driver, or the one
+named.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -96,7 +97,8 @@ class LineFaults:
     Args:
         struck: the faults.
         seed: of wrong bits and rubbish.
-        text: the line carries text; a wrong bit makes a byte that is none (a wrong digit would be another number).
+        text: the line carries text; a wrong bit makes a byte that is none (a wrong digit would be another
+            number).
 
     Attributes:
         strange: makes what a bus sends besides samples, by the fault's name; None where it cannot.
@@ -137,7 +139,9 @@ class LineFaults:
             self._gone.add(sample)
             data = b""
         data = self._strange(sample, self._damaged(sample, data))
-        if self.active("stall", sample) or (self.active("jitter", sample) and float(self._rng.random()) < LATE):
+        if self.active("stall", sample) or (
+            self.active("jitter", sample) and float(self._rng.random()) < LATE
+        ):
             self._late.append(data)
             return b""
         late, self._late = b"".join(self._late), []
@@ -260,7 +264,9 @@ class LineFaults:
 
     def ledger(self, played: int) -> list[dict[str, Any]]:
         """Return every fault with the samples, among those played, that it struck (or lasted over)."""
-        return [{"fault": strike.name, "samples": self._struck(strike).before(played)} for strike in self.strikes]
+        return [
+            {"fault": strike.name, "samples": self._struck(strike).before(played)} for strike in self.strikes
+        ]
 
     def _struck(self, strike: Strike) -> Runs:
         planned = Runs()

@@ -5,9 +5,9 @@ Newton's law at every node, in the displacements q of all nodes and the velociti
     M v' = f_m − S_m q − D_mm v − D_m0 q_0',      q_m' = v          (nodes with mass)
     D_00 q_0' = f_0 − S_0 q − D_0m v                                 (massless nodes)
 
-S = Eₛᵀ diag(k) Eₛ and D = E_dᵀ diag(B) E_d, E the incidence matrices of springs and dampers. States are (q, v),
-inputs the forces on all nodes. Between samples the force runs linearly or stays, so that the motion at the samples
-is exact: matrix exponentials of [[F, G, 0], [0, 0, I], [0, 0, 0]].
+S = Eₛᵀ diag(k) Eₛ and D = E_dᵀ diag(B) E_d, E the incidence matrices of springs and dampers. States are (q,
+v), inputs the forces on all nodes. Between samples the force runs linearly or stays, so that the motion at
+the samples is exact: matrix exponentials of [[F, G, 0], [0, 0, I], [0, 0, 0]].
 """
 
 from collections.abc import Mapping, Sequence
@@ -181,7 +181,9 @@ def equations(graph: Graph, values: Mapping[str, float]) -> Motion:
     rate[heavy, nodes + np.arange(len(heavy))] = 1.0
     balance = np.hstack([-spring, -damper[:, heavy], np.eye(nodes)])
     if len(light):
-        rate[light] = _light_rates(damper[np.ix_(light, light)], balance[light], [graph.nodes[i] for i in light])
+        rate[light] = _light_rates(
+            damper[np.ix_(light, light)], balance[light], [graph.nodes[i] for i in light]
+        )
     inertia = np.array([values[graph.nodes[i]] for i in heavy]).reshape(-1, 1)
     rows = balance[heavy] - damper[np.ix_(heavy, light)] @ rate[light]
     both = np.vstack([rate, rows / inertia])
@@ -207,8 +209,8 @@ class Step:
     def lifted(self) -> tuple[FloatArray, FloatArray]:
         """A block of L steps at once, as (from_state, from_pushes).
 
-        from_state (n, L n) holds the powers A .. A^L; from_pushes (L n, L n) maps the pushes v_k = B0 u_k + B1 u_(k+1)
-        onto the L states that follow the block's first.
+        from_state (n, L n) holds the powers A .. A^L; from_pushes (L n, L n) maps the pushes v_k = B0 u_k +
+        B1 u_(k+1) onto the L states that follow the block's first.
         """
         n = len(self.A)
         length = max(4, _LIFTED_STATES // n)
@@ -225,13 +227,15 @@ class Step:
 def step(motion: Moving, sample_s: float, hold: Hold = "first", part: float = 1.0) -> Step:
     """Return the exact step over `part` of a sampling interval.
 
-    With hold "first" the force runs linearly from u_k to u_(k+1) over the whole interval; with "zero" it stays u_k.
-    A motion in discrete time has whole steps only, else PlantError.
+    With hold "first" the force runs linearly from u_k to u_(k+1) over the whole interval; with "zero" it
+    stays u_k. A motion in discrete time has whole steps only, else PlantError.
     """
     n, m = motion.G.shape
     if motion.is_sampled:
         if part != 1.0:
-            raise PlantError("a model in discrete time has no motion between samples: delays must be whole samples")
+            raise PlantError(
+                "a model in discrete time has no motion between samples: delays must be whole samples"
+            )
         return Step(motion.F, motion.G, np.zeros((n, m)))
     big = np.zeros((n + 2 * m, n + 2 * m))
     big[:n, :n], big[:n, n : n + m] = motion.F, motion.G

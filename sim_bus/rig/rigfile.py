@@ -92,9 +92,13 @@ class Mechanics(_Part):
         if self.friction:
             raise ValueError("dry friction cannot be simulated; leave friction empty")
         known = {GROUND, *(mass.name for mass in self.mass)}
-        lost = [f"{e.name}: {end}" for e in (*self.spring, *self.damper) for end in e.between if end not in known]
+        lost = [
+            f"{e.name}: {end}" for e in (*self.spring, *self.damper) for end in e.between if end not in known
+        ]
         if lost:
-            raise ValueError(f"no mass is called so: {', '.join(lost)}; masses are {', '.join(sorted(known))}")
+            raise ValueError(
+                f"no mass is called so: {', '.join(lost)}; masses are {', '.join(sorted(known))}"
+            )
         return self
 
     @property
@@ -110,7 +114,9 @@ class Mechanics(_Part):
     @property
     def nominal(self) -> dict[str, float]:
         """Every constant by name."""
-        return {mass.name: mass.value for mass in self.mass} | {e.name: e.nominal for e in (*self.spring, *self.damper)}
+        return {mass.name: mass.value for mass in self.mass} | {
+            e.name: e.nominal for e in (*self.spring, *self.damper)
+        }
 
 
 class Rig(_Part):
@@ -163,7 +169,9 @@ class RigFile(_Part):
 
     rig: Rig
     model: Annotated[
-        Annotated[Mechanics, Tag(_MECHANICAL)] | Annotated[Linear, Tag(_LINEAR)] | Annotated[DomainTable, Tag(_DOMAIN)],
+        Annotated[Mechanics, Tag(_MECHANICAL)]
+        | Annotated[Linear, Tag(_LINEAR)]
+        | Annotated[DomainTable, Tag(_DOMAIN)],
         Discriminator(_kind),
     ]
     channel: tuple[Channel, ...] = Field(min_length=1)
@@ -181,7 +189,9 @@ class RigFile(_Part):
         names = tuple(channel.name for channel in ordered)
         if isinstance(self.model, Linear):
             return LinearSystem(self.model, names[:count], names[count:])
-        return DomainSystem(self.model, names[:count], names[count:], tuple((c.quantity, c.at) for c in ordered))
+        return DomainSystem(
+            self.model, names[:count], names[count:], tuple((c.quantity, c.at) for c in ordered)
+        )
 
     @property
     def nominal(self) -> dict[str, float]:
@@ -192,7 +202,11 @@ class RigFile(_Part):
     @property
     def hold(self) -> Hold:
         """What inputs do between samples; a model in discrete time has it in it."""
-        return "zero" if isinstance(self.model, Linear) and self.model.time == "discrete" else self.estimator.hold
+        return (
+            "zero"
+            if isinstance(self.model, Linear) and self.model.time == "discrete"
+            else self.estimator.hold
+        )
 
     @property
     def _mechanics(self) -> Mechanics:
@@ -303,7 +317,9 @@ def checked(model: type[ModelType], content: Any, where: str) -> ModelType:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise SimUsageError([_line(where, fault["loc"], _words(fault, model)) for fault in error.errors()]) from error
+        raise SimUsageError(
+            [_line(where, fault["loc"], _words(fault, model)) for fault in error.errors()]
+        ) from error
 
 
 def _words(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
@@ -341,7 +357,9 @@ def read_rig(path: Path) -> RigFile:
     """Read a configuration file."""
     content = read_toml(path)
     if not content.get("source"):
-        raise SimUsageError(f"{path}: source: there is no [[source]]; add one for each device that is to be played")
+        raise SimUsageError(
+            f"{path}: source: there is no [[source]]; add one for each device that is to be played"
+        )
     folder = path.resolve().parent
     content = without_covariates(content)
     return checked(RigFile, with_numbers(content, folder) | {"folder": folder}, str(path))

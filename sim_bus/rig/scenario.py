@@ -75,9 +75,10 @@ _BROKEN: Mapping[str, dict[str, Any]] = {
 class Scenario(BaseModel):
     """What is played.
 
-    `duration_s` 0 is without end. `start`: the clock starts when every source has met a reader, or when the devices
-    are ready. `noise` is the sensors' standard deviation by quantity in SI units. [draw] replaces [[change]]. `rig` is
-    the configuration with which `deltak score` plays it (a path beside the file) and [expect] what is then to be found.
+    `duration_s` 0 is without end. `start`: the clock starts when every source has met a reader, or when the
+    devices are ready. `noise` is the sensors' standard deviation by quantity in SI units. [draw] replaces
+    [[change]]. `rig` is the configuration with which `deltak score` plays it (a path beside the file) and
+    [expect] what is then to be found.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -136,14 +137,22 @@ class Scenario(BaseModel):
         nodes, constants = set(rig.system.nodes), set(rig.nominal)
         channels = {channel.name for channel in rig.channel}
         wrong = [f"force.at: {n}" for _, n in self.forces_on(rig) if n not in nodes]
-        wrong += [f"initial: {n}" for n in (*self.initial.displacement, *self.initial.velocity) if n not in nodes]
+        wrong += [
+            f"initial: {n}" for n in (*self.initial.displacement, *self.initial.velocity) if n not in nodes
+        ]
         wrong += [f"initial.state: {n}" for n in self.initial.state if n not in rig.system.state_names]
-        wrong += [f"sensor.channel: {s.channel}" for s in self.sensors_on(rig.channel) if s.channel not in channels]
-        wrong += [f"device.source: {d.source}" for d in self.device if d.source not in {None, *rig.source_names}]
+        wrong += [
+            f"sensor.channel: {s.channel}" for s in self.sensors_on(rig.channel) if s.channel not in channels
+        ]
+        wrong += [
+            f"device.source: {d.source}" for d in self.device if d.source not in {None, *rig.source_names}
+        ]
         wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
         known = f"parameters are {', '.join(_first(sorted(constants)))}; channels are {', '.join(sorted(channels))}"
-        lines = [f"{text}: the configuration has no such thing; {known}" for text in wrong] + self._impossible(rig)
+        lines = [
+            f"{text}: the configuration has no such thing; {known}" for text in wrong
+        ] + self._impossible(rig)
         if lines:
             raise SimUsageError(f"scenario: {line}" for line in lines)
 
@@ -162,7 +171,9 @@ class Scenario(BaseModel):
 def built_in_names() -> tuple[str, ...]:
     """Names of the scenarios that come with the package."""
     folder = resources.files("sim_bus") / "scenarios"
-    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
+    return tuple(
+        sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+    )
 
 
 def scenario_path(name_or_file: str, known: Callable[[], Sequence[str]] = built_in_names) -> Path:

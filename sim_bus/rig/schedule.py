@@ -1,7 +1,7 @@
 """When which parameter takes which value: steps and ramps, exact to the sample.
 
-A change at T governs the motion from T on: with T at sample i, the interval from i to i + 1 is the first with the new
-value; a T between two samples takes effect at the later one.
+A change at T governs the motion from T on: with T at sample i, the interval from i to i + 1 is the first with
+the new value; a T between two samples takes effect at the later one.
 """
 
 import math
@@ -34,7 +34,9 @@ class Change(BaseModel):
         """Return where each named parameter that there is goes."""
         goes = {name: nominal[name] + delta for name, delta in self.delta.items() if name in nominal}
         goes |= self.value
-        return goes | {n: nominal[n] * (1.0 + percent / 100.0) for n, percent in self.percent.items() if n in nominal}
+        return goes | {
+            n: nominal[n] * (1.0 + percent / 100.0) for n, percent in self.percent.items() if n in nominal
+        }
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -45,8 +47,8 @@ class Change(BaseModel):
 class Draw(BaseModel):
     """[draw]: a random schedule.
 
-    In each of `segments` stretches of `segment_s`, each parameter of `delta` keeps its nominal value with probability
-    `keep`, else moves by a number drawn evenly from one of its intervals.
+    In each of `segments` stretches of `segment_s`, each parameter of `delta` keeps its nominal value with
+    probability `keep`, else moves by a number drawn evenly from one of its intervals.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -59,7 +61,9 @@ class Draw(BaseModel):
     def changes(self, seed: int) -> list[Change]:
         """Return the schedule that belongs to the seed."""
         rng = np.random.default_rng([seed, 2])
-        return [Change(at_s=number * self.segment_s, delta=self._deltas(rng)) for number in range(self.segments)]
+        return [
+            Change(at_s=number * self.segment_s, delta=self._deltas(rng)) for number in range(self.segments)
+        ]
 
     def _deltas(self, rng: np.random.Generator) -> dict[str, float]:
         moved: dict[str, float] = {}
@@ -117,7 +121,9 @@ class Timeline:
         self.names = tuple(nominal)
         self._wear = tuple(wear)
         self._rate = sample_rate_hz
-        self._moves: dict[str, list[_Move]] = {name: [_Move(0, 0, 1, value, value)] for name, value in nominal.items()}
+        self._moves: dict[str, list[_Move]] = {
+            name: [_Move(0, 0, 1, value, value)] for name, value in nominal.items()
+        }
         for change in sorted(changes, key=lambda change: change.at_s):
             self._add(change, nominal)
 
@@ -144,16 +150,27 @@ class Timeline:
     def summary(self, end: int) -> list[dict[str, str | int | float]]:
         """Return every change before sample `end`: parameter, first sample, samples that it takes, from, to."""
         return [
-            {"parameter": name, "sample": move.start, "ramp": move.ramp, "from": move.origin, "to": move.target}
+            {
+                "parameter": name,
+                "sample": move.start,
+                "ramp": move.ramp,
+                "from": move.origin,
+                "to": move.target,
+            }
             for name, moves in self._moves.items()
             for move in moves[1:]
             if move.start < end and move.origin != move.target
         ]
 
     def _next_move(self, index: int, stop: int) -> int:
-        later = [stop, *(move.start for moves in self._moves.values() for move in moves if move.start > index)]
+        later = [
+            stop,
+            *(move.start for moves in self._moves.values() for move in moves if move.start > index),
+        ]
         later += [after for path in self._wear if (after := path.next_after(index)) is not None]
-        later += [after for name in self.names if (after := self._move(name, index).next_after(index)) is not None]
+        later += [
+            after for name in self.names if (after := self._move(name, index).next_after(index)) is not None
+        ]
         return min(later)
 
     def segments(self, start: int, stop: int) -> Iterator[tuple[int, int, dict[str, float]]]:

@@ -17,10 +17,10 @@ from sim_bus.rig.rigfile import Channel, Quantity
 class Sensor(BaseModel):
     """One [[sensor]]: numbers are in the channel's unit; `from_s` .. `until_s` bounds bias, gain, drift, stuck, rail.
 
-    reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail and
-    rounded to `step`; with `stuck` the reading of `from_s` stays, give or take `flicker`. `delay_s` is added to the
-    channel's own. With `measure` "peak" bias, drift_per_s, rail, spike and flicker are shares of the largest reading
-    before `from_s`.
+    reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail
+    and rounded to `step`; with `stuck` the reading of `from_s` stays, give or take `flicker`. `delay_s` is
+    added to the channel's own. With `measure` "peak" bias, drift_per_s, rail, spike and flicker are shares of
+    the largest reading before `from_s`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -45,8 +45,8 @@ class Sensor(BaseModel):
 class Oscillator(BaseModel):
     """One [[device]]: the clock by which a source's device samples; every source's without `source`.
 
-    `drift_ppm` above 0: it is slow, its samples come later and later. `jitter_s`: standard deviation of when within
-    its turn a sample is taken (at most 0.45 of a sample).
+    `drift_ppm` above 0: it is slow, its samples come later and later. `jitter_s`: standard deviation of when
+    within its turn a sample is taken (at most 0.45 of a sample).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -108,11 +108,15 @@ class SensorChain:
         t = index / self._rate
         live = (t >= sensor.from_s) & (t < sensor.until_s)
         one = self._measure(number, sensor, readings[t < sensor.from_s])
-        changed = (1.0 + sensor.gain) * readings + one * (sensor.bias + sensor.drift_per_s * (t - sensor.from_s))
+        changed = (1.0 + sensor.gain) * readings + one * (
+            sensor.bias + sensor.drift_per_s * (t - sensor.from_s)
+        )
         if sensor.spike and sensor.spikes_hz:
             hit = self._rng.random(len(index)) < sensor.spikes_hz / self._rate
             self._note("spike", index[hit & live])
-            changed = changed + np.where(hit, one * sensor.spike * np.sign(self._rng.random(len(index)) - 0.5), 0.0)
+            changed = changed + np.where(
+                hit, one * sensor.spike * np.sign(self._rng.random(len(index)) - 0.5), 0.0
+            )
         railed = np.clip(changed, -one * sensor.rail, one * sensor.rail)
         self._note("saturated", index[(railed != changed) & live])
         if sensor.step:

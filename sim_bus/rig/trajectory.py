@@ -1,7 +1,7 @@
 """The rig being played: chunks of true motion and sensor readings, made once, in order, whoever asks.
 
-Chunks lie on a fixed grid, so that what is played depends on configuration, scenario and seed alone, never on when
-a device was read.
+Chunks lie on a fixed grid, so that what is played depends on configuration, scenario and seed alone, never on
+when a device was read.
 """
 
 import math
@@ -35,7 +35,8 @@ class Chunk:
     Attributes:
         forces: (n, nodes) N.
         states: (n, states) in the order of `Graph.state_names`, SI.
-        parameters: (n, parameters) in the order of `Timeline.names`: what governs the interval that begins here.
+        parameters: (n, parameters) in the order of `Timeline.names`: what governs the interval that begins
+            here.
         true: (n, channels) what ideal sensors would read, SI.
         readings: (n, channels) what the sensors read, in the channels' units.
     """
@@ -110,7 +111,8 @@ class Rig:
         scenario: what is played.
 
     Attributes:
-        carried: by channel's number, the values (before the channel's scale) that its field on the wire can carry.
+        carried: by channel's number, the values (before the channel's scale) that its field on the wire can
+            carry.
 
     Raises:
         SimUsageError: the scenario does not fit the rig, or the graph has no motion.
@@ -229,7 +231,9 @@ class Trajectory:
                 self._make()
             behind = self._made - number
             if behind > len(self._chunks):
-                raise LookupError(f"samples from {number * CHUNK} on are gone; the newest {KEPT * CHUNK} are kept")
+                raise LookupError(
+                    f"samples from {number * CHUNK} on are gone; the newest {KEPT * CHUNK} are kept"
+                )
             return self._chunks[-behind]
 
     def _make(self) -> None:

@@ -13,10 +13,10 @@ from sim_bus.rig.trajectory import Chunk, Rig
 class TruthRecorder:
     """Keeps every chunk that is made, and writes those samples that were played.
 
-    The file is an NPZ with, for n samples: index, t_s (n,); forces (n, nodes) N; states (n, states) SI; parameters
-    (n, parameters), the values that govern the interval that begins at each sample; true (n, channels) what ideal
-    sensors would read, SI; readings (n, channels) in the channels' units; the names of the columns in node_names,
-    state_names, parameter_names, channel_names; the ledger as JSON text in ledger.
+    The file is an NPZ with, for n samples: index, t_s (n,); forces (n, nodes) N; states (n, states) SI;
+    parameters (n, parameters), the values that govern the interval that begins at each sample; true (n,
+    channels) what ideal sensors would read, SI; readings (n, channels) in the channels' units; the names of
+    the columns in node_names, state_names, parameter_names, channel_names; the ledger as JSON text in ledger.
     """
 
     def __init__(self, rig: Rig, sample_rate_hz: float) -> None:
@@ -31,11 +31,19 @@ class TruthRecorder:
     def arrays(self, played: int, ledger: Mapping[str, Any]) -> dict[str, Any]:
         """Return what the file holds of the first `played` samples."""
         columns = {
-            name: np.concatenate([getattr(chunk, name) for chunk in self._chunks] or [np.empty((0, 0))])[:played]
+            name: np.concatenate([getattr(chunk, name) for chunk in self._chunks] or [np.empty((0, 0))])[
+                :played
+            ]
             for name in ("forces", "states", "parameters", "true", "readings")
         }
         index = np.arange(played, dtype=np.int64)
-        return {"index": index, "t_s": index / self._rate, **columns, **self._names(), "ledger": json.dumps(ledger)}
+        return {
+            "index": index,
+            "t_s": index / self._rate,
+            **columns,
+            **self._names(),
+            "ledger": json.dumps(ledger),
+        }
 
     def write(self, path: Path, played: int, ledger: Mapping[str, Any]) -> None:
         """Write the first `played` samples; the file appears whole or not at all."""

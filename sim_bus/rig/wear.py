@@ -17,7 +17,8 @@ class Wear(BaseModel):
     """One [[wear]]: how the named parameters move from `from_s` to `until_s`; then they stay where they are.
 
     walk: a random walk; `rate` is its standard deviation after a second, in the parameter's unit.
-    temperature: a sine of `amplitude` degrees and `period_s`; `rate` is what a degree does, in the parameter's unit.
+    temperature: a sine of `amplitude` degrees and `period_s`; `rate` is what a degree does, in the
+    parameter's unit.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

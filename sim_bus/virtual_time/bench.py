@@ -44,10 +44,14 @@ class PlayedBench:
         self.scenario = scenario
         self._file: RigFile = read_rig(config)
         if not scenario.duration_s:
-            raise SimUsageError("duration_s: without an end nothing can be scored; give the scenario a duration_s")
+            raise SimUsageError(
+                "duration_s: without an end nothing can be scored; give the scenario a duration_s"
+            )
         if self._file.slow_or_fast:
             names = ", ".join(self._file.slow_or_fast)
-            raise SimUsageError(f"source {names}: rate_hz: only devices of the rig's rate can be scored; play it (sim)")
+            raise SimUsageError(
+                f"source {names}: rate_hz: only devices of the rig's rate can be scored; play it (sim)"
+            )
         check(scenario, self._file.drivers)
         rate = self._file.rig.sample_rate_hz
         self._rig = Rig(self._file, scenario)
@@ -55,7 +59,9 @@ class PlayedBench:
         self._trajectory = Trajectory(self._rig, self._truth.keep)
         self.total = round(scenario.duration_s * rate)
         if not self.total:
-            raise SimUsageError(f"duration_s: {scenario.duration_s:g} s are less than a sample of {1.0 / rate:g} s")
+            raise SimUsageError(
+                f"duration_s: {scenario.duration_s:g} s are less than a sample of {1.0 / rate:g} s"
+            )
         self._times = {name: PlayedTime() for name in self.sources}
         self._lines: dict[str, Line] = {}
         self._own: dict[int, OwnTrajectory] = {}
@@ -93,10 +99,14 @@ class PlayedBench:
             return StreamLine(serial_device.make_stream(bench, number), bench.clock, None, greeting)
         if driver == "modbus":
             settings = bench.settings(ModbusSettings, number)
-            return ModbusLine(make_unit(bench, number, settings), time, settings.transport, self.scenario.seed)
+            return ModbusLine(
+                make_unit(bench, number, settings), time, settings.transport, self.scenario.seed
+            )
         keys = bench.settings(CanSettings, number)
         if keys.interface == "slcan":
-            return StreamLine(can_device.make_adapter_stream(bench, number), bench.clock, None, slcan_device.GREETING)
+            return StreamLine(
+                can_device.make_adapter_stream(bench, number), bench.clock, None, slcan_device.GREETING
+            )
         if keys.interface != "socketcand":
             words = f'"{keys.interface}" has no played bus; "socketcand" and "slcan" have'
             raise SimUsageError(f"source[{number}].interface: {words}")
@@ -145,5 +155,7 @@ def open_bench(name_or_file: str, more_faults: Sequence[str] = ()) -> PlayedBenc
     """Return the bench of a scenario that names its rig."""
     scenario = load_scenario(name_or_file).with_faults(more_faults)
     if scenario.rig is None:
-        raise SimUsageError(f"{scenario_path(name_or_file)}: rig: names no configuration to score it with; add one")
+        raise SimUsageError(
+            f"{scenario_path(name_or_file)}: rig: names no configuration to score it with; add one"
+        )
     return PlayedBench(scenario.folder / scenario.rig, scenario)

@@ -1,7 +1,8 @@
 """Sources on a machine whose time stands still while nobody waits: the same devices, faults and bytes, without a bus.
 
-A driver that lives on it (`drivers.clock.playing`) opens its line, waits and reads as ever; a wait moves the time to
-when something comes, or to its end. So what happens depends on configuration, scenario and seed alone.
+A driver that lives on it (`drivers.clock.playing`) opens its line, waits and reads as ever; a wait moves the
+time to when something comes, or to its end. So what happens depends on configuration, scenario and seed
+alone.
 """
 
 import heapq
@@ -143,7 +144,9 @@ class StreamLine(Line):
             self._reader.gone = True
         self._stream.step()
         if self._stream.disconnected:
-            raise DriverIOError(f"{name}: No such file or directory" if self._channel is None else f"{name}: refused")
+            raise DriverIOError(
+                f"{name}: No such file or directory" if self._channel is None else f"{name}: refused"
+            )
         if self._channel is None:
             self._reader = Inbox()
             self._reader.put(self._greeting)
@@ -191,7 +194,9 @@ class ModbusLine(Line):
 
     def open(self, name: str) -> None:
         if self._gone():
-            raise DriverIOError(f"{name}: {'No such file or directory' if self._serial else 'Connection refused'}")
+            raise DriverIOError(
+                f"{name}: {'No such file or directory' if self._serial else 'Connection refused'}"
+            )
         if self._unit.has_fault("black-hole"):
             self._time.pass_until(self._time.now_ns + round(self._unit.settings.timeout_s * 1e9))
             raise DriverIOError(f"{name}: timed out")
@@ -205,7 +210,9 @@ class ModbusLine(Line):
             return
         for delay_s, piece in self._faults.deliveries(adu, self._unit.active_faults(self._opened)):
             self._sent += 1
-            heapq.heappush(self._coming, (self._time.now_ns + round((ANSWER_S + delay_s) * 1e9), self._sent, piece))
+            heapq.heappush(
+                self._coming, (self._time.now_ns + round((ANSWER_S + delay_s) * 1e9), self._sent, piece)
+            )
 
     def take(self) -> bytes:
         if self._gone() or self._unit.has_fault("accept-close"):

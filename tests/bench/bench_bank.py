@@ -1,4 +1,5 @@
-"""Cost of the streaming bank: ns a sample in large batches, µs a hop live. Run as python -m tests.bench.bench_bank."""
+"""Cost of the streaming bank: ns a sample in large batches, µs a hop live. Run as python -m
+tests.bench.bench_bank."""
 
 import time
 from collections.abc import Callable
@@ -14,8 +15,10 @@ from tests.unit.numerics.window.bank_rigs import BankRig, bank_rig
 
 HOP, SAMPLES, ROUNDS = 50, 400_000, 5
 CONSTANTS = (
-    Nuisance("y1", "gain", "output", 0), Nuisance("y2", "gain", "output", 1), Nuisance("f", "gain", "input", 0),
-    Nuisance("b1", "bias", "output", 0), Nuisance("b2", "bias", "output", 1), Nuisance("b3", "bias", "input", 0),
+    Nuisance("y1", "gain", "output", 0), Nuisance("y2", "gain", "output", 1),
+    Nuisance("f", "gain", "input", 0),
+    Nuisance("b1", "bias", "output", 0), Nuisance("b2", "bias", "output", 1),
+    Nuisance("b3", "bias", "input", 0),
     Nuisance("g", "gain", "input", 0),
 )  # fmt: skip
 
@@ -46,13 +49,17 @@ def main() -> None:
         rig = rig_with(constants)
         y, u = 1e-3 * rng.standard_normal((SAMPLES, 2)), rng.standard_normal((SAMPLES, rig.model.m))
         costs = [cost(rig, y, u, window) for window in (250, 1000, 4000, 16000, 60000)]
-        print(f"{constants} constants: {' '.join(f'{c:.0f}' for c in costs)} ns a sample, windows 0.25 to 60 s")
+        print(
+            f"{constants} constants: {' '.join(f'{c:.0f}' for c in costs)} ns a sample, windows 0.25 to 60 s"
+        )
 
 
 def cost(rig: BankRig, y: np.ndarray, u: np.ndarray, window: int) -> float:
     """ns a sample of rows and scans for one window length, the making of operators left out."""
     noise = NoiseModel(np.full(2, 1e-5), np.full(2, 0.3))
-    streams = [Stream(rig.model, rig.push, noise, HopPlan(window, HOP), (), rig.interest) for _ in range(ROUNDS)]
+    streams = [
+        Stream(rig.model, rig.push, noise, HopPlan(window, HOP), (), rig.interest) for _ in range(ROUNDS)
+    ]
 
     def run() -> None:
         stream = streams.pop()

@@ -1,9 +1,10 @@
-"""What a candump log costs from its text to the estimates in the database: frames a second of one core, and where to.
+"""What a candump log costs from its text to the estimates in the database: frames a second of one core, and
+where to.
 
-python -m tests.bench.bench_candump (part of make bench). The rig of deploy/examples/can.toml: one frame to a sample, or
-two that carry its force and its motion, joined by their counters. Counted is the processor time of `deltak replay` as a
-process of its own, from its start to its end, as it is installed without extras: asammdf, which python-can loads where
-it finds it, would add half a second.
+python -m tests.bench.bench_candump (part of make bench). The rig of deploy/examples/can.toml: one frame to a
+sample, or two that carry its force and its motion, joined by their counters. Counted is the processor time of
+`deltak replay` as a process of its own, from its start to its end, as it is installed without extras:
+asammdf, which python-can loads where it finds it, would add half a second.
 """
 
 import os
@@ -42,7 +43,8 @@ WITHOUT_EXTRAS = "import sys; sys.modules['asammdf'] = None; from agent.cli.app 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """A replay: frames and samples read, rows made, processor seconds, and those of a replay of next to nothing."""
+    """A replay: frames and samples read, rows made, processor seconds, and those of a replay of next to
+    nothing."""
 
     frames: int
     samples: int
@@ -87,7 +89,9 @@ def configure(folder: Path, each: int) -> Path:
 def readings(config: Path, samples: int) -> NDArray[np.int64]:
     """Return (samples, 3) raw numbers of a healthy rig under a random force."""
     trajectory = Trajectory(Rig(read_rig(config), load_scenario("steady", {})))
-    values = np.concatenate([trajectory.chunk(number).readings for number in range(-(-samples // CHUNK))])[:samples]
+    values = np.concatenate([trajectory.chunk(number).readings for number in range(-(-samples // CHUNK))])[
+        :samples
+    ]
     return np.clip(np.rint(values / STEPS), -(2**15), 2**15 - 1).astype(np.int64)
 
 
@@ -120,7 +124,17 @@ def replayed(config: Path, raw: NDArray[np.int64], each: int) -> tuple[dict[str,
     log, db = config.with_name(f"{len(raw)}.log"), config.with_name(f"{len(raw)}.db")
     with log.open("w", encoding="ascii") as file:
         file.writelines(lines(raw, each))
-    command = [sys.executable, "-c", WITHOUT_EXTRAS, "replay", str(config), str(log), "--db", str(db), "--json"]
+    command = [
+        sys.executable,
+        "-c",
+        WITHOUT_EXTRAS,
+        "replay",
+        str(config),
+        str(log),
+        "--db",
+        str(db),
+        "--json",
+    ]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

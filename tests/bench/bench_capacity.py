@@ -1,9 +1,9 @@
 """How many rigs of 1 kHz one core sustains, the whole agent, live on each bus; which stage limits.
 
-python -m tests.bench.bench_capacity BUS RIGS (part of make bench). The devices play in real time in a process of their
-own on another core; the agent runs on one core, its database included. Its cost is read from the threads' processor
-time, so that other work on the machine blurs it little; to keep up it needs a core of its own. Whether the devices held
-their pace is told by what came of their samples, and by their own ledgers.
+python -m tests.bench.bench_capacity BUS RIGS (part of make bench). The devices play in real time in a process
+of their own on another core; the agent runs on one core, its database included. Its cost is read from the
+threads' processor time, so that other work on the machine blurs it little; to keep up it needs a core of its
+own. Whether the devices held their pace is told by what came of their samples, and by their own ledgers.
 """
 
 import os
@@ -43,7 +43,8 @@ RATE_HZ = 1000.0
 GRAIN_S = 0.01
 """For so long samples gather in a device, as in those that fill a frame or a packet before they send it."""
 WIDE = Wire(32, "1e-6", "1e-9")
-"""Numbers of 32 bits: one sample is an FD frame of 16 bytes. Finer steps would clip the motion at their ends."""
+"""Numbers of 32 bits: one sample is an FD frame of 16 bytes. Finer steps would clip the motion at their ends.
+"""
 STAGES: dict[str, tuple[type, str]] = {
     "acquisition": (SingleSource, "step"),
     "quality": (Quality, "step"),
@@ -198,7 +199,13 @@ def _threads(main: int) -> Counter[str]:
     for task in Path("/proc/self/task").iterdir():
         fields = (task / "stat").read_text().rpartition(")")[2].split()
         number, name = int(task.name), names.get(int(task.name), "")
-        kind = "main" if number == main else "read and decode" if name.startswith("read ") else "store and others"
+        kind = (
+            "main"
+            if number == main
+            else "read and decode"
+            if name.startswith("read ")
+            else "store and others"
+        )
         spent[kind] += (int(fields[11]) + int(fields[12])) / TICKS
     return spent
 
@@ -247,14 +254,14 @@ def reported(bus: str, found: Capacity) -> str:
     """Return a measurement in words."""
     ranked = sorted(found.cost.items(), key=lambda item: -item[1])
     costs = ", ".join(f"{stage} {100 * cost:.1f} %" for stage, cost in ranked)
-    kept = "kept up" if found.kept_up else "did NOT keep up" if found.played else "were NOT played at their pace"
+    kept = (
+        "kept up" if found.kept_up else "did NOT keep up" if found.played else "were NOT played at their pace"
+    )
     lost = ", ".join(f"{count} {reason}" for reason, count in found.lost.items()) or "none"
     share = f"{100 * sum(found.cost.values()):.0f} % of a core"
     head = f"{bus}: {found.rigs} rigs at 1 kHz {kept}: {share}; one core would carry {found.sustained:.0f}"
     sent = f"the devices sent {100 * found.pace:.1f} % of what was due, at {100 * found.devices:.0f} % of another core"
-    return (
-        f"{head}, limited by {found.limit}\n  lost: {lost}; {found.lag_s:.2f} s behind\n  of a core: {costs}\n  {sent}"
-    )
+    return f"{head}, limited by {found.limit}\n  lost: {lost}; {found.lag_s:.2f} s behind\n  of a core: {costs}\n  {sent}"
 
 
 def main(arguments: list[str]) -> None:

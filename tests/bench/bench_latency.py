@@ -1,9 +1,10 @@
-"""How soon after its newest sample a row, and a step of an alarm, is on the disk, and what being sooner costs.
+"""How soon after its newest sample a row, and a step of an alarm, is on the disk, and what being sooner
+costs.
 
-python -m tests.bench.bench_latency BUS SETTING (part of make bench). One rig at 1 kHz, live; the devices play in a
-process of their own. A sample waits for the end of its hop at most before the figures begin. Time stamps are those of
-the rows: they count from the most punctual arrivals. The whole agent runs as it is, but that alarms, where they are
-measured, change their state each fifth batch of rows.
+python -m tests.bench.bench_latency BUS SETTING (part of make bench). One rig at 1 kHz, live; the devices play
+in a process of their own. A sample waits for the end of its hop at most before the figures begin. Time stamps
+are those of the rows: they count from the most punctual arrivals. The whole agent runs as it is, but that
+alarms, where they are measured, change their state each fifth batch of rows.
 """
 
 import os
@@ -46,7 +47,8 @@ SETTINGS: Final[dict[str, dict[str, str]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """What was measured: quantiles of the delay of rows or of alarms, s; cores; bytes written a day; how many."""
+    """What was measured: quantiles of the delay of rows or of alarms, s; cores; bytes written a day; how
+    many."""
 
     p50: float
     p99: float
@@ -105,7 +107,9 @@ def _noted_commits(found: list[int], kind: type) -> None:
         noted(self)
         now = wall_ns()
         for records in self._flight.values():
-            found.extend(now - t_ns for record in records if isinstance(record, kind) for t_ns in _stamps(record))
+            found.extend(
+                now - t_ns for record in records if isinstance(record, kind) for t_ns in _stamps(record)
+            )
 
     StoreWriter._note_latency = note  # type: ignore[method-assign] - for the measurement
 

@@ -1,7 +1,7 @@
 """What the estimator costs as models, rigs and windows grow, and its memory over long streams.
 
-python -m tests.bench.bench_scale (part of make bench). Samples per second of one core, running steadily: the first
-fifth of each stream, in which the noise is learnt and the first fits are made, does not count.
+python -m tests.bench.bench_scale (part of make bench). Samples per second of one core, running steadily: the
+first fifth of each stream, in which the noise is learnt and the first fits are made, does not count.
 """
 
 import os
@@ -83,7 +83,11 @@ def stream(masses: int, samples: int = 10 * BLOCK) -> Stream:
     pairs = [(ends[i], ends[i + 1]) for i in range(masses)]
     springs = tuple(Link(f"k{i + 1}", pair) for i, pair in enumerate(pairs))
     dampers = tuple(Link(f"B{i + 1}", pair) for i, pair in enumerate(pairs))
-    values = dict.fromkeys(names, 3.0) | {link.name: 300.0 for link in springs} | {link.name: 5.0 for link in dampers}
+    values = (
+        dict.fromkeys(names, 3.0)
+        | {link.name: 300.0 for link in springs}
+        | {link.name: 5.0 for link in dampers}
+    )
     motion = equations(Graph(names, springs, dampers), values)
     rng = np.random.default_rng(masses)
     u = 5.0 * rng.standard_normal((samples + 1, 1))

@@ -1,8 +1,8 @@
 """What rigs at 1 kHz cost in one process and over workers, and how many one and two cores would carry.
 
-python -m tests.bench.bench_workers BUS RIGS WORKERS (part of make bench). The agent is `deltak run`; its cost is the
-processor time of all its processes, so that other work on the machine blurs it little. What two cores carry is bounded
-by the two costliest processes: each fills a core at most.
+python -m tests.bench.bench_workers BUS RIGS WORKERS (part of make bench). The agent is `deltak run`; its cost
+is the processor time of all its processes, so that other work on the machine blurs it little. What two cores
+carry is bounded by the two costliest processes: each fills a core at most.
 """
 
 import os
@@ -84,7 +84,9 @@ def spent_s(pid: int) -> float:
 
 def proportional_mb(pid: int) -> float:
     """Return the memory of a process, of what it shares with others its part, MB."""
-    (line,) = [line for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines() if line.startswith("Pss:")]
+    (line,) = [
+        line for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines() if line.startswith("Pss:")
+    ]
     return int(line.split()[1]) / 1024
 
 

@@ -1,11 +1,13 @@
-"""The jump-and-drift scene for all methods in one table: python -m tests.bench.comparison (part of make bench).
+"""The jump-and-drift scene for all methods in one table: python -m tests.bench.comparison (part of make
+bench).
 
-Columns: root mean square error after a jump (rows whose 250 samples lie behind the last jump) and in the drift, in
-per cent of nominal, mean over the four parameters, once over the rows that the method itself calls valid and once over
-all rows, the newest valid value standing in; `bad rows` are those not given or marked not valid; delay from a
-jump until every parameter stays within its alarm limit of the truth; coverage of the 95 % intervals after jumps;
-microseconds a sample in the scene and, without changes, over a long record; and by how much another past (other
-parameters, other force) moves an estimate from the same window, in per cent of nominal. "none": no valid row.
+Columns: root mean square error after a jump (rows whose 250 samples lie behind the last jump) and in the
+drift, in per cent of nominal, mean over the four parameters, once over the rows that the method itself calls
+valid and once over all rows, the newest valid value standing in; `bad rows` are those not given or marked not
+valid; delay from a jump until every parameter stays within its alarm limit of the truth; coverage of the 95 %
+intervals after jumps; microseconds a sample in the scene and, without changes, over a long record; and by how
+much another past (other parameters, other force) moves an estimate from the same window, in per cent of
+nominal. "none": no valid row.
 """
 
 import os
@@ -24,14 +26,32 @@ from numpy.typing import NDArray
 
 from agent.evaluation.compare import joint, rivals
 from tests.bench.contenders import Contender, Estimates, contenders
-from tests.bench.scene import DRIFT_FROM, END, JUMPS, NOMINAL, PERIOD, WINDOW, Record, play, rig, schedule, two_pasts
+from tests.bench.scene import (
+    DRIFT_FROM,
+    END,
+    JUMPS,
+    NOMINAL,
+    PERIOD,
+    WINDOW,
+    Record,
+    play,
+    rig,
+    schedule,
+    two_pasts,
+)
 
 FloatArray = NDArray[np.float64]
 LIMITS = np.array([15.0, 20.0, 2.0, 2.0])
 SIGMAS = (1e-6, 1e-5)
 SEEDS = (11, 12, 13)
 TUNING_SEED = 1
-STEADY = {"seed as printed": 20_000, "joint UKF": 3_000, "joint EKF": 20_000, "RLS": 20_000, "seed re-centred": 2_000}
+STEADY = {
+    "seed as printed": 20_000,
+    "joint UKF": 3_000,
+    "joint EKF": 20_000,
+    "RLS": 20_000,
+    "seed re-centred": 2_000,
+}
 """Samples of the record without changes; 1,310,720 for those not named."""
 ROUNDS = 5
 
@@ -81,7 +101,9 @@ def _rms(error: FloatArray, assessed: NDArray[np.bool_], rows: NDArray[np.bool_]
 def _delay(found: Estimates, error: FloatArray, assessed: NDArray[np.bool_], start: int) -> float:
     """Seconds from a jump to the row from which nothing leaves its limit; 1 where that does not come."""
     rows = (found.index >= start) & (found.index < start + 1000)
-    wrong = np.any(assessed[rows] & ~(np.abs(error[rows]) <= LIMITS), axis=1) | ~np.any(assessed[rows], axis=1)
+    wrong = np.any(assessed[rows] & ~(np.abs(error[rows]) <= LIMITS), axis=1) | ~np.any(
+        assessed[rows], axis=1
+    )
     last = np.flatnonzero(wrong)
     first = 0 if not len(last) else int(last[-1]) + 1
     times = found.index[rows]
@@ -89,12 +111,15 @@ def _delay(found: Estimates, error: FloatArray, assessed: NDArray[np.bool_], sta
 
 
 def tuning_score(record: Record) -> Callable[[Estimates], float]:
-    """What tuning minimises: the mean of both errors, rows that are not given or not finite count as 100 per cent."""
+    """What tuning minimises: the mean of both errors, rows that are not given or not finite count as 100 per
+    cent."""
 
     def total(found: Estimates) -> float:
         assessed = score(found, record)
         return float(
-            np.nan_to_num(assessed.jump, nan=1e9) + np.nan_to_num(assessed.drift, nan=1e9) + 100.0 * assessed.bad
+            np.nan_to_num(assessed.jump, nan=1e9)
+            + np.nan_to_num(assessed.drift, nan=1e9)
+            + 100.0 * assessed.bad
         )
 
     return total
@@ -112,13 +137,16 @@ def compare(sigma: float) -> list[Result]:
     results = []
     for contender in field:
         scores = [score(contender.run(record), record) for record in records]
-        mean = Score(*(float(np.mean([getattr(s, name) for s in scores])) for name in Score.__dataclass_fields__))
+        mean = Score(
+            *(float(np.mean([getattr(s, name) for s in scores])) for name in Score.__dataclass_fields__)
+        )
         results.append((contender, mean, steady_cost(contender, sigma), shift_by_past(contender, sigma)))
     return results
 
 
 def steady_cost(contender: Contender, sigma: float) -> float:
-    """Microseconds a sample over a long record without changes, the fastest of several: the machine has other work."""
+    """Microseconds a sample over a long record without changes, the fastest of several: the machine has other
+    work."""
     record = _steady(STEADY.get(contender.name, 1_310_720), sigma)
     return min(contender.run(record).settled for _ in range(ROUNDS))
 
@@ -142,7 +170,8 @@ def shift_by_past(contender: Contender, sigma: float) -> float:
 
 
 def joint_ekf_and_filterpys_own() -> tuple[float, float]:
-    """Microseconds a sample of the comparison's joint EKF and of filterpy's own predict + update at that size.
+    """Microseconds a sample of the comparison's joint EKF and of filterpy's own predict + update at that
+    size.
 
     In turns, the fastest of each.
     """

@@ -1,9 +1,9 @@
 """Everything that takes part in the comparison, brought to one form, and how each was tuned.
 
-Tuning is by search on a record of its own, played with the same schedule and noise but another seed than the records
-that are scored: the random walk of the joint filters, memory and observer poles of recursive least squares, observer
-poles of the re-centred seed. The seed as printed keeps the paper's poles. window-ml is not tuned: it takes the noise
-from its configuration, its window is the paper's.
+Tuning is by search on a record of its own, played with the same schedule and noise but another seed than the
+records that are scored: the random walk of the joint filters, memory and observer poles of recursive least
+squares, observer poles of the re-centred seed. The seed as printed keeps the paper's poles. window-ml is not
+tuned: it takes the noise from its configuration, its window is the paper's.
 """
 
 import tempfile
@@ -49,7 +49,8 @@ class Estimates:
         index: (N,) newest sample of each row.
         theta, half: (N, q) estimates and half the width of their 95 % intervals.
         valid: (N, q) what the method itself says it is sure of; the rivals always are.
-        microseconds: processor time a sample; on one thread that is the run time, whatever else the machine does.
+        microseconds: processor time a sample; on one thread that is the run time, whatever else the machine
+            does.
         settled: the same without the first fifth of the record.
     """
 
@@ -92,11 +93,18 @@ def contenders(sigma: float, tuning_record: Record, score: Callable[[Estimates],
 
     return [
         Contender("seed as printed", seed_run(1.0, 1), "the paper's poles, one pass"),
-        best("seed re-centred", [(f"poles x {s:g}, {PASSES} passes", seed_run(s, PASSES)) for s in POLE_SCALES]),
-        best("RLS", [(f"poles x {s:g}, forgets {m:g}", rls_run(s, m)) for s in POLE_SCALES for m in MEMORIES]),
+        best(
+            "seed re-centred", [(f"poles x {s:g}, {PASSES} passes", seed_run(s, PASSES)) for s in POLE_SCALES]
+        ),
+        best(
+            "RLS", [(f"poles x {s:g}, forgets {m:g}", rls_run(s, m)) for s in POLE_SCALES for m in MEMORIES]
+        ),
         best("joint EKF", [(f"walk {w:g}", joint_run(joint.run_ekf, sigma, w)) for w in WALKS]),
         best("joint UKF", [(f"walk {w:g}", joint_run(joint.run_ukf, sigma, w)) for w in WALKS]),
-        *[Contender(f"window-ml {name}", product_run(sigma, s), "not tuned", samples) for name, s, samples in WINDOWS],
+        *[
+            Contender(f"window-ml {name}", product_run(sigma, s), "not tuned", samples)
+            for name, s, samples in WINDOWS
+        ],
     ]
 
 
@@ -108,14 +116,18 @@ def gain(scale: float) -> FloatArray:
 
 def seed_run(scale: float, passes: int) -> Run:
     every = np.full(4, np.inf)
-    settings = SeedSettings(PERIOD, HopPlan(WINDOW, HOP), "first", gain(scale), passes, NOMINAL, every, settled=1e-3)
+    settings = SeedSettings(
+        PERIOD, HopPlan(WINDOW, HOP), "first", gain(scale), passes, NOMINAL, every, settled=1e-3
+    )
 
     def run(record: Record) -> Estimates:
         start = time.process_time()
         rows = SeedWindow(rig(), settings).step(0, record.y, record.u)
         spent = time.process_time() - start
         half = 0.5 * (rows.upper - rows.lower)
-        return Estimates(rows.index, rows.theta, half, np.isfinite(rows.theta), *[1e6 * spent / len(record.y)] * 2)
+        return Estimates(
+            rows.index, rows.theta, half, np.isfinite(rows.theta), *[1e6 * spent / len(record.y)] * 2
+        )
 
     return run
 
@@ -137,7 +149,9 @@ def _tracked(track: Callable[[Record], rivals.Track]) -> Run:
         spent = time.process_time() - start
         index = np.arange(HOP - 1, len(record.y), HOP)
         everything = np.ones((len(index), theta.shape[1]), dtype=bool)
-        return Estimates(index, theta[index], 1.96 * sd[index], everything, *[1e6 * spent / len(record.y)] * 2)
+        return Estimates(
+            index, theta[index], 1.96 * sd[index], everything, *[1e6 * spent / len(record.y)] * 2
+        )
 
     return run
 

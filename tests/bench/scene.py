@@ -1,4 +1,5 @@
-"""The jump-and-drift scene: the paper's rig and the jumps of its table 2, then a drift, under a measured random force.
+"""The jump-and-drift scene: the paper's rig and the jumps of its table 2, then a drift, under a measured
+random force.
 
 The equations of motion are written down here once more, so that nothing is compared with itself.
 """
@@ -25,7 +26,8 @@ WINDOW, HOP = 250, 50
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A played record: outputs with noise (N, 2), force (N, 1), parameters (N, 4) that hold from each sample on."""
+    """A played record: outputs with noise (N, 2), force (N, 1), parameters (N, 4) that hold from each sample
+    on."""
 
     y: FloatArray
     u: FloatArray
@@ -63,11 +65,14 @@ def play(theta: FloatArray, sigma: float, rng: np.random.Generator) -> Record:
     return Record(y + rng.normal(scale=sigma, size=y.shape), u, theta)
 
 
-def two_pasts(theta: FloatArray, other: FloatArray, samples: int, window: int, sigma: float) -> tuple[Record, Record]:
-    """Two records of `samples`, the last `window` samples the same to the last bit, parameters `other` before them.
+def two_pasts(
+    theta: FloatArray, other: FloatArray, samples: int, window: int, sigma: float
+) -> tuple[Record, Record]:
+    """Two records of `samples`, the last `window` samples the same to the last bit, parameters `other` before
+    them.
 
-    The second past runs backwards in time from the state at which the window begins, so that it is one that the rig
-    can have had.
+    The second past runs backwards in time from the state at which the window begins, so that it is one that
+    the rig can have had.
     """
     one = play(np.tile(theta, (samples, 1)), 0.0, np.random.default_rng(3))
     rng, step, start = np.random.default_rng(4), _Steps(), samples - window

@@ -23,7 +23,9 @@ def test_scale_of_models_and_rigs_keeps_its_rates() -> None:
 @pytest.mark.bench
 def test_scale_of_windows_costs_less_than_each_of_them_alone() -> None:
     (_, one), (several, all_of_them) = bench_scale.by_windows()
-    print(f"\n1 window {one / 1e6:.2f} M samples/s, {len(several)} windows {all_of_them / 1e6:.2f} M samples/s")
+    print(
+        f"\n1 window {one / 1e6:.2f} M samples/s, {len(several)} windows {all_of_them / 1e6:.2f} M samples/s"
+    )
     assert all_of_them > one / len(several)
 
 

@@ -78,7 +78,9 @@ def test_log_of_candump_replays_at_300000_frames_a_second_and_more(tmp_path: Pat
     short = tmp_path / "b.log"
     short.write_text("".join(path.read_text().splitlines(keepends=True)[:20_000]))
     library = 20_000 / least(3, lambda: sum(1 for _ in can.CanutilsLogReader(short)))
-    print(f"\ncandump text: {rate:,.0f} frames a second to samples; python-can reads {library:,.0f} to messages")
+    print(
+        f"\ncandump text: {rate:,.0f} frames a second to samples; python-can reads {library:,.0f} to messages"
+    )
     assert rate >= 300_000
 
 
@@ -108,7 +110,9 @@ def test_line_of_an_adapter_costs_a_fraction_of_the_librarys() -> None:
             bus._recv_internal(1.0)
 
     theirs = least(3, library) / 5000
-    print(f"\nslcan: {ours * 1e6:.2f} us a line; python-can's reader, the port's own cost apart, {theirs * 1e6:.2f}")
+    print(
+        f"\nslcan: {ours * 1e6:.2f} us a line; python-can's reader, the port's own cost apart, {theirs * 1e6:.2f}"
+    )
     assert ours < 0.5 * theirs
 
 
@@ -123,5 +127,7 @@ def test_batch_of_a_thousand_frames_is_decoded_50_times_cheaper_than_by_cantools
     message = database.get_message_by_name("RIG_SAMPLE")
     ours = least(50, lambda: decoder.decode(frames))
     theirs = least(5, lambda: [message.decode(data) for data in datas])
-    print(f"\na thousand frames decoded: {ours * 1e6:.0f} us, by cantools {theirs * 1e6:.0f} us: {theirs / ours:.0f} x")
+    print(
+        f"\na thousand frames decoded: {ours * 1e6:.0f} us, by cantools {theirs * 1e6:.0f} us: {theirs / ours:.0f} x"
+    )
     assert theirs >= 50 * ours

@@ -1,4 +1,5 @@
-"""Capacity as make bench runs it: rigs at 1 kHz live on one core without a lost sample, frames of a log a second."""
+"""Capacity as make bench runs it: rigs at 1 kHz live on one core without a lost sample, frames of a log a
+second."""
 
 import pytest
 

@@ -60,7 +60,9 @@ def year(path: Path) -> None:
     """Write a rig-year as the defaults leave it: 7 days of rows, 90 days of minutes, a year of hours."""
     with Store.open(path, Retention()) as store:
         run_id = store.begin_run(run_info())
-        series = [store.names.series((run_id, p, "N/m", "window-ml", 25.0, None)) for p in ("k1", "k2", "B1", "B2")]
+        series = [
+            store.names.series((run_id, p, "N/m", "window-ml", 25.0, None)) for p in ("k1", "k2", "B1", "B2")
+        ]
         for span, days in ((HOUR, 365), (MINUTE, 90)):
             for first in range(0, days * DAY, 10 * DAY):
                 length = min(10 * DAY, days * DAY - first)
@@ -135,7 +137,8 @@ def test_rig_year_is_small_and_its_trend_quicker_than_pandas(tmp_path: Path) -> 
 @pytest.mark.bench
 @pytest.mark.timeout(300)
 def test_bytes_written_to_disk_in_a_day_at_defaults(tmp_path: Path) -> None:
-    """A commit a second of one row of four parameters, a ledger row every 10 s, checkpoints and aggregates included."""
+    """A commit a second of one row of four parameters, a ledger row every 10 s, checkpoints and aggregates
+    included."""
     compiler = peers.program("cc", "gcc")
     library = tmp_path / "oplog.so"
     source = peers.ROOT / "tests" / "storage" / "powercut" / "oplog.c"
@@ -193,15 +196,19 @@ def years(path: Path, count: int) -> None:
     rng = np.random.default_rng(0)
     with Store.open(path, Retention()) as store:
         run_id = store.begin_run(run_info())
-        series = [store.names.series((run_id, p, "N/m", "window-ml", 25.0, None)) for p in ("k1", "k2", "B1", "B2")]
+        series = [
+            store.names.series((run_id, p, "N/m", "window-ml", 25.0, None)) for p in ("k1", "k2", "B1", "B2")
+        ]
         for first in range(0, hours, 240):
             day = np.repeat(np.arange(first, min(first + 240, hours)) / 24.0, 4)
             n = len(day)
             value = 25.0 - 0.8 * day / 365 - 0.1 * (day / 365) ** 2 + 0.05 * rng.standard_normal(n)
             whole, small = np.full(n, HOUR), np.full(n, 0.05)
             rows = Groups(
-                START + np.rint(day * 24).astype(np.int64) * HOUR * SECOND, np.tile(series, n // 4), value, small,
-                0.7 * small, value - 0.1, value + 0.1, whole, whole, np.full(n, 256), np.full(n, 0.25), 250 * whole,
+                START + np.rint(day * 24).astype(np.int64) * HOUR * SECOND, np.tile(series, n // 4), value,
+                small,
+                0.7 * small, value - 0.1, value + 0.1, whole, whole, np.full(n, 256), np.full(n, 0.25),
+                250 * whole,
                 np.zeros(n, dtype=np.int64),
             )  # fmt: skip
             plan = Plan()
@@ -212,7 +219,8 @@ def years(path: Path, count: int) -> None:
 @pytest.mark.bench
 @pytest.mark.timeout(600)
 def test_fleet_of_twenty_machines_over_five_years_is_quick(tmp_path: Path) -> None:
-    """Beside the same in pandas and statsmodels: a local linear trend fitted to the monthly means of each parameter."""
+    """Beside the same in pandas and statsmodels: a local linear trend fitted to the monthly means of each
+    parameter."""
     import pandas as pd
     from statsmodels.tsa.statespace.structural import UnobservedComponents
 

@@ -1,7 +1,8 @@
 """What window-ml costs a sample, against a joint EKF and over lengths of window; replay end to end.
 
-Measured in turn in one process, processor time, the fastest of several: ratios hold on a busy machine too. The start
-(first fit, search for unknown forces) happens once in the life of an agent and is printed on its own.
+Measured in turn in one process, processor time, the fastest of several: ratios hold on a busy machine too.
+The start (first fit, search for unknown forces) happens once in the life of an agent and is printed on its
+own.
 """
 
 import json
@@ -70,14 +71,18 @@ def window_ml(samples: Record, window_s: float) -> Timed:
 
 
 def start_of(samples: Record, window_s: float) -> float:
-    """Seconds of processor time that the first fit and the search for unknown forces take, with their samples."""
+    """Seconds of processor time that the first fit and the search for unknown forces take, with their
+    samples."""
     begun = time.process_time()
-    SlidingEstimator(settings(round(window_s / PERIOD), 50, SIGMA)).step(0, samples.y[:START], samples.u[:START])
+    SlidingEstimator(settings(round(window_s / PERIOD), 50, SIGMA)).step(
+        0, samples.y[:START], samples.u[:START]
+    )
     return time.process_time() - begun
 
 
 def stream(samples: Record, missing: BoolArray) -> Timed:
-    """The first twelve seconds, with the first fit and the search for forces, where some readings are missing."""
+    """The first twelve seconds, with the first fit and the search for forces, where some readings are
+    missing."""
 
     def run() -> float:
         v = np.hstack([samples.y[:LOSSY], samples.u[:LOSSY]])
@@ -123,7 +128,9 @@ def filterpys_own() -> Timed:
 
 
 def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
-    cost = fastest({"window-ml": window_ml(samples, 1.0), "ekf": timed_ekf(samples), "filterpy": filterpys_own()})
+    cost = fastest(
+        {"window-ml": window_ml(samples, 1.0), "ekf": timed_ekf(samples), "filterpy": filterpys_own()}
+    )
     overhead, ratio = cost["ekf"] / cost["filterpy"], cost["ekf"] / cost["window-ml"]
     print(f"\nwindow-ml {cost['window-ml']:.0f} ns a sample after a start of {start_of(samples, 1.0):.2f} s")
     print(
@@ -141,7 +148,9 @@ def test_bank_costs_a_small_share_of_a_joint_ekf(samples: Record) -> None:
         v = rng.standard_normal((bench_bank.SAMPLES, 2 + rig.model.m))
         cost = bench_bank.cost(rig, 1e-3 * v[:, :2], v[:, 2:], 1000)
         ratios[constants] = ekf / cost
-        print(f"\nbank, {constants} columns of constants: {cost:.0f} ns a sample, EKF {ratios[constants]:.0f} x dearer")
+        print(
+            f"\nbank, {constants} columns of constants: {cost:.0f} ns a sample, EKF {ratios[constants]:.0f} x dearer"
+        )
     assert ratios[0] >= 200
     assert ratios[3] >= 120
     assert ratios[7] >= 70
@@ -176,7 +185,9 @@ def test_whole_replay_of_a_recording_into_sqlite_keeps_far_ahead_of_time(
     v = samples if force == "any" else held()
     y = v.y[:SAMPLES]
     np.savez(recording, t=np.arange(SAMPLES) * PERIOD, force=v.u[:SAMPLES, 0], x1=y[:, 0], x2=y[:, 1])
-    walls, processors = zip(*(replayed(config, recording, tmp_path / f"out{i}.db") for i in range(3)), strict=True)
+    walls, processors = zip(
+        *(replayed(config, recording, tmp_path / f"out{i}.db") for i in range(3)), strict=True
+    )
     rate, of_processor = SAMPLES / min(walls), SAMPLES / min(processors)
     figure(
         f"whole replay of NPZ into SQLite, {force} force: {rate:,.0f} samples a second, {of_processor:,.0f} of a core"
@@ -193,7 +204,17 @@ def held() -> Record:
 
 def replayed(config: Path, recording: Path, db: Path) -> tuple[float, float]:
     """Seconds, of the clock and of processors, that a whole process of `deltak replay` takes."""
-    command = [sys.executable, "-m", "agent", "replay", str(config), str(recording), "--db", str(db), "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "agent",
+        "replay",
+        str(config),
+        str(recording),
+        "--db",
+        str(db),
+        "--json",
+    ]
     begun, before = time.perf_counter(), os.times()
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     wall, after = time.perf_counter() - begun, os.times()

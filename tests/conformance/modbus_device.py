@@ -1,4 +1,5 @@
-"""A Modbus device of a few lines on sockets and ptys, made without the library under test; it can lie on purpose."""
+"""A Modbus device of a few lines on sockets and ptys, made without the library under test; it can lie on
+purpose."""
 
 import os
 import pty

@@ -30,7 +30,11 @@ class DaemonLine(Line):
 
     def request(self) -> SourceRequest:
         settings = CanSettings(
-            interface="socketcand", channel="can0", host="127.0.0.1", port=self.daemon.port, dbc=Path("rig.dbc")
+            interface="socketcand",
+            channel="can0",
+            host="127.0.0.1",
+            port=self.daemon.port,
+            dbc=Path("rig.dbc"),
         )
         return SourceRequest("line", settings, self.fields, self.counter, FOLDER)
 
@@ -49,7 +53,9 @@ class DaemonLine(Line):
         message = DATABASE.get_message_by_name(name)
         signals = {signal.name: signal.offset for signal in message.signals}
         signals["Counter"] = self.played % 2 ** message.get_signal_by_name("Counter").length
-        signals.update({f.split(".")[1]: row[i] for i, f in enumerate(self.fields) if f.startswith(name + ".")})
+        signals.update(
+            {f.split(".")[1]: row[i] for i, f in enumerate(self.fields) if f.startswith(name + ".")}
+        )
         digits = f"{message.frame_id:08X}" if message.is_extended_frame else f"{message.frame_id:03X}"
         return f"< frame {digits} {self.played / 1000:.6f} {message.encode(signals).hex()} >".encode()
 

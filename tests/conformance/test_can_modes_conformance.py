@@ -1,4 +1,5 @@
-"""The suite for what came after: slcan adapters, multiplexed pages, checksums and counters that skip a number."""
+"""The suite for what came after: slcan adapters, multiplexed pages, checksums and counters that skip a
+number."""
 
 import contextlib
 import os
@@ -21,7 +22,8 @@ from tests.conformance.test_can_conformance import DATABASE, FOLDER, DaemonLine,
 
 
 class SlcanLine(DaemonLine):
-    """The same samples behind an adapter on a pseudo-terminal, whose path stays the same when it is replugged."""
+    """The same samples behind an adapter on a pseudo-terminal, whose path stays the same when it is
+    replugged."""
 
     protocol = "slcan"
     fd = False
@@ -96,11 +98,14 @@ class CheckedLine(DaemonLine):
     def request(self) -> SourceRequest:
         whole = super().request()
         check = {"signal": "Sum", "method": "sum"}
-        return replace(whole, settings=with_keys(whole.settings, counter_modulus=self.modulus, checksum=check))
+        return replace(
+            whole, settings=with_keys(whole.settings, counter_modulus=self.modulus, checksum=check)
+        )
 
     def frame(self, name: str, row: FloatArray) -> bytes:
         data = bytearray(DATABASE.encode_message(name, {
-            "Counter": self.played % self.modulus, "Force": row[self.place("Force")], "X1": row[self.place("X1")],
+            "Counter": self.played % self.modulus, "Force": row[self.place("Force")],
+            "X1": row[self.place("X1")],
             "Sum": 0,
         }))  # fmt: skip
         data[7] = sum(data) % 256
@@ -113,7 +118,8 @@ class CheckedLine(DaemonLine):
         whole = self.request()
         wrong = [{"signal": "Nosuch", "method": "sum"}, {"signal": "Force", "method": "xor"}]
         return [
-            lambda check=check: replace(whole, settings=with_keys(whole.settings, checksum=check)) for check in wrong
+            lambda check=check: replace(whole, settings=with_keys(whole.settings, checksum=check))
+            for check in wrong
         ]
 
 
@@ -179,8 +185,12 @@ def test_frames_of_several_samples_arrive_as_samples_with_times_of_their_own() -
     daemon.wait_for_clients(1)
     played = np.random.default_rng(1).integers(-1000, 1000, (400, 2)) * (0.5, 0.001)
     for first in range(0, 400, 4):
-        signals = {f"{name}_{i}": played[first + i, k] for i in range(4) for k, name in enumerate(("X1", "Force"))}
-        data = DATABASE.encode_message("RIG_BLOCK", {"Counter": 65500 + first - 65536 * (first > 32), **signals})
+        signals = {
+            f"{name}_{i}": played[first + i, k] for i in range(4) for k, name in enumerate(("X1", "Force"))
+        }
+        data = DATABASE.encode_message(
+            "RIG_BLOCK", {"Counter": 65500 + first - 65536 * (first > 32), **signals}
+        )
         daemon.send(f"< frame 106 {(first + 3) / 1000:.6f} {data.ljust(32, bytes(1)).hex()} >".encode())
     blocks = [driver.read(1.0)]
     while sum(map(len, blocks)) < 400 and len(blocks) < 40:

@@ -1,4 +1,5 @@
-"""Our driver against libmodbus, an independent server, over TCP and over a serial line of two ptys joined by socat."""
+"""Our driver against libmodbus, an independent server, over TCP and over a serial line of two ptys joined by
+socat."""
 
 import re
 import socket
@@ -34,7 +35,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Path:
         check=False,
     )
     if done.returncode:
-        peers.missing(f"libmodbus cannot be compiled against (Debian package libmodbus-dev): {done.stderr[-200:]}")
+        peers.missing(
+            f"libmodbus cannot be compiled against (Debian package libmodbus-dev): {done.stderr[-200:]}"
+        )
     return built
 
 

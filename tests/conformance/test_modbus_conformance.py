@@ -78,7 +78,9 @@ class RingLine(Line):
 
     def bad_requests(self) -> Sequence[Callable[[], SourceRequest]]:
         fields = ("force", "x1", "x2")
-        return [partial(SourceRequest, "line", self.settings(), fields, counter) for counter in ("x2", "none")]
+        return [
+            partial(SourceRequest, "line", self.settings(), fields, counter) for counter in ("x2", "none")
+        ]
 
     def kill(self) -> None:
         self.device.stop()

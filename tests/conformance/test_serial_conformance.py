@@ -114,7 +114,11 @@ class EndedLine(BinaryLine):
 
     def frame(self, row: FloatArray) -> bytes:
         frame = super().frame(row)[2:]
-        return cobs.encode(frame) + b"\0" if self.framing == "cobs" else b"\xc0" + sliplib.encode(frame) + b"\xc0"
+        return (
+            cobs.encode(frame) + b"\0"
+            if self.framing == "cobs"
+            else b"\xc0" + sliplib.encode(frame) + b"\xc0"
+        )
 
 
 class SlipLine(EndedLine):

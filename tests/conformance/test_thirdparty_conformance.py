@@ -142,7 +142,10 @@ class TestTheSuiteItself:
                 super().open()
                 self._socket.sendall(b"zero the scale")
 
-        with on_purpose() as found, pytest.raises(AssertionError, match=r"a listener wrote b'zero the scale'"):
+        with (
+            on_purpose() as found,
+            pytest.raises(AssertionError, match=r"a listener wrote b'zero the scale'"),
+        ):
             self.run(Writes, "test_read_of_known_samples_delivers_exactly_these")
         assert set(found) == {b"zero the scale"}
 
@@ -150,12 +153,16 @@ class TestTheSuiteItself:
         class Repeats(found_driver()):  # type: ignore[misc]
             def read(self, timeout_s: float) -> SampleBlock:
                 block = super().read(timeout_s)
-                return replace(block, values=block.values[[0, *range(len(block))]] if len(block) else block.values)
+                return replace(
+                    block, values=block.values[[0, *range(len(block))]] if len(block) else block.values
+                )
 
         with pytest.raises(AssertionError):
             self.run(Repeats, "test_read_of_known_samples_delivers_exactly_these")
 
-    def test_driver_that_hides_a_dead_device_turns_the_suite_red(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_driver_that_hides_a_dead_device_turns_the_suite_red(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         monkeypatch.setattr("drivers.conformance.DEADLINE_S", 0.3)
 
         class Quiet(found_driver()):  # type: ignore[misc]

@@ -35,6 +35,8 @@ def blocks(language: str) -> list[Block]:
 def links() -> list[tuple[Path, str]]:
     """Return the relative targets of links and pictures."""
     found = [
-        (file, target) for file in FILES for target in re.findall(r"\]\(([^)#]+)", file.read_text(encoding="utf-8"))
+        (file, target)
+        for file in FILES
+        for target in re.findall(r"\]\(([^)#]+)", file.read_text(encoding="utf-8"))
     ]
     return [(file, target) for file, target in found if "://" not in target]

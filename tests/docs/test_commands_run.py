@@ -22,13 +22,16 @@ SHELL = blocks("sh")
 
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A reader's folder: the examples on a free port, a recording, and the demo's database once it has been run."""
+    """A reader's folder: the examples on a free port, a recording, and the demo's database once it has been
+    run."""
     folder = tmp_path_factory.mktemp("reader")
     shutil.copytree(ROOT / "deploy", folder / "deploy")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     example = folder / "deploy/examples/modbus.toml"
-    example.write_text(example.read_text(encoding="utf-8").replace("port = 1502", f"port = {port}"), encoding="utf-8")
+    example.write_text(
+        example.read_text(encoding="utf-8").replace("port = 1502", f"port = {port}"), encoding="utf-8"
+    )
     two_mass_recording(folder / "recording.csv", np.random.default_rng(5))
     return folder
 

@@ -28,7 +28,11 @@ NOT_KEYS = {"file", "sha256", "settings", "names", "covariate", "covariate_sourc
 
 def documented(text: str) -> set[str]:
     """Return the words that stand in code quotes."""
-    return {word for code in re.findall(r"`([^`\n]+)`", text) for word in re.findall(r"[A-Za-z_][A-Za-z0-9_]*", code)}
+    return {
+        word
+        for code in re.findall(r"`([^`\n]+)`", text)
+        for word in re.findall(r"[A-Za-z_][A-Za-z0-9_]*", code)
+    }
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -37,7 +41,9 @@ def test_every_command_and_option_is_in_the_readme(name: str) -> None:
     command = COMMANDS.get_command(None, name)
     options = [p for p in command.params if p.param_type_name == "option" and not getattr(p, "hidden", False)]
     missing = [
-        option.opts[-1] for option in options if f"`{option.opts[-1]}`" not in row and "--help" not in option.opts
+        option.opts[-1]
+        for option in options
+        if f"`{option.opts[-1]}`" not in row and "--help" not in option.opts
     ]
     assert missing == []
 
@@ -47,7 +53,9 @@ def test_readme_tells_every_exit_code() -> None:
 
 
 def own_tables() -> list[type[BaseModel]]:
-    found = [item for item in vars(tables).values() if isinstance(item, type) and issubclass(item, tables.Table)]
+    found = [
+        item for item in vars(tables).values() if isinstance(item, type) and issubclass(item, tables.Table)
+    ]
     return [table for table in found if table not in (tables.Table, tables.RigConfig)]
 
 
@@ -70,7 +78,9 @@ def chapter(driver: str) -> str:
     return CONFIGURATION.partition(f'### driver = "{driver}"')[2].partition("\n##")[0]
 
 
-@pytest.mark.parametrize("driver", [point.name for point in entry_points(group="deltak.drivers") if is_there(point)])
+@pytest.mark.parametrize(
+    "driver", [point.name for point in entry_points(group="deltak.drivers") if is_there(point)]
+)
 def test_every_key_of_a_driver_is_documented(driver: str) -> None:
     (point,) = entry_points(group="deltak.drivers", name=driver)
     schema = point.load().settings_model.model_json_schema()
@@ -88,11 +98,13 @@ def columns_told(view: str) -> set[str]:
 
 def test_every_view_and_column_is_documented(tmp_path: Path) -> None:
     with Store.open(tmp_path / "empty.db") as store:
-        views = [name for (name,) in store.connection.execute("SELECT name FROM sqlite_master WHERE type = 'view'")]
+        views = [
+            name for (name,) in store.connection.execute("SELECT name FROM sqlite_master WHERE type = 'view'")
+        ]
         for view in views:
-            assert {column[1] for column in store.connection.execute(f"PRAGMA table_info({view})")} == columns_told(
-                view
-            )
+            assert {
+                column[1] for column in store.connection.execute(f"PRAGMA table_info({view})")
+            } == columns_told(view)
 
 
 @pytest.mark.parametrize("reason", [reason for reason in Reason if reason])

@@ -13,7 +13,8 @@ _PART = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 def words_of(name: str) -> set[str]:
-    """Return the words of an identifier or a path, in lower case; letters of the books (two or fewer) are none."""
+    """Return the words of an identifier or a path, in lower case; letters of the books (two or fewer) are
+    none."""
     return {part.lower() for part in _PART.findall(name) if len(part) > 2}
 
 
@@ -37,7 +38,13 @@ def defined(node: ast.stmt) -> Iterator[str]:
     if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
         for inner in node.body:
             yield from defined(inner)
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    targets = (
+        node.targets
+        if isinstance(node, ast.Assign)
+        else [node.target]
+        if isinstance(node, ast.AnnAssign)
+        else []
+    )
     yield from (target.id for target in targets if isinstance(target, ast.Name))
 
 
@@ -57,7 +64,9 @@ def names() -> Iterator[tuple[str, str]]:
 
 def found_in(wanted: set[str]) -> list[str]:
     return sorted(
-        f"{path}: {name} ({', '.join(strange)})" for path, name in names() if (strange := words_of(name) & wanted)
+        f"{path}: {name} ({', '.join(strange)})"
+        for path, name in names()
+        if (strange := words_of(name) & wanted)
     )
 
 
@@ -91,7 +100,9 @@ def test_architecture_shows_every_room_and_the_files_it_names_are_there() -> Non
     for depth, name in re.findall(r"^    ( *)(\w+)/ ", tree, re.MULTILINE):
         at[len(depth) // 2 :] = [name]
         shown.add("/".join(at))
-    packages = [init.parent for top in ("agent", "drivers", "sim_bus") for init in (ROOT / top).rglob("__init__.py")]
+    packages = [
+        init.parent for top in ("agent", "drivers", "sim_bus") for init in (ROOT / top).rglob("__init__.py")
+    ]
     assert {path.relative_to(ROOT).as_posix() for path in packages} == shown - {"tests"}
     table = text.partition("## To add something")[2].partition("## ")[0]
     named = re.findall(r"`((?:agent|drivers|sim_bus|tests|docs|deploy)/[\w/.]+)`", table)

@@ -43,7 +43,10 @@ fields = [{{ name = "F", type = "{type}", scale = {force} }}, {{ name = "X", typ
 timeout_s = 0.2
 period_s = 0.02
 """
-INT, FLOAT = {"type": "int32", "force": "1e-4", "length": "1e-8"}, {"type": "float32", "force": 1, "length": 1}
+INT, FLOAT = (
+    {"type": "int32", "force": "1e-4", "length": "1e-8"},
+    {"type": "float32", "force": 1, "length": 1},
+)
 TCP = 'transport = "tcp"\nhost = "127.0.0.1"\nport = 1502'
 RTU = 'transport = "rtu"\nport = "rtu.tty"\nbaudrate = 921600'
 SOURCES = {

@@ -28,7 +28,9 @@ RIG = "two-mass-rig"
 def samples(count: int = 400) -> list[list[float]]:
     """Time and readings that make a recording, excited and plausible."""
     rng = np.random.default_rng(3)
-    values = np.column_stack([np.arange(count) * 1e-3, rng.normal(size=count), rng.normal(size=(count, 2)) * 1e-3])
+    values = np.column_stack(
+        [np.arange(count) * 1e-3, rng.normal(size=count), rng.normal(size=(count, 2)) * 1e-3]
+    )
     return [[round(value, 6) for value in row] for row in values.tolist()]
 
 
@@ -114,7 +116,11 @@ def test_faulty_configuration_is_exit_2_with_key_path_and_no_row_changes(
     command: str, old: str, new: str, path: str, words: str, place: Place, deltak: Run
 ) -> None:
     config = str(broken(place, old, new))
-    extra = {"replay": [str(place.recording), "--db", str(place.db)], "run": ["--db", str(place.db)], "check": []}
+    extra = {
+        "replay": [str(place.recording), "--db", str(place.db)],
+        "run": ["--db", str(place.db)],
+        "check": [],
+    }
     code, out, err = deltak(command, config, *extra[command])
     assert code == 2, err
     lines = [line for line in err.splitlines() if line.startswith(f"deltak: error: {path}")]
@@ -128,7 +134,9 @@ def test_faulty_configuration_is_exit_2_with_key_path_and_no_row_changes(
 
 def test_unobservable_states_name_what_to_measure(place: Place, deltak: Run) -> None:
     """Velocities alone do not show where a mass on a damper only is."""
-    text = place.config.read_text(encoding="utf-8").replace('quantity = "displacement"', 'quantity = "velocity"')
+    text = place.config.read_text(encoding="utf-8").replace(
+        'quantity = "displacement"', 'quantity = "velocity"'
+    )
     text = text.replace('unit = "m"', 'unit = "m/s"')
     text = text[: text.index("spring = ")] + "spring = []\n" + text[text.index("damper = ") :]
     alarms = text.index("[[alarm]]")
@@ -138,7 +146,8 @@ def test_unobservable_states_name_what_to_measure(place: Place, deltak: Run) -> 
     code, _, err = deltak("replay", str(config), str(place.recording), "--db", str(place.db))
     assert code == 2
     assert (
-        "no channel shows the displacement of m1 and displacement of m2; measure the displacement of m1 and m2" in err
+        "no channel shows the displacement of m1 and displacement of m2; measure the displacement of m1 and m2"
+        in err
     )
     assert place.unchanged()
 
@@ -192,7 +201,11 @@ RECORDINGS: list[tuple[str, Callable[[Path], Path], str]] = [
         lambda folder: csv(folder / "plain.csv", samples(), header=""),
         "the first line must name the columns",
     ),
-    ("without a channel", lambda folder: csv(folder / "short.csv", samples(), header="t,force,x1,other"), "x2"),
+    (
+        "without a channel",
+        lambda folder: csv(folder / "short.csv", samples(), header="t,force,x1,other"),
+        "x2",
+    ),
     ("binary rubbish", lambda folder: _bytes(folder / "rubbish.csv", RUBBISH), "rubbish.csv"),
     ("rubbish as npz", lambda folder: _bytes(folder / "rubbish.npz", RUBBISH), "rubbish.npz"),
     ("folder", lambda folder: folder, ""),
@@ -223,7 +236,12 @@ def test_unusable_recording_is_exit_2_and_no_row_changes(
 def replayed(place: Place, lines: list[list[float]] | list[str], deltak: Run) -> dict[str, Any]:
     """Replay lines; return the document's ledger once the database has the same, and one run more."""
     code, out, err = deltak(
-        "replay", str(place.config), str(csv(place.folder / "odd.csv", lines)), "--db", str(place.db), "--json"
+        "replay",
+        str(place.config),
+        str(csv(place.folder / "odd.csv", lines)),
+        "--db",
+        str(place.db),
+        "--json",
     )
     assert code == 0, err
     found: dict[str, Any] = json.loads(out)["samples"]
@@ -251,7 +269,9 @@ def test_recording_with_time_running_backwards_refuses_those_samples(place: Plac
     assert found["rejected"] == {"backwards": 2}
 
 
-def test_recording_of_time_that_only_runs_backwards_is_refused_and_its_ledger_kept(place: Place, deltak: Run) -> None:
+def test_recording_of_time_that_only_runs_backwards_is_refused_and_its_ledger_kept(
+    place: Place, deltak: Run
+) -> None:
     path = csv(place.folder / "odd.csv", samples(50)[::-1])
     code, _, err = deltak("replay", str(place.config), str(path), "--db", str(place.db), "--json")
     assert code == 2
@@ -337,7 +357,9 @@ def test_port_that_refuses_or_never_answers_keeps_the_agent_trying(place: Place,
         config, db = place.folder / f"{number}.toml", place.folder / f"{number}.db"
         config.write_text(text.replace(port, f"port = {number}"), encoding="utf-8")
         with agent(config, options=["--db", str(db)]) as running:
-            wait_until(lambda db=db: rows(db, alarms) == [("source", "modbus", "UNACK")], "a source alarm", LIMIT_S)
+            wait_until(
+                lambda db=db: rows(db, alarms) == [("source", "modbus", "UNACK")], "a source alarm", LIMIT_S
+            )
             document = running.document()
         assert document["samples"] == {"received": 0, "used": 0, "rejected": {}, "dropped": {}, "gaps": 0}
         assert rows(db, "SELECT count(*) FROM v_estimates") == [(0,)]

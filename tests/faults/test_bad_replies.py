@@ -1,4 +1,5 @@
-"""Rings whose device gives one bad reply in twenty: what pymodbus with its retries reads of them, this reads too."""
+"""Rings whose device gives one bad reply in twenty: what pymodbus with its retries reads of them, this reads
+too."""
 
 import random
 import threading
@@ -78,7 +79,8 @@ def by_deltak(device: BadDevice, stop: threading.Event) -> set[int]:
     fields = [{"name": f"f{place}", "type": "uint16"} for place in range(SLOT)]
     settings = ModbusSettings.model_validate(
         {
-            "mode": "ring", "index": {"address": 0}, "ring": {"address": RING, "slots": SLOTS}, "fields": fields,
+            "mode": "ring", "index": {"address": 0}, "ring": {"address": RING, "slots": SLOTS},
+            "fields": fields,
             "host": "127.0.0.1", "port": device.port, "timeout_s": TIMEOUT_S,
         }
     )  # fmt: skip
@@ -123,7 +125,9 @@ def by_pymodbus(device: BadDevice, stop: threading.Event) -> set[int]:
         while following < head and not stop.is_set():
             count = min(125 // SLOT, head - following, SLOTS - following % SLOTS)
             words = registers(RING + following % SLOTS * SLOT, count * SLOT)
-            right = {following + k for k in range(len(words) // SLOT) if words[k * SLOT] == (following + k) % 65536}
+            right = {
+                following + k for k in range(len(words) // SLOT) if words[k * SLOT] == (following + k) % 65536
+            }
             numbers |= right
             following += count
         stop.wait(0.05)
@@ -142,7 +146,9 @@ def test_ring_with_one_bad_reply_in_twenty_is_read_as_well_as_pymodbus_with_retr
         device.begun = time.monotonic()
         results[name] = {"deltak": by_deltak, "pymodbus": by_pymodbus}[name](device, stop)
 
-    threads = [threading.Thread(target=read, args=pair) for pair in zip(("deltak", "pymodbus"), devices, strict=True)]
+    threads = [
+        threading.Thread(target=read, args=pair) for pair in zip(("deltak", "pymodbus"), devices, strict=True)
+    ]
     for device in devices:
         device.start()
     for thread in threads:
@@ -162,6 +168,6 @@ def test_ring_with_one_bad_reply_in_twenty_is_read_as_well_as_pymodbus_with_retr
     )
     assert devices[0].bad.total() > 10
     assert shares["deltak"] >= 0.95
-    # slots read at first contact, when the ring is full, count as overwritten until the index behind them says they
-    # are not; the plain loop need not ask, since the slots here hold their own numbers
+    # slots read at first contact, when the ring is full, count as overwritten until the index behind them
+    # says they are not; the plain loop need not ask, since the slots here hold their own numbers
     assert shares["deltak"] >= shares["pymodbus"] - 0.04

@@ -1,4 +1,5 @@
-"""A CAN daemon that is killed and an adapter that is unplugged, again and again; the kernel's bus: tests/vcan."""
+"""A CAN daemon that is killed and an adapter that is unplugged, again and again; the kernel's bus:
+tests/vcan."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -34,13 +35,15 @@ class Beside(Source):
 
 
 def outages(lines: Sequence[Source], cycles: int) -> list[list[float]]:
-    """Take every line away and bring it back, so many times, all at once; return the times that each took to return."""
+    """Take every line away and bring it back, so many times, all at once; return the times that each took to
+    return."""
     with ThreadPoolExecutor(len(lines)) as pool:
         return list(pool.map(lambda source: chaos(source, cycles), lines))
 
 
 def assert_recovers(makers: dict[str, Callable[[], Line]], cycles: int, samples: int = 10) -> None:
-    """Hold lines through outages while one beside them plays on: in time, nothing lost there, nothing left over."""
+    """Hold lines through outages while one beside them plays on: in time, nothing lost there, nothing left
+    over."""
     stalls: list[float] = []
     done, beside = threading.Event(), Beside(FdLine())
     sources = {name: Source(make()) for name, make in makers.items()}
@@ -76,7 +79,9 @@ def assert_recovers(makers: dict[str, Callable[[], Line]], cycles: int, samples:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("cycles", [5, pytest.param(200, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
+@pytest.mark.parametrize(
+    "cycles", [5, pytest.param(200, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+)
 def test_daemons_and_adapters_that_go_and_come_are_read_within_two_seconds_and_others_lose_nothing(
     cycles: int,
 ) -> None:

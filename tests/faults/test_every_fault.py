@@ -1,6 +1,8 @@
-"""Every fault that the simulator can cause, on simulated time: what was lost, what was told, what no estimate used.
+"""Every fault that the simulator can cause, on simulated time: what was lost, what was told, what no estimate
+used.
 
-The simulator says what it broke; the shadow of the samples that were used is held against what the sensors read.
+The simulator says what it broke; the shadow of the samples that were used is held against what the sensors
+read.
 """
 
 from pathlib import Path
@@ -22,7 +24,8 @@ OTHER_LINE = {
     "can.error-passive": "can adapter", "can.overrun": "can adapter",
 }  # fmt: skip
 STRANGE_COUNT = {"counter-reset", "restart"}
-"""While a counter runs behind, its samples are refused; that it began anew is known after a tenth of a second."""
+"""While a counter runs behind, its samples are refused; that it began anew is known after a tenth of a
+second."""
 
 CAUSES = {
     "can.drop": "gap", "can.loss": "gap", "can.duplicate": "duplicate", "can.reorder": "backwards",
@@ -31,8 +34,10 @@ CAUSES = {
     "can.foreign": "", "can.flood": "", "can.error-frame": "bus error", "can.bus-off": "bus-off",
     "can.stuck-counter": "duplicate", "can.counter-reset": "restart", "can.counter-jump": "gap",
     "can.restart": "restart", "can.nan": "missing value", "can.range": "spike",
-    "serial.drop": "gap", "serial.loss": "gap", "serial.duplicate": "duplicate", "serial.reorder": "backwards",
-    "serial.shuffle": "backwards", "serial.corrupt": "crc", "serial.truncate": "stray bytes", "serial.garbage": "sync",
+    "serial.drop": "gap", "serial.loss": "gap", "serial.duplicate": "duplicate",
+    "serial.reorder": "backwards",
+    "serial.shuffle": "backwards", "serial.corrupt": "crc", "serial.truncate": "stray bytes",
+    "serial.garbage": "sync",
     "serial.freeze": "gap", "serial.silence": "stale", "serial.stall": "", "serial.disconnect": "lost",
     "serial.delete": "crc", "serial.insert": "crc", "serial.break": "sync", "serial.baud": "sync",
     "serial.stuck-counter": "duplicate", "serial.counter-reset": "restart", "serial.counter-jump": "gap",
@@ -42,16 +47,21 @@ CAUSES = {
     "modbus.exception-3": "exception 3 (illegal data value)",
     "modbus.exception-4": "exception 4 (device failure)",
     "modbus.exception-5": "exception 5 (acknowledge, still working)",
-    "modbus.exception-6": "exception 6 (device busy)", "modbus.exception-8": "exception 8 (memory parity error)",
+    "modbus.exception-6": "exception 6 (device busy)",
+    "modbus.exception-8": "exception 8 (memory parity error)",
     "modbus.exception-10": "exception 10 (gateway path unavailable)",
     "modbus.exception-11": "exception 11 (gateway target does not answer)",
-    "modbus.exception-85": "exception 85 (not a code of the standard)", "modbus.busy": "exception 6 (device busy)",
-    "modbus.hang": "", "modbus.silent": "timeout", "modbus.late": "timeout", "modbus.slow": "", "modbus.dribble": "",
+    "modbus.exception-85": "exception 85 (not a code of the standard)",
+    "modbus.busy": "exception 6 (device busy)",
+    "modbus.hang": "", "modbus.silent": "timeout", "modbus.late": "timeout", "modbus.slow": "",
+    "modbus.dribble": "",
     "modbus.disconnect": "lost", "modbus.accept-close": "lost", "modbus.half-open": "timeout",
     "modbus.hang-up": "",
     "modbus.wrong-unit": "unit", "modbus.wrong-transaction": "transaction", "modbus.wrong-protocol": "reply",
-    "modbus.wrong-function": "reply", "modbus.wrong-count": "reply", "modbus.short": "reply", "modbus.long": "reply",
-    "modbus.corrupt": "timeout", "modbus.truncate": "timeout", "modbus.garbage": "reply", "modbus.duplicate": "reply",
+    "modbus.wrong-function": "reply", "modbus.wrong-count": "reply", "modbus.short": "reply",
+    "modbus.long": "reply",
+    "modbus.corrupt": "timeout", "modbus.truncate": "timeout", "modbus.garbage": "reply",
+    "modbus.duplicate": "reply",
     "modbus.restart": "timeout", "modbus.nan": "missing value", "modbus.range": "spike",
     "can.inf": "not finite", "can.swapped": "spike", "can.jitter": "", "can.split": "", "can.extended": "",
     "can.remote": "remote frame", "can.checksum": "checksum", "can.error-warning": "error-warning",
@@ -59,7 +69,8 @@ CAUSES = {
     "serial.inf": "not finite", "serial.swapped": "spike", "serial.jitter": "", "serial.split": "",
     "serial.stolen": "crc", "modbus.inf": "not finite", "modbus.swapped": "spike", "modbus.reset": "lost",
     "modbus.black-hole": "timeout",
-    "sensor.offset": "", "sensor.drift": "", "sensor.saturated": "", "sensor.flicker": "", "sensor.spikes": "spike",
+    "sensor.offset": "", "sensor.drift": "", "sensor.saturated": "", "sensor.flicker": "",
+    "sensor.spikes": "spike",
     "sensor.stuck": "", "sensor.dead": "", "sensor.reversed": "", "sensor.scaled": "", "sensor.gain": "",
 }  # fmt: skip
 """Every fault, and the one thing that the agent has to say of it."""
@@ -97,7 +108,8 @@ def test_fault_is_counted_to_the_sample_told_once_and_in_no_estimate(name: str, 
 
 
 def gaps(found: Run) -> int:
-    """Places where the simulator says that samples are missing, but for those at the end, after which nothing comes."""
+    """Places where the simulator says that samples are missing, but for those at the end, after which nothing
+    comes."""
     (runs,) = found.found["samples"]["absent"].values()
     return sum(last < found.found["samples"]["played"] - 1 for _, last in runs)
 
@@ -109,7 +121,8 @@ def test_shadow_shows_the_wrong_bits_that_a_line_without_a_check_lets_through(tm
 
 
 UNNAMED = {"sensor.drift", "sensor.flicker"}
-"""What no offset, gain or delay of one size explains: rows hold a change or a mismatch, and no channel is named."""
+"""What no offset, gain or delay of one size explains: rows hold a change or a mismatch, and no channel is
+named."""
 
 
 def sensor_run(name: str) -> tuple[Assessment, dict[str, Any], list[tuple[int, int]]]:
@@ -131,7 +144,8 @@ def valid_over(assess: Assessment, runs: list[tuple[int, int]]) -> int:
 
 @pytest.mark.parametrize("name", [name for name in OF_SENSORS if name != "sensor.spikes"])
 def test_fault_of_a_sensor_is_an_alarm_of_its_channel_and_in_no_estimate(name: str) -> None:
-    """From the first wrong reading on no estimate is valid, whether the other channels can tell which it was or not."""
+    """From the first wrong reading on no estimate is valid, whether the other channels can tell which it was
+    or not."""
     assess, found, runs = sensor_run(name)
     assert found["sensors"] == ([] if name in UNNAMED else ["x2"])
     assert found["samples"]["balanced"]

@@ -1,4 +1,5 @@
-"""Lines and servers that go away and come back, again and again: read anew in time, nothing left, none harmed."""
+"""Lines and servers that go away and come back, again and again: read anew in time, nothing left, none
+harmed."""
 
 import ctypes
 import gc
@@ -57,7 +58,8 @@ class Source:
         self._driver.close()
 
     def _take(self, block: SampleBlock) -> None:
-        """Count the samples, and those among them that are not the next one due on a device that keeps its samples."""
+        """Count the samples, and those among them that are not the next one due on a device that keeps its
+        samples."""
         if block.counter is not None:
             self.missed += int((block.counter != np.arange(self.samples, self.samples + len(block))).sum())
         self.samples += len(block)
@@ -108,9 +110,11 @@ def chaos(source: Source, cycles: int) -> list[float]:
 
 
 def resources() -> tuple[int, int, float]:
-    """Return open descriptors, threads, and resident memory in MB, without what the C library keeps for reuse."""
+    """Return open descriptors, threads, and resident memory in MB, without what the C library keeps for
+    reuse."""
     gc.collect()
-    # threads that come and go leave freed pages in arenas of their own: 6 to 9 MB, after 20 outages as after 240
+    # threads that come and go leave freed pages in arenas of their own: 6 to 9 MB, after 20 outages as after
+    # 240
     ctypes.CDLL(None).malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return (
@@ -145,19 +149,25 @@ def play_on(source: Source, done: threading.Event, stalls: list[float], samples:
     while not done.wait(STEP_S):
         source.play(samples)
         now = time.monotonic()
-        if now - before - STEP_S > max(stalls, default=0.0):  # all of a long run's would look like a leak of the driver
+        if now - before - STEP_S > max(
+            stalls, default=0.0
+        ):  # all of a long run's would look like a leak of the driver
             stalls.append(now - before - STEP_S)
         before = now
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("cycles", [5, pytest.param(200, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
+@pytest.mark.parametrize(
+    "cycles", [5, pytest.param(200, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+)
 def test_lines_that_go_and_come_are_read_within_two_seconds_and_others_lose_nothing(cycles: int) -> None:
     stalls: list[float] = []
     with running(stalls) as (beside, sources), ThreadPoolExecutor(len(sources)) as pool:
         list(pool.map(lambda source: chaos(source, 1), sources.values()))
         begun = resources()
-        took = dict(zip(sources, pool.map(lambda source: chaos(source, cycles), sources.values()), strict=True))
+        took = dict(
+            zip(sources, pool.map(lambda source: chaos(source, cycles), sources.values()), strict=True)
+        )
         ended = resources()
     figures.figure(f"over {cycles} outages memory went from {begun[2]:.1f} to {ended[2]:.1f} MB")
     worst = {name: max(times) for name, times in took.items()}

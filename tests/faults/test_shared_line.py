@@ -41,7 +41,8 @@ class Rig:
     def __init__(self, line: PlayedLine, **keys: object) -> None:
         self.line = line
         self.links = [
-            NotedLink(source(unit, period_s=PERIOD_S, **keys), 3600.0, rng=random.Random(unit)) for unit in UNITS
+            NotedLink(source(unit, period_s=PERIOD_S, **keys), 3600.0, rng=random.Random(unit))
+            for unit in UNITS
         ]
         self.samples = [0] * len(self.links)
         self.events: list[list[str]] = [[] for _ in self.links]
@@ -80,7 +81,8 @@ def gateway(silent: set[int], gives_up_s: float) -> PlayedLine:
 
 # a gateway answers nobody while it waits for the silent unit by itself: 0.15 s here, longer than a period
 @pytest.mark.parametrize(
-    ("name", "keys", "kept"), [("wire", {**RTU, "timeout_s": 0.2}, 0.99), ("gateway", {"timeout_s": 0.5}, 0.99)]
+    ("name", "keys", "kept"),
+    [("wire", {**RTU, "timeout_s": 0.2}, 0.99), ("gateway", {"timeout_s": 0.5}, 0.99)],
 )
 def test_silent_unit_leaves_the_others_their_rate_and_is_back_in_time(
     name: str, keys: dict[str, object], kept: float
@@ -194,11 +196,21 @@ def test_two_rings_of_a_simulated_line_are_read_whole_side_by_side(tmp_path: Pat
     parts = {1: ("F", "force = 'F'"), 2: ("X1", "x1 = 'X1'")}
     text = MODEL.format(rate=1000.0) + "".join(
         TWO_RINGS.format(
-            name=f"unit{unit}", unit=unit, where=where, map=map_, fields=f'{{ name = "{name}", type = "float32" }}'
+            name=f"unit{unit}",
+            unit=unit,
+            where=where,
+            map=map_,
+            fields=f'{{ name = "{name}", type = "float32" }}',
         )
         for unit, (name, map_) in parts.items()
     )
-    ring = {"mode": "ring", "index": {"address": 0}, "ring": {"address": 16, "slots": 4096}, "timeout_s": 2.0, **keys}
+    ring = {
+        "mode": "ring",
+        "index": {"address": 0},
+        "ring": {"address": 16, "slots": 4096},
+        "timeout_s": 2.0,
+        **keys,
+    }
     with simulator(tmp_path, text.replace("'", '"'), "--scenario", "default") as sim:
         drivers = []
         for unit, (name, _) in parts.items():

@@ -1,4 +1,5 @@
-"""Write the golden outputs anew: `make golden`, or `python -m tests.golden step emps` for those of some names."""
+"""Write the golden outputs anew: `make golden`, or `python -m tests.golden step emps` for those of some
+names."""
 
 import os
 import sys

@@ -28,9 +28,11 @@ EXAMPLES = ROOT / "deploy" / "examples"
 LINES = {"serial": "serial", "can": "can", "modbus": "tcp"}
 STRUCK_S = 1.2
 FAULTS: Mapping[str, str] = {
-    "can.drop": "can", "can.corrupt": "can", "can.bus-off": "can", "can.restart": "can", "can.checksum": "can sum",
+    "can.drop": "can", "can.corrupt": "can", "can.bus-off": "can", "can.restart": "can",
+    "can.checksum": "can sum",
     "can.error-passive": "can adapter", "can.nan": "can float", "can.range": "can", "serial.loss": "serial",
-    "serial.duplicate": "serial", "serial.shuffle": "serial", "serial.corrupt": "serial", "serial.disconnect": "serial",
+    "serial.duplicate": "serial", "serial.shuffle": "serial", "serial.corrupt": "serial",
+    "serial.disconnect": "serial",
     "serial.baud": "serial", "serial.counter-reset": "serial", "serial.garbage": "text", "modbus.busy": "tcp",
     "modbus.silent": "tcp", "modbus.late": "tcp", "modbus.reset": "tcp", "modbus.truncate": "rtu",
     "modbus.restart": "tcp", "modbus.wrong-unit": "rtu",
@@ -68,7 +70,8 @@ def cases() -> list[Case]:
 
 @cache
 def shipped(name: str) -> tuple[Outcome, list[str]]:
-    """Play a scenario that ships; return what the agent made of it, and in words what it expects and is not so."""
+    """Play a scenario that ships; return what the agent made of it, and in words what it expects and is not
+    so."""
     bench = open_bench(name, [])
     outcome = play(bench, _unseen)
     measures = Assessment(outcome, bench.strikes()).document()
@@ -96,7 +99,9 @@ def _fault(name: str, line: str) -> list[str]:
     driver, _, fault = name.partition(".")
     with TemporaryDirectory() as folder:
         scenario = Path(folder) / "scenario.toml"
-        scenario.write_text(SCENARIO.format(duration=STRUCK_S + KNOWN[driver][fault].lasts_s + 0.8), encoding="utf-8")
+        scenario.write_text(
+            SCENARIO.format(duration=STRUCK_S + KNOWN[driver][fault].lasts_s + 0.8), encoding="utf-8"
+        )
         played = load_scenario(str(scenario), {}).with_faults([f"{name}@{STRUCK_S}s"])
         return _lines(play(PlayedBench(write_rig(line, Path(folder)), played), _unseen), 15)
 
@@ -120,7 +125,9 @@ def _recording(
     """Replay the first rows of a recorded plant by its example configuration."""
     with TemporaryDirectory() as folder:
         config, short = Path(folder) / example, Path(folder) / recording.name
-        config.write_text((EXAMPLES / example).read_text(encoding="utf-8").replace(*changed), encoding="utf-8")
+        config.write_text(
+            (EXAMPLES / example).read_text(encoding="utf-8").replace(*changed), encoding="utf-8"
+        )
         text = recording.read_text(encoding="utf-8").splitlines(keepends=True)
         short.write_text("".join(text[: rows + 1]), encoding="utf-8")
         return _replayed(config, short, every)

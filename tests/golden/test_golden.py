@@ -1,4 +1,5 @@
-"""Golden outputs: what the product makes of known input; `make golden` writes them anew, the diff shows what moved."""
+"""Golden outputs: what the product makes of known input; `make golden` writes them anew, the diff shows what
+moved."""
 
 import pytest
 
@@ -14,7 +15,10 @@ SHOWN = 12
 def test_output_is_the_golden_one(case: Case) -> None:
     stamp, *committed = case.file.read_text(encoding="utf-8").splitlines()
     found = differences(committed, case.make(), same_machine=stamp == f"# {machine()}")
-    words = [f"{case.file.name}: {len(found) // 2} lines differ (`make golden` writes them anew):", *found[:SHOWN]]
+    words = [
+        f"{case.file.name}: {len(found) // 2} lines differ (`make golden` writes them anew):",
+        *found[:SHOWN],
+    ]
     assert not found, "\n".join(words)
 
 

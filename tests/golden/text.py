@@ -22,13 +22,15 @@ from agent.types import (
 )
 
 ARRAYS = (
-    "index", "t_ns", "value", "sd", "lower", "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used",
+    "index", "t_ns", "value", "sd", "lower", "upper", "status", "reason", "held", "held_age_s", "window_s",
+    "n_used",
     "n_missing", "dof", "reference",
 )  # fmt: skip
 
 
 def machine() -> str:
-    """Name what decides the last bits: numpy, scipy, the linear algebra that numpy calls, and the processor's kind."""
+    """Name what decides the last bits: numpy, scipy, the linear algebra that numpy calls, and the processor's
+    kind."""
     shown: Mapping[str, Any] = np.show_config(mode="dicts")  # type: ignore[call-overload]
     blas = shown["Build Dependencies"]["blas"]
     vectors = ",".join(shown["SIMD Extensions"]["found"])
@@ -82,7 +84,9 @@ def _other(record: Record) -> str:
     if isinstance(record, ClockRecord):
         return f"clock {record.t_ns} from {record.index} offset_ns={record.offset_ns}"
     if isinstance(record, Verdict):
-        figures = f"size={_number(record.size)} sd={_number(record.sd)} probability={_number(record.probability)}"
+        figures = (
+            f"size={_number(record.size)} sd={_number(record.sd)} probability={_number(record.probability)}"
+        )
         return f"verdict {record.t_ns} {record.hypothesis} {figures} {record.unit}"
     assert isinstance(record, LearntRecord)
     content = hashlib.sha256(record.learnt.content.encode()).hexdigest()

@@ -1,7 +1,8 @@
-"""Golden outputs commit by commit: `python -m tests.golden.walk main~5..main` says at which commit one changed.
+"""Golden outputs commit by commit: `python -m tests.golden.walk main~5..main` says at which commit one
+changed.
 
-Each commit is unpacked beside the others and plays its cases with its own code and entry points, but is held against
-the outputs of the first.
+Each commit is unpacked beside the others and plays its cases with its own code and entry points, but is held
+against the outputs of the first.
 """
 
 import os
@@ -52,11 +53,17 @@ def _same(commit: str, outputs: bytes, names: list[str]) -> bool:
             "OPENBLAS_NUM_THREADS": "1",
             "DELTAK_DATA": str(data_folder()),
         }
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
     subject = _git("log", "-1", "--format=%h %s", commit).decode().strip()
     print(f"{'the same' if done.returncode == 0 else 'DIFFERENT'}: {subject[:100]}", flush=True)
     if done.returncode:
-        print("\n".join(line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR", "E  "))))
+        print(
+            "\n".join(
+                line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR", "E  "))
+            )
+        )
     return done.returncode == 0
 
 
@@ -70,7 +77,8 @@ def _declare(folder: Path) -> None:
     """Write the entry points of a tree where they hide those that are installed."""
     groups = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
     lines = [
-        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in g.items()) for group, g in groups.items()
+        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in g.items())
+        for group, g in groups.items()
     ]
     info = folder / "deltak-0.dist-info"
     info.mkdir()

@@ -1,8 +1,8 @@
 """Density of the product's functions: `python -m tests.lint.density`, a part of `make lint`.
 
-A function has a cognitive complexity (Campbell, SonarSource 2018) of at most `HARDEST`, and at most `MOST` boolean
-operators and ternaries: what is more wants conditions with names. A tuple assignment holds values of one kind, or
-exchanges them; unrelated values stand on lines of their own.
+A function has a cognitive complexity (Campbell, SonarSource 2018) of at most `HARDEST`, and at most `MOST`
+boolean operators and ternaries: what is more wants conditions with names. A tuple assignment holds values of
+one kind, or exchanges them; unrelated values stand on lines of their own.
 """
 
 import ast
@@ -17,7 +17,16 @@ MOST = 4
 HARDEST = 10
 PACKAGES = ("agent", "drivers", "sim_bus")
 READ = (ast.Name, ast.Attribute, ast.Subscript, ast.Constant, ast.UnaryOp)
-COLLECTION = (ast.List, ast.Dict, ast.Set, ast.Tuple, ast.ListComp, ast.DictComp, ast.SetComp, ast.GeneratorExp)
+COLLECTION = (
+    ast.List,
+    ast.Dict,
+    ast.Set,
+    ast.Tuple,
+    ast.ListComp,
+    ast.DictComp,
+    ast.SetComp,
+    ast.GeneratorExp,
+)
 FUNCTION = (ast.FunctionDef, ast.AsyncFunctionDef)
 CONDITION = (ast.Compare, ast.BoolOp)
 

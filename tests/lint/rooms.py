@@ -1,7 +1,7 @@
 """Import graph of the whole: `python -m tests.lint.rooms` prints its rooms, their floors and its arrows up.
 
-A room is a package; its floor is the files that stand in it directly. An arrow up goes against the order in which rooms
-and files can be built, one after another, each from those before: without a circle there is none.
+A room is a package; its floor is the files that stand in it directly. An arrow up goes against the order in
+which rooms and files can be built, one after another, each from those before: without a circle there is none.
 """
 
 from collections import Counter
@@ -24,7 +24,9 @@ def modules() -> Graph:
 
 def floors() -> dict[str, int]:
     """Return how many files stand in each package, but for the one that names it."""
-    files = (file for package in PACKAGES for file in (ROOT / package).rglob("*.py") if file.stem != "__init__")
+    files = (
+        file for package in PACKAGES for file in (ROOT / package).rglob("*.py") if file.stem != "__init__"
+    )
     return dict(Counter(".".join(file.relative_to(ROOT).parent.parts) for file in files))
 
 
@@ -44,7 +46,8 @@ def _room(name: str, packages: set[str], depth: int) -> str:
 
 
 def circles(graph: Graph) -> list[list[str]]:
-    """Return the sets of nodes, more than one, each of which is reached from every other of its set (Tarjan 1972)."""
+    """Return the sets of nodes, more than one, each of which is reached from every other of its set (Tarjan
+    1972)."""
     return [sorted(found) for found in _components(graph) if len(found) > 1]
 
 

@@ -39,7 +39,9 @@ def is_number(value: ast.expr) -> bool:
         found = eval(compile(ast.Expression(value), "", "eval"), {"__builtins__": {}})
     except NameError:
         return False
-    return all(type(one) in (int, float) for one in (found if isinstance(found, tuple) and found else (found,)))
+    return all(
+        type(one) in (int, float) for one in (found if isinstance(found, tuple) and found else (found,))
+    )
 
 
 @cache

@@ -17,7 +17,13 @@ def test_density_five_operators_are_too_many_and_those_of_an_inner_function_are_
 
 
 def test_density_deep_nesting_is_too_complex() -> None:
-    deep = ["for a in b:", "    while c:", "        if a:", "            for b in c:", "                if b:"]
+    deep = [
+        "for a in b:",
+        "    while c:",
+        "        if a:",
+        "            for b in c:",
+        "                if b:",
+    ]
     ((_, words),) = findings(body(*deep, "                    break"))
     assert words == "f has cognitive complexity 15, more than 10: part it"
 

@@ -1,4 +1,5 @@
-"""An agent that is killed when its consumer has some rows and no cursor says so: DB, and a file of their numbers."""
+"""An agent that is killed when its consumer has some rows and no cursor says so: DB, and a file of their
+numbers."""
 
 import os
 import signal

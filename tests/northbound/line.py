@@ -101,8 +101,12 @@ def mosquitto(folder: Path, settings: str = "allow_anonymous true") -> Iterator[
     """Run a broker on loopback; settings: lines of its configuration."""
     path, port = program("mosquitto", "mosquitto"), free_port()
     file = folder / f"mosquitto-{port}.conf"
-    file.write_text(f"user root\nlistener {port} 127.0.0.1\nmax_queued_messages 0\n{settings}\n", encoding="utf-8")
-    with subprocess.Popen([path, "-c", str(file)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
+    file.write_text(
+        f"user root\nlistener {port} 127.0.0.1\nmax_queued_messages 0\n{settings}\n", encoding="utf-8"
+    )
+    with subprocess.Popen(
+        [path, "-c", str(file)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    ) as process:
         try:
             wait_for_port(port)
             yield port
@@ -130,7 +134,9 @@ def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
                    check=True, capture_output=True, cwd=home, **user)  # fmt: skip
     command = [server, "-D", home / "data", "-p", str(port), "-k", home, "-h", "127.0.0.1", "-F", "-c",
                "shared_buffers=1MB", "-c", "logging_collector=off"]  # fmt: skip
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, cwd=home, **user) as process:
+    with subprocess.Popen(
+        command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, cwd=home, **user
+    ) as process:
         try:
             wait_for_port(port)
             yield port
@@ -177,11 +183,25 @@ def certificates(folder: Path) -> None:
     (folder / "index").touch()
     (folder / "serial").write_text("01\n", encoding="utf-8")
     key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-config", "ca.cnf")
-    run("req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test authority", "-days", "9")
+    run(
+        "req",
+        "-x509",
+        *key,
+        "-keyout",
+        "ca.key",
+        "-out",
+        "ca.pem",
+        "-subj",
+        "/CN=test authority",
+        "-days",
+        "9",
+    )
     spans = {"server": ("240101000000Z", "490101000000Z"), "expired": ("240101000000Z", "240102000000Z")}
     for name in ("server", "client", "expired"):
         alternative = ("-addext", "subjectAltName=IP:127.0.0.1")
-        run("req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}", *alternative)
+        run(
+            "req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}", *alternative
+        )
         first, last = spans.get(name, spans["server"])
         run("ca", "-batch", "-config", "ca.cnf", "-cert", "ca.pem", "-keyfile", "ca.key", "-in", f"{name}.csr", "-out",
             f"{name}.pem", "-notext", "-startdate", first, "-enddate", last)  # fmt: skip

@@ -1,4 +1,5 @@
-"""A writer with forwarders beside it, a consumer in memory that misbehaves by a script, and what a database has."""
+"""A writer with forwarders beside it, a consumer in memory that misbehaves by a script, and what a database
+has."""
 
 import threading
 from collections import Counter
@@ -26,12 +27,15 @@ def numbers(path: Path) -> list[int]:
 
 
 def events(path: Path) -> list[tuple[str, str]]:
-    return select(path, "SELECT cause, message FROM v_events WHERE cause LIKE '%consumer%' OR cause LIKE '%unsent%'")
+    return select(
+        path, "SELECT cause, message FROM v_events WHERE cause LIKE '%consumer%' OR cause LIKE '%unsent%'"
+    )
 
 
 @dataclass
 class Archive:
-    """A consumer: script says what becomes of each batch: "fine", "refused", "lost" (taken, unanswered), "hang"."""
+    """A consumer: script says what becomes of each batch: "fine", "refused", "lost" (taken, unanswered),
+    "hang"."""
 
     script: list[str] = field(default_factory=list)
     taken: list[tuple[str, int, bool]] = field(default_factory=list)
@@ -90,7 +94,9 @@ def supplied(
 ) -> Iterator[tuple[StoreWriter, list[Forwarder]]]:
     """Yield a writer whose rows go to consumers, and what forwards them."""
     settings = {"pause_s": (0.01, 0.05), "keep_s": 0.0} | settings
-    writer = StoreWriter(lambda: Store.open(path), [run_info()], served=None, every_s=every_s, period_s=period_s)
+    writer = StoreWriter(
+        lambda: Store.open(path), [run_info()], served=None, every_s=every_s, period_s=period_s
+    )
     place = Place(path, path.parent, ("press-7",))
     forwarders = [Forwarder(one, place, make, writer.ask, writer.publish, **settings) for one in consumers]
 

@@ -1,4 +1,5 @@
-"""Whatever a consumer or the agent does, what the database has arrives, in order, and cursors follow what arrived."""
+"""Whatever a consumer or the agent does, what the database has arrives, in order, and cursors follow what
+arrived."""
 
 import signal
 import subprocess
@@ -92,7 +93,9 @@ def test_consumer_that_refuses_loses_and_hangs_has_every_row_in_order_and_is_ann
     with supplied(path, [PLANT], archive.make, late_s=0.0) as (writer, forwarders):
         for i in range(10):
             writer.publish([batch(50, first=50 * i)])
-        wait_until(lambda: {*archive.seqs()} == {*numbers(path)} and len(numbers(path)) == 2000, "all to arrive", 20)
+        wait_until(
+            lambda: {*archive.seqs()} == {*numbers(path)} and len(numbers(path)) == 2000, "all to arrive", 20
+        )
         wait_until(lambda: len(events(path)) == 4, "the events", 5)
         assert forwarders[0].document()["state"] == "ok"
     for backfill in (False, True):

@@ -37,7 +37,11 @@ class Subscriber:
 
     def tail(self) -> list[dict[str, Any]]:
         """Return the newest rows that are no backfill."""
-        return [json.loads(payload) for topic, payload, _ in self.messages[-5000:] if "press-7/estimates/" in topic]
+        return [
+            json.loads(payload)
+            for topic, payload, _ in self.messages[-5000:]
+            if "press-7/estimates/" in topic
+        ]
 
     def last(self, topic: str) -> bytes | None:
         return next((payload for where, payload, _ in reversed(self.messages) if where == topic), None)
@@ -47,7 +51,9 @@ class Subscriber:
 def subscriber(port: int, name: str = "listener") -> Iterator[Subscriber]:
     found, there = Subscriber(), threading.Event()
     client = Client(CallbackAPIVersion.VERSION2, name, protocol=MQTTv5)
-    client.on_message = lambda _c, _d, message: found.messages.append((message.topic, message.payload, message.retain))
+    client.on_message = lambda _c, _d, message: found.messages.append(
+        (message.topic, message.payload, message.retain)
+    )
     client.on_subscribe = lambda *_: there.set()
     client.on_connect = lambda *_: client.subscribe("#", 1)
     client.connect("127.0.0.1", port, 600)
@@ -75,14 +81,20 @@ def test_rows_arrive_as_json_on_topics_of_their_own_with_discovery_and_last_will
             wait_until(lambda: len(seen.rows()) == 12, "the rows", 10)
             wait_until(lambda: seen.last("deltak/press-7/health/can") is not None, "health", 10)
             with subscriber(port, "late") as late:
-                wait_until(lambda: late.last("deltak/press-7/estimates/k1") is not None, "what is retained", 10)
+                wait_until(
+                    lambda: late.last("deltak/press-7/estimates/k1") is not None, "what is retained", 10
+                )
             line.down = True
             line.cut()
             wait_until(lambda: seen.last("deltak/status/press-7") == b"offline", "the last will", 10)
     stored = {(row["parameter"], row["t_ns"]): row for row in queries.estimates(path)}
     for row in seen.rows():
-        assert {key: row[key] for key in row.keys() - {"seq", "backfill"}} == stored[row["parameter"], row["t_ns"]]
-    steps = [json.loads(payload) for topic, payload, _ in seen.messages if topic == "deltak/press-7/alarms/k1"]
+        assert {key: row[key] for key in row.keys() - {"seq", "backfill"}} == stored[
+            row["parameter"], row["t_ns"]
+        ]
+    steps = [
+        json.loads(payload) for topic, payload, _ in seen.messages if topic == "deltak/press-7/alarms/k1"
+    ]
     assert [(one["seq"], one["from_state"], one["to_state"]) for one in steps] == [(1, "NORM", "UNACK"),
                                                                                    (2, "UNACK", "RTNUN")]  # fmt: skip
     about = json.loads(seen.last("homeassistant/sensor/deltak_press-7/estimates_k1/config") or b"")
@@ -93,7 +105,8 @@ def test_rows_arrive_as_json_on_topics_of_their_own_with_discovery_and_last_will
 
 
 def check_arrival(path: Path, seen: Subscriber) -> int:
-    """Nothing is missing and the order is kept, but for batches whose answer was lost; return how many came twice."""
+    """Nothing is missing and the order is kept, but for batches whose answer was lost; return how many came
+    twice."""
     expected = numbers(path)
     wait_until(lambda: {row["seq"] for row in seen.rows()} == {*expected}, "every row", 60)
     firsts: list[int] = []
@@ -183,7 +196,10 @@ def test_wrong_password_is_one_event_and_no_secret_is_said_anywhere(
     (memory / "users").write_text("press-7:$7$101$aaaa$bbbb\n", encoding="utf-8")
     consumer = {"user": "press-7", "password": Secret(env="BROKER")}
     settings = f"allow_anonymous false\npassword_file {memory}/users"
-    with mosquitto(memory, settings) as port, supplied(path, [plant(port, **consumer)]) as (writer, forwarders):
+    with (
+        mosquitto(memory, settings) as port,
+        supplied(path, [plant(port, **consumer)]) as (writer, forwarders),
+    ):
         writer.publish([batch(5)])
         wait_until(lambda: len(said_of(path)) == 1, "the event", 10)
         wait_until(lambda: forwarders[0]._failures > 3, "more attempts", 10)

@@ -33,7 +33,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 
 def asked(port: int, query: str, *values: object) -> list[Any]:
-    with psycopg.connect(host="127.0.0.1", port=port, user="deltak", password=PLANTED, dbname="postgres") as connection:
+    with psycopg.connect(
+        host="127.0.0.1", port=port, user="deltak", password=PLANTED, dbname="postgres"
+    ) as connection:
         cursor = connection.execute(query, values)  # type: ignore[arg-type]
         return cursor.fetchall() if cursor.description else []
 
@@ -89,7 +91,9 @@ def _cutter(line: Line, cuts: int, every_s: float) -> None:
 def _has_all(path: Path, head: int) -> bool:
     from tests.storage.rows import select
 
-    found = select(path, "SELECT topic, last_seq FROM consumers WHERE name = 'history' AND topic GLOB 'estimates*'")
+    found = select(
+        path, "SELECT topic, last_seq FROM consumers WHERE name = 'history' AND topic GLOB 'estimates*'"
+    )
     return len(found) == 1 and found[0][1] >= head
 
 
@@ -104,7 +108,9 @@ def test_line_cut_and_frozen_leaves_each_row_there_once(memory: Path, server: in
     assert causes
 
 
-def test_rows_that_are_there_already_are_left_and_those_of_another_database_refused(memory: Path, server: int) -> None:
+def test_rows_that_are_there_already_are_left_and_those_of_another_database_refused(
+    memory: Path, server: int
+) -> None:
     consumer = plant(server, "twice", memory, topics=("estimates",))
     first, again, other = (memory / f"{name}.db" for name in ("first", "again", "other"))
     for path, start in ((first, START), (again, START), (other, START + 7)):
@@ -127,7 +133,9 @@ def test_wrong_password_table_that_is_full_and_server_that_is_gone_are_one_event
  BEGIN RAISE EXCEPTION 'could not extend file: No space left on device' USING ERRCODE = '53100'; END $$"""
     consumer = plant(server, "full", memory, topics=("estimates",))
     with supplied(memory / "make.db", [consumer]) as (writer, forwarders):
-        wait_until(lambda: forwarders[0].document()["state"] == "ok" and not forwarders[0]._behind_ns, "tables", 20)
+        wait_until(
+            lambda: forwarders[0].document()["state"] == "ok" and not forwarders[0]._behind_ns, "tables", 20
+        )
     asked(server, refusing)
     asked(server, "CREATE TRIGGER t BEFORE INSERT ON full_estimates FOR EACH ROW EXECUTE FUNCTION refuse()")
     cases = {

@@ -58,7 +58,13 @@ def test_hundred_cuts_and_twenty_kills_in_hundred_thousand_rows_lose_and_double_
             assert ends in {0, -signal.SIGKILL}
         expected = numbers(path)
         wait_until(lambda: {row["seq"] for row in seen.rows()} == {*expected}, "every row at the broker", 60)
-        where = {"host": "127.0.0.1", "port": server, "user": "deltak", "password": PASSWORD, "dbname": "postgres"}
+        where = {
+            "host": "127.0.0.1",
+            "port": server,
+            "user": "deltak",
+            "password": PASSWORD,
+            "dbname": "postgres",
+        }
         with psycopg.connect(**where) as asked:
             stored = [seq for (seq,) in asked.execute("SELECT seq FROM soaked_estimates ORDER BY seq")]
         assert stored == expected

@@ -1,4 +1,5 @@
-"""Sparkplug B against mosquitto: each message is decoded by the Eclipse project's own package and as specified.
+"""Sparkplug B against mosquitto: each message is decoded by the Eclipse project's own package and as
+specified.
 
 The names of the assertions of Sparkplug 3.0.0 stand beside what holds them.
 """
@@ -39,7 +40,9 @@ def decoded(messages: list[tuple[str, bytes, bool]]) -> Decoded:
     modules = ROOT / ".venv" / "node" / "node_modules"
     if not (modules / "sparkplug-payload").is_dir():
         missing("the package sparkplug-payload of npm is not installed (tests/install_peers.sh)")
-    wanted = [(topic, payload) for topic, payload, _ in messages if "/STATE/" not in topic and "/NCMD/" not in topic]
+    wanted = [
+        (topic, payload) for topic, payload, _ in messages if "/STATE/" not in topic and "/NCMD/" not in topic
+    ]
     lines = "".join(f"{payload.hex()}\n" for _, payload in wanted)
     made = subprocess.run([node, "tests/northbound/decode.js"], input=lines, capture_output=True, text=True, check=True,
                           cwd=ROOT, env={**os.environ, "NODE_PATH": str(modules)})  # fmt: skip
@@ -69,7 +72,8 @@ def kinds(messages: list[tuple[str, bytes, bool]]) -> list[str]:
 
 
 def check_edge_node(messages: Decoded) -> list[tuple[str, int, bool]]:
-    """Hold what one edge node sent to the specification; return values by metric, and whether they are historical."""
+    """Hold what one edge node sent to the specification; return values by metric, and whether they are
+    historical."""
     names: dict[int, str] = {}
     types: dict[int, str] = {}
     born: set[str] = set()
@@ -127,7 +131,9 @@ def test_births_data_and_death_are_as_specified_and_every_row_arrives(memory: Pa
         messages = list(seen.messages)
     assert not any(retain for _, _, retain in messages)  # tck-id-payloads-*-retain
     found = check_edge_node(decoded(messages))
-    sent = [(seq, late) for name, seq, late in found if name in {f"{p}/seq" for p in ("k1", "k2", "B1", "B2")}]
+    sent = [
+        (seq, late) for name, seq, late in found if name in {f"{p}/seq" for p in ("k1", "k2", "B1", "B2")}
+    ]
     assert {seq for seq, _ in sent} == {*numbers(path)}
     for wanted in (False, True):
         seqs = list(dict.fromkeys(seq for seq, late in sent if late is wanted))
@@ -148,7 +154,9 @@ def test_host_that_asks_for_it_gets_a_rebirth_and_a_node_waits_for_its_primary_h
             writer.publish([batch(5)])
             wait_until(lambda: bool(said_of(path)), "the host's absence to be said", 10)
             assert "NBIRTH" not in kinds(seen.messages)
-            scada.publish("spBv1.0/STATE/scada", json.dumps({"online": True, "timestamp": 10}), 1, retain=True)
+            scada.publish(
+                "spBv1.0/STATE/scada", json.dumps({"online": True, "timestamp": 10}), 1, retain=True
+            )
             wait_until(lambda: forwarders[0].sent == 20, "the rows", 10)
             scada.publish("spBv1.0/NCMD/hall/gw", b"\xff\xff nonsense", 1)
             scada.publish("spBv1.0/hall/NCMD/gw", b"\xff\xff nonsense", 1)
@@ -156,10 +164,14 @@ def test_host_that_asks_for_it_gets_a_rebirth_and_a_node_waits_for_its_primary_h
             wait_until(lambda: "NCMD" in kinds(seen.messages), "the command", 10)
             writer.publish([batch(5, first=5)])
             wait_until(lambda: kinds(seen.messages).count("NBIRTH") == 2, "the rebirth", 10)
-            scada.publish("spBv1.0/STATE/scada", json.dumps({"online": False, "timestamp": 5}), 1, retain=True)
+            scada.publish(
+                "spBv1.0/STATE/scada", json.dumps({"online": False, "timestamp": 5}), 1, retain=True
+            )
             writer.publish([batch(5, first=10)])
             wait_until(lambda: forwarders[0].sent == 60, "rows, since that state is an old one", 10)
-            scada.publish("spBv1.0/STATE/scada", json.dumps({"online": False, "timestamp": 20}), 1, retain=True)
+            scada.publish(
+                "spBv1.0/STATE/scada", json.dumps({"online": False, "timestamp": 20}), 1, retain=True
+            )
             wait_until(lambda: "NDEATH" in kinds(seen.messages), "the death", 10)
         messages = [one for one in seen.messages if one[0].startswith("spBv1.0/hall/")]
     found = check_edge_node(decoded(messages))
@@ -168,7 +180,8 @@ def test_host_that_asks_for_it_gets_a_rebirth_and_a_node_waits_for_its_primary_h
 
 
 VALUES = st.one_of(
-    st.tuples(st.just(INT64), st.integers(0, 2**53 - 1)), st.tuples(st.just(DOUBLE), st.floats(allow_nan=False)),
+    st.tuples(st.just(INT64), st.integers(0, 2**53 - 1)),
+    st.tuples(st.just(DOUBLE), st.floats(allow_nan=False)),
     st.tuples(st.just(STRING), st.text(max_size=300)), st.tuples(st.just(BOOLEAN), st.booleans()),
 )  # fmt: skip
 
@@ -190,7 +203,11 @@ def test_payloads_of_any_values_are_decoded_as_they_were() -> None:
             assert value == abs(one.value) if value == float("inf") else value == one.value
         assert (metric["name"], metric["alias"]) == (one.name, one.alias)
         assert one.datatype == DOUBLE or value == one.value
-        assert (payload["timestamp"], payload["seq"], metric["timestamp"]) == (one.t_ms, number % 256, one.t_ms)
+        assert (payload["timestamp"], payload["seq"], metric["timestamp"]) == (
+            one.t_ms,
+            number % 256,
+            one.t_ms,
+        )
         assert metric["properties"]["engUnit"]["value"] == "N/m"
 
 

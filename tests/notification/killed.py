@@ -1,4 +1,5 @@
-"""An agent that is killed when its target has the message and nothing says so yet: DB, and a file for the keys."""
+"""An agent that is killed when its target has the message and nothing says so yet: DB, and a file for the
+keys."""
 
 import os
 import signal

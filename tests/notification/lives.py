@@ -1,4 +1,5 @@
-"""Starts agents that raise alarms and notify of them until they are killed: a line "DB URL PORT FIRST" forks one.
+"""Starts agents that raise alarms and notify of them until they are killed: a line "DB URL PORT FIRST" forks
+one.
 
 On stdout: "pid N", "raised" once its alarms are stored, then "dead" once it has ended.
 """

@@ -88,7 +88,11 @@ class MailRoom:
     async def handle_DATA(  # noqa: N802 - the server's name for it
         self, _server: Any, _session: Any, envelope: Any
     ) -> str:
-        (key,) = [line[12:].strip() for line in envelope.content.decode().splitlines() if line.startswith("Message-ID")]
+        (key,) = [
+            line[12:].strip()
+            for line in envelope.content.decode().splitlines()
+            if line.startswith("Message-ID")
+        ]
         if self.post.arrived(key) == "451":
             return "451 4.3.0 come back later"
         self.mails.append(envelope.content)
@@ -108,14 +112,18 @@ def mail_server(room: MailRoom) -> Iterator[int]:
 
 
 @contextmanager
-def agent(path: Path, targets: Sequence[Notify], **settings: Any) -> Iterator[tuple[StoreWriter, list[Notifier]]]:
+def agent(
+    path: Path, targets: Sequence[Notify], **settings: Any
+) -> Iterator[tuple[StoreWriter, list[Notifier]]]:
     """A writer whose steps of alarms are for targets, and their notifiers."""
 
     def names(step: Any) -> list[str]:
         return [target.name for target in targets if concerns(target, step)]
 
     writer = StoreWriter(lambda: Store.open(path, route=names), [run_info()], served={})
-    notifiers = [Notifier(target, path.parent, writer.ask, pause_s=(0.01, 0.05), **settings) for target in targets]
+    notifiers = [
+        Notifier(target, path.parent, writer.ask, pause_s=(0.01, 0.05), **settings) for target in targets
+    ]
 
     def wake() -> None:
         for notifier in notifiers:

@@ -1,4 +1,5 @@
-"""Agents killed again and again while targets fail: in the end each step was taken by each target, once, in order."""
+"""Agents killed again and again while targets fail: in the end each step was taken by each target, once, in
+order."""
 
 import os
 import random

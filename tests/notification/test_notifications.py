@@ -47,13 +47,17 @@ def settled(path: Path, count: int) -> bool:
 
 
 def keys_of(path: Path) -> list[str]:
-    return [f"press-7-{seq}-{t}" for seq, t in select(path, "SELECT id, t_ns FROM v_alarm_events ORDER BY id")]
+    return [
+        f"press-7-{seq}-{t}" for seq, t in select(path, "SELECT id, t_ns FROM v_alarm_events ORDER BY id")
+    ]
 
 
 FATES = ["500", "late", "lost", "fine", "hang", "fine", "500", "500", "lost"]
 
 
-def test_webhook_that_fails_hangs_closes_and_answers_late_has_each_step_once_and_in_order(memory: Path) -> None:
+def test_webhook_that_fails_hangs_closes_and_answers_late_has_each_step_once_and_in_order(
+    memory: Path,
+) -> None:
     post = Post([*FATES])
     path = memory / "rig.db"
     with webhook(post) as url, agent(path, [hook(url)]) as (writer, _):
@@ -198,7 +202,9 @@ def test_what_an_operator_does_is_announced_and_what_a_shelved_alarm_does_is_not
         writer.publish(steps(1))
         assert writer.flush()
         command_alarms(path, Request("shelve", (1,), "eva", length_ns=10**12))
-        writer.publish([step("UNACK", "RTNUN", START + 7, parameter="p0"), step("NORM", "UNACK", parameter="p0")])
+        writer.publish(
+            [step("UNACK", "RTNUN", START + 7, parameter="p0"), step("NORM", "UNACK", parameter="p0")]
+        )
         assert writer.flush()
         command_alarms(path, Request("unshelve", (1,), "tom"))
         wait_until(lambda: settled(path, 3), "all to be sent", 20)

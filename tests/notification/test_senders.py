@@ -22,13 +22,18 @@ from tests.peers import ROOT
 from tests.storage.rows import run_info, step
 
 FACTS: dict[str, Any] = {
-    "rig": "press-7", "site": "hall 2", "labels": '{"line": "3"}', "event_id": 9, "alarm_id": 4, "kind": "level",
-    "parameter": "k1", "priority": "high", "from_state": "NORM", "to_state": "UNACK", "cause": "raise", "by": None,
-    "comment": "\x1b[31m\r\nBcc: x@example.org", "t_ns": 1_767_225_600_000_000_000, "message": "k1 fell\r\nTo: x",
+    "rig": "press-7", "site": "hall 2", "labels": '{"line": "3"}', "event_id": 9, "alarm_id": 4,
+    "kind": "level",
+    "parameter": "k1", "priority": "high", "from_state": "NORM", "to_state": "UNACK", "cause": "raise",
+    "by": None,
+    "comment": "\x1b[31m\r\nBcc: x@example.org", "t_ns": 1_767_225_600_000_000_000,
+    "message": "k1 fell\r\nTo: x",
     "delta": -16.0, "percent": -12.5, "advice": None,
 }  # fmt: skip
 MESSAGE = message_of(FACTS)
-WRITES = "import os, sys; open('got', 'w').write(os.environ['DELTAK_IDEMPOTENCY_KEY'] + '\\n' + sys.stdin.read())"
+WRITES = (
+    "import os, sys; open('got', 'w').write(os.environ['DELTAK_IDEMPOTENCY_KEY'] + '\\n' + sys.stdin.read())"
+)
 
 
 def command(*words: str, **keys: Any) -> Notify:
@@ -49,7 +54,10 @@ def test_command_gets_the_document_and_the_key(tmp_path: Path) -> None:
         (command("no-such-program"), "No such file"),
         (command("sleep", "60", timeout_s=0.05), "did not end within 0.05 s"),
         (Notify(name="w", kind="webhook", url="http://127.0.0.1:1/"), "refused"),
-        (Notify(name="w", kind="webhook", url=Secret(env="NOT_SET")), "variable NOT_SET with the secret is not set"),
+        (
+            Notify(name="w", kind="webhook", url=Secret(env="NOT_SET")),
+            "variable NOT_SET with the secret is not set",
+        ),
         (Notify(name="w", kind="webhook", url=Secret(file=Path("none"))), "No such file"),
     ],
 )
@@ -112,16 +120,24 @@ def test_target_is_read_from_the_configuration(tmp_path: Path) -> None:
     [
         ('kind = "command"', "notify[0].command", "is missing"),
         ('kind = "webhook"\nurl = "ftp://x"', "notify[0].url", "is no address"),
-        ('kind = "webhook"\nurl = "http://x"\ntoken = "abc"', "notify[0].token", "must not stand in a configuration"),
+        (
+            'kind = "webhook"\nurl = "http://x"\ntoken = "abc"',
+            "notify[0].token",
+            "must not stand in a configuration",
+        ),
         ('kind = "command"\ncommand = ["true"]\nhost = "x"', "notify[0].host", 'belongs to kind = "smtp"'),
         ('kind = "command"\ncommand = ["true"]\nquiet = "22-6"', "notify[0].quiet", "hours of the local day"),
         ('kind = "webhook"\nurl = "http://x"\ntoken = { }', "notify[0].token", "must name one place"),
     ],
 )
-def test_target_that_makes_no_sense_is_refused_by_its_key(tmp_path: Path, keys: str, path: str, words: str) -> None:
+def test_target_that_makes_no_sense_is_refused_by_its_key(
+    tmp_path: Path, keys: str, path: str, words: str
+) -> None:
     with pytest.raises(ConfigError) as error:
         configured(tmp_path, f'[[notify]]\nname = "a"\n{keys}\n')
-    assert any(fault.path == path and words in fault.message for fault in error.value.faults), error.value.faults
+    assert any(fault.path == path and words in fault.message for fault in error.value.faults), (
+        error.value.faults
+    )
 
 
 def test_test_message_reaches_every_target_and_says_which_it_does_not(
@@ -130,7 +146,10 @@ def test_test_message_reaches_every_target_and_says_which_it_does_not(
     table = '[[notify]]\nname = "a"\nkind = "command"\ncommand = ["true"]\n'
     configured(tmp_path, table + table.replace('"a"', '"b"').replace("true", "false"))
     found = notify.test(tmp_path / "rig.toml")
-    assert [(one["target"], one["error"]) for one in found["targets"]] == [("a", None), ("b", "exit code 1: ")]
+    assert [(one["target"], one["error"]) for one in found["targets"]] == [
+        ("a", None),
+        ("b", "exit code 1: "),
+    ]
     assert not found["ok"]
     notify.print_tested(found)
     assert "has the message" in capsys.readouterr().out

@@ -75,13 +75,17 @@ def test_only_trusted_clients_with_a_user_read_and_all_of_it_is_encrypted(tmp_pa
         server, ours, theirs = [await certificate(tmp_path, name) for name in ("server", "ours", "theirs")]
         (tmp_path / "trusted").mkdir()
         (tmp_path / "trusted" / "ours.der").write_bytes(ours[0].read_bytes())
-        options = Options(port=0, certificate=server[0], key=server[1], trusted=tmp_path / "trusted", private=True)
+        options = Options(
+            port=0, certificate=server[0], key=server[1], trusted=tmp_path / "trusted", private=True
+        )
         users = {"anna": Secret.of_password(PASSWORD)}
         check(options, users)
         async with running(several([path], []), options, users) as address:
             found = await Client(address).connect_and_get_server_endpoints()
             assert {one.SecurityMode for one in found} == {ua.MessageSecurityMode.SignAndEncrypt}
-            assert {token.TokenType for one in found for token in one.UserIdentityTokens} == {ua.UserTokenType.UserName}
+            assert {token.TokenType for one in found for token in one.UserIdentityTokens} == {
+                ua.UserTokenType.UserName
+            }
             assert isinstance(await read(address, ours, server[0]), float)
             whys = [
                 await refused(read(address, own, server[0], user))

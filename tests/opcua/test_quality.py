@@ -28,7 +28,9 @@ ROW: dict[str, Any] = {
         ({"status": "warming", "value": None}, None, *["BadWaitingForInitialData"] * 2),
     ],
 )  # fmt: skip
-def test_row_is_worth_what_its_status_says(change: dict[str, Any], value: float | None, code: str, own: str) -> None:
+def test_row_is_worth_what_its_status_says(
+    change: dict[str, Any], value: float | None, code: str, own: str
+) -> None:
     row = ROW | change
     found = quality_of(row, NOW)
     assert (found.value, found.code, own_code(row, NOW)) == (value, code, own)

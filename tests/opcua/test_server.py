@@ -132,7 +132,9 @@ def test_values_have_the_numbers_of_sql_and_the_quality_of_their_status(scene: S
                 assert await shown[name.capitalize()].read_value() == rows["k1"][name]
             assert await shown["Limit"].read_value() == 15.0
             assert (await shown["EngineeringUnits"].read_value()).DisplayName.Text == "N/m"
-            standing = await reader.get_node("ns=2;s=rig/press-7/B2").read_data_value(raise_on_bad_status=False)
+            standing = await reader.get_node("ns=2;s=rig/press-7/B2").read_data_value(
+                raise_on_bad_status=False
+            )
             assert standing.StatusCode.name == "UncertainSubNormal"
             assert await reader.get_node("ns=2;s=rig/press-7/B2/Reason").read_value() == "standstill"
             assert await refused(k1.write_value(1.0)) == "BadUserAccessDenied"
@@ -171,7 +173,10 @@ async def acted_on(reader: Client, anna: Client, path: Path) -> None:
     assert (event.ClientUserId, event.Comment.Text) == ("anna", "looked at it")
     said_so = "SELECT \"by\", comment FROM v_alarm_events WHERE to_state = 'ACKED'"
     assert select(path, said_so) == [("anna", "looked at it")]
-    assert await refused(condition.call_method(acknowledge, event.EventId, said)) == "BadConditionBranchAlreadyAcked"
+    assert (
+        await refused(condition.call_method(acknowledge, event.EventId, said))
+        == "BadConditionBranchAlreadyAcked"
+    )
     asked = condition.call_method("0:Confirm", event.EventId, said)
     assert await refused(asked) == "BadConditionBranchAlreadyConfirmed"
 
@@ -181,8 +186,12 @@ async def acted_on(reader: Client, anna: Client, path: Path) -> None:
     assert await refused(shelving.call_method("0:Unshelve")) == "BadConditionNotShelved"
     assert await refused(shelving.call_method("0:OneShotShelve")) == "BadNotSupported"
     hour = ua.Variant(3_600_000.0, ua.VariantType.Double)
-    await condition.call_method(ua.NodeId(OF_TYPE["TimedShelve"]), hour)  # as Part 9 has it: on the condition itself
-    await listener.wait(lambda event: getattr(event, "ShelvingState/CurrentState", None).Text == "TimedShelved")
+    await condition.call_method(
+        ua.NodeId(OF_TYPE["TimedShelve"]), hour
+    )  # as Part 9 has it: on the condition itself
+    await listener.wait(
+        lambda event: getattr(event, "ShelvingState/CurrentState", None).Text == "TimedShelved"
+    )
     assert [row["state"] for row in queries.alarms(path)] == ["SHLVD"]
     await shelving.call_method("0:Unshelve")
     await condition.call_method("0:RemoveFromService")
@@ -206,7 +215,9 @@ def test_alarm_that_comes_while_clients_listen_is_an_event_of_its_rig_and_of_the
                 event = await listener.wait(lambda event: event.ConditionName == "level k2")
                 assert (event.Message.Text, event.SourceNode.Identifier) == ("k2 planted", "rig/press-7/k2")
             async with signed_in(scene.address) as anna:
-                asked = anna.get_node(event.NodeId).call_method("0:Acknowledge", event.EventId, ua.LocalizedText(""))
+                asked = anna.get_node(event.NodeId).call_method(
+                    "0:Acknowledge", event.EventId, ua.LocalizedText("")
+                )
                 assert await refused(asked) == "BadServerNotConnected"  # no agent runs any more
 
     asyncio.run(client())
@@ -227,7 +238,9 @@ def test_only_clients_with_a_trusted_certificate_come_in_where_some_are_named() 
     assert [users.get_user(None, certificate=one) for one in (None, b"old", b"other")] == [None] * 3
 
 
-def test_users_are_added_to_a_file_that_nobody_else_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_users_are_added_to_a_file_that_nobody_else_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "users"
     for name in ("anna", "tom", "anna"):
         monkeypatch.setattr("sys.stdin", io.StringIO(f"{PASSWORD} of {name}\n"))
@@ -267,7 +280,9 @@ def test_server_refuses_to_be_open_to_others(
         app(["opcua", "rig.db", *arguments], standalone_mode=False)
 
 
-def test_server_without_its_extra_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_without_its_extra_says_how_to_install_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "asyncua", None)
     with pytest.raises(UsageError, match=r"needs the extra opcua .*; pip install 'deltak\[opcua\]'"):
         app(["opcua", str(tmp_path / "rig.db")], standalone_mode=False)

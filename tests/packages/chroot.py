@@ -1,4 +1,5 @@
-"""A fresh Debian 12 below a folder, in which commands run without a network; made once and kept in the temp folder."""
+"""A fresh Debian 12 below a folder, in which commands run without a network; made once and kept in the temp
+folder."""
 
 import shlex
 import subprocess
@@ -44,8 +45,24 @@ def fresh(folder: Path) -> Path:
 
 def run(root: Path, script: str, *, check: bool = True) -> subprocess.CompletedProcess[str]:
     """Run a script of sh in the root: own processes, own mounts, loopback for a network."""
-    command = ["unshare", "--mount", "--net", "--pid", "--fork", "sh", "-euc", _ENTER, "sh", str(root), script]
-    environment = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
+    command = [
+        "unshare",
+        "--mount",
+        "--net",
+        "--pid",
+        "--fork",
+        "sh",
+        "-euc",
+        _ENTER,
+        "sh",
+        str(root),
+        script,
+    ]
+    environment = {
+        "PATH": "/usr/sbin:/usr/bin:/sbin:/bin",
+        "DEBIAN_FRONTEND": "noninteractive",
+        "LC_ALL": "C.UTF-8",
+    }
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert not check or done.returncode == 0, f"{script}\n{done.stdout}{done.stderr}"
     return done

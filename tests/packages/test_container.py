@@ -1,4 +1,5 @@
-"""The image of deploy/Containerfile: built and run here, not as root, on a read-only root, without capabilities."""
+"""The image of deploy/Containerfile: built and run here, not as root, on a read-only root, without
+capabilities."""
 
 import json
 import os
@@ -51,7 +52,8 @@ def root(dists: Mapping[str, Path]) -> Iterator[Path]:
 
 
 def run(root: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run a program in a container as the head of the Containerfile says: its user, its data, /tmp; nothing else."""
+    """Run a program in a container as the head of the Containerfile says: its user, its data, /tmp; nothing
+    else."""
     tool = peers.program("runc", "runc")
     data = folder / "data"
     data.mkdir(parents=True)
@@ -68,7 +70,8 @@ def run(root: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[st
 def _spec(spec: Any, root: Path, user: tuple[int, int], words: tuple[str, ...]) -> Any:
     spec["root"] = {"path": str(root), "readonly": True}
     spec["process"] |= {
-        "terminal": False, "user": {"uid": user[0], "gid": user[1]}, "args": words, "cwd": DATA, "capabilities": {},
+        "terminal": False, "user": {"uid": user[0], "gid": user[1]}, "args": words, "cwd": DATA,
+        "capabilities": {},
         "noNewPrivileges": True, "rlimits": [],
     }  # fmt: skip
     spec["mounts"] = [mount for mount in spec["mounts"] if mount["destination"] != "/sys/fs/cgroup"]
@@ -98,9 +101,7 @@ def test_agent_runs_without_root_and_capabilities_on_a_read_only_root(root: Path
 
 
 def test_container_can_write_nothing_but_its_data(root: Path, tmp_path: Path) -> None:
-    script = (
-        f"id -u; grep CapEff /proc/self/status; for f in /opt/deltak/x /etc/x {DATA}/x; do touch $f && echo $f; done"
-    )
+    script = f"id -u; grep CapEff /proc/self/status; for f in /opt/deltak/x /etc/x {DATA}/x; do touch $f && echo $f; done"
     done = run(root, tmp_path / "probe", "/bin/sh", "-c", script)
     uid, *shown = done.stdout.split()
     assert int(uid) > 0

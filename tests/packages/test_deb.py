@@ -1,4 +1,5 @@
-"""The life of the Debian package on a fresh Debian 12 without a network: install, upgrade, downgrade, remove, purge."""
+"""The life of the Debian package on a fresh Debian 12 without a network: install, upgrade, downgrade, remove,
+purge."""
 
 import gzip
 import json
@@ -54,7 +55,9 @@ def lived(dists: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -
     python = f"/opt/deltak/releases/{OLD}/bin/python"
     found["installed"] = json.loads(chroot.run(root, f"{python} -I -c '{INSTALLED}'").stdout)
     found["user"] = chroot.run(root, "id deltak; stat -c '%U %G %a' /var/lib/deltak").stdout
-    found["documents"] = {path.name: path.read_bytes() for path in (root / "usr/share/doc/deltak").glob("*.*")}
+    found["documents"] = {
+        path.name: path.read_bytes() for path in (root / "usr/share/doc/deltak").glob("*.*")
+    }
     found["page"] = gzip.decompress((root / "usr/share/man/man1/deltak.1.gz").read_bytes()).decode()
     found["completed"] = chroot.run(
         root, "COMP_WORDS='deltak upg' COMP_CWORD=1 _DELTAK_COMPLETE=complete_bash deltak"
@@ -65,12 +68,15 @@ def lived(dists: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -
     found["check"] = json.loads(chroot.run(root, "deltak upgrade --check --json").stdout)
     found["first"] = about(root, "install")
     for step, words in (
-        ("upgrade", f"-i /tmp/{NEW}.deb"), ("again", f"-i /tmp/{NEW}.deb"), ("downgrade", f"-i /tmp/{OLD}.deb"),
+        ("upgrade", f"-i /tmp/{NEW}.deb"), ("again", f"-i /tmp/{NEW}.deb"),
+        ("downgrade", f"-i /tmp/{OLD}.deb"),
         ("remove", "-r deltak"), ("purge", "-P deltak"),
     ):  # fmt: skip
         chroot.run(root, f"dpkg --force-unsafe-io --force-downgrade {words}")
         found[step] = about(root, step)
-    found["left"] = chroot.run(root, "find / -xdev -path /tmp -prune -o -name '*deltak*' -print; id -un deltak").stdout
+    found["left"] = chroot.run(
+        root, "find / -xdev -path /tmp -prune -o -name '*deltak*' -print; id -un deltak"
+    ).stdout
     return found
 
 
@@ -86,7 +92,9 @@ def test_fresh_machine_has_the_program_its_user_and_its_folders(lived: Mapping[s
 def test_program_runs_in_an_environment_of_its_own(lived: Mapping[str, Any]) -> None:
     place = f"/opt/deltak/releases/{OLD}"
     assert lived["installed"]["agent"] == f"{place}/lib/python3.11/site-packages/agent/__init__.py"
-    outside = [path for path in lived["installed"]["path"] if not path.startswith((place, "/usr/lib/python3"))]
+    outside = [
+        path for path in lived["installed"]["path"] if not path.startswith((place, "/usr/lib/python3"))
+    ]
     assert outside == []
     assert "/usr/lib/python3/dist-packages" not in lived["installed"]["path"]
 

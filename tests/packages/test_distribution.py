@@ -14,8 +14,10 @@ from tests import figures, peers
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(300)]
 WANTED = {
-    "deltak.py", "agent/py.typed", "agent/examples/can.toml", "agent/examples/two-mass-rig.dbc", "drivers/port.py",
-    "agent/cli/web/static/index.html", "agent/evaluation/demo/files/rig.toml", "sim_bus/scenarios/default.toml",
+    "deltak.py", "agent/py.typed", "agent/examples/can.toml", "agent/examples/two-mass-rig.dbc",
+    "drivers/port.py",
+    "agent/cli/web/static/index.html", "agent/evaluation/demo/files/rig.toml",
+    "sim_bus/scenarios/default.toml",
     "sim_bus/scenarios/rigs/bench.dbc",
 }  # fmt: skip
 
@@ -40,7 +42,9 @@ def built(folder: Path, umask: int) -> source.Built:
 
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> list[source.Built]:
-    return [built(tmp_path_factory.mktemp(name), umask) for name, umask in (("first", 0o022), ("second", 0o077))]
+    return [
+        built(tmp_path_factory.mktemp(name), umask) for name, umask in (("first", 0o022), ("second", 0o077))
+    ]
 
 
 def digest(file: Path) -> str:
@@ -65,7 +69,12 @@ def test_wheel_holds_the_packages_with_their_files_and_nothing_of_tests(twice: l
         names = set(wheel.namelist())
     assert names >= WANTED
     tops = {name.split("/")[0] for name in names}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {"agent", "drivers", "sim_bus", "deltak.py"}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {
+        "agent",
+        "drivers",
+        "sim_bus",
+        "deltak.py",
+    }
     assert [name for name in names if "__pycache__" in name or "test" in Path(name).stem.split("_")] == []
     # what git knows of the packages is in the wheel, whatever its kind
     listed = ["git", "-C", str(peers.ROOT), "ls-files", "agent", "drivers", "sim_bus", "deploy/examples"]

@@ -1,4 +1,5 @@
-"""A package of another distribution that bears the name of one of ours is named at the start, before it is imported."""
+"""A package of another distribution that bears the name of one of ours is named at the start, before it is
+imported."""
 
 import os
 import shutil
@@ -15,7 +16,8 @@ PACKAGES = ("agent", "drivers", "sim_bus")
 
 @pytest.fixture
 def installed(tmp_path: Path) -> Path:
-    """A folder as site-packages is: the command's file, and its packages, which only say that they were imported."""
+    """A folder as site-packages is: the command's file, and its packages, which only say that they were
+    imported."""
     folder = tmp_path / "site-packages"
     for name in PACKAGES:
         (folder / name).mkdir(parents=True)
@@ -39,7 +41,9 @@ def test_command_starts_where_the_packages_are_its_own(installed: Path) -> None:
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_package_of_another_that_comes_before_ours_is_named_and_not_imported(installed: Path, name: str) -> None:
+def test_package_of_another_that_comes_before_ours_is_named_and_not_imported(
+    installed: Path, name: str
+) -> None:
     other = installed.parent / "other"
     (other / name).mkdir(parents=True)
     (other / name / "__init__.py").write_text("print('theirs runs')\n")

@@ -58,7 +58,9 @@ def test_bash_completes_options_of_a_plug_in(tmp_path: Path) -> None:
         _deltak_completion deltak
         printf '%s\\n' "${{COMPREPLY[@]}}"
     """
-    done = subprocess.run([bash, "-c", script], env=os.environ, capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(
+        [bash, "-c", script], env=os.environ, capture_output=True, text=True, check=True, timeout=60
+    )
     assert done.stdout.split() == ["--truth"]
 
 

@@ -106,7 +106,9 @@ def test_version_whose_rows_are_not_valid_is_taken_back_and_it_is_said(tmp_path:
 
 def test_version_that_does_not_start_is_taken_back_at_once(tmp_path: Path, db: Path) -> None:
     def refuse() -> None:
-        raise AgentsError.at("systemctl start deltak.service", "failed with exit code 1", "see the agent's log")
+        raise AgentsError.at(
+            "systemctl start deltak.service", "failed with exit code 1", "see the agent's log"
+        )
 
     switch, agents = prepared(tmp_path, db, "none", refuse)
     with pytest.raises(TakenBackError, match=r"taken back: failed with exit code 1; 1\.0\.0 runs again"):
@@ -114,7 +116,9 @@ def test_version_that_does_not_start_is_taken_back_at_once(tmp_path: Path, db: P
     assert agents.steps == ["stop", "2.0.0", "stop", "1.0.0"]
 
 
-def test_database_that_was_migrated_is_as_before_when_the_version_is_taken_back(tmp_path: Path, db: Path) -> None:
+def test_database_that_was_migrated_is_as_before_when_the_version_is_taken_back(
+    tmp_path: Path, db: Path
+) -> None:
     def migrate_and_fail() -> None:
         write_rows(db, Status.INVALID)
         mark_newer(db)
@@ -130,7 +134,9 @@ def test_database_that_was_migrated_is_as_before_when_the_version_is_taken_back(
     assert valid_runs(tmp_path / "rig.db.of-2.0.0") == [1]
 
 
-def test_copy_from_before_stays_when_the_version_takes_over_and_is_one_at_most(tmp_path: Path, db: Path) -> None:
+def test_copy_from_before_stays_when_the_version_takes_over_and_is_one_at_most(
+    tmp_path: Path, db: Path
+) -> None:
     (tmp_path / "rig.db.before-1.0.0").touch()
     switch, _ = prepared(tmp_path, db, "migrate", lambda: write_rows(db))
     copy = tmp_path / "rig.db.before-2.0.0"
@@ -161,7 +167,11 @@ def test_database_in_use_is_not_copied_and_the_former_version_goes_on(tmp_path: 
 
 def test_version_that_would_refuse_something_changes_nothing(tmp_path: Path, db: Path) -> None:
     switch, agents = prepared(tmp_path, db, "none", lambda: None)
-    lay(tmp_path, "3.0.0", {"errors": [{"path": "rig.rate", "message": "unknown key", "advice": "see the changelog"}]})
+    lay(
+        tmp_path,
+        "3.0.0",
+        {"errors": [{"path": "rig.rate", "message": "unknown key", "advice": "see the changelog"}]},
+    )
     switch.version = "3.0.0"
     with pytest.raises(UsageError, match=r"rig\.rate: unknown key; see the changelog"):
         upgrade(switch, [db])
@@ -175,7 +185,9 @@ def test_rig_that_gave_no_valid_rows_before_is_not_waited_for(tmp_path: Path) ->
     assert upgrade(switch, [path])["rigs"] == []
 
 
-@pytest.mark.parametrize("file", sorted(FIXTURES.glob("version-*.db.gz")), ids=lambda file: file.name.split(".")[0])
+@pytest.mark.parametrize(
+    "file", sorted(FIXTURES.glob("version-*.db.gz")), ids=lambda file: file.name.split(".")[0]
+)
 def test_check_says_through_which_steps_an_older_database_goes(tmp_path: Path, file: Path) -> None:
     path = tmp_path / "old.db"
     path.write_bytes(gzip.decompress(file.read_bytes()))
@@ -232,9 +244,12 @@ def systemctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     program = tmp_path / "bin" / "systemctl"
     program.parent.mkdir()
     listed = "".join(
-        f"{name}.service loaded active running x\\n" for name in ("deltak", "deltak-page", "deltak-upgrade@2.0.0")
+        f"{name}.service loaded active running x\\n"
+        for name in ("deltak", "deltak-page", "deltak-upgrade@2.0.0")
     )
-    program.write_text(f"#!/bin/sh\n[ $1 = list-units ] && printf '{listed}' || echo $* >> {tmp_path}/asked\n")
+    program.write_text(
+        f"#!/bin/sh\n[ $1 = list-units ] && printf '{listed}' || echo $* >> {tmp_path}/asked\n"
+    )
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{program.parent}:/usr/bin:/bin")
     return tmp_path / "asked"
@@ -254,7 +269,9 @@ def test_units_that_run_are_stopped_and_started_but_the_one_that_switches(system
     (["sleep", "60"], "sleep 60: was not done after 0.05 s"),
     (["deltak-nowhere"], "deltak-nowhere: cannot be run: No such file or directory"),
 ])  # fmt: skip
-def test_command_that_does_not_start_the_agents_is_named_with_its_last_word(command: list[str], said: str) -> None:
+def test_command_that_does_not_start_the_agents_is_named_with_its_last_word(
+    command: list[str], said: str
+) -> None:
     with pytest.raises(AgentsError, match=re.escape(said)):
         Commands(["true"], command).start(0.05 if command[0] == "sleep" else 10.0)
 

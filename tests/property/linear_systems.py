@@ -1,6 +1,8 @@
-"""Random linear systems with a configuration and a recording of each, integrated by neither agent nor simulator.
+"""Random linear systems with a configuration and a recording of each, integrated by neither agent nor
+simulator.
 
-2-8 states, 1-3 inputs and outputs, in continuous or discrete time, every motion decaying or one that does not.
+2-8 states, 1-3 inputs and outputs, in continuous or discrete time, every motion decaying or one that does
+not.
 """
 
 import json
@@ -143,7 +145,9 @@ def configuration(
     time = f'time = "discrete"\nrate_hz = {RATE_HZ}\n' if system.discrete else ""
     matrices = "".join(f"{name} = {json.dumps(getattr(system, name).tolist())}\n" for name in MATRICES)
     names = json.dumps([f"{name}[{i},{j}]" for name, i, j in entries])
-    text = f'[rig]\nname = "random"\nsample_rate_hz = {RATE_HZ}\nclock = "uniform"\n[model]\nkind = "linear"\n'
+    text = (
+        f'[rig]\nname = "random"\nsample_rate_hz = {RATE_HZ}\nclock = "uniform"\n[model]\nkind = "linear"\n'
+    )
     text += f"{time}{matrices}uncertain = {names}\n"
     for i in range(system.B.shape[1]):
         text += f'[[channel]]\nname = "u{i}"\nquantity = "input"\nunit = "1"\n{EXACT}'

@@ -1,7 +1,7 @@
 """Random rigs as a user may write them, with a recording of each, integrated by neither agent nor simulator.
 
-1-5 masses in a tree with or without loops, on the ground or free, six decades of mass and stiffness, damping from one
-hundred-thousandth of critical to thrice, sensors of every kind in any unit, noise stated or not.
+1-5 masses in a tree with or without loops, on the ground or free, six decades of mass and stiffness, damping
+from one hundred-thousandth of critical to thrice, sensors of every kind in any unit, noise stated or not.
 """
 
 from dataclasses import dataclass
@@ -77,7 +77,13 @@ def random_rig(rng: np.random.Generator) -> Rig:
     spots = sorted({(str(rng.choice(list(UNITS))), int(rng.integers(1, n + 1))) for _ in range(count)})
     stated = rng.choice([0.0, 0.5, 1.0])
     sensors = tuple(
-        (kind, node, str(rng.choice([*UNITS[kind]])), float(10.0 ** rng.uniform(-6, -2)), bool(rng.random() < stated))
+        (
+            kind,
+            node,
+            str(rng.choice([*UNITS[kind]])),
+            float(10.0 ** rng.uniform(-6, -2)),
+            bool(rng.random() < stated),
+        )
         for kind, node in spots
     )
     rig = Rig(tuple(masses.tolist()), tuple(elements), forces, sensors, 1.0, "")
@@ -111,7 +117,10 @@ def configuration(rig: Rig, noise: FloatArray) -> str:
             for i, e in enumerate(rig.elements, 1)
         ]
         lines.append(_rows(kind, rows))
-    lines += [f'\n[[channel]]\nname = "f{node}"\nquantity = "force"\nat = "m{node}"\nunit = "N"' for node in rig.forces]
+    lines += [
+        f'\n[[channel]]\nname = "f{node}"\nquantity = "force"\nat = "m{node}"\nunit = "N"'
+        for node in rig.forces
+    ]
     for (quantity, node, unit, _, stated), sd in zip(rig.sensors, noise.tolist(), strict=True):
         lines.append(f'\n[[channel]]\nname = "{quantity[0]}{node}"\nquantity = "{quantity}"')
         lines.append(f'at = "m{node}"\nunit = "{unit}"')
@@ -139,7 +148,9 @@ def recording(rig: Rig, rng: np.random.Generator) -> tuple[dict[str, FloatArray]
     for quantity, node, unit, share, _ in rig.sensors:
         signal = moved[:, list(UNITS).index(quantity) * n + node - 1]
         noise.append(float(share * np.sqrt(np.mean(signal**2)) + 1e-12))
-        columns[f"{quantity[0]}{node}"] = (signal + rng.normal(0.0, noise[-1], SAMPLES)) / UNITS[quantity][unit]
+        columns[f"{quantity[0]}{node}"] = (signal + rng.normal(0.0, noise[-1], SAMPLES)) / UNITS[quantity][
+            unit
+        ]
     return columns, np.array(noise)
 
 

@@ -1,4 +1,5 @@
-"""Random linear systems: entries are recovered to the last digits, at the bound under noise, or named as hidden."""
+"""Random linear systems: entries are recovered to the last digits, at the bound under noise, or named as
+hidden."""
 
 import mpmath
 import numpy as np
@@ -76,7 +77,9 @@ def hidden(seed: int) -> None:
     rng = np.random.default_rng([seed, 20])
     system = random_system(rng)
     entries = every_entry(system)
-    some = sorted(rng.choice(len(entries), min(len(entries), int(rng.integers(2, 25))), replace=False).tolist())
+    some = sorted(
+        rng.choice(len(entries), min(len(entries), int(rng.integers(2, 25))), replace=False).tolist()
+    )
     chosen = [entries[i] for i in some]
     u, x0 = rng.standard_normal((2 * SAMPLES + 1, system.B.shape[1])), rng.standard_normal(len(system.A))
     model = rig_model(configuration(system, chosen, np.ones(len(system.C)), 3.0)).model
@@ -105,7 +108,8 @@ def errors(seed: int, windows: int) -> tuple[FloatArray, FloatArray]:
     estimator = SlidingEstimator(estimator_settings(config, np.zeros(len(sigma))), budget_of(SAMPLES))
     rows = estimator.step(0, y + sigma * rng.standard_normal(y.shape), u[:-1])
     keep = rows.index >= 2 * SAMPLES - 1
-    # without an alarm an entry is unexcited beyond a share of its nominal, whatever that is; it has its interval
+    # without an alarm an entry is unexcited beyond a share of its nominal, whatever that is; it has its
+    # interval
     assert np.mean(rows.status[keep] == int(Status.INVALID)) < 0.02
     truth = np.array([system.entry(e) for e in chosen])
     states = system.states(u, x0)
@@ -115,7 +119,9 @@ def errors(seed: int, windows: int) -> tuple[FloatArray, FloatArray]:
     return (rows.theta[keep] - truth) / np.array(bounds), held
 
 
-def bound(system: System, chosen: list[Entry], u: FloatArray, x0: FloatArray, sigma: FloatArray) -> FloatArray:
+def bound(
+    system: System, chosen: list[Entry], u: FloatArray, x0: FloatArray, sigma: FloatArray
+) -> FloatArray:
     """Return the Cramer-Rao bound (q,) of a window, the state at its start unknown."""
     psi = sensitivities(system, chosen, u, x0, sigma)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(psi.T @ psi))))

@@ -17,13 +17,15 @@ COMMAND = typer.main.get_command(app)
 """Built once: the command line makes it anew for each call, which is one in a process."""
 RIGS, SOAK = 200, 5000
 REPLAYED = 40
-"""Every so manieth rig is replayed in each run, every one when soaking: a fit costs a hundred times a check."""
+"""Every so manieth rig is replayed in each run, every one when soaking: a fit costs a hundred times a check.
+"""
 FAULT = re.compile(r"deltak: error: (rig|model|channel|estimator)[\w.\[\]]*: \S.*")
 
 
 @pytest.fixture(autouse=True)
 def _without_what_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Check as where the extra `design` is not installed, with few points of the region: both have their own tests."""
+    """Check as where the extra `design` is not installed, with few points of the region: both have their own
+    tests."""
 
     def missing() -> None:
         raise margins_box.DesignToolsMissingError
@@ -49,7 +51,8 @@ def run(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, s
 
 
 def play(seeds: range, replayed: int, folder: Path, capfd: pytest.CaptureFixture[str]) -> Counter[str]:
-    """Check the rigs of these seeds and replay every so manieth; return how many could be used and what rows said."""
+    """Check the rigs of these seeds and replay every so manieth; return how many could be used and what rows
+    said."""
     counts = Counter[str]()
     for seed in seeds:
         config, recording = written(folder, seed)

@@ -16,7 +16,8 @@ from tests.unit.numerics.rigs import disturbance, measured_model, random_structu
 @example(masses=6, seed=1)
 @example(masses=1, seed=2)
 def test_fit_window_noise_free_random_graph_is_recovered(masses: int, seed: int) -> None:
-    """1-6 masses in a tree or ring, every displacement measured, a force on each, steps of up to half of nominal."""
+    """1-6 masses in a tree or ring, every displacement measured, a force on each, steps of up to half of
+    nominal."""
     rng = np.random.default_rng(seed)
     model = measured_model(random_structure(rng, masses), tuple(f"m{i + 1}" for i in range(masses)))
     nominal = model.nominal

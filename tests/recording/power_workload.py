@@ -1,4 +1,5 @@
-"""A process that records and says on its standard output what is on the disk; for the tests that cut its power.
+"""A process that records and says on its standard output what is on the disk; for the tests that cut its
+power.
 
 python -m tests.recording.power_workload events|raw FOLDER careful|lazy: lazy leaves every sync out.
 """

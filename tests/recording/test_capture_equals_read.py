@@ -1,4 +1,5 @@
-"""What a CAN driver made of its bus is what it makes of the recording: samples, counts, losses, restarts and all."""
+"""What a CAN driver made of its bus is what it makes of the recording: samples, counts, losses, restarts and
+all."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,7 +50,8 @@ def driver(fields: tuple[str, ...], counter: str) -> CanDriver:
 
 
 def pieces(seed: int, count: int) -> list[Frames]:
-    """Frames of every kind in pieces of random length: some lost, repeated, swapped, short, asked for, broken."""
+    """Frames of every kind in pieces of random length: some lost, repeated, swapped, short, asked for,
+    broken."""
     rng = np.random.default_rng(seed)
     rows: list[bytes] = []
     for number in range(count):
@@ -72,7 +74,8 @@ def pieces(seed: int, count: int) -> list[Frames]:
 
 
 def read_live(live: CanDriver, script: Sequence[Frames], seed: int) -> list[tuple[SampleBlock, Any]]:
-    """Read a bus to its end, with it going down and up on the way; return each block with what was heard of it."""
+    """Read a bus to its end, with it going down and up on the way; return each block with what was heard of
+    it."""
     rng = np.random.default_rng(seed)
     live.prepare()
     live.keep_capture()
@@ -88,7 +91,9 @@ def read_live(live: CanDriver, script: Sequence[Frames], seed: int) -> list[tupl
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("asked", [SINGLE, SPREAD, PAGES, ONE_PAGE])
-def test_recording_makes_the_samples_counts_and_notes_of_the_live_bus(asked: tuple[Any, str], seed: int) -> None:
+def test_recording_makes_the_samples_counts_and_notes_of_the_live_bus(
+    asked: tuple[Any, str], seed: int
+) -> None:
     live, again = driver(*asked), driver(*asked)
     for block, capture in read_live(live, pieces(seed, 300), seed):
         if capture is None:

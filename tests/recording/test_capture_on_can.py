@@ -1,4 +1,5 @@
-"""What is recorded of a CAN bus is candump's own text: independent programs read it, and it makes the same samples."""
+"""What is recorded of a CAN bus is candump's own text: independent programs read it, and it makes the same
+samples."""
 
 import json
 import re
@@ -17,7 +18,16 @@ from agent.recording.header import RawHeader
 from agent.recording.recorder import Limits, Recorder, shelf
 from agent.recording.source import is_own
 from drivers.can.codec.capture import Keeper, candump_text, captured_frames, interface_name
-from drivers.can.codec.frames import ERROR, EXTENDED, FD_FLAG, REMOTE, Frames, candump_frames, frames_of, pack_frame
+from drivers.can.codec.frames import (
+    ERROR,
+    EXTENDED,
+    FD_FLAG,
+    REMOTE,
+    Frames,
+    candump_frames,
+    frames_of,
+    pack_frame,
+)
 from drivers.port import Capture, DriverConfigError, SampleBlock
 from tests import peers
 
@@ -103,7 +113,16 @@ def test_python_can_reads_every_kind(tmp_path: Path) -> None:
     path = recorded(tmp_path, kept([every_kind()]))
     with can.CanutilsLogReader(path) as reader:
         got = list(reader)
-    assert [m.arbitration_id for m in got[:8]] == [0x123, 0x7FF, 0x18FEF100, 0x321, 0x322, 0x1ABCDEF, 0x100, 0x101]
+    assert [m.arbitration_id for m in got[:8]] == [
+        0x123,
+        0x7FF,
+        0x18FEF100,
+        0x321,
+        0x322,
+        0x1ABCDEF,
+        0x100,
+        0x101,
+    ]
     assert [m.is_fd for m in got[:8]] == [False] * 3 + [True] * 3 + [False] * 2
     assert [m.is_extended_id for m in got[:8]] == [False, False, True, False, False, True, False, False]
     assert [m.is_remote_frame for m in got[:8]] == [False] * 6 + [True, True]
@@ -111,7 +130,11 @@ def test_python_can_reads_every_kind(tmp_path: Path) -> None:
     assert [bytes(m.data) for m in got[:6]] == [
         bytes(range(8)), b"", b"\xff" * 8, b"\x01\x02\x03", bytes(range(64)), bytes(12),
     ]  # fmt: skip
-    assert (got[4].bitrate_switch, got[4].error_state_indicator, got[5].error_state_indicator) == (True, False, True)
+    assert (got[4].bitrate_switch, got[4].error_state_indicator, got[5].error_state_indicator) == (
+        True,
+        False,
+        True,
+    )
     assert got[0].timestamp == pytest.approx(START / 1e9, abs=1e-6)
     assert {m.channel for m in got[:8]} == {"vcan0"}
 
@@ -135,7 +158,9 @@ def test_log2asc_turns_every_frame_into_vectors_form(tmp_path: Path) -> None:
     path = recorded(tmp_path, kept([frames]))
     target = tmp_path / "out.asc"
     subprocess.run([tool, "-I", path, "-O", target, "vcan0"], check=True, capture_output=True, timeout=20)
-    lines = [line for line in target.read_text(encoding="ascii").splitlines() if re.match(r"\s*\d+\.\d+ ", line)]
+    lines = [
+        line for line in target.read_text(encoding="ascii").splitlines() if re.match(r"\s*\d+\.\d+ ", line)
+    ]
     assert len(lines) == len(frames)
     assert "18FEF100x" in lines[2]
 
@@ -216,7 +241,8 @@ def test_text_that_is_no_frame_is_an_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("channel", "name"), [("can0", "can0"), ("/dev/ttyACM0@115200", "ttyACM0_115200"), ("", "can"), ("ä b", "__b")]
+    ("channel", "name"),
+    [("can0", "can0"), ("/dev/ttyACM0@115200", "ttyACM0_115200"), ("", "can"), ("ä b", "__b")],
 )
 def test_interface_names_are_such_that_tools_take_them(channel: str, name: str) -> None:
     assert interface_name(channel) == name

@@ -46,12 +46,15 @@ class Rig:
         self.at = 0
 
     def feed(self, samples: int, cut: int = 10, raised: Sequence[int] = (), at_once: int = 1) -> None:
-        """Take samples in blocks of `cut`, so many of them before they are computed; alarms are raised at some."""
+        """Take samples in blocks of `cut`, so many of them before they are computed; alarms are raised at
+        some."""
         end, seen = self.at + samples, self.at
         while self.at < end:
             rows = min(cut, end - self.at)
             number = np.arange(self.at, self.at + rows)
-            block = SampleBlock(np.repeat(number[:, None], 3, axis=1).astype(float), self.at * MS, number % 65536)
+            block = SampleBlock(
+                np.repeat(number[:, None], 3, axis=1).astype(float), self.at * MS, number % 65536
+            )
             self.keeper.labelled(stamps)(number)
             self.keeper.take("can", block, 65536)
             self.at += rows
@@ -69,7 +72,9 @@ def stamps(number: IntArray) -> IntArray:
 
 
 def alarm(number: int, **changes: object) -> AlarmTransition:
-    made = AlarmTransition("press-7", "level", "k1", "high", START + number * MS, "NORM", "UNACK", "limit", "k1 fell")
+    made = AlarmTransition(
+        "press-7", "level", "k1", "high", START + number * MS, "NORM", "UNACK", "limit", "k1 fell"
+    )
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
@@ -128,7 +133,9 @@ def test_more_records_than_an_hour_may_have_are_counted_and_told_once(rig: Rig) 
     rig.feed(10_000, 10, raised=range(1000, 10_000, 1000))
     assert rig.pen.names == 3
     assert rig.keeper.skipped == 6
-    assert [event.cause for event in rig.reported if isinstance(event, HealthEvent)] == ["event records skipped"]
+    assert [event.cause for event in rig.reported if isinstance(event, HealthEvent)] == [
+        "event records skipped"
+    ]
     rig.now_s += 3601.0
     rig.feed(2000, 10, raised=[11_000])
     assert rig.pen.names == 4
@@ -141,7 +148,10 @@ def test_record_ends_where_no_samples_come_any_more(rig: Rig) -> None:
     assert len(rig.pen.jobs) == 1
     rig.now_s += 0.2 + events.PATIENCE_S
     rig.keeper.poll()
-    assert (rig.pen.jobs[1].record.state, rig.pen.jobs[1].record.message) == ("complete", "no more samples came")
+    assert (rig.pen.jobs[1].record.state, rig.pen.jobs[1].record.message) == (
+        "complete",
+        "no more samples came",
+    )
 
 
 def test_record_of_an_agent_that_is_stopped_says_that_it_is_cut(rig: Rig) -> None:
@@ -206,4 +216,10 @@ def test_counters_that_wrap_are_numbered_on(rig: Rig) -> None:
 
 def test_record_without_configuration_to_the_contrary_is_ten_seconds_each_side(tmp_path: Path) -> None:
     limits = load(example("can", tmp_path)).store.events
-    assert (limits.before_s, limits.after_s, limits.max_count, limits.max_mb, limits.per_hour) == (10, 10, 100, 100, 12)
+    assert (limits.before_s, limits.after_s, limits.max_count, limits.max_mb, limits.per_hour) == (
+        10,
+        10,
+        100,
+        100,
+        12,
+    )

@@ -141,7 +141,9 @@ def test_rig_of_several_sources_keeps_a_raw_recording_of_each(tmp_path: Path, re
     assert [block.arrival_ns for block in read_blocks(path)] == [9]
 
 
-@pytest.mark.parametrize(("limits", "left"), [({"max_count": 3}, 3), ({"max_mb": 0.02}, 1), ({"keep": 1e-9}, 1)])
+@pytest.mark.parametrize(
+    ("limits", "left"), [({"max_count": 3}, 3), ({"max_mb": 0.02}, 1), ({"keep": 1e-9}, 1)]
+)
 def test_oldest_records_go_first_and_the_index_says_so(
     tmp_path: Path, reported: Told, limits: dict[str, float], left: int
 ) -> None:
@@ -163,7 +165,12 @@ def test_records_made_by_a_wrong_clock_are_no_older(tmp_path: Path, reported: To
 def test_records_of_other_rigs_and_other_files_are_left_alone(tmp_path: Path, reported: Told) -> None:
     folder = tmp_path / "rig.db.events"
     folder.mkdir()
-    others = ["press-00000000-level-k1.npz", "press-77-00000000-level-k1.npz", "notes.txt", "press-7-1-level-k1.npz"]
+    others = [
+        "press-00000000-level-k1.npz",
+        "press-77-00000000-level-k1.npz",
+        "notes.txt",
+        "press-7-1-level-k1.npz",
+    ]
     for name in others:
         (folder / name).write_bytes(b"x")
     written(tmp_path, reported, 3, max_count=1)
@@ -264,7 +271,12 @@ def test_restart_says_what_became_of_the_records_of_the_run_before(tmp_path: Pat
     reported.records.clear()
     (tmp_path / "rig.db.events" / "press-7-00000009-level-k1.npz.part").write_bytes(b"half")
     names = [f"press-7-0000000{n}-level-k1.npz" for n in range(6)]
-    known = [row(names[0], "complete"), row(names[1], "recording"), row(names[4], "complete"), row(names[5], "failed")]
+    known = [
+        row(names[0], "complete"),
+        row(names[1], "recording"),
+        row(names[4], "complete"),
+        row(names[5], "failed"),
+    ]
     writer = made(tmp_path, reported, known=known)
     writer.start()
     writer.stop()
@@ -278,7 +290,9 @@ def test_restart_on_a_damaged_record_goes_on(tmp_path: Path, reported: Told) -> 
     path = tmp_path / "rig.db.events" / "press-7-00000000-level-k1.npz"
     path.write_bytes(path.read_bytes()[:-100])
     (path.parent / "press-7-00000003-level-k1.npz").write_bytes(b"")
-    np.savez(path.parent / "press-7-00000004-level-k1.npz", meta=np.array(json.dumps({"format": "DELTAKEVENT1"})))
+    np.savez(
+        path.parent / "press-7-00000004-level-k1.npz", meta=np.array(json.dumps({"format": "DELTAKEVENT1"}))
+    )
     reported.records.clear()
     written(tmp_path, reported, 1)
     assert reported.rows() == [("press-7-00000005-level-k1.npz", "complete")]
@@ -296,7 +310,9 @@ def test_channel_may_be_called_like_an_array_of_the_file(tmp_path: Path, reporte
     assert read_meta(tmp_path / name)["parameter"] == "k1"
 
 
-def test_record_of_a_source_that_never_came_is_an_empty_file_and_nothing_fails(tmp_path: Path, reported: Told) -> None:
+def test_record_of_a_source_that_never_came_is_an_empty_file_and_nothing_fails(
+    tmp_path: Path, reported: Told
+) -> None:
     writer = made(tmp_path, reported)
     writer.start()
     whole = job(writer.name("source", "can"))

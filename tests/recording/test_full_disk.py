@@ -1,4 +1,5 @@
-"""Recordings on a disk that is full, a real one: they stop, are counted and told, and never cost a sample or a row."""
+"""Recordings on a disk that is full, a real one: they stop, are counted and told, and never cost a sample or
+a row."""
 
 import subprocess
 import threading
@@ -63,7 +64,9 @@ def test_recorder_on_a_full_disk_goes_on_once_there_is_room_and_what_was_synced_
     assert [b.arrival_ns for path in segments(disk) for b in read_blocks(path)] == [0, 2]
 
 
-def test_event_record_on_a_full_disk_leaves_nothing_half_written(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_event_record_on_a_full_disk_leaves_nothing_half_written(
+    disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(event_writer, "room", lambda _: 1)
     reported = Told()
     writer = made(disk, reported)
@@ -77,7 +80,9 @@ def test_event_record_on_a_full_disk_leaves_nothing_half_written(disk: Path, mon
     assert files(disk) == []
 
 
-def test_agent_on_a_nearly_full_disk_estimates_and_alarms_on_and_records_nothing(disk: Path, tmp_path: Path) -> None:
+def test_agent_on_a_nearly_full_disk_estimates_and_alarms_on_and_records_nothing(
+    disk: Path, tmp_path: Path
+) -> None:
     example("modbus", tmp_path)
     text = (tmp_path / "modbus.toml").read_text(encoding="utf-8")
     text = text.replace('driver = "modbus"', 'driver = "modbus"\nrecord = true')
@@ -90,11 +95,15 @@ def test_agent_on_a_nearly_full_disk_estimates_and_alarms_on_and_records_nothing
         service(device.config, db) as running,
     ):
         wait_until(lambda: hops(db) == 60, "60 rows")
-        stopped = "SELECT count(*) FROM v_events WHERE cause IN ('recording stopped', 'event records stopped')"
+        stopped = (
+            "SELECT count(*) FROM v_events WHERE cause IN ('recording stopped', 'event records stopped')"
+        )
         wait_until(lambda: rows(db, stopped)[0][0] == 2, "both to be told")
         assert all(writer.failing is None for writer in running.writers.values())
     states = rows(db, "SELECT DISTINCT state FROM v_event_records")
     assert states == [("failed",)]
     assert rows(db, "SELECT count(*) FROM v_alarms WHERE kind = 'level'") == [(6,)]
-    assert rows(db, "SELECT received, used, dropped FROM v_health ORDER BY t_ns DESC LIMIT 1") == [(3000, 3000, 0)]
+    assert rows(db, "SELECT received, used, dropped FROM v_health ORDER BY t_ns DESC LIMIT 1") == [
+        (3000, 3000, 0)
+    ]
     assert [path.name for path in disk.glob("*/*")] == []

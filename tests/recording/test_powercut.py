@@ -27,7 +27,8 @@ Left = tuple[Path, list[str]]
 
 
 def after_cuts(library: Path, work: Path, kind: str, count: int, care: str = "careful") -> Iterator[Left]:
-    """Run the workload once; yield what the disk held after cuts at random moments, and what had been acknowledged."""
+    """Run the workload once; yield what the disk held after cuts at random moments, and what had been
+    acknowledged."""
     folder = work / "work" / "rig.db.events"
     folder.mkdir(parents=True)
     environment = os.environ | {
@@ -66,7 +67,11 @@ def lost_records(folder: Path, acknowledged: list[str]) -> int:
 
 
 @pytest.mark.parametrize("count", COUNT)
-def test_power_cut_leaves_every_acknowledged_event_record_whole(shim: Path, tmp_path: Path, count: int) -> None:  # noqa: F811 - the fixture
+def test_power_cut_leaves_every_acknowledged_event_record_whole(
+    shim: Path,  # noqa: F811 - the fixture
+    tmp_path: Path,
+    count: int,
+) -> None:
     for folder, acknowledged in after_cuts(shim, tmp_path, "events", count):
         assert lost_records(folder, acknowledged) == 0, acknowledged
 
@@ -91,7 +96,11 @@ def lost_pieces(folder: Path, acknowledged: list[str]) -> int:
 
 
 @pytest.mark.parametrize("count", COUNT)
-def test_power_cut_leaves_every_acknowledged_piece_of_a_recording(shim: Path, tmp_path: Path, count: int) -> None:  # noqa: F811 - the fixture
+def test_power_cut_leaves_every_acknowledged_piece_of_a_recording(
+    shim: Path,  # noqa: F811 - the fixture
+    tmp_path: Path,
+    count: int,
+) -> None:
     for folder, acknowledged in after_cuts(shim, tmp_path, "raw", count):
         assert lost_pieces(folder, acknowledged) == 0, acknowledged
 

@@ -15,7 +15,9 @@ from agent.recording.header import RawHeader
 from agent.recording.recorder import Limits, Recorder, shelf
 from drivers.port import SampleBlock
 
-HEADER = RawHeader("can", ("F", "X1", "X2"), 65536, "ab" * 32, "0.1.0", 1_767_225_600_000_000_000, rig="press-7")
+HEADER = RawHeader(
+    "can", ("F", "X1", "X2"), 65536, "ab" * 32, "0.1.0", 1_767_225_600_000_000_000, rig="press-7"
+)
 
 
 def block(number: int, rows: int = 50, counter: bool = True, times: bool = False) -> SampleBlock:
@@ -23,12 +25,16 @@ def block(number: int, rows: int = 50, counter: bool = True, times: bool = False
     values = rng.normal(size=(rows, 3))
     values[0, 1] = np.nan
     index = np.arange(number * rows, (number + 1) * rows)
-    return SampleBlock(values, 10**9 + number, index % 65536 if counter else None, 10**6 * index if times else None)
+    return SampleBlock(
+        values, 10**9 + number, index % 65536 if counter else None, 10**6 * index if times else None
+    )
 
 
 def same(one: SampleBlock, two: SampleBlock) -> bool:
     def equal(a: object, b: object) -> bool:
-        return (a is None) == (b is None) and (a is None or np.asarray(a).tobytes() == np.asarray(b).tobytes())
+        return (a is None) == (b is None) and (
+            a is None or np.asarray(a).tobytes() == np.asarray(b).tobytes()
+        )
 
     return one.arrival_ns == two.arrival_ns and all(
         equal(getattr(one, n), getattr(two, n)) for n in ("values", "counter", "t_ns")
@@ -39,7 +45,9 @@ def segments(folder: Path, header: RawHeader = HEADER) -> list[Path]:
     return shelf(folder, header, None, Limits()).files()
 
 
-def recorded(folder: Path, blocks: list[SampleBlock], limits: Limits | None = None, **options: object) -> Recorder:
+def recorded(
+    folder: Path, blocks: list[SampleBlock], limits: Limits | None = None, **options: object
+) -> Recorder:
     recorder = Recorder(folder, HEADER, None, limits, **options)  # type: ignore[arg-type]
     recorder.start()
     for one in blocks:
@@ -74,7 +82,9 @@ def test_recording_goes_on_in_a_new_segment_after_a_restart(tmp_path: Path) -> N
 
 def test_recordings_of_sources_with_like_names_do_not_touch_each_other(tmp_path: Path) -> None:
     for name in ("can", "can-1", "can-2"):
-        own = Recorder(tmp_path, RawHeader(name, ("F",), None, "", "", 0, rig="press-7"), None, Limits(max_bytes=1))
+        own = Recorder(
+            tmp_path, RawHeader(name, ("F",), None, "", "", 0, rig="press-7"), None, Limits(max_bytes=1)
+        )
         own.start()
         own.record(block(0))
         own.stop(20)
@@ -118,7 +128,9 @@ def test_recording_made_by_a_wrong_clock_is_no_older(tmp_path: Path, moment: flo
     assert len(segments(tmp_path)) == 3
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"ran_s": -5}', '{"ran_s": 9, "ended": {"x": NaN}}', '{"ran_s": "q"}'])
+@pytest.mark.parametrize(
+    "content", ["", "[]", '{"ran_s": -5}', '{"ran_s": 9, "ended": {"x": NaN}}', '{"ran_s": "q"}']
+)
 def test_ages_that_cannot_be_read_delete_nothing(tmp_path: Path, content: str) -> None:
     recorded(tmp_path, [block(0)], Limits(max_age_s=3600.0))
     (ages,) = tmp_path.glob("*.ages")
@@ -252,7 +264,10 @@ def test_nearly_full_disk_costs_the_oldest_recordings_first_and_is_left_to_the_d
     assert segments(tmp_path) == []
     assert (recorder.recorded, recorder.dropped) == (0, 50)
     assert reported.events == [
-        ("recording stopped", "can: cannot be recorded: the disk is nearly full; what is left is the database's")
+        (
+            "recording stopped",
+            "can: cannot be recorded: the disk is nearly full; what is left is the database's",
+        )
     ]
 
 

@@ -1,4 +1,5 @@
-"""Replays of example configurations, with some lines changed, into a database, and what the database then says."""
+"""Replays of example configurations, with some lines changed, into a database, and what the database then
+says."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -28,7 +29,9 @@ class Replayed:
         return [row for row in self.rows if row["parameter"] == parameter]
 
 
-def replayed(example: str, recording: Path, folder: Path, changes: Sequence[tuple[str, str]] = ()) -> Replayed:
+def replayed(
+    example: str, recording: Path, folder: Path, changes: Sequence[tuple[str, str]] = ()
+) -> Replayed:
     """Replay a recording through an example's configuration, each change (old text, new text) made in it."""
     text = (EXAMPLES / example).read_text(encoding="utf-8")
     for old, new in changes:

@@ -72,7 +72,10 @@ def test_every_level_alarm_is_in_a_record_with_its_provenance(live: Live) -> Non
     (run,) = asked(live.db, "SELECT * FROM v_runs")
     for record in found:
         assert record["alarm_id"] is not None
-        assert (record["config_sha256"], record["code_version"]) == (run["config_sha256"], run["code_version"])
+        assert (record["config_sha256"], record["code_version"]) == (
+            run["config_sha256"],
+            run["code_version"],
+        )
         with np.load(live.db.parent / record["file"]) as file:
             meta = json.loads(str(file["meta"]))
             assert len(file["t"]) == record["samples"]
@@ -84,13 +87,16 @@ def test_record_of_an_alarm_replays_to_the_same_alarm_and_the_same_change(live: 
     db = tmp_path / "event.db"
     document = replay.replay(config=live.config, recordings=[live.db.parent / record["file"]], db=db)
     assert document["samples"]["used"] == record["samples"]
-    # Its record begins 0.6 s before the alarm, with another reference: the same alarm may come two hops beside it.
+    # Its record begins 0.6 s before the alarm, with another reference: the same alarm may come two hops
+    # beside it.
     (again,) = asked(db, RAISED, record["parameter"], record["t_ns"], 2 * HOP_NS)
     (before,) = asked(live.db, "SELECT * FROM v_alarms WHERE id = ?", record["alarm_id"])
     # two estimates, the replayed one without what the live run had learnt before
     assert abs(again["delta"] - before["delta"]) <= 3 * np.hypot(again["sd"], before["sd"])
     shown = "SELECT value, sd FROM v_estimates WHERE parameter = ? AND status = 'valid' AND t_ns <= ? ORDER BY 1 - t_ns"
-    (ours, *_), (theirs, *_) = (asked(name, shown, record["parameter"], record["to_ns"]) for name in (db, live.db))
+    (ours, *_), (theirs, *_) = (
+        asked(name, shown, record["parameter"], record["to_ns"]) for name in (db, live.db)
+    )
     assert abs(ours["value"] - theirs["value"]) <= 3 * theirs["sd"]
 
 
@@ -117,11 +123,15 @@ def test_records_are_listed_by_command(live: Live) -> None:
     assert (refused.returncode, refused.stdout) == (2, "")
 
 
-def test_agent_that_is_killed_during_an_event_keeps_what_was_before_and_says_it_is_cut(tmp_path: Path) -> None:
+def test_agent_that_is_killed_during_an_event_keeps_what_was_before_and_says_it_is_cut(
+    tmp_path: Path,
+) -> None:
     db = tmp_path / "live.db"
     keys = "every_s = 0\nevents = { before_s = 0.6, after_s = 60.0 }  #"
     begun = "SELECT count(*) FROM v_event_records WHERE kind = 'level' AND state = 'recording'"
-    with simulator(tmp_path, configured("modbus", tmp_path, keys), "--scenario", "default", "--fast") as device:
+    with simulator(
+        tmp_path, configured("modbus", tmp_path, keys), "--scenario", "default", "--fast"
+    ) as device:
         with agent(device.config, options=["--db", str(db)]) as running:
             wait_until(lambda: hops(db) > 0 and rows(db, begun)[0][0] > 0, "a record that is begun")
             os.kill(running.process.pid, signal.SIGKILL)

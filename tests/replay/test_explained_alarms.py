@@ -107,7 +107,9 @@ def test_alarm_that_is_not_there_is_refused(live: Live) -> None:
     assert (done.returncode, "no such alarm" in json.loads(done.stdout)["errors"][0]["message"]) == (3, True)
 
 
-@pytest.mark.parametrize("name", ["os\nsystem", "builtins\neval", "agent.clock\nPath", "agent.recording.folder\nos"])
+@pytest.mark.parametrize(
+    "name", ["os\nsystem", "builtins\neval", "agent.clock\nPath", "agent.recording.folder\nos"]
+)
 def test_state_runs_nothing_but_what_computes(name: str) -> None:
     with pytest.raises(StateError, match="is no part of a state"):
         thawed(f"c{name}\n.".encode())
@@ -134,7 +136,9 @@ def test_fifty_alarms_of_random_changes_are_explained_to_the_same_digits(
         for alarm, document in played(tmp_path / f"{seed}", ("can", "serial", "modbus")[seed % 3]):
             assert document["same"], (seed, alarm, document["words"])
             digits.append(document["digits"])
-    figure(f"{len(digits)} alarms of random changes over three buses explained: all the same, to {min(digits)} digits")
+    figure(
+        f"{len(digits)} alarms of random changes over three buses explained: all the same, to {min(digits)} digits"
+    )
     assert len(digits) >= 50
     assert min(digits) >= 12
 

@@ -1,4 +1,5 @@
-"""Rings and branches, several forces, velocities and accelerations, a massless node: from a recording to estimates."""
+"""Rings and branches, several forces, velocities and accelerations, a massless node: from a recording to
+estimates."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,7 +86,9 @@ def configuration(rig: Rig, off: float) -> str:
     unit = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 
     def shifted(name: str, value: float) -> float:
-        return value * (1.0 + off * np.sin(7.0 * len(name) + ord(name[-1]))) if name in rig.estimate else value
+        return (
+            value * (1.0 + off * np.sin(7.0 * len(name) + ord(name[-1]))) if name in rig.estimate else value
+        )
 
     def parts(kind: str, rows: list[Part]) -> str:
         cells = (
@@ -95,15 +98,22 @@ def configuration(rig: Rig, off: float) -> str:
         return f"{kind} = [{', '.join(cells)}]"
 
     masses = ", ".join(f'{{ name = "{k}", value = {shifted(k, v)} }}' for k, v in rig.masses.items())
-    lines = [f'[rig]\nname = "graph"\nsample_rate_hz = {RATE_HZ}\nclock = "device"\n[model]', f"mass = [{masses}]"]
+    lines = [
+        f'[rig]\nname = "graph"\nsample_rate_hz = {RATE_HZ}\nclock = "device"\n[model]',
+        f"mass = [{masses}]",
+    ]
     lines += [parts("spring", rig.springs), parts("damper", rig.dampers)]
     for j, node in enumerate(rig.forces):
         lines.append(f'[[channel]]\nname = "f{j}"\nquantity = "force"\nat = "{node}"\nunit = "N"')
     for r, (quantity, node, sd) in enumerate(rig.readings):
-        lines.append(f'[[channel]]\nname = "y{r}"\nquantity = "{quantity}"\nat = "{node}"\nunit = "{unit[quantity]}"')
+        lines.append(
+            f'[[channel]]\nname = "y{r}"\nquantity = "{quantity}"\nat = "{node}"\nunit = "{unit[quantity]}"'
+        )
         lines.append(f"noise_sd = {sd}")
     names = ", ".join(f'"{name}"' for name in rig.estimate)
-    return "\n".join([*lines, f"[estimator]\nwindow_s = 4.0\nhop_s = 0.5\nresolve = 3.0\nestimate = [{names}]", ""])
+    return "\n".join(
+        [*lines, f"[estimator]\nwindow_s = 4.0\nhop_s = 0.5\nresolve = 3.0\nestimate = [{names}]", ""]
+    )
 
 
 def replayed_rig(rig: Rig, folder: Path, rng: np.random.Generator) -> Replayed:
@@ -148,7 +158,8 @@ MAXWELL = Rig(
     [("displacement", "m1", 1e-6), ("displacement", "m2", 1e-6)],
     ["k1", "k2", "k3", "B1", "B2", "B3"],
 )
-"""A spring and a damper in series beside another spring; where they meet nothing weighs and nothing is measured."""
+"""A spring and a damper in series beside another spring; where they meet nothing weighs and nothing is
+measured."""
 MASSLESS = Rig(
     {"rod": 0.0},
     [("k", "ground", "rod", 900.0)],
@@ -181,7 +192,10 @@ def test_graph_is_recovered_with_honest_intervals(rig: Rig, tmp_path: Path) -> N
     for name in rig.estimate:
         rows = [row for row in found.of(name) if row["status"] != "warming"]
         assert len(rows) > 50
-        assert all(row["status"] == "valid" for row in rows), (name, {(r["status"], r["reason"]) for r in rows})
+        assert all(row["status"] == "valid" for row in rows), (
+            name,
+            {(r["status"], r["reason"]) for r in rows},
+        )
         assert abs(rows[-1]["value"] / truth[name] - 1.0) < 0.1, name
         assert max(abs(row["value"] - truth[name]) / row["sd"] for row in rows) < 5.0, name
         inside += [row["lower"] <= truth[name] <= row["upper"] for row in rows]

@@ -8,7 +8,12 @@ from tests.figures import figure
 from tests.peers import ROOT, data
 from tests.replay.test_real_ecp210 import REFERENCE
 
-PUBLISHED = {"M": (95.1089, 0.05), "Fv": (203.5034, 0.03), "Fc": (20.3935, 0.03), "force.bias": (-3.1648, 0.03)}
+PUBLISHED = {
+    "M": (95.1089, 0.05),
+    "Fv": (203.5034, 0.03),
+    "Fc": (20.3935, 0.03),
+    "force.bias": (-3.1648, 0.03),
+}
 NEAR = {"m1": 0.06, "m2": 0.06, "k1": 0.05, "k2": 0.05, "B1": 0.15, "B2": 0.15}
 
 

@@ -96,7 +96,9 @@ def test_replay_of_live_samples_gives_the_same_times_statuses_and_reasons(live: 
     assert _estimates(db, EXACT) == _estimates(live.db, EXACT)
 
 
-def test_replay_of_live_samples_gives_values_within_a_billionth_of_their_sd(live: Live, tmp_path: Path) -> None:
+def test_replay_of_live_samples_gives_values_within_a_billionth_of_their_sd(
+    live: Live, tmp_path: Path
+) -> None:
     db, _ = _replayed(live, tmp_path)
     ours, theirs = (np.array(_estimates(name, NUMBERS), dtype=float) for name in (db, live.db))
     np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
@@ -121,16 +123,30 @@ def test_two_replays_agree_to_the_last_bit(live: Live, tmp_path: Path) -> None:
 
 
 def _recordings(live: Live) -> list[Path]:
-    return sorted(path for path in live.db.with_name("live.db.raw").iterdir() if path.suffix in {".raw", ".log"})
+    return sorted(
+        path for path in live.db.with_name("live.db.raw").iterdir() if path.suffix in {".raw", ".log"}
+    )
 
 
-def test_raw_recording_of_a_live_run_replays_to_the_same_rows_to_the_last_bit(live: Live, tmp_path: Path) -> None:
-    alarms = "SELECT kind, parameter, state, raised_at, cleared_at, delta, sd FROM v_alarms WHERE kind = 'level'"
+def test_raw_recording_of_a_live_run_replays_to_the_same_rows_to_the_last_bit(
+    live: Live, tmp_path: Path
+) -> None:
+    alarms = (
+        "SELECT kind, parameter, state, raised_at, cleared_at, delta, sd FROM v_alarms WHERE kind = 'level'"
+    )
     for name in ("one.db", "two.db"):
         files = sorted(live.db.with_name("live.db.raw").iterdir()) if name == "one.db" else _recordings(live)
         document = replay.replay(config=live.config, recordings=files, db=tmp_path / name)
-        assert document["samples"] == {"received": 3000, "used": 3000, "rejected": {}, "dropped": {}, "gaps": 0}
-        assert _estimates(tmp_path / name, f"{EXACT}, {NUMBERS}") == _estimates(live.db, f"{EXACT}, {NUMBERS}")
+        assert document["samples"] == {
+            "received": 3000,
+            "used": 3000,
+            "rejected": {},
+            "dropped": {},
+            "gaps": 0,
+        }
+        assert _estimates(tmp_path / name, f"{EXACT}, {NUMBERS}") == _estimates(
+            live.db, f"{EXACT}, {NUMBERS}"
+        )
         assert rows(tmp_path / name, alarms) == rows(live.db, alarms)
 
 
@@ -155,8 +171,12 @@ def test_recorded_log_alone_holds_every_reading_for_python_can_and_cantools(live
     (path,) = _recordings(live)
     if path.suffix != ".log":
         return
-    message = cantools.database.load_file(live.config.with_name("two-mass-rig.dbc")).get_message_by_name("RIG_SAMPLE")
+    message = cantools.database.load_file(live.config.with_name("two-mass-rig.dbc")).get_message_by_name(
+        "RIG_SAMPLE"
+    )
     with can.CanutilsLogReader(path) as frames:
-        decoded = [message.decode(bytes(frame.data)) for frame in frames if frame.arbitration_id == message.frame_id]
+        decoded = [
+            message.decode(bytes(frame.data)) for frame in frames if frame.arbitration_id == message.frame_id
+        ]
     got = np.array([[float(row[name]) for name in ("Force", "X1", "X2")] for row in decoded])  # type: ignore[arg-type]
     np.testing.assert_allclose(got, live.samples, rtol=0, atol=1e-12)

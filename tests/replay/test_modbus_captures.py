@@ -1,4 +1,5 @@
-"""Real Modbus/TCP traffic, fed as bytes to the same code that reads the wire: nothing malformed is taken for data."""
+"""Real Modbus/TCP traffic, fed as bytes to the same code that reads the wire: nothing malformed is taken for
+data."""
 
 import struct
 from collections.abc import Iterator
@@ -48,7 +49,8 @@ def exchanges(path: Path) -> Iterator[tuple[int, Request, bytes]]:
 
 
 def by_the_standard(number: int, request: Request, data: bytes) -> bytes | None:
-    """Return the registers when the bytes are exactly one good reply: the oracle, written from the specification."""
+    """Return the registers when the bytes are exactly one good reply: the oracle, written from the
+    specification."""
     size = 2 * request.count
     head = struct.pack(">HHHBBB", number, 0, size + 3, request.unit, request.function, size % 256)
     return data[9:] if data[:9] == head and len(data) == 9 + size else None
@@ -78,7 +80,9 @@ def test_replies_of_a_real_device_are_all_read_as_it_meant_them() -> None:
     # the first answer's request was sent before the capture began
     paired = {data for *_, data in offered}
     assert [data for data in answers if data not in paired] == [answers[0]]
-    figures.figure(f"Modbus capture: {len(offered)} replies of a real device to {len(requests)} requests, all read")
+    figures.figure(
+        f"Modbus capture: {len(offered)} replies of a real device to {len(requests)} requests, all read"
+    )
 
 
 @pytest.mark.parametrize("name", CAPTURES)
@@ -114,6 +118,8 @@ def test_captured_replies_of_another_transaction_or_unit_are_refused() -> None:
     rng = np.random.default_rng(3)
     offered = list(exchanges(capture("modbus_test_2.pcap")))[:300]
     for number, request, data in offered:
-        other = Request(request.unit ^ int(rng.integers(1, 255)), request.function, request.address, request.count)
+        other = Request(
+            request.unit ^ int(rng.integers(1, 255)), request.function, request.address, request.count
+        )
         assert taken(number ^ int(rng.integers(1, 65535)), request, data) is None
         assert taken(number, other, data) is None

@@ -56,12 +56,15 @@ DOMAINS = [
     Domain(
         "dc_motor.toml", motor, "t,voltage,current,speed", {"R": 1.0, "K": 0.05, "b": 1e-3},
         {"R": 1.2, "K": 0.05, "b": 1e-3}, 5e-4, 12_000, (0.02, 0.2), False,
-        lambda t, _: np.stack([12.0 + 6.0 * np.sin(11.0 * t) + 4.0 * np.sin(47.0 * t + 1.0)], axis=1), (6.0, 180.0),
+        lambda t, _: np.stack([12.0 + 6.0 * np.sin(11.0 * t) + 4.0 * np.sin(47.0 * t + 1.0)], axis=1),
+        (6.0, 180.0),
     ),
     Domain(
-        "thermal_rc.toml", cabinet, "t,power,room,core,shell", {"G12": 2.0, "G2": 0.5}, {"G12": 2.0, "G2": 0.38},
+        "thermal_rc.toml", cabinet, "t,power,room,core,shell", {"G12": 2.0, "G2": 0.5},
+        {"G12": 2.0, "G2": 0.38},
         5.0, 12_000, (0.05, 0.05), True,
-        lambda t, rng: np.stack([steps(t, rng, 240, 0.0, 60.0), steps(t, rng, 700, 18.0, 24.0)], axis=1), (60.0, 50.0),
+        lambda t, rng: np.stack([steps(t, rng, 240, 0.0, 60.0), steps(t, rng, 700, 18.0, 24.0)], axis=1),
+        (60.0, 50.0),
     ),
     Domain(
         "coupled_tanks.toml", tanks, "t,flow,h1,h2", {"c12": 4e-3, "c2": 2e-3}, {"c12": 3.2e-3, "c2": 2e-3},
@@ -79,7 +82,9 @@ def play(domain: Domain, rng: np.random.Generator) -> tuple[FloatArray, FloatArr
     for k in range(len(t)):
         y[k] = x
         p = domain.healthy if k < domain.samples // 2 else domain.changed
-        slope = np.zeros(u.shape[1]) if domain.held or k + 1 == len(t) else (u[k + 1] - u[k]) / domain.period_s
+        slope = (
+            np.zeros(u.shape[1]) if domain.held or k + 1 == len(t) else (u[k + 1] - u[k]) / domain.period_s
+        )
         x = integrated(domain.physics, x, u[k], slope, p, domain.period_s)
     return t, u, y + rng.normal(0.0, domain.noise, y.shape)
 
@@ -117,7 +122,10 @@ def test_linear_example_finds_the_change_with_honest_intervals(domain: Domain, t
     for name in domain.healthy:
         for truth, rows in (
             (domain.healthy[name], [r for r in found.of(name) if r["t_ns"] / 1e9 < half]),
-            (domain.changed[name], [r for r in found.of(name) if r["t_ns"] / 1e9 > half + 1.1 * r["window_s"]]),
+            (
+                domain.changed[name],
+                [r for r in found.of(name) if r["t_ns"] / 1e9 > half + 1.1 * r["window_s"]],
+            ),
         ):
             valid = [r for r in rows if r["status"] == "valid"]
             assert len(valid) > 0.9 * len([r for r in rows if r["status"] != "warming"]), name

@@ -1,4 +1,5 @@
-"""Fatigue cracks, adhesive joints and batteries to their end: forecasts at shares of their lives held against it."""
+"""Fatigue cracks, adhesive joints and batteries to their end: forecasts at shares of their lives held against
+it."""
 
 import csv
 from collections.abc import Sequence
@@ -32,7 +33,9 @@ def history(t: Sequence[str], value: Sequence[str]) -> History:
 def cracks() -> list[History]:
     rows = table("virkler_odd.csv")
     return [
-        history([row[name] for row in rows], [row["crack_mm"] for row in rows]) for name in rows[0] if name[0] == "s"
+        history([row[name] for row in rows], [row["crack_mm"] for row in rows])
+        for name in rows[0]
+        if name[0] == "s"
     ]
 
 
@@ -40,7 +43,9 @@ def joints() -> list[History]:
     rows = table("joints_stiffness.csv")
     found = []
     for name in sorted({row["specimen"] for row in rows}):
-        mine = [row for row in rows if row["specimen"] == name][5:]  # the machine's first cycles are not yet whole
+        mine = [row for row in rows if row["specimen"] == name][
+            5:
+        ]  # the machine's first cycles are not yet whole
         found.append(history([row["cycle"] for row in mine], [row["k_kN_per_mm"] for row in mine]))
     return found
 
@@ -73,7 +78,9 @@ class Score:
         self.crps.append(crps(before_limit(made.passages, 50.0 * end), remains) / end)
         rate = (seen.value[-1] - seen.value[0]) / (seen.t[-1] - seen.t[0])
         left = others[others > now] if (others > now).any() else np.array([now])
-        self.rivals.append((abs((limit - seen.value[-1]) / rate - remains) / end, crps(left - now, remains) / end))
+        self.rivals.append(
+            (abs((limit - seen.value[-1]) / rate - remains) / end, crps(left - now, remains) / end)
+        )
 
     def words(self) -> str:
         states = ", ".join(f"{self.status.count(state)} {state}" for state in sorted(set(self.status)))
@@ -84,7 +91,9 @@ class Score:
                 f"(constant rate {rate:.3f}, lives of the others {lives:.3f})")  # fmt: skip
 
 
-def scored(name: str, sets: list[History], limits: Sequence[float], folds: int, *, like: bool) -> dict[float, Score]:
+def scored(
+    name: str, sets: list[History], limits: Sequence[float], folds: int, *, like: bool
+) -> dict[float, Score]:
     """Forecast each specimen at shares of its life; with a prior of the other folds' specimens."""
     lives = np.array([life(h, limit) for h, limit in zip(sets, limits, strict=True)])
     found = {share: Score() for share in SHARES}

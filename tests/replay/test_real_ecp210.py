@@ -16,8 +16,9 @@ REFERENCE = {
 }  # fmt: skip
 NEAR = {"m1": 0.05, "m2": 0.05, "k1": 0.05, "k2": 0.05, "B1": 0.15, "B2": 0.15}
 SHARP = {"B1": 0.45}
-"""Sd as a share of the value, 0.35 elsewhere. B1 comes to 0.44 and 0.37, and within 7 % of the reference: it stands for
-what is partly dry friction, so stretches of one run differ by more than noise, and the sd says so."""
+"""Sd as a share of the value, 0.35 elsewhere. B1 comes to 0.44 and 0.37, and within 7 % of the reference: it
+stands for what is partly dry friction, so stretches of one run differ by more than noise, and the sd says
+so."""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Replayed]:
 
 
 @pytest.mark.parametrize("name", list(REFERENCE))
-def test_ecp210_runs_agree_with_each_other_and_with_the_reference(runs: dict[str, Replayed], name: str) -> None:
+def test_ecp210_runs_agree_with_each_other_and_with_the_reference(
+    runs: dict[str, Replayed], name: str
+) -> None:
     a, b = runs["a"].last(name), runs["b"].last(name)
     errors = [row["value"] / REFERENCE[name] - 1.0 for row in (a, b)]
     shares = [row["sd"] / row["value"] for row in (a, b)]

@@ -1,6 +1,7 @@
 """EMPS, a real drive train in closed loop: a free mass with dry friction, against the published figures.
 
-Published (Janot, Gautier, Brunot 2019): M 95.1089 kg, Fv 203.5034 N s/m, Fc 20.3935 N, force offset -3.1648 N.
+Published (Janot, Gautier, Brunot 2019): M 95.1089 kg, Fv 203.5034 N s/m, Fc 20.3935 N, force offset -3.1648
+N.
 """
 
 from pathlib import Path
@@ -11,11 +12,16 @@ from tests.figures import figure
 from tests.peers import data
 from tests.replay.records import Replayed, replayed
 
-PUBLISHED = {"M": (95.1089, 0.01), "Fv": (203.5034, 0.02), "Fc": (20.3935, 0.02), "force.bias": (-3.1648, 0.02)}
+PUBLISHED = {
+    "M": (95.1089, 0.01),
+    "Fv": (203.5034, 0.02),
+    "Fc": (20.3935, 0.02),
+    "force.bias": (-3.1648, 0.02),
+}
 """Value, and how near to it the whole record must come."""
 WITHIN = {"M": 0.05, "Fv": 0.07, "Fc": 0.05}
-"""How near windows of 6 s must come. Fv comes within 6.0 %: friction's two terms are told apart by little in one such
-window, whose own sd of Fv is 7 to 8 % where the speed is low (of Fc 6 to 7 %, of M 1.5 to 2.8 %)."""
+"""How near windows of 6 s must come. Fv comes within 6.0 %: friction's two terms are told apart by little in
+one such window, whose own sd of Fv is 7 to 8 % where the speed is low (of Fc 6 to 7 %, of M 1.5 to 2.8 %)."""
 WHOLE = ("window_s = 6.0 ", "window_s = 24.8 ")
 SPRING = (
     ("mass     =", 'spring   = [{ name = "K", between = ["ground", "M"], nominal = 0.0 }]\nmass     ='),
@@ -34,7 +40,9 @@ def test_emps_whole_record_gives_the_published_figures(tmp_path: Path) -> None:
     for name, (published, share) in PUBLISHED.items():
         row = found.last(name)
         error = row["value"] / published - 1.0
-        figure(f"EMPS {name}: {row['value']:.4f} +- {row['sd']:.4f}, published {published}, {100 * error:+.2f} %")
+        figure(
+            f"EMPS {name}: {row['value']:.4f} +- {row['sd']:.4f}, published {published}, {100 * error:+.2f} %"
+        )
         assert abs(error) < share, name
         assert row["lower"] < published < row["upper"], name
 
@@ -64,7 +72,10 @@ def reasons(found: Replayed, parameter: str) -> set[str | None]:
 
 def without_friction(folder: Path, window: str) -> Replayed:
     return replayed(
-        "emps.toml", data("emps/emps.csv"), folder, [("window_s = 6.0 ", f"window_s = {window} "), *NO_FRICTION]
+        "emps.toml",
+        data("emps/emps.csv"),
+        folder,
+        [("window_s = 6.0 ", f"window_s = {window} "), *NO_FRICTION],
     )
 
 

@@ -51,7 +51,9 @@ def test_mr_damper_dwells_are_told_apart(
 ) -> None:
     record = data(RECORD)
     changes = [("window_s = 0.03", f"window_s = {window_s}"), ("hop_s = 0.01 ", f"hop_s = {hop_s} ")]
-    found = replayed("mr_damper.toml", record, tmp_path, [(a, b) for a, b in changes if a.strip() != b.strip()])
+    found = replayed(
+        "mr_damper.toml", record, tmp_path, [(a, b) for a, b in changes if a.strip() != b.strip()]
+    )
     count, share = separated(found, record, round(window_s * RATE_HZ))
     figure(f"MR damper, window {1000 * window_s:g} ms: {100 * share:.0f} % of {count} dwells told apart")
     assert share >= least

@@ -50,7 +50,18 @@ def test_two_replays_forecast_the_same_to_the_last_bit(files: list[Path]) -> Non
 
 def test_forecasts_know_nothing_of_what_the_recording_goes_on_with(files: list[Path]) -> None:
     whole, cut = (queries.forecasts(files[i]) for i in (0, 2))
-    said = ("made_at", "status", "p10_at", "p50_at", "p90_at", "chance", "family", "draws", "level", "limit_value")
+    said = (
+        "made_at",
+        "status",
+        "p10_at",
+        "p50_at",
+        "p90_at",
+        "chance",
+        "family",
+        "draws",
+        "level",
+        "limit_value",
+    )
     assert len(cut) >= 3
     early = [row for row in whole if row["made_at_ns"] <= cut[-1]["made_at_ns"]]
     assert [[row[name] for name in said] for row in early] == [[row[name] for name in said] for row in cut]

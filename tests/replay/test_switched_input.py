@@ -1,4 +1,5 @@
-"""An input that is commanded in two levels is known exactly: the step between them is no resolution of a wire."""
+"""An input that is commanded in two levels is known exactly: the step between them is no resolution of a
+wire."""
 
 from pathlib import Path
 
@@ -20,7 +21,9 @@ def recording(folder: Path) -> Path:
     config, rng = load(TANKS), np.random.default_rng(3)
     model, rate = rig_model(config).model, config.rig.sample_rate_hz
     pump = np.repeat(rng.choice([0.0, 1e-3], 20), 100)
-    sampled = discretise(model.continuous(np.array([TRUE[name] for name in model.parameters])), 1.0 / rate, "zero")
+    sampled = discretise(
+        model.continuous(np.array([TRUE[name] for name in model.parameters])), 1.0 / rate, "zero"
+    )
     levels = simulate(sampled, np.zeros(sampled.model.n), pump[:, None])[1]
     noise = [(channel.noise_sd or 0.0) * channel.si_factor for channel in config.outputs]
     levels += np.array(noise) * rng.standard_normal(levels.shape)

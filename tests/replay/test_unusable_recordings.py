@@ -32,7 +32,9 @@ def written(folder: Path, times: FloatArray, line: LINE = plain) -> Path:
     v = noisy(np.random.default_rng(3), len(times), 1e-6).v[:, [2, 0, 1]]
     head = "t;force;x1;x2" if line is comma else "t,force,x1,x2"
     path = folder / "recording.csv"
-    path.write_text("\n".join([head, *(line(t, row) for t, row in zip(times.tolist(), v, strict=True))]) + "\n")
+    path.write_text(
+        "\n".join([head, *(line(t, row) for t, row in zip(times.tolist(), v, strict=True))]) + "\n"
+    )
     return path
 
 
@@ -70,7 +72,9 @@ def test_recording_of_no_use_is_refused_by_check_in_the_same_words(tmp_path: Pat
         check(config=config, recording=written(tmp_path, SECONDS, comma), probe=False)
 
 
-@pytest.mark.parametrize(("times", "rate"), [(np.arange(10 * ROWS) / 1e4, 10_000), (np.arange(ROWS) / 100.0, 100)])
+@pytest.mark.parametrize(
+    ("times", "rate"), [(np.arange(10 * ROWS) / 1e4, 10_000), (np.arange(ROWS) / 100.0, 100)]
+)
 def test_recording_at_another_rate_is_warned_of(
     times: FloatArray, rate: int, tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -88,7 +92,9 @@ def test_cells_that_are_no_numbers_are_counted_in_the_document(tmp_path: Path, c
     assert replay(config=config, recordings=[path], db=None)["faults"] == {"text": 1}
 
 
-def test_recording_that_fits_is_not_warned_of(tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_recording_that_fits_is_not_warned_of(
+    tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     jitter = np.random.default_rng(1).uniform(-2e-4, 2e-4, ROWS)
     document = replay(config=config, recordings=[written(tmp_path, SECONDS + jitter)], db=None)
     assert document["advice"] == []
@@ -103,7 +109,9 @@ def logged(folder: Path, number: str = "100", wire: str = "can0", rows: int = RO
     """Write a candump log of a rig that stands still, its frames under an identifier."""
     path = folder / f"{wire}-{number}.log"
     frames = (
-        FRAME.format(t=1.6e9 + i / 1000, wire=wire, number=number, data=f"{i % 256:02X}{i // 256:02X}{'0' * 12}")
+        FRAME.format(
+            t=1.6e9 + i / 1000, wire=wire, number=number, data=f"{i % 256:02X}{i // 256:02X}{'0' * 12}"
+        )
         for i in range(rows)
     )
     path.write_text("\n".join([*frames, ""]), encoding="ascii")
@@ -130,4 +138,6 @@ def test_can_log_without_a_frame_that_fits_is_warned_of_beside_one_that_fits(tmp
     logs = [logged(tmp_path, "101"), logged(tmp_path)]
     document = replay(config=example("can", tmp_path), recordings=logs, db=None)
     assert document["samples"]["used"] == ROWS
-    assert [text for text in document["advice"] if text.startswith(f"{logs[0]}: none of its {ROWS} frames fits")]
+    assert [
+        text for text in document["advice"] if text.startswith(f"{logs[0]}: none of its {ROWS} frames fits")
+    ]

@@ -10,7 +10,8 @@ RATE_HZ, COUNTS_A_VOLT = 887.1, 819.2
 
 
 def free_run_fit(record: Path, values: dict[str, float]) -> NDArray[np.float64]:
-    """Return 100 (1 - |y - simulated| / |y - mean|) of both carts, in percent, from the record's effort alone."""
+    """Return 100 (1 - |y - simulated| / |y - mean|) of both carts, in percent, from the record's effort
+    alone."""
     table = np.genfromtxt(record, skip_header=1, delimiter="\t")
     y, u = table[:, 2:4], table[:, 4] / COUNTS_A_VOLT
     v = values

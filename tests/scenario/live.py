@@ -25,7 +25,8 @@ class Agent:
     def __init__(self, configs: Sequence[Path], *options: str, wrapper: Sequence[str] = ()) -> None:
         command = [*wrapper, sys.executable, "-m", "agent", "run", *map(str, configs), "--json", *options]
         self.process = subprocess.Popen(
-            command, cwd=ROOT, env=os.environ | {"DELTAK_SEED": ""}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            command, cwd=ROOT, env=os.environ | {"DELTAK_SEED": ""}, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
         )  # fmt: skip
 
@@ -81,14 +82,18 @@ def hops(db: Path, rig: str | None = None) -> int:
 
 def counts(db: Path) -> dict[str, int]:
     """Rows of every table."""
-    tables = [name for (name,) in rows(db, "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")]
+    tables = [
+        name for (name,) in rows(db, "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
+    ]
     return {name: rows(db, f'SELECT count(*) FROM "{name}"')[0][0] for name in tables}
 
 
 def example(name: str, folder: Path, **changes: str) -> Path:
     """Copy an example rig into a folder: on a free port, every row kept, and with text replaced as asked for."""
     text = (EXAMPLES / f"{name}.toml").read_text(encoding="utf-8")
-    text = text.replace("port = 1502", f"port = {free_port()}").replace("port = 29536", f"port = {free_port()}")
+    text = text.replace("port = 1502", f"port = {free_port()}").replace(
+        "port = 29536", f"port = {free_port()}"
+    )
     text = text.replace("every_s = 1.0", "every_s = 0")
     for old, new in changes.items():
         text = text.replace(f"{old} = ", f"{old} = {new}  # ")

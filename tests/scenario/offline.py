@@ -1,4 +1,5 @@
-"""The demo without processes or bus: what the simulator plays, rounded as the wire does, straight into the pipeline."""
+"""The demo without processes or bus: what the simulator plays, rounded as the wire does, straight into the
+pipeline."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -73,7 +74,9 @@ def play(scenario: str, folder: Path, seed: int | None = None, cut: int = 200) -
     names = [c.name for c in config.channel]
     steps = dict(zip(names, _steps(wire), strict=True))
     pipeline = Pipeline(config, steps, {"wire": {name: name for name in names}})
-    return Played(config, chunk, rig.timeline.names, rig.graph.state_names, list(_records(pipeline, values, cut)))
+    return Played(
+        config, chunk, rig.timeline.names, rig.graph.state_names, list(_records(pipeline, values, cut))
+    )
 
 
 def _steps(wire: Wire) -> FloatArray:

@@ -113,23 +113,33 @@ def states(db: Path) -> Counter[str]:
             for row in base.execute(f"SELECT * FROM {table}"):
                 assert all(np.isfinite(cell) for cell in row if isinstance(cell, float)), (table, row)
         found = base.execute("SELECT status, reason, value, sd FROM v_estimates").fetchall()
-    assert all(value is not None and sd is not None and sd >= 0 for status, _, value, sd in found if status == "valid")
+    assert all(
+        value is not None and sd is not None and sd >= 0
+        for status, _, value, sd in found
+        if status == "valid"
+    )
     return Counter(f"{status} {reason}" if reason else status for status, reason, _, _ in found)
 
 
 @pytest.mark.parametrize("spoil", EXPECTED)
-def test_replay_of_a_spoilt_recording_says_clearly_what_its_estimates_are_worth(spoil: Spoil, tmp_path: Path) -> None:
+def test_replay_of_a_spoilt_recording_says_clearly_what_its_estimates_are_worth(
+    spoil: Spoil, tmp_path: Path
+) -> None:
     db = tmp_path / "rig.db"
     document = replay(config=configuration(tmp_path), recordings=[recording(tmp_path, spoil)], db=db)
     found = states(db)
     assert any(state.startswith(wanted) for wanted in EXPECTED[spoil] for state in found), found
     ledger = document["samples"]
-    assert ledger["received"] == ledger["used"] + sum(ledger["rejected"].values()) + sum(ledger["dropped"].values())
+    assert ledger["received"] == ledger["used"] + sum(ledger["rejected"].values()) + sum(
+        ledger["dropped"].values()
+    )
     assert not [alarm for alarm in document["alarms"] if alarm["kind"] == "level"], document["alarms"]
 
 
 @pytest.mark.parametrize("noise_m", [1e-6, NOISE_M])
-@pytest.mark.parametrize(("changed", "said"), [(("5.0", "6.0"), ("m1", -16.7)), (("3.0", "2.4"), ("m2", 25.0))])
+@pytest.mark.parametrize(
+    ("changed", "said"), [(("5.0", "6.0"), ("m1", -16.7)), (("3.0", "2.4"), ("m2", 25.0))]
+)
 def test_replay_with_a_mass_wrong_by_20_percent_names_it_and_is_right_all_the_same(
     changed: tuple[str, str], said: tuple[str, float], noise_m: float, tmp_path: Path
 ) -> None:
@@ -159,7 +169,9 @@ def test_replay_with_a_mass_wrong_by_20_percent_names_it_and_is_right_all_the_sa
 
 def test_replay_of_a_window_shorter_than_the_unknowns_says_how_long_it_must_be(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"4 parameters and 4 states need at least 6: 0\.006 s"):
-        replay(config=configuration(tmp_path, window_s=0.004), recordings=[recording(tmp_path, None)], db=None)
+        replay(
+            config=configuration(tmp_path, window_s=0.004), recordings=[recording(tmp_path, None)], db=None
+        )
 
 
 def test_replay_of_a_folder_is_refused_in_words(tmp_path: Path) -> None:

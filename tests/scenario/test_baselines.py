@@ -1,4 +1,5 @@
-"""Rows, changes and alarms count from what was learnt of the healthy machine, in replays and in the agent that runs."""
+"""Rows, changes and alarms count from what was learnt of the healthy machine, in replays and in the agent
+that runs."""
 
 from pathlib import Path
 from typing import Any
@@ -85,10 +86,17 @@ def test_agent_that_runs_counts_from_a_baseline_from_its_next_rows_on(tmp_path: 
     text, db = example("modbus", tmp_path).read_text(), tmp_path / "rig.db"
     steady = ("--scenario", "steady")
     valid = "SELECT count(DISTINCT t_ns) FROM v_estimates WHERE status = 'valid'"
-    with simulator(tmp_path, text, *steady) as device, agent(device.config, options=["--db", str(db)]) as running:
+    with (
+        simulator(tmp_path, text, *steady) as device,
+        agent(device.config, options=["--db", str(db)]) as running,
+    ):
         wait_until(lambda: (rows(db, valid) or [(0,)])[0][0] >= 30, "thirty rows")
         found = learn(db, None, Stretch(("k1",), hours=SECOND_H))["parameters"]["k1"]
-        learnt = "SELECT count(*) FROM v_estimates WHERE parameter = 'k1' AND baseline_id = ? AND reference = ?"
-        wait_until(lambda: rows(db, learnt, found["baseline_id"], found["reference"])[0][0] >= 2, "rows from it")
+        learnt = (
+            "SELECT count(*) FROM v_estimates WHERE parameter = 'k1' AND baseline_id = ? AND reference = ?"
+        )
+        wait_until(
+            lambda: rows(db, learnt, found["baseline_id"], found["reference"])[0][0] >= 2, "rows from it"
+        )
         running.document()
     assert rows(db, "SELECT graph FROM v_baselines") == [(GRAPH,)]

@@ -23,7 +23,9 @@ def test_damper_that_the_model_lacks_leaves_its_neighbour_blind_and_one_alarm_sa
     path = write_config("modbus", COARSE, tmp_path).config
     values = rounded(Rig(read_rig(path), load_scenario("random", {})).advance(2000).readings, COARSE)
     text = WITHOUT.sub("", path.read_text(encoding="utf-8"))
-    text = re.sub(r'\[\[alarm\]\]\nparameter = "(?!B1)\w+"\n(.*\n)*?(?=\n|\[)', "", text).replace(', "B2"', "")
+    text = re.sub(r'\[\[alarm\]\]\nparameter = "(?!B1)\w+"\n(.*\n)*?(?=\n|\[)', "", text).replace(
+        ', "B2"', ""
+    )
     path.write_text(
         text.replace("[[alarm]]", '[[alarm]]\nblind_s = 0.8\nadvice = "check the dampers"'), encoding="utf-8"
     )

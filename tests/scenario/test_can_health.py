@@ -28,7 +28,12 @@ def test_bus_off_is_an_alarm_of_its_source_and_other_states_are_events(tmp_path:
         live.wait_until(lambda: ("recovered",) in live.rows(db, causes), "recovered in the database")
         document = agent.document()
     daemon.stop()
-    assert [cause for (cause,) in live.rows(db, causes)] == ["no acknowledgement", "bus-off", "recovered", "restarted"]
+    assert [cause for (cause,) in live.rows(db, causes)] == [
+        "no acknowledgement",
+        "bus-off",
+        "recovered",
+        "restarted",
+    ]
     (message,) = live.rows(db, "SELECT message FROM v_alarms")[0]
     assert message.startswith("can: bus-off: the controller has left the bus")
     assert live.rows(db, "SELECT state FROM v_alarms") == [("RTNUN",)]

@@ -59,7 +59,9 @@ class Agent:
             store.maintain(finish=True)
 
     def shown(self, run_id: int) -> int:
-        (found,) = rows(self.db, f"SELECT count(DISTINCT t_ns) FROM v_estimates WHERE run_id = {run_id} AND span_s = 0")
+        (found,) = rows(
+            self.db, f"SELECT count(DISTINCT t_ns) FROM v_estimates WHERE run_id = {run_id} AND span_s = 0"
+        )
         return int(found[0])
 
 

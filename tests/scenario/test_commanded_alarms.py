@@ -65,12 +65,21 @@ def deltak(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, st
     return code, out, err
 
 
-def test_alarm_acknowledged_while_its_rig_runs_clears_to_normal(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
+def test_alarm_acknowledged_while_its_rig_runs_clears_to_normal(
+    live: Live, capsys: pytest.CaptureFixture[str]
+) -> None:
     live.link(LOST)
     assert live.state == "UNACK"
-    code, out, _ = deltak(capsys, "ack", str(live.db), "1", "--by", "eva", "--comment", "cable\x1b[2J", "--json")
+    code, out, _ = deltak(
+        capsys, "ack", str(live.db), "1", "--by", "eva", "--comment", "cable\x1b[2J", "--json"
+    )
     (done,) = json.loads(out)["alarms"]
-    assert (code, done["from_state"], done["to_state"], done["comment"]) == (0, "UNACK", "ACKED", "cable\x1b[2J")
+    assert (code, done["from_state"], done["to_state"], done["comment"]) == (
+        0,
+        "UNACK",
+        "ACKED",
+        "cable\x1b[2J",
+    )
     assert live.state == "ACKED"
     live.link(BACK)
     assert live.state == "NORM"

@@ -1,4 +1,5 @@
-"""Every sample that a device took is accounted for: received = used + rejected + dropped, and gaps where they were."""
+"""Every sample that a device took is accounted for: received = used + rejected + dropped, and gaps where they
+were."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -35,8 +36,11 @@ def scenario(folder: Path, driver: str, faults: Mapping[str, tuple[float, float]
     return path
 
 
-def played(folder: Path, bus: str, faults: Mapping[str, tuple[float, float]]) -> tuple[Simulator, dict[str, Any], Path]:
-    """Play a bus with faults to an agent until all is over; return device, the agent's document, its database."""
+def played(
+    folder: Path, bus: str, faults: Mapping[str, tuple[float, float]]
+) -> tuple[Simulator, dict[str, Any], Path]:
+    """Play a bus with faults to an agent until all is over; return device, the agent's document, its
+    database."""
     example(bus, folder)
     text, db = (folder / f"{bus}.toml").read_text(encoding="utf-8"), folder / "agent.db"
     with simulator(folder, text, "--scenario", str(scenario(folder, bus, faults))) as device:
@@ -68,12 +72,18 @@ def assert_balanced(document: Mapping[str, Any]) -> None:
 
 def assert_stored(document: Mapping[str, Any], db: Path) -> None:
     """The database's ledger and reasons are the document's."""
-    stored = rows(db, "SELECT received, used, rejected, dropped, gaps, t_ns FROM v_health ORDER BY t_ns DESC LIMIT 1")[
-        0
-    ]
+    stored = rows(
+        db, "SELECT received, used, rejected, dropped, gaps, t_ns FROM v_health ORDER BY t_ns DESC LIMIT 1"
+    )[0]
     samples = document["samples"]
     rejected, dropped = samples["rejected"], samples["dropped"]
-    expected = (samples["received"], samples["used"], sum(rejected.values()), sum(dropped.values()), samples["gaps"])
+    expected = (
+        samples["received"],
+        samples["used"],
+        sum(rejected.values()),
+        sum(dropped.values()),
+        samples["gaps"],
+    )
     assert stored[:5] == expected
     reasons = rows(db, "SELECT kind, reason, count FROM v_health_reasons WHERE t_ns = ?", stored[5])
     assert {(kind, reason): count for kind, reason, count in reasons if count and kind != "faults"} == {
@@ -115,7 +125,9 @@ def test_frames_that_are_broken_to_the_end_are_counted_to_the_end(tmp_path: Path
     faults = scenario(tmp_path, "serial", {"corrupt": (1.0, 2.0)})
     with simulator(tmp_path, text, "--scenario", str(faults)) as device:
         with agent(device.config, options=["--db", str(db)]) as running:
-            wait_until(lambda: bool(rows(db, "SELECT id FROM v_events WHERE cause = 'stale'")), "no good sample")
+            wait_until(
+                lambda: bool(rows(db, "SELECT id FROM v_events WHERE cause = 'stale'")), "no good sample"
+            )
             document = running.document()
         assert device.stop() == 0
     assert_balanced(document)
@@ -143,7 +155,9 @@ def test_ledger_adds_up_what_driver_queue_acquisition_and_estimation_counted(tmp
     values[3, 1] = np.nan
     pipeline.step("recording", SampleBlock(values, 0, None, times), None, None)
     driver = Counts(received=10, rejected=Counter({"crc": 3}), dropped=Counter({"kernel": 2}))
-    (health,) = pipeline.ledger.health({"recording": Conservation(driver, Counter({"queue full": 1}))}, 0, None)
+    (health,) = pipeline.ledger.health(
+        {"recording": Conservation(driver, Counter({"queue full": 1}))}, 0, None
+    )
     assert (health.received, health.used) == (10 + 2, 3)
     assert health.rejected == {"crc": 3, "duplicate": 1, "backwards": 1, "missing value": 1}
     assert health.dropped == {"kernel": 2, "queue full": 1}

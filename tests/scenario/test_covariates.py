@@ -28,7 +28,22 @@ from tests.storage.rows import START, batch, run_info, select
 
 HALL = Covariate(name="hall", unit="degC")
 DEPENDENCE = Dependence(
-    "hall", "degC", -0.1, 0.001, -0.102, -0.098, "none", 0.0, 0.0, 0.0, 20.0, 10.0, 30.0, 5.0, 600.0, used=True
+    "hall",
+    "degC",
+    -0.1,
+    0.001,
+    -0.102,
+    -0.098,
+    "none",
+    0.0,
+    0.0,
+    0.0,
+    20.0,
+    10.0,
+    30.0,
+    5.0,
+    600.0,
+    used=True,
 )
 TABLES = '[[channel]]\nname = "hall"\nrole = "covariate"\nunit = "degC"\n[estimator]\n'
 MINUTE = 60 * 10**9
@@ -55,7 +70,9 @@ def counted(minutes: int, each: int = 20) -> EstimateBatch:
     made = batch(n, parameters=("k1",), hop_ns=MINUTE // each, start=START // MINUTE * MINUTE)
     value, sd = np.full((n, 1), 25.0), np.full((n, 1), 0.05)
     ends = {"lower": value - 0.1, "upper": value + 0.1, "sd_repeat": sd}
-    return replace(made, value=value, sd=sd, reference=np.array([25.0]), baseline_id=(3,), reference_sd=(0.01,), **ends)
+    return replace(
+        made, value=value, sd=sd, reference=np.array([25.0]), baseline_id=(3,), reference_sd=(0.01,), **ends
+    )
 
 
 def hall(temperatures: dict[int, float]) -> CovariateMeans:
@@ -103,7 +120,9 @@ def test_missing_covariate_widens_the_reference_and_event_and_alarm_say_so() -> 
     assert "the reference is less well known: hall is missing" in raised.message
 
 
-def recording(folder: Path, temperature: float | None, starts: tuple[float, ...] = (0.0, 70.0, 150.0)) -> Path:
+def recording(
+    folder: Path, temperature: float | None, starts: tuple[float, ...] = (0.0, 70.0, 150.0)
+) -> Path:
     """Bursts of motion of 1.2 s, and a thermometer that is read twice in each."""
     force, x1, x2 = healthy(np.random.default_rng(4), 1200 * len(starts), 1e-6).T
     t = np.concatenate([start + 1e-3 * np.arange(1200) for start in starts])
@@ -123,9 +142,15 @@ def test_replay_counts_rows_from_the_moved_reference_and_stores_the_covariate(tm
     assert document["estimates"]["k1"]["n_valid"] > 10
     found = rows(db, "SELECT min(t_ns), reference FROM v_estimates WHERE parameter = 'k1' GROUP BY reference")
     assert {round(reference, 3): t_ns // MINUTE for t_ns, reference in found} == {25.0: 0, 25.5: 2}
-    assert rows(db, "SELECT count(*), min(value), max(value), sum(n) FROM v_covariates") == [(3, 15.0, 15.0, 6)]
-    assert rows(db, "SELECT cause FROM v_events WHERE source = 'baseline'") == [("covariate",), ("recovered",)]
-    # the next run begins with what this one saw, and a recording without the thermometer's column plays all the same
+    assert rows(db, "SELECT count(*), min(value), max(value), sum(n) FROM v_covariates") == [
+        (3, 15.0, 15.0, 6)
+    ]
+    assert rows(db, "SELECT cause FROM v_events WHERE source = 'baseline'") == [
+        ("covariate",),
+        ("recovered",),
+    ]
+    # the next run begins with what this one saw, and a recording without the thermometer's column plays all
+    # the same
     again = replay(config=config, recordings=[recording(tmp_path, None, (300.0,))], db=db)
     assert again["samples"]["used"] == 1200
 
@@ -140,7 +165,9 @@ def test_covariate_in_another_unit_is_refused_in_words(tmp_path: Path) -> None:
 
 def test_source_of_covariates_only_makes_no_row_wait_and_its_readings_balance(tmp_path: Path) -> None:
     text = configuration(tmp_path, 0.5, **{"[estimator]": TABLES}).read_text()
-    signals = SOURCE.format("rig", "a", '["n", "f", "a", "b"]', '{ force = "f", x1 = "a", x2 = "b" }\ncounter = "n"')
+    signals = SOURCE.format(
+        "rig", "a", '["n", "f", "a", "b"]', '{ force = "f", x1 = "a", x2 = "b" }\ncounter = "n"'
+    )
     path = tmp_path / "live.toml"
     path.write_text(text + signals + SOURCE.format("hall", "b", '["T"]', '{ hall = "T" }'))
     published: list[Record] = []
@@ -149,7 +176,9 @@ def test_source_of_covariates_only_makes_no_row_wait_and_its_readings_balance(tm
     thermometer = Use("rig", "hall", (), {"hall": 0})
     now = 10**15
     for minute in range(5):
-        block = SampleBlock(np.array([[20.0 + minute]]), now + minute * MINUTE, None, None, wall_offset_ns=START)
+        block = SampleBlock(
+            np.array([[20.0 + minute]]), now + minute * MINUTE, None, None, wall_offset_ns=START
+        )
         rig.take(thermometer, Arrival(block, Counts(received=minute + 1), None))
         rig.compute()
     rig.pipeline.newest_ns = START + now + 5 * MINUTE
@@ -174,7 +203,9 @@ def test_minutes_of_covariates_become_hours_when_they_are_old(tmp_path: Path) ->
         run = store.begin_run(run_info())
         start = START // (60 * MINUTE) * (60 * MINUTE)
         minutes = [(start + minute * MINUTE, float(minute)) for minute in range(180)]
-        store.write(run, [CovariateMean("press-7", "hall", "degC", t_ns, value, 2) for t_ns, value in minutes])
+        store.write(
+            run, [CovariateMean("press-7", "hall", "degC", t_ns, value, 2) for t_ns, value in minutes]
+        )
         with store.transaction() as connection:
             thin(connection, store.numbers.take, 3600.0, float("inf"))
     kept = select(tmp_path / "rig.db", "SELECT span_s, count(*), sum(n) FROM v_covariates GROUP BY span_s")

@@ -29,7 +29,8 @@ def demo(*options: str, seed: int | None = None) -> dict[str, Any]:
     environment = {name: value for name, value in os.environ.items() if name != "DELTAK_SEED"}
     environment |= {} if seed is None else {"DELTAK_SEED": str(seed)}
     done = subprocess.run(
-        [sys.executable, "-m", "agent", "demo", "--json", *options], cwd=ROOT, env=environment, capture_output=True,
+        [sys.executable, "-m", "agent", "demo", "--json", *options], cwd=ROOT, env=environment,
+        capture_output=True,
         text=True, timeout=2 * LIMIT_S, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -65,7 +66,9 @@ def test_demo_real_time_takes_as_long_as_its_samples_and_little_more(default: di
     assert 3.0 <= default["seconds"] <= 12.0
 
 
-def test_demo_last_estimates_of_segments_are_within_3_sd_and_sd_near_the_bound(default: dict[str, Any]) -> None:
+def test_demo_last_estimates_of_segments_are_within_3_sd_and_sd_near_the_bound(
+    default: dict[str, Any],
+) -> None:
     for where, cell in cells(default):
         assert abs(cell["estimate"] - cell["true"]) <= 3 * cell["sd"], where
         assert cell["sd"] <= 1.3 * cell["bound_sd"], where
@@ -90,7 +93,9 @@ def test_demo_database_holds_what_the_document_says(default: dict[str, Any]) -> 
     assert rows(db, "SELECT kind FROM v_runs") == [("demo",)]
     assert rows(db, "SELECT count(*) FROM v_estimates") == [(4 * ROWS,)]
     assert rows(db, "SELECT count(*) FROM v_alarms WHERE kind = 'level'") == [(len(CALLED_FOR),)]
-    ledger = rows(db, "SELECT received, used, rejected, dropped, gaps FROM v_health ORDER BY t_ns DESC LIMIT 1")
+    ledger = rows(
+        db, "SELECT received, used, rejected, dropped, gaps FROM v_health ORDER BY t_ns DESC LIMIT 1"
+    )
     assert ledger == [(3000, 3000, 0, 0, 0)]
     for name, estimate in default["estimates"].items():
         stored = rows(db, "SELECT value, sd, t_ns FROM v_latest WHERE parameter = ?", name)
@@ -98,7 +103,8 @@ def test_demo_database_holds_what_the_document_says(default: dict[str, Any]) -> 
 
 
 def test_demo_paper_scenario_finds_every_parameter_to_a_ten_thousandth(tmp_path: Path) -> None:
-    """From the first window that holds only new samples on, every row: that ends W - 1 samples after the change."""
+    """From the first window that holds only new samples on, every row: that ends W - 1 samples after the
+    change."""
     document = demo("--scenario", "paper", "--fast", "--db", str(tmp_path / "paper.db"))
     assert_nothing_lost(document)
     found = rows(tmp_path / "paper.db", "SELECT t_ns, parameter, value FROM v_estimates ORDER BY t_ns")
@@ -133,7 +139,9 @@ def test_demo_random_schedule_passes(seed: int, tmp_path: Path, monkeypatch: pyt
         assert found["raised_s"] < found["changed_s"] + 1.0
 
 
-@pytest.mark.parametrize(("options", "code"), [(["--scenario", "step"], 2), (["--db", "no/such/folder/demo.db"], 3)])
+@pytest.mark.parametrize(
+    ("options", "code"), [(["--scenario", "step"], 2), (["--db", "no/such/folder/demo.db"], 3)]
+)
 def test_demo_that_cannot_be_played_exits_as_its_process_did_and_leaves_nothing(
     options: list[str], code: int, tmp_path: Path
 ) -> None:
@@ -158,8 +166,8 @@ def test_random_schedule_without_a_bus_raises_what_it_calls_for(seed: int, tmp_p
 def test_random_schedules_without_a_bus_pass_for_a_hundred_seeds(tmp_path: Path) -> None:
     """Twelve estimates a schedule, each within 3 sd: chance alone fails some 3 in 100 schedules.
 
-    The intervals are near the bound in the median from the first second on; four windows do not exclude every unknown
-    force in all schedules, twelve do so in nine of ten.
+    The intervals are near the bound in the median from the first second on; four windows do not exclude every
+    unknown force in all schedules, twelve do so in nine of ten.
     """
     failed, shares = [], []
     for seed in range(100):
@@ -190,7 +198,9 @@ def test_agent_never_opens_what_the_device_plays(tmp_path: Path) -> None:
         with agent(simulator.config, options=["--db", str(db)], wrapper=wrapper) as running:
             wait_until(lambda: hops(db) == 30, "30 rows")
             # the signal goes to the agent, which is the tracer's child
-            child = Path(f"/proc/{running.process.pid}/task/{running.process.pid}/children").read_text().split()
+            child = (
+                Path(f"/proc/{running.process.pid}/task/{running.process.pid}/children").read_text().split()
+            )
             os.kill(int(child[0]), signal.SIGTERM)
             assert running.end() == 0, running.err
     finally:
@@ -199,6 +209,8 @@ def test_agent_never_opens_what_the_device_plays(tmp_path: Path) -> None:
     assert str(simulator.config) in opened, "the trace is blind"
     assert str(db) in opened
     assert simulator.truth_file.exists()
-    strangers = [name for name in opened if name.startswith(str(tmp_path)) and Path(name).stem in {"wear", "truth"}]
+    strangers = [
+        name for name in opened if name.startswith(str(tmp_path)) and Path(name).stem in {"wear", "truth"}
+    ]
     assert not strangers
     assert not [name for name in opened if "sim_bus/scenarios" in name or name.endswith(default.name)]

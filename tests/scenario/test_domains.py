@@ -25,7 +25,8 @@ PLAYED: dict[str, tuple[list[dict[str, Any]], dict[str, float], dict[str, float]
         {"R1": 30.0, "C1": -15.0, "R2": 10.0, "C2": -12.0, "load": 5.0}, 0.6,
     ),
     "oven": (
-        [random_force(800.0, "heater"), random_force(1.0, "room")], {"temperature": 0.02}, {"R1": 25.0, "R2": -20.0},
+        [random_force(800.0, "heater"), random_force(1.0, "room")], {"temperature": 0.02},
+        {"R1": 25.0, "R2": -20.0},
         6000.0,
     ),
     "transfer_line": ([random_force(1e-4)], {"level": 1e-4}, {"pipe.R": 20.0, "valve": -15.0}, 1500.0),
@@ -47,7 +48,9 @@ def test_parameters_of_an_example_are_found_where_they_moved(name: str) -> None:
     records, truth = play(EXAMPLES / f"{name}.toml", scenario, seconds)
     last = [r for r in records if isinstance(r, EstimateBatch)][-1]
     assert set(last.parameters) == set(percent)
-    for parameter, value, sd, status in zip(last.parameters, last.value[-1], last.sd[-1], last.status[-1], strict=True):
+    for parameter, value, sd, status in zip(
+        last.parameters, last.value[-1], last.sd[-1], last.status[-1], strict=True
+    ):
         true = truth[parameter][-1]
         assert Status(int(status)) is Status.VALID, parameter
         assert abs(value - true) < 3 * sd < 0.05 * true, (parameter, value, true, sd)
@@ -64,6 +67,8 @@ def test_scenario_of_an_example_names_what_its_rig_has(scenario: str, file: str)
 def test_alarms_of_a_motor_watched_by_its_speed_are_those_due() -> None:
     forces, noise, percent, _ = PLAYED["dc_drive"]
     change = {"at_s": 0.0, "percent": {**percent, "b": 20.0}}
-    records, _ = play(EXAMPLES / "dc_drive.toml", {"seed": 5, "force": forces, "noise": noise, "change": [change]}, 2.2)
+    records, _ = play(
+        EXAMPLES / "dc_drive.toml", {"seed": 5, "force": forces, "noise": noise, "change": [change]}, 2.2
+    )
     raised = {r.parameter for r in records if isinstance(r, AlarmTransition) and r.to_state == "UNACK"}
     assert raised == {"R", "K"}

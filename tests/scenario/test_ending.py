@@ -1,4 +1,5 @@
-"""An agent that is asked to end, or whose time is over, ends within three seconds whatever its database is doing."""
+"""An agent that is asked to end, or whose time is over, ends within three seconds whatever its database is
+doing."""
 
 import threading
 import time
@@ -43,7 +44,9 @@ def test_agent_that_ends_while_a_database_is_repaired_does_not_wait_for_it(
         over.set()
 
 
-def test_database_that_cannot_be_opened_is_an_error_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_database_that_cannot_be_opened_is_an_error_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(_: StoreWriter) -> None:
         raise StoreError.at("rig.db", "is none", "take another")
 

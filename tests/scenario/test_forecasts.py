@@ -17,7 +17,10 @@ def test_agent_stores_forecasts_while_it_runs_and_ends_at_once(tmp_path: Path) -
     db = tmp_path / "rig.db"
     query = "SELECT count(*) FROM v_forecast WHERE rig = 'two-mass-rig' AND cause = 'due'"
     options = ["--db", str(db)]
-    with simulator(tmp_path, text, "--scenario", "steady") as device, agent(device.config, options=options) as running:
+    with (
+        simulator(tmp_path, text, "--scenario", "steady") as device,
+        agent(device.config, options=options) as running,
+    ):
         wait_until(lambda: db.exists() and rows(db, query)[0][0] >= 1, "a forecast")
         begun = time.monotonic()
         assert running.end(signal.SIGTERM) == 0, running.err

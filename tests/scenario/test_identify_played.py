@@ -17,10 +17,15 @@ DELTAK = str(Path(sys.executable).parent / "deltak")
 
 
 def played(folder: Path, seconds: int) -> tuple[Path, Path]:
-    """Play the Modbus example to the agent; return its configuration without nominals and what was read, as CSV."""
+    """Play the Modbus example to the agent; return its configuration without nominals and what was read, as
+    CSV."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    text = (ROOT / "deploy/examples/modbus.toml").read_text(encoding="utf-8").replace("port = 1502", f"port = {port}")
+    text = (
+        (ROOT / "deploy/examples/modbus.toml")
+        .read_text(encoding="utf-8")
+        .replace("port = 1502", f"port = {port}")
+    )
     rig, blank, truth = folder / "rig.toml", folder / "blank.toml", folder / "truth.npz"
     rig.write_text(text, encoding="utf-8")
     blank.write_text(re.sub(r", nominal = [\d.]+", "", text), encoding="utf-8")
@@ -32,7 +37,10 @@ def played(folder: Path, seconds: int) -> tuple[Path, Path]:
         subprocess.run(agent, check=True, capture_output=True, timeout=60)
         assert device.wait(timeout=60) == 0
     found, csv = np.load(truth), folder / "run.csv"
-    rows = [f"{i / 1000:.3f}," + ",".join(f"{v:.9g}" for v in row) for i, row in enumerate(found["readings"].tolist())]
+    rows = [
+        f"{i / 1000:.3f}," + ",".join(f"{v:.9g}" for v in row)
+        for i, row in enumerate(found["readings"].tolist())
+    ]
     csv.write_text("\n".join([f"t,{','.join(found['channel_names'].tolist())}", *rows, ""]), encoding="utf-8")
     return blank, csv
 
@@ -40,7 +48,10 @@ def played(folder: Path, seconds: int) -> tuple[Path, Path]:
 def test_what_sim_played_is_identified_and_written(tmp_path: Path) -> None:
     blank, csv = played(tmp_path, 6)
     done = subprocess.run(
-        [DELTAK, "identify", str(blank), str(csv), "--write", "--json"], capture_output=True, text=True, check=False
+        [DELTAK, "identify", str(blank), str(csv), "--write", "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)

@@ -50,7 +50,8 @@ class Broken:
 
 
 def blocks(seconds: int = SECONDS) -> Iterator[SampleBlock]:
-    """The healthy rig's samples as a bus delivers them: 50 at a time, each block received when its last was taken."""
+    """The healthy rig's samples as a bus delivers them: 50 at a time, each block received when its last was
+    taken."""
     v = noisy(np.random.default_rng([4, 44]), 1000 * seconds, 1e-6).v[:, [2, 0, 1]]
     for start in range(0, len(v), PIECE):
         counter = np.arange(start, start + PIECE, dtype=np.int64)
@@ -108,7 +109,9 @@ def test_fault_in_one_rig_leaves_the_other_rig_its_rows_and_starts_that_rig_anew
     assert failed == ["RTNUN"]
     assert found["left"]["estimates"]["k1"]["status"] == "valid"
     assert found["right"]["estimates"]["k1"]["n_valid"] > found["left"]["estimates"]["k1"]["n_valid"] > 0
-    ((message,),) = rows(db, "SELECT message FROM v_alarms WHERE kind = 'source' AND parameter = 'estimation'")
+    ((message,),) = rows(
+        db, "SELECT message FROM v_alarms WHERE kind = 'source' AND parameter = 'estimation'"
+    )
     assert "LinAlgError: planted: the SVD did not converge" in message
     # the traceback is in the log, which shows it where it is set to debug
     (record,) = [r for r in caplog.records if r.exc_info]
@@ -196,6 +199,9 @@ def test_numerical_failure_inside_the_method_costs_a_windows_rows_no_sample_and_
     assert np.all(np.diff(index) == PIECE)
     assert (batches[-1].status == Status.VALID).all()
     alarms = [record for record in published if isinstance(record, AlarmTransition)]
-    assert [(alarm.parameter, alarm.to_state) for alarm in alarms] == [("estimation", "UNACK"), ("estimation", "RTNUN")]
+    assert [(alarm.parameter, alarm.to_state) for alarm in alarms] == [
+        ("estimation", "UNACK"),
+        ("estimation", "RTNUN"),
+    ]
     assert "LinAlgError: planted" in alarms[0].message
     assert rig.pipeline.ledger.ends("modbus")[1].total() == 0

@@ -1,4 +1,5 @@
-"""The ledger while a source is silent, or sends nothing that could be used: it tells what was counted all the same."""
+"""The ledger while a source is silent, or sends nothing that could be used: it tells what was counted all the
+same."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -35,7 +36,9 @@ class Told:
         counts.received += len(counter)
         self._count(counts)
         arrival = (int(counter[-1]) if len(counter) else 0) * 1_000_000
-        return Delivery(SampleBlock(np.random.default_rng(1).normal(size=(len(counter), 3)), arrival, counter), ())
+        return Delivery(
+            SampleBlock(np.random.default_rng(1).normal(size=(len(counter), 3)), arrival, counter), ()
+        )
 
     def samples(self, first: int, count: int) -> None:
         """Let samples arrive."""

@@ -1,4 +1,5 @@
-"""Linear rigs are played and watched as springs are: a hidden domain on a real bus, wear of entries, discrete time."""
+"""Linear rigs are played and watched as springs are: a hidden domain on a real bus, wear of entries, discrete
+time."""
 
 import json
 import subprocess
@@ -77,8 +78,11 @@ SCENARIO = {
 }
 
 
-def play(file: Path, scenario: dict[str, object], seconds: float) -> tuple[list[Record], dict[str, FloatArray]]:
-    """Play a scenario on simulated time into the pipeline; return its records and the truth of each parameter."""
+def play(
+    file: Path, scenario: dict[str, object], seconds: float
+) -> tuple[list[Record], dict[str, FloatArray]]:
+    """Play a scenario on simulated time into the pipeline; return its records and the truth of each
+    parameter."""
     config = load(file)
     rig = Rig(read_rig(file), checked(Scenario, scenario, "scenario"))
     rate = config.rig.sample_rate_hz
@@ -99,7 +103,9 @@ def test_entries_of_a_rig_in_discrete_time_are_followed_and_alarmed(tmp_path: Pa
     file.write_text(DISCRETE)
     records, truth = play(file, SCENARIO, 20.0)
     last = [r for r in records if isinstance(r, EstimateBatch)][-1]
-    for name, value, sd, status in zip(last.parameters, last.value[-1], last.sd[-1], last.status[-1], strict=True):
+    for name, value, sd, status in zip(
+        last.parameters, last.value[-1], last.sd[-1], last.status[-1], strict=True
+    ):
         middle = truth[name][last.index[-1] - 100]  # wear goes on within the window
         assert abs(value - middle) < 4 * sd, name
         assert Status(int(status)) is Status.VALID
@@ -110,7 +116,12 @@ def test_entries_of_a_rig_in_discrete_time_are_followed_and_alarmed(tmp_path: Pa
 def test_stuck_sensor_of_a_linear_rig_is_found_as_one_of_springs_is(tmp_path: Path) -> None:
     file = tmp_path / "loop.toml"
     file.write_text(DISCRETE)
-    stuck = {**SCENARIO, "change": [], "wear": [], "sensor": [{"channel": "y1", "stuck": True, "from_s": 8.0}]}
+    stuck = {
+        **SCENARIO,
+        "change": [],
+        "wear": [],
+        "sensor": [{"channel": "y1", "stuck": True, "from_s": 8.0}],
+    }
     records, _ = play(file, stuck, 14.0)
     last = [r for r in records if isinstance(r, EstimateBatch)][-1]
     assert not np.any(last.status[-1] == int(Status.VALID))

@@ -59,5 +59,7 @@ def test_agent_on_a_line_of_frames_with_ends_opens_it_to_read_only_and_writes_no
     opened = [line for line in lines if f'{path}"' in line and "openat(" in line]
     assert opened
     assert all("O_RDONLY|O_NOCTTY|O_NONBLOCK" in line for line in opened), opened
-    (tmp_path / "writes").write_text("".join(line for line in lines if "openat" not in line), encoding="ascii")
+    (tmp_path / "writes").write_text(
+        "".join(line for line in lines if "openat" not in line), encoding="ascii"
+    )
     assert bus_writes(tmp_path / "writes") == []

@@ -32,7 +32,9 @@ def test_agent_supplies_a_consumer_that_a_reload_brings(tmp_path: Path) -> None:
             simulator(tmp_path, text, "--scenario", "default") as device,
             agent(device.config, options=["--db", str(db)]) as running,
         ):
-            wait_until(lambda: rows(db, "SELECT 1 FROM hops LIMIT 1") != [] if db.exists() else False, "rows", 60)
+            wait_until(
+                lambda: rows(db, "SELECT 1 FROM hops LIMIT 1") != [] if db.exists() else False, "rows", 60
+            )
             with device.config.open("a", encoding="utf-8") as file:
                 file.write(north)
             asked("reload", str(db))

@@ -30,11 +30,15 @@ def test_agent_notifies_of_every_step_in_order_while_another_target_hangs(tmp_pa
         simulator(tmp_path, text, "--scenario", "default", "--fast") as device,
         agent(device.config, options=["--db", str(db)]) as running,
     ):
-        wait_until(lambda: rows(db, DONE)[:1] >= [(6,)] if rows(db, "SELECT 1 FROM v_runs") else False, "six steps")
+        wait_until(
+            lambda: rows(db, DONE)[:1] >= [(6,)] if rows(db, "SELECT 1 FROM v_runs") else False, "six steps"
+        )
         begun = time.monotonic()
         running.document()
         assert time.monotonic() - begun < 5.0
-    done = rows(db, "SELECT alarm_event_id FROM v_notifications WHERE target = 'shift' AND state = 'done' ORDER BY id")
+    done = rows(
+        db, "SELECT alarm_event_id FROM v_notifications WHERE target = 'shift' AND state = 'done' ORDER BY id"
+    )
     sent = [line.split() for line in (tmp_path / "keys").read_text(encoding="utf-8").splitlines()]
     assert sent[: len(done)] == [list(event) for event in rows(db, EVENTS)][: len(done)]
     assert rows(db, "SELECT DISTINCT state FROM v_notifications WHERE target = 'hung'") == [("pending",)]

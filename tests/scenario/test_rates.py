@@ -1,4 +1,5 @@
-"""Devices of different rates, live: force on Modbus at 1 kHz, displacement on CAN at 500 Hz, and one of them late."""
+"""Devices of different rates, live: force on Modbus at 1 kHz, displacement on CAN at 500 Hz, and one of them
+late."""
 
 import re
 from pathlib import Path
@@ -34,7 +35,8 @@ def configure(folder: Path, rate_hz: float) -> str:
 
 
 def play(folder: Path, rate_hz: float, seconds: float) -> tuple[Path, dict[str, Any], dict[str, Any]]:
-    """Play both devices and let the agent listen; return the configuration, its document and the simulator's ledger."""
+    """Play both devices and let the agent listen; return the configuration, its document and the simulator's
+    ledger."""
     scenario = folder / "late.toml"
     late = "".join(f'[[sensor]]\nchannel = "{name}"\ndelay_s = {DELAY_S}\n' for name in ("x1", "x2"))
     force = '[[force]]\nkind = "random"\nrms = 5.0\n[noise]\ndisplacement = 1e-6\n'
@@ -60,12 +62,16 @@ def found(db: Path) -> tuple[FloatArray, FloatArray]:
     query = "SELECT value, sd FROM v_estimates WHERE parameter = ? AND status = 'valid' ORDER BY t_ns"
     valid = [np.array(rows(db, query, name), float).reshape(-1, 2) for name in TRUTH]
     errors = [(row[:, 0] - true) / row[:, 1] for row, true in zip(valid, TRUTH.values(), strict=True)]
-    return np.array([len(row) for row in valid]), np.array([np.mean(error) if len(error) else 0.0 for error in errors])
+    return np.array([len(row) for row in valid]), np.array(
+        [np.mean(error) if len(error) else 0.0 for error in errors]
+    )
 
 
 def replayed(config: Path, folder: Path, skew_s: str) -> Path:
     """Replay what the live run recorded, its skew given instead of measured; return the database."""
-    text = config.read_text(encoding="utf-8").replace("rate_hz = 500.0", f"rate_hz = 500.0\nskew_s = {skew_s}")
+    text = config.read_text(encoding="utf-8").replace(
+        "rate_hz = 500.0", f"rate_hz = 500.0\nskew_s = {skew_s}"
+    )
     config.write_text(text, encoding="utf-8")
     recordings = [path for path in sorted((folder / "live.db.raw").iterdir()) if path.suffix != ".idx"]
     replay(config=config, recordings=recordings, db=folder / "again.db")

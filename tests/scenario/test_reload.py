@@ -1,4 +1,5 @@
-"""A running agent takes up changed files: rigs that change start anew, the others lose nothing; it says how it is."""
+"""A running agent takes up changed files: rigs that change start anew, the others lose nothing; it says how
+it is."""
 
 import json
 import os
@@ -24,7 +25,8 @@ SECRET = "hunter2-of-the-press"
 
 
 class Gateway:
-    """An agent on a folder of configurations; both rigs listen to one device, each by a connection of its own."""
+    """An agent on a folder of configurations; both rigs listen to one device, each by a connection of its
+    own."""
 
     def __init__(self, folder: Path, text: str, workers: int = 1) -> None:
         self.workers = workers
@@ -170,7 +172,9 @@ def test_rig_that_joins_a_connection_counts_from_its_own_beginning(left: dict[st
 def test_broken_file_is_refused_whole_and_an_event_says_what(left: dict[str, Any]) -> None:
     assert "alarm[0].limit" in left["refused"]
     assert [rig["rig"] for rig in left["after refusal"]["rigs"]] == ["left", "right", "third"]
-    query = "SELECT rig, message FROM v_events WHERE source = 'configuration' AND cause = 'refused' ORDER BY rig"
+    query = (
+        "SELECT rig, message FROM v_events WHERE source = 'configuration' AND cause = 'refused' ORDER BY rig"
+    )
     events = rows(left["gateway"].db, query)
     assert [rig for rig, _ in events] == ["left", "right", "third"]
     assert all("alarm[0].limit" in message for _, message in events)
@@ -188,7 +192,12 @@ def test_status_tells_rigs_sources_threads_and_stores(left: dict[str, Any]) -> N
     assert [source["state"] for source in first["sources"]] == ["ok"]
     assert first["alarms"] == sum(first["alarm_states"].values())  # a busy machine may be behind
     assert 0.0 <= first["lag_s"] < 5.0
-    assert {row["status"] for row in first["estimates"].values()} <= {"warming", "valid", "unexcited", "invalid"}
+    assert {row["status"] for row in first["estimates"].values()} <= {
+        "warming",
+        "valid",
+        "unexcited",
+        "invalid",
+    }
     threads = {re.sub(r"worker \d: ", "", thread["thread"]).split()[0] for thread in found["threads"]}
     assert {"processing", "read", "write", "events"} <= threads
     assert not any(thread["stalled"] for thread in found["threads"])
@@ -201,7 +210,9 @@ def test_metrics_are_those_of_the_agent(left: dict[str, Any]) -> None:
     assert lines['deltak_thread_stalled{thread="processing"}'] == "0.0"
     assert float(lines['deltak_row_latency_seconds_count{rig="left"}']) >= 1
     states = [
-        float(n) for line, n in lines.items() if line.startswith('deltak_estimate_state{parameter="k1",rig="left"')
+        float(n)
+        for line, n in lines.items()
+        if line.startswith('deltak_estimate_state{parameter="k1",rig="left"')
     ]
     assert sorted(states) == [0.0, 0.0, 0.0, 1.0]
 

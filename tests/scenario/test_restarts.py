@@ -1,4 +1,5 @@
-"""Sources of one rig whose devices begin to count anew: together, one alone, one after the other, by other widths."""
+"""Sources of one rig whose devices begin to count anew: together, one alone, one after the other, by other
+widths."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ NAMES = ("can", "modbus")
 
 @dataclass(frozen=True)
 class Device:
-    """What one device sends: `down` are (from, to) instants, in samples, in which it restarts and says nothing.
+    """What one device sends: `down` are (from, to) instants, in samples, in which it restarts and says
+    nothing.
 
     Attributes:
         columns: of the readings.
@@ -42,7 +44,11 @@ class Device:
         """Yield the blocks that a reader makes of it."""
         rng = np.random.default_rng(seed)
         instants = np.arange(len(values))
-        count, epoch, sent = instants + self.first, np.zeros(len(values), dtype=np.int64), np.ones(len(values), bool)
+        count, epoch, sent = (
+            instants + self.first,
+            np.zeros(len(values), dtype=np.int64),
+            np.ones(len(values), bool),
+        )
         for begin, end in self.down:
             sent[begin:end] = False
             count[end:], epoch[end:] = instants[end:] - end, epoch[end:] + 1
@@ -53,11 +59,17 @@ class Device:
                 mine = piece[sent[piece] & ((epoch[piece] == number) | (number is None))]
                 if len(mine):
                     reported = int(number or 0)
-                    yield SampleBlock(values[mine, self.columns], arrival, count[mine] % self.modulus, epoch=reported)
+                    yield SampleBlock(
+                        values[mine, self.columns], arrival, count[mine] % self.modulus, epoch=reported
+                    )
 
 
 def outcome(
-    folder: Path, devices: Mapping[str, Device], seconds: float = 5.0, values: FloatArray | None = None, **keys: str
+    folder: Path,
+    devices: Mapping[str, Device],
+    seconds: float = 5.0,
+    values: FloatArray | None = None,
+    **keys: str,
 ) -> tuple[Pipeline, list[Record]]:
     """Let the devices deliver, block by block in the order of arrival, and let the agent compute."""
     path = configure(folder, **keys)
@@ -65,7 +77,9 @@ def outcome(
     late = float(keys.get("skew_s", SKEW_S))
     values = readings(path, seconds, late, seed=5, noise_m=1e-6) if values is None else values
     pipeline = Pipeline(config, STEPS, {source.name: source.map for source in config.source})
-    arrivals = [(b.arrival_ns, name, b) for name in NAMES for b in devices[name].blocks(values, EVERY[name], 3)]
+    arrivals = [
+        (b.arrival_ns, name, b) for name in NAMES for b in devices[name].blocks(values, EVERY[name], 3)
+    ]
     records: list[Record] = []
     for _, name, block in sorted(arrivals, key=lambda found: found[0]):
         records += pipeline.step(name, block, devices[name].modulus, None)
@@ -86,7 +100,11 @@ TOGETHER = [(2600, 2600)]
 CASES = {
     "one of two": (Device(slice(0, 1), 65536), Device(slice(1, 3), 2**32, [(2613, 2813)], tells=True), 2813),
     "the reference": (Device(slice(0, 1), 65536, [(2613, 2813)]), Device(slice(1, 3), 2**32), 2813),
-    "together": (Device(slice(0, 1), 65536, TOGETHER), Device(slice(1, 3), 2**32, TOGETHER, tells=True), 2600),
+    "together": (
+        Device(slice(0, 1), 65536, TOGETHER),
+        Device(slice(1, 3), 2**32, TOGETHER, tells=True),
+        2600,
+    ),
     "together, after a pause": (
         Device(slice(0, 1), 65536, [(2000, 2730)]),
         Device(slice(1, 3), 2**32, [(2000, 2730)], tells=True),
@@ -115,7 +133,9 @@ RUN = [pytest.param(case, marks=[] if case in ALWAYS else pytest.mark.soak) for 
 
 
 @pytest.mark.parametrize("case", RUN)
-def test_restart_estimates_are_valid_and_right_within_two_windows_of_the_last_return(case: str, tmp_path: Path) -> None:
+def test_restart_estimates_are_valid_and_right_within_two_windows_of_the_last_return(
+    case: str, tmp_path: Path
+) -> None:
     can, modbus, back = CASES[case]
     _, records = outcome(tmp_path, {"can": can, "modbus": modbus})
     index, errors, status, _ = table(records)
@@ -156,6 +176,10 @@ def test_restart_of_one_source_of_a_rig_at_rest_rows_say_realigning(tmp_path: Pa
     assert (status[after] == Status.INVALID).all()
     assert (reason[after] == Reason.REALIGNING).all()
     assert pipeline.ledger.ends("modbus")[1]["realigning"] > 5000
-    words = [record.message for record in records if isinstance(record, HealthEvent) and record.cause == "realigning"]
+    words = [
+        record.message
+        for record in records
+        if isinstance(record, HealthEvent) and record.cause == "realigning"
+    ]
     assert len(words) == 1
     assert "modbus" in words[0]

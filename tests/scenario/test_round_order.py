@@ -1,4 +1,5 @@
-"""One rig's long computation holds up neither the others nor the end, and the ledger is exact whatever was left."""
+"""One rig's long computation holds up neither the others nor the end, and the ledger is exact whatever was
+left."""
 
 from collections.abc import Iterator
 from pathlib import Path

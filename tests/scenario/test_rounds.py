@@ -88,7 +88,9 @@ def test_signal_amid_a_wait_does_not_wait_for_the_lock_that_the_wait_holds(tmp_p
 def read_in_played_time(config: RigConfig, bench: PlayedBench) -> tuple[Driver, list[SampleBlock]]:
     """Read the only source for SECONDS; return its driver and the blocks that hold samples."""
     (source,) = config.source
-    request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
+    request = SourceRequest(
+        source.name, source.settings, tuple(source.map.values()), source.counter, config.folder
+    )
     blocks = []
     with bench.at(source.name):
         driver = driver_class(source.driver)(request)

@@ -14,7 +14,8 @@ from agent.evaluation.score.score import score
 from sim_bus.rig.scenario import scenario_path
 
 SHIPPED = (
-    "bus-off", "busy-plc", "hammer", "healthy", "noisy-line", "ramp", "rebooted", "slow-clock", "standstill", "step",
+    "bus-off", "busy-plc", "hammer", "healthy", "noisy-line", "ramp", "rebooted", "slow-clock", "standstill",
+    "step",
     "stuck-sensor", "sweep", "unplugged", "wandering", "warm-day",
 )  # fmt: skip
 
@@ -72,7 +73,9 @@ def test_score_two_runs_are_alike(tmp_path: Path) -> None:
         ({"duration_s": ""}, "duration_s: without an end"),
     ],
 )
-def test_score_scenario_that_cannot_be_scored_is_refused(replaced: dict[str, str], words: str, tmp_path: Path) -> None:
+def test_score_scenario_that_cannot_be_scored_is_refused(
+    replaced: dict[str, str], words: str, tmp_path: Path
+) -> None:
     path = changed("step", tmp_path, **replaced)
     with pytest.raises(UsageError, match=words):
         score([str(path)], [], quiet)

@@ -1,5 +1,5 @@
-"""Faults and movements that end, on simulated time: nothing of them judges what comes after, and no sensor is blamed
-for what the structure did."""
+"""Faults and movements that end, on simulated time: nothing of them judges what comes after, and no sensor is
+blamed for what the structure did."""
 
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ def test_a_spring_that_changes_by_a_third_within_seconds_is_blamed_on_no_sensor(
     percent: int, seed: int, tmp_path: Path
 ) -> None:
     path = changed("ramp", tmp_path, percent=f"percent = {{ k2 = {percent}.0 }}", seed=f"seed = {seed}",
-                   ramp_s="ramp_s = 4.0", duration_s="duration_s = 5.0", rms_percent="rms_percent = 50.0")  # fmt: skip
+                   ramp_s="ramp_s = 4.0", duration_s="duration_s = 5.0",
+                   rms_percent="rms_percent = 50.0")  # fmt: skip
     found = scored(path)
     assert found["sensors"] == []
     assert [excursion["delay_s"] is None for excursion in found["alarms"]["excursions"]] == [False]

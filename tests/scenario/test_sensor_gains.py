@@ -64,7 +64,9 @@ SCENARIO = {
 
 
 @pytest.mark.parametrize(("method", "within"), [(SEED, 1e-3), ("", 1e-3)])
-def test_sensor_that_reads_five_per_cent_high_is_found_live(tmp_path: Path, method: str, within: float) -> None:
+def test_sensor_that_reads_five_per_cent_high_is_found_live(
+    tmp_path: Path, method: str, within: float
+) -> None:
     file = tmp_path / "press.toml"
     file.write_text(RIG.replace("METHOD", method))
     records, _ = play(file, SCENARIO, 2.6)

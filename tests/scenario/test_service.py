@@ -26,7 +26,10 @@ def renamed(text: str, name: str, port: int) -> str:
 
 def test_run_ends_with_sigterm_exit_0_and_a_complete_document(tmp_path: Path) -> None:
     text, db = example("modbus", tmp_path).read_text(), tmp_path / "rig.db"
-    with simulator(tmp_path, text, *STEADY) as device, agent(device.config, options=["--db", str(db)]) as running:
+    with (
+        simulator(tmp_path, text, *STEADY) as device,
+        agent(device.config, options=["--db", str(db)]) as running,
+    ):
         wait_until(lambda: hops(db) >= 10, "ten rows")
         document = running.document()
     assert document["samples"]["used"] == document["samples"]["received"] >= 450
@@ -38,7 +41,10 @@ def test_run_ends_with_sigterm_exit_0_and_a_complete_document(tmp_path: Path) ->
 
 def test_run_ends_with_sigint_exit_130(tmp_path: Path) -> None:
     text, db = example("modbus", tmp_path).read_text(), tmp_path / "rig.db"
-    with simulator(tmp_path, text, *STEADY) as device, agent(device.config, options=["--db", str(db)]) as running:
+    with (
+        simulator(tmp_path, text, *STEADY) as device,
+        agent(device.config, options=["--db", str(db)]) as running,
+    ):
         wait_until(lambda: hops(db) >= 2, "two rows")
         assert running.end(signal.SIGINT) == 130
     assert "Traceback" not in running.err
@@ -60,7 +66,9 @@ def test_two_rigs_with_one_store_share_a_writer_and_keep_apart(tmp_path: Path) -
     devices = []
     for folder in folders:
         folder.mkdir()
-        shared = renamed(text, folder.name, free_port()).replace('path = "two-mass-rig.db"', 'path = "../shared.db"')
+        shared = renamed(text, folder.name, free_port()).replace(
+            'path = "two-mass-rig.db"', 'path = "../shared.db"'
+        )
         devices.append(Simulator(folder, shared, *STEADY))
     db = tmp_path / "shared.db"
     try:
@@ -87,7 +95,9 @@ def test_two_sources_of_one_rig_are_joined_sample_by_sample(tmp_path: Path) -> N
     first = source.replace("map = { force", 'map = { force = "force" } # { force')
     db = tmp_path / "rig.db"
     scenario = tmp_path / "short.toml"
-    scenario.write_text('duration_s = 2.0\n[[force]]\nkind = "random"\nrms = 5.0\n[noise]\ndisplacement = 1e-6\n')
+    scenario.write_text(
+        'duration_s = 2.0\n[[force]]\nkind = "random"\nrms = 5.0\n[noise]\ndisplacement = 1e-6\n'
+    )
     both = head + first + second + tail
     with (
         simulator(tmp_path, both, "--scenario", str(scenario)) as device,
@@ -97,7 +107,9 @@ def test_two_sources_of_one_rig_are_joined_sample_by_sample(tmp_path: Path) -> N
         document = running.document()
     assert document["samples"]["gaps"] == 0
     assert document["samples"]["received"] == 4000
-    ledgers = rows(db, "SELECT source, max(received), max(used) FROM v_health GROUP BY source ORDER BY source")
+    ledgers = rows(
+        db, "SELECT source, max(received), max(used) FROM v_health GROUP BY source ORDER BY source"
+    )
     assert ledgers == [("modbus", 2000, 2000), ("modbus-2", 2000, 2000)]
     assert document["estimates"]["k2"]["status"] == "valid"
     assert abs(document["estimates"]["k2"]["value"] - 100.0) <= 4 * document["estimates"]["k2"]["sd"]
@@ -107,10 +119,15 @@ def test_refusing_port_is_tried_again_while_a_source_alarm_stands(tmp_path: Path
     config, db = example("modbus", tmp_path), tmp_path / "rig.db"
     text = config.read_text()
     with agent(config, options=["--db", str(db)]) as running:
-        wait_until(lambda: rows(db, "SELECT 1 FROM v_alarms WHERE kind = 'source' AND state = 'UNACK'") != [], "alarm")
+        wait_until(
+            lambda: rows(db, "SELECT 1 FROM v_alarms WHERE kind = 'source' AND state = 'UNACK'") != [],
+            "alarm",
+        )
         with simulator(tmp_path, text, *STEADY):
             wait_until(lambda: hops(db) >= 5, "rows once the device is there")
-            wait_until(lambda: rows(db, "SELECT 1 FROM v_alarms WHERE cleared_at IS NOT NULL") != [], "alarm cleared")
+            wait_until(
+                lambda: rows(db, "SELECT 1 FROM v_alarms WHERE cleared_at IS NOT NULL") != [], "alarm cleared"
+            )
             document = running.document()
     (alarm,) = (found for found in document["alarms"] if found["kind"] == "source")
     assert (alarm["parameter"], alarm["state"]) == ("modbus", "RTNUN")

@@ -34,7 +34,9 @@ def test_agent_that_cannot_open_one_of_its_databases_lets_go_of_the_others(tmp_p
     configs = []
     for name in ("left", "right"):
         file = tmp_path / f"{name}.toml"
-        file.write_text(renamed(text, name, free_port()).replace("two-mass-rig.db", f"{name}.db"), encoding="utf-8")
+        file.write_text(
+            renamed(text, name, free_port()).replace("two-mass-rig.db", f"{name}.db"), encoding="utf-8"
+        )
         configs.append(load(file))
     paths = [config.store.path for config in configs]
     paths[1].write_text("not a database")
@@ -53,4 +55,8 @@ def test_samples_that_found_the_queue_full_are_in_the_ledger_once_those_after_th
         connection._put(SampleBlock(np.zeros((50, 3)), number))
         assert (connection.counts.received, connection.dropped) == (0, {})
     arrivals, _ = connection.take()
-    assert connection.counts.received == sum(len(a.block) for a in arrivals) + connection.dropped["queue full"] == 250
+    assert (
+        connection.counts.received
+        == sum(len(a.block) for a in arrivals) + connection.dropped["queue full"]
+        == 250
+    )

@@ -1,4 +1,5 @@
-"""SIGTERM ends every command with exit code 0, however early it comes, and leaves no process of the demo behind."""
+"""SIGTERM ends every command with exit code 0, however early it comes, and leaves no process of the demo
+behind."""
 
 import os
 import signal
@@ -37,7 +38,9 @@ def listens(pid: int) -> bool:
 
 
 def children(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
+    return [
+        int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    ]
 
 
 def alive(pid: int) -> bool:
@@ -47,7 +50,8 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.parametrize(
-    "args", [["paper"], ["run", "no-such.toml"], ["replay", "a.toml", "a.csv"], ["score"], ["check", "a", "--probe"]]
+    "args",
+    [["paper"], ["run", "no-such.toml"], ["replay", "a.toml", "a.csv"], ["score"], ["check", "a", "--probe"]],
 )
 def test_sigterm_before_the_command_has_begun_exits_0(args: list[str]) -> None:
     with deltak(*args) as process:

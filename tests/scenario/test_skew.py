@@ -1,4 +1,5 @@
-"""Force on CAN, displacement on Modbus, one later than the other: measured, compensated, shown, replayed alike."""
+"""Force on CAN, displacement on Modbus, one later than the other: measured, compensated, shown, replayed
+alike."""
 
 from pathlib import Path
 
@@ -16,7 +17,9 @@ SKEW_S = 0.0037
 
 
 @pytest.mark.parametrize("skew_s", [SKEW_S, 0.0, 0.0605])
-def test_skew_of_two_sources_is_measured_within_a_fifth_of_a_millisecond(skew_s: float, tmp_path: Path) -> None:
+def test_skew_of_two_sources_is_measured_within_a_fifth_of_a_millisecond(
+    skew_s: float, tmp_path: Path
+) -> None:
     path = configure(tmp_path)
     outcome = play(path, readings(path, 2.0, skew_s, seed=5, noise_m=1e-6))
     skew, sd = outcome.skew()
@@ -40,13 +43,16 @@ def test_skew_of_noisy_sensors_is_measured_and_estimates_are_unbiased(tmp_path: 
 
 
 def test_skew_left_alone_is_taken_for_the_delay_of_the_inputs(tmp_path: Path) -> None:
-    """The same readings with the skew said to be nothing: a constant of the rig takes it, estimates stay unbiased."""
+    """The same readings with the skew said to be nothing: a constant of the rig takes it, estimates stay
+    unbiased."""
     path = noisy(tmp_path, skew_s="0.0")
     outcome = play(path, readings(path, 24.0, SKEW_S, seed=0, noise_m=NOISE_M))
     errors = outcome.errors(every=20)
     figure(f"skew of 3.7 ms left alone: bias, sd: {_words(errors)}")
     assert np.abs(errors.mean(axis=0)).max() < 1.0
-    verdicts = [record for record in outcome.records if isinstance(record, Verdict) and record.hypothesis == "delay"]
+    verdicts = [
+        record for record in outcome.records if isinstance(record, Verdict) and record.hypothesis == "delay"
+    ]
     assert verdicts[-1].probability > 0.95
 
 
@@ -78,7 +84,8 @@ def test_skew_rows_do_not_depend_on_which_source_comes_first(tmp_path: Path) -> 
     ours, theirs = ([r for r in records if isinstance(r, EstimateBatch)] for records in (one, other))
     for name in ("index", "t_ns", "value", "sd", "status"):
         np.testing.assert_array_equal(
-            np.concatenate([getattr(b, name) for b in ours]), np.concatenate([getattr(b, name) for b in theirs])
+            np.concatenate([getattr(b, name) for b in ours]),
+            np.concatenate([getattr(b, name) for b in theirs]),
         )
 
 
@@ -97,7 +104,9 @@ def test_skew_over_both_buses_live_is_measured_stored_and_replays_to_the_same_ro
             wait_until(lambda: hops(db) >= 115, "115 rows")
             document = running.document()
         assert device.stop() == 0
-    skew, sd = rows(db, "SELECT skew_s, skew_sd_s FROM v_health WHERE source = 'modbus' ORDER BY t_ns DESC LIMIT 1")[0]
+    skew, sd = rows(
+        db, "SELECT skew_s, skew_sd_s FROM v_health WHERE source = 'modbus' ORDER BY t_ns DESC LIMIT 1"
+    )[0]
     figure(f"skew of 3.7 ms live, CAN and Modbus: {1e3 * skew:.3f} ± {1e3 * sd:.3f} ms")
     assert abs(skew - SKEW_S) < 2e-4
     (reported,) = rows(db, "SELECT message FROM v_events WHERE cause = 'skew'")
@@ -129,7 +138,9 @@ def test_skew_of_devices_with_clocks_of_their_own_is_followed_and_the_drift_is_t
     columns = "drift_ppm, drift_sd_ppm, skew_s, skew_sd_s"
     found = {name: row for name, *row in rows(db, f"SELECT source, {columns} FROM v_health ORDER BY t_ns")}
     drift, sd, skew, _ = found["modbus"]
-    figure(f"clock slow by 200 ppm, live: {drift:+.1f} ± {sd:.1f} ppm; skew {1e3 * skew:.2f} ms beside the transport's")
+    figure(
+        f"clock slow by 200 ppm, live: {drift:+.1f} ± {sd:.1f} ppm; skew {1e3 * skew:.2f} ms beside the transport's"
+    )
     assert abs(drift + 200.0) < 3 * sd + 10.0
     assert abs(found["can"][0]) < 3 * found["can"][1] + 10.0
     assert abs(skew - SKEW_S) < 2e-3  # with what the two transports differ by

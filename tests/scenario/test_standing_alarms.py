@@ -32,7 +32,9 @@ def standing(tmp_path: Path) -> StoreWriter:
     rig, db = config.rig.name, tmp_path / "rig.db"
     with Store.open(db) as store:
         run_id = store.begin_run(_run(rig))
-        store.write(run_id, [_raised(rig, "level", config.alarm[0].parameter), _raised(rig, "source", "modbus")])
+        store.write(
+            run_id, [_raised(rig, "level", config.alarm[0].parameter), _raised(rig, "source", "modbus")]
+        )
     writer = StoreWriter(lambda: Store.open(db), [_run(rig)])
     writer.start()
     writer.stop()
@@ -46,7 +48,9 @@ def test_rig_started_again_goes_on_with_its_standing_alarms(standing: StoreWrite
     assert rig.pipeline.alarms.states[config.alarm[0].parameter] == "UNACK"
 
 
-def test_source_that_was_lost_before_a_restart_clears_its_alarm_at_its_first_sample(standing: StoreWriter) -> None:
+def test_source_that_was_lost_before_a_restart_clears_its_alarm_at_its_first_sample(
+    standing: StoreWriter,
+) -> None:
     config = load(ROOT / "deploy/examples/modbus.toml")
     published: list[Record] = []
 

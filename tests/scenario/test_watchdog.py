@@ -42,7 +42,9 @@ def stalled(service: Service) -> set[str]:
     return {name.split()[0] for name in found}
 
 
-def test_threads_that_hang_are_those_that_make_no_progress(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_that_hang_are_those_that_make_no_progress(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
     release = threading.Event()
 
     def hanging(act: Callable[..., Any]) -> Callable[..., Any]:
@@ -60,7 +62,9 @@ def test_threads_that_hang_are_those_that_make_no_progress(service: Service, mon
         release.set()
 
 
-def test_agent_that_does_not_run_is_said_with_exit_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_agent_that_does_not_run_is_said_with_exit_3(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert guarded(app, ["status", str(tmp_path / "press.db"), "--json"]) == 3
     out, err = capsys.readouterr()
     assert "press.db: no agent runs on it; start it" in err

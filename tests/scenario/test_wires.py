@@ -1,4 +1,5 @@
-"""The same samples over every wire give the same rows; the kernel's own CAN is held against them in tests/uml."""
+"""The same samples over every wire give the same rows; the kernel's own CAN is held against them in
+tests/uml."""
 
 import json
 import re
@@ -23,7 +24,8 @@ WIRES = "tcp", "rtu", "daemon", "serial", "slcan"
 
 
 class Played:
-    """Every wire played to one agent at once, its writes traced; and the recording of the same integers, replayed."""
+    """Every wire played to one agent at once, its writes traced; and the recording of the same integers,
+    replayed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -68,7 +70,9 @@ def test_kernel_saw_the_agent_write_read_requests_and_handshakes_only(played: Pl
     assert kinds.count("modbus-rtu") > 20
     assert kinds.count("socketcand") == 2
     assert set(kinds) == {"modbus-tcp", "modbus-rtu", "socketcand"}
-    assert len({write.where for write in played.writes}) == 3  # nothing at all went to the serial line and the adapter
+    assert (
+        len({write.where for write in played.writes}) == 3
+    )  # nothing at all went to the serial line and the adapter
 
 
 @pytest.mark.parametrize(
@@ -79,7 +83,17 @@ def test_kernel_saw_the_agent_write_read_requests_and_handshakes_only(played: Pl
     ],
 )
 def test_demo_on_a_bus_finds_what_was_played(tmp_path: Path, bus: str, scenario: str, words: str) -> None:
-    command = ["demo", "--bus", bus, "--scenario", scenario, "--fast", "--db", str(tmp_path / "demo.db"), "--json"]
+    command = [
+        "demo",
+        "--bus",
+        bus,
+        "--scenario",
+        scenario,
+        "--fast",
+        "--db",
+        str(tmp_path / "demo.db"),
+        "--json",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "agent", *command],
         cwd=ROOT, capture_output=True, text=True, check=False, timeout=100,

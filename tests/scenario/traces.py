@@ -12,7 +12,11 @@ _CALL = re.compile(
     r">, (?P<rest>.*)"
 )
 _QUOTED = re.compile(r'"((?:\\x[0-9a-f]{2})*)"')
-_FITTING = {"<char 136:": ("modbus-rtu", "slcan"), "TCP": ("modbus-tcp", "socketcand"), "NETLINK": ("netlink",)}
+_FITTING = {
+    "<char 136:": ("modbus-rtu", "slcan"),
+    "TCP": ("modbus-tcp", "socketcand"),
+    "NETLINK": ("netlink",),
+}
 """The protocols that may be spoken to a terminal, over TCP and to the kernel."""
 
 

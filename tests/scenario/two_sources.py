@@ -1,4 +1,5 @@
-"""A rig whose force comes over CAN and whose motion over Modbus: configuration, and devices on simulated time."""
+"""A rig whose force comes over CAN and whose motion over Modbus: configuration, and devices on simulated
+time."""
 
 import re
 from collections.abc import Mapping
@@ -31,7 +32,13 @@ def configure(folder: Path, changes: Mapping[str, str] | None = None, **keys: st
     frames = re.sub(r"map = \{.*\}", 'map = { force = "RIG_SAMPLE.Force" }', _source(can))
     ring = re.sub(r"map = \{.*\}", 'map = { x1 = "x1", x2 = "x2" }', _source(modbus))
     given = "".join(f"{key} = {value}\n" for key, value in keys.items())
-    text = modbus[: modbus.index("[[source]]")] + frames + ring + given + '[store]\npath = "rig.db"\nevery_s = 0\n'
+    text = (
+        modbus[: modbus.index("[[source]]")]
+        + frames
+        + ring
+        + given
+        + '[store]\npath = "rig.db"\nevery_s = 0\n'
+    )
     for port in ("1502", "29536"):
         text = text.replace(f"port = {port}", f"port = {free_port()}")
     for old, new in (changes or {}).items():
@@ -74,7 +81,9 @@ class Outcome:
     def errors(self, every: int) -> FloatArray:
         """Errors of the valid rows (n, 4) in their sd, only of each `every`-th row (disjoint windows)."""
         batches = [record for record in self.records if isinstance(record, EstimateBatch)]
-        value, sd, status = (np.vstack([getattr(b, name) for b in batches]) for name in ("value", "sd", "status"))
+        value, sd, status = (
+            np.vstack([getattr(b, name) for b in batches]) for name in ("value", "sd", "status")
+        )
         good = (status == Status.VALID).all(axis=1)
         return np.asarray(((value - TRUTH) / sd)[good][::every])
 

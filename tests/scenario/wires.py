@@ -1,4 +1,5 @@
-"""One scenario of one seed, played to an agent over several wires at once, and as a recording of the same integers."""
+"""One scenario of one seed, played to an agent over several wires at once, and as a recording of the same
+integers."""
 
 import json
 import os
@@ -38,9 +39,22 @@ _BUSES = {
     "cobs": "serial",
 }
 
-ALARMS = "SELECT * FROM v_alarms WHERE rig = ? AND NOT (kind = 'source' AND parameter = 'computing') ORDER BY id"
+ALARMS = (
+    "SELECT * FROM v_alarms WHERE rig = ? AND NOT (kind = 'source' AND parameter = 'computing') ORDER BY id"
+)
 """Five rigs in one process, played as fast as they are read, may be computed seconds behind."""
-EXACT = "parameter", "unit", "status", "reason", "reference", "window_s", "n_used", "n_missing", "span_s", "method"
+EXACT = (
+    "parameter",
+    "unit",
+    "status",
+    "reason",
+    "reference",
+    "window_s",
+    "n_used",
+    "n_missing",
+    "span_s",
+    "method",
+)
 ALARM = "raised", "cleared", "kind", "parameter", "priority", "state"
 
 
@@ -73,7 +87,9 @@ def configure(name: str, folder: Path, wire: Wire = COARSE, *, fast: bool = True
 @contextmanager
 def devices(config: Path, scenario: str = "default") -> Iterator[Player]:
     """Play the devices of a configuration as fast as they are read; the truth goes to truth.npz beside it."""
-    player = Player(read_rig(config), load_scenario(scenario, {}), fast=True, truth=config.with_name("truth.npz"))
+    player = Player(
+        read_rig(config), load_scenario(scenario, {}), fast=True, truth=config.with_name("truth.npz")
+    )
     player.start()
     try:
         yield player
@@ -91,8 +107,11 @@ def agent(configs: Sequence[Path], db: Path, trace: Path | None = None) -> list[
             "-yy", "-xx", "-s", "4096", "-o", str(trace), *command]  # fmt: skip
 
 
-def run(configs: Sequence[Path], db: Path, trace: Path | None = None, played: Sequence[Path] = ()) -> dict[str, Any]:
-    """Play configurations (`played` where the agent's are other ones) to one agent; return its document at the end."""
+def run(
+    configs: Sequence[Path], db: Path, trace: Path | None = None, played: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Play configurations (`played` where the agent's are other ones) to one agent; return its document at
+    the end."""
     with ExitStack() as stack:
         for config in played or configs:
             stack.enter_context(devices(config))
@@ -163,7 +182,11 @@ def assert_same(one: Outcome, other: Outcome, near: float) -> None:
         sd = there["sd"]
         for key in ("value", "sd", "held", "lower", "upper"):
             assert (here[key] is None) == (there[key] is None), (key, here, there)
-            assert sd is None or here[key] is None or abs(here[key] - there[key]) <= near * sd, (key, here, there)
+            assert sd is None or here[key] is None or abs(here[key] - there[key]) <= near * sd, (
+                key,
+                here,
+                there,
+            )
     assert [moment(alarm) for alarm in one.alarms] == [moment(alarm) for alarm in other.alarms]
 
 
@@ -194,8 +217,20 @@ def write_recording(path: Path, numbers: np.ndarray, wire: Wire) -> None:
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-def replayed(config: Path, recording: Path, db: Path, environment: Mapping[str, str] = MappingProxyType({})) -> Outcome:
+def replayed(
+    config: Path, recording: Path, db: Path, environment: Mapping[str, str] = MappingProxyType({})
+) -> Outcome:
     """Replay a recording by the command and read what it stored."""
-    command = [sys.executable, "-m", "agent", "replay", str(config), str(recording), "--db", str(db), "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "agent",
+        "replay",
+        str(config),
+        str(recording),
+        "--db",
+        str(db),
+        "--json",
+    ]
     subprocess.run(command, check=True, capture_output=True, env=os.environ | environment, timeout=LIMIT_S)
     return outcome(db, config.parent.name)

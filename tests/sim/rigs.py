@@ -106,7 +106,15 @@ class Simulator:
         self.config = folder / "rig.toml"
         self.config.write_text(config, encoding="utf-8")
         self.truth_file = folder / "truth.npz"
-        command = [sys.executable, "-m", "sim_bus", str(self.config), "--truth", str(self.truth_file), *options]
+        command = [
+            sys.executable,
+            "-m",
+            "sim_bus",
+            str(self.config),
+            "--truth",
+            str(self.truth_file),
+            *options,
+        ]
         self.process = subprocess.Popen(
             command,
             cwd=ROOT,
@@ -166,7 +174,9 @@ def refused(folder: Path, config: str, *options: str) -> Refusal:
 
 
 @contextmanager
-def simulator(folder: Path, config: str, *options: str, env: dict[str, str] | None = None) -> Iterator[Simulator]:
+def simulator(
+    folder: Path, config: str, *options: str, env: dict[str, str] | None = None
+) -> Iterator[Simulator]:
     """Run `sim` and end it in any case."""
     running = Simulator(folder, config, *options, env=env)
     try:

@@ -31,7 +31,10 @@ FRAME = 18
 def numbers(data: bytes) -> np.ndarray:
     """Return the counters of whole frames."""
     return (
-        np.frombuffer(data[: len(data) // FRAME * FRAME], np.uint8).reshape(-1, FRAME)[:, 2:4].copy().view("<u2")[:, 0]
+        np.frombuffer(data[: len(data) // FRAME * FRAME], np.uint8)
+        .reshape(-1, FRAME)[:, 2:4]
+        .copy()
+        .view("<u2")[:, 0]
     )
 
 
@@ -98,7 +101,9 @@ def index_or_none(connect: Connect, port: int) -> int | None:
         return None
 
 
-def test_modbus_server_that_dies_refuses_and_comes_back_with_its_ring(tmp_path: Path, connect: Connect) -> None:
+def test_modbus_server_that_dies_refuses_and_comes_back_with_its_ring(
+    tmp_path: Path, connect: Connect
+) -> None:
     port = free_port()
     with simulator(tmp_path, ring_config(port), "--fault", "modbus.disconnect@0.1+0.3") as sim:
         assert connect(port).index() >= 1
@@ -201,7 +206,9 @@ def test_sim_lists_every_fault_with_what_is_told_of_it() -> None:
     result = CliRunner().invoke(app, ["--list-faults"])
     assert result.exit_code == 0
     assert [line.partition(":")[0] for line in result.stdout.splitlines()] == names()
-    assert "serial.baud: every byte is another one, as at a wrong bit rate (0.5 s); the agent" in result.stdout
+    assert (
+        "serial.baud: every byte is another one, as at a wrong bit rate (0.5 s); the agent" in result.stdout
+    )
 
 
 def answers(line: socket.socket) -> bytes:
@@ -278,11 +285,18 @@ def test_sim_lists_every_fault_as_json_where_that_is_asked_for() -> None:
     result = CliRunner().invoke(app, ["--list-faults", "--json"])
     listed = json.loads(result.stdout)["faults"]
     assert [fault["name"] for fault in listed] == names()
-    assert listed[0] == {"name": "can.drop", "words": "the sample is not sent", "lasts_s": 0.0, "cause": "gap"}
+    assert listed[0] == {
+        "name": "can.drop",
+        "words": "the sample is not sent",
+        "lasts_s": 0.0,
+        "cause": "gap",
+    }
 
 
 def test_sim_errors_are_a_json_document_where_that_is_asked_for(tmp_path: Path) -> None:
-    sim = refused(tmp_path, ring_config(free_port()), "--json", "--fault", "can.drop@1", "--fault", "modbus.silent:x@1")
+    sim = refused(
+        tmp_path, ring_config(free_port()), "--json", "--fault", "can.drop@1", "--fault", "modbus.silent:x@1"
+    )
     assert sim.code == 2
     errors = json.loads(sim.out)["errors"]
     assert [error["path"] for error in errors] == ["--fault", "--fault"]
@@ -341,7 +355,9 @@ def test_sim_scenario_that_cannot_be_is_refused_in_words(text: str, words: str, 
     assert words in sim.err
 
 
-def test_sim_that_nobody_reads_says_what_it_waits_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sim_that_nobody_reads_says_what_it_waits_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(commands, "ALONE_S", 0.1)
     said = io.StringIO()
     monkeypatch.setattr("sys.stderr", said)

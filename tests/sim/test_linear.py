@@ -1,4 +1,5 @@
-"""Linear rigs that the simulator plays: its own sampling against the agent's, entries that change, what is refused."""
+"""Linear rigs that the simulator plays: its own sampling against the agent's, entries that change, what is
+refused."""
 
 import json
 from pathlib import Path
@@ -26,7 +27,9 @@ def test_voice_coil_moves_as_the_agents_model_says(rng: np.random.Generator) -> 
     u = rng.standard_normal((300, 1))
     theirs = propagate(step(motion, 5e-4, "first"), np.zeros(3), u)
     h, j = motion.output("output", "position")
-    ours = simulate(discretise(model.continuous(np.array([*values.values()])), 5e-4, "first"), np.zeros(3), u)[1]
+    ours = simulate(
+        discretise(model.continuous(np.array([*values.values()])), 5e-4, "first"), np.zeros(3), u
+    )[1]
     np.testing.assert_allclose(theirs @ h + u @ j, ours[:, 0], atol=1e-12 * np.abs(ours).max())
 
 
@@ -56,7 +59,9 @@ def test_matrix_in_a_file_is_played(tmp_path: Path) -> None:
         ('quantity = "input"', 'quantity = "force"', 'quantity "input" or "output"'),
     ],
 )
-def test_linear_rig_that_cannot_be_played_says_why(tmp_path: Path, before: str, after: str, words: str) -> None:
+def test_linear_rig_that_cannot_be_played_says_why(
+    tmp_path: Path, before: str, after: str, words: str
+) -> None:
     file = tmp_path / "loop.toml"
     file.write_text(DISCRETE.replace(before, after, 1))
     with pytest.raises(SimUsageError) as caught:

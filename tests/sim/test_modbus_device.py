@@ -125,7 +125,9 @@ def test_ring_fast_never_overtakes_a_slow_reader(tmp_path: Path, connect: Connec
     assert took < 8.0
 
 
-def test_ring_two_runs_with_one_seed_are_alike_and_another_seed_is_not(tmp_path: Path, connect: Connect) -> None:
+def test_ring_two_runs_with_one_seed_are_alike_and_another_seed_is_not(
+    tmp_path: Path, connect: Connect
+) -> None:
     def run(name: str, seed: str) -> np.ndarray:
         folder = tmp_path / name
         folder.mkdir()
@@ -200,7 +202,10 @@ def test_poll_registers_hold_the_newest_sample_of_one_instant(tmp_path: Path, co
         for _ in range(50):
             low, high = struct.unpack(">HH", client.request(struct.pack(">BHH", 3, 10, 2), 7)[2:])
             seen.append(
-                (high << 16 | low, struct.unpack(">H", client.request(struct.pack(">BHH", 3, 30, 1), 7)[2:])[0])
+                (
+                    high << 16 | low,
+                    struct.unpack(">H", client.request(struct.pack(">BHH", 3, 30, 1), 7)[2:])[0],
+                )
             )
         x1 = client.request(struct.pack(">BHH", 3, 20, 2), 7)[2:]
         assert sim.stop() == 0

@@ -1,4 +1,5 @@
-"""Simulated serial lines and Modbus RTU on pseudo-terminals: read by bare descriptors, crccheck, socat and mbpoll."""
+"""Simulated serial lines and Modbus RTU on pseudo-terminals: read by bare descriptors, crccheck, socat and
+mbpoll."""
 
 import os
 import re
@@ -50,7 +51,10 @@ checksum = "{checksum}"
 map = {{ force = "F", x1 = "X1" }}
 counter = "n"
 """
-RTU = RING.replace('transport = "tcp"\nhost = "127.0.0.1"\nport = {port}', 'transport = "rtu"\nport = "line"') + INT16
+RTU = (
+    RING.replace('transport = "tcp"\nhost = "127.0.0.1"\nport = {port}', 'transport = "rtu"\nport = "line"')
+    + INT16
+)
 
 
 @contextmanager

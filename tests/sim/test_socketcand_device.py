@@ -92,13 +92,19 @@ def played(folder: Path, *options: str) -> Iterator[tuple[Simulator, int]]:
     port = free_port()
     (folder / "rig.dbc").write_text(DBC, encoding="utf-8")
     text = (MODEL + CLASSIC + LONG).format(port=port, rate=1000.0)
-    (folder / "now.toml").write_text('start = "ready"\n[[force]]\nkind = "random"\nrms = 5.0\n', encoding="utf-8")
+    (folder / "now.toml").write_text(
+        'start = "ready"\n[[force]]\nkind = "random"\nrms = 5.0\n', encoding="utf-8"
+    )
     with simulator(folder, text, *options) as sim:
         yield sim, port
 
 
 def test_daemon_frames_decoded_by_cantools_are_the_truth(tmp_path: Path) -> None:
-    with played(tmp_path, "--scenario", "default") as (sim, port), daemon(port) as one, daemon(port, "can1") as two:
+    with (
+        played(tmp_path, "--scenario", "default") as (sim, port),
+        daemon(port) as one,
+        daemon(port, "can1") as two,
+    ):
         classic, long = one.frames(300), two.frames(300)
         assert sim.stop() == 0
     message = cantools.database.load_string(DBC, "dbc").get_message_by_name("RIG_SAMPLE")
@@ -188,13 +194,18 @@ def test_daemon_unknown_bus_is_refused(tmp_path: Path) -> None:
     ("change", "words"),
     [
         (('host = "127.0.0.1"', 'host = "10.0.0.1"'), "source[0].host: this looks like a real bus"),
-        (('interface = "socketcand"', 'interface = "socketcan"'), "source[0].channel: this looks like a real bus"),
+        (
+            ('interface = "socketcand"', 'interface = "socketcan"'),
+            "source[0].channel: this looks like a real bus",
+        ),
         (('interface = "socketcand"', 'interface = "virtual"'), "does not leave its process"),
         (('dbc = "rig.dbc"', 'dbc = "none.dbc"'), "source[0].dbc"),
         (("RIG_SAMPLE.X1", "RIG_SAMPLE.X9"), "RIG_SAMPLE.X9"),
     ],
 )
-def test_sim_can_source_that_cannot_be_played_is_refused(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+def test_sim_can_source_that_cannot_be_played_is_refused(
+    tmp_path: Path, change: tuple[str, str], words: str
+) -> None:
     (tmp_path / "rig.dbc").write_text(DBC, encoding="utf-8")
     sim = refused(tmp_path, (MODEL + CLASSIC).format(port=free_port(), rate=1000.0).replace(*change, 1))
     assert sim.code == 2

@@ -1,4 +1,5 @@
-"""Chains of masses from the ground: their configuration, and their motion as the simulator's own equations give it."""
+"""Chains of masses from the ground: their configuration, and their motion as the simulator's own equations
+give it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -89,9 +90,13 @@ class Chain:
         graph, state, out = self.graph, np.zeros(2 * len(true)), []
         stops = [at for at, _ in sets[1:]] + [len(forces) - 1]
         for (start, theta), stop in zip(sets, stops, strict=True):
-            values = dict(zip(self.names, theta.tolist(), strict=True)) | {f"m{i + 1}": m for i, m in enumerate(true)}
+            values = dict(zip(self.names, theta.tolist(), strict=True)) | {
+                f"m{i + 1}": m for i, m in enumerate(true)
+            }
             motion = equations(graph, values)
-            states = propagate(step(motion, 1.0 / (rate_hz or self.rate_hz), hold), state, forces[start : stop + 1])
+            states = propagate(
+                step(motion, 1.0 / (rate_hz or self.rate_hz), hold), state, forces[start : stop + 1]
+            )
             last = stop == len(forces) - 1
             rows = [motion.output(quantity, f"m{mass + 1}") for quantity, mass in self.sensors]
             seen = np.column_stack([states @ h + forces[start : stop + 1] @ j for h, j in rows])
@@ -100,8 +105,8 @@ class Chain:
         return np.vstack(out)
 
     def configuration(self, **said: object) -> RigConfig:
-        """The rig as it is configured: `noise` (per output, None: not stated), `masses`, `hold`, `limit_percent`,
-        `observer` (a table's text), `sd_percent`, `gain_sd_percent`, `delay_sd_s`."""
+        """The rig as it is configured: `noise` (per output, None: not stated), `masses`, `hold`,
+        `limit_percent`, `observer` (a table's text), `sd_percent`, `gain_sd_percent`, `delay_sd_s`."""
         return _loaded(self, tuple(sorted(said.items())))
 
 
@@ -134,7 +139,11 @@ def _text(chain: Chain, said: Mapping[str, object]) -> str:
     for (quantity, mass), name, noise in zip(chain.sensors, chain.outputs, stated, strict=True):  # type: ignore[call-overload]
         lines += ["[[channel]]", f'name = "{name}"', f'quantity = "{quantity}"', f'at = "m{mass + 1}"']
         lines += [f'unit = "{UNITS[quantity]}"\n{gain}' + ("" if noise is None else f"noise_sd = {noise!r}")]
-    lines += ["[estimator]", f"window_s = {chain.window_s}", f"hop_s = {said.get('hop_s', chain.window_s / 20)}"]
+    lines += [
+        "[estimator]",
+        f"window_s = {chain.window_s}",
+        f"hop_s = {said.get('hop_s', chain.window_s / 20)}",
+    ]
     lines += [f'hold = "{said.get("hold", "first")}"']
     lines += [str(said.get("observer", ""))]
     for name in chain.names:
@@ -144,7 +153,9 @@ def _text(chain: Chain, said: Mapping[str, object]) -> str:
 
 
 ONE = Chain((2.0,), (200.0,), (4.0,), 500.0, (("displacement", 0),), (5e-5,))
-TWO = Chain((5.0, 3.0), (25.0, 100.0), (5.0, 5.0), 1000.0, (("displacement", 0), ("displacement", 1)), (7e-5, 7e-5))
+TWO = Chain(
+    (5.0, 3.0), (25.0, 100.0), (5.0, 5.0), 1000.0, (("displacement", 0), ("displacement", 1)), (7e-5, 7e-5)
+)
 THREE = Chain(
     (2.0, 1.5, 1.0), (300.0, 200.0, 250.0), (3.0, 2.0, 2.5), 500.0,
     (("displacement", 0), ("displacement", 1), ("displacement", 2)), (2e-5, 2e-5, 2e-5), force_hz=10.0,

@@ -68,11 +68,16 @@ class Coverage:
 
     def __str__(self) -> str:
         cells = zip(NAMES, self.valid, self.covered, strict=True)
-        return ", ".join(f"{name} {100 * covered:.1f} % ({100 * valid:.1f} % valid)" for name, valid, covered in cells)
+        return ", ".join(
+            f"{name} {100 * covered:.1f} % ({100 * valid:.1f} % valid)" for name, valid, covered in cells
+        )
 
 
 def motion(
-    rng: np.random.Generator, samples: int, force_n: float = FORCE_N, unknown: tuple[float, float] = (0.0, 0.0)
+    rng: np.random.Generator,
+    samples: int,
+    force_n: float = FORCE_N,
+    unknown: tuple[float, float] = (0.0, 0.0),
 ) -> Readings:
     """The rig in steady motion under a white force, and forces (on each mass) that nobody measures."""
     known = on_second(force_n * rng.standard_normal(WARM + samples + 1))
@@ -126,7 +131,9 @@ CASES: Mapping[str, Case] = {
     "16 bits, recorded": Case(quantised, recorded=True),
     "200 us of jitter": Case(partial(jittered, sigma=40e-6), limits=PAPER_LIMITS),
     "200 us of jitter above all": Case(partial(jittered, sigma=1e-6), limits=PAPER_LIMITS),
-    "200 us of jitter beside a stated noise": Case(partial(jittered, sigma=5e-6), noise_sd=5e-6, limits=PAPER_LIMITS),
+    "200 us of jitter beside a stated noise": Case(
+        partial(jittered, sigma=5e-6), noise_sd=5e-6, limits=PAPER_LIMITS
+    ),
 }
 
 
@@ -145,7 +152,8 @@ def _run(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     read = case.readings(np.random.default_rng([seed, *name.encode()]), samples)
     batches = _replayed(case, read) if case.recorded else _estimated(name, case, read)
     rows, lower, upper, status = (
-        np.concatenate([getattr(batch, part) for batch in batches]) for part in ("index", "lower", "upper", "status")
+        np.concatenate([getattr(batch, part) for batch in batches])
+        for part in ("index", "lower", "upper", "status")
     )
     ends = np.searchsorted(rows, (np.arange(case.skip, case.skip + case.windows) + 1) * width - 1)
     valid = status[ends] == Status.VALID

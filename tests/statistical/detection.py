@@ -19,7 +19,8 @@ BLOCK = 500
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """One run: readings (N, 3) force and displacements, the spring that steps at a sample, and by which factor."""
+    """One run: readings (N, 3) force and displacements, the spring that steps at a sample, and by which
+    factor."""
 
     readings: FloatArray
     spring: str
@@ -29,7 +30,8 @@ class Play:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came of a run: samples from the step to the right alarm (None: not within 2 s) and what was blamed else."""
+    """What came of a run: samples from the step to the right alarm (None: not within 2 s) and what was blamed
+    else."""
 
     seed: int
     spring: str
@@ -83,6 +85,8 @@ def verdict(seed: int) -> Verdict:
 
 def assessed(seed: int, play: Play, alarms: list[tuple[str, int]]) -> Verdict:
     """Judge what was raised in a run, (parameter, sample) of every activation."""
-    right = [sample - play.at for parameter, sample in alarms if parameter == play.spring and sample >= play.at]
+    right = [
+        sample - play.at for parameter, sample in alarms if parameter == play.spring and sample >= play.at
+    ]
     wrong = tuple(p for p, sample in alarms if p != play.spring or sample < play.at)
     return Verdict(seed, play.spring, play.factor, right[0] if right and right[0] <= WITHIN else None, wrong)

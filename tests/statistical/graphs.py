@@ -31,7 +31,11 @@ class Chosen:
 
     def __str__(self) -> str:
         more, less = ", ".join(self.false), ", ".join(self.missed)
-        words = "right" if self.right else f"false {more or '-'}; missed {less or '-'}{' (tie)' if self.tied else ''}"
+        words = (
+            "right"
+            if self.right
+            else f"false {more or '-'}; missed {less or '-'}{' (tie)' if self.tied else ''}"
+        )
         return f"{self.masses} masses, {words}{'; ' + self.refused if self.refused else ''}, {self.seconds:.1f} s"
 
 
@@ -93,7 +97,8 @@ def chosen(folder: Path, seed: int, case: str, masses: int | None = None, span_s
     )  # fmt: skip
     refused = "; ".join(error["message"] for error in document["errors"])
     return Chosen(
-        tuple(sorted(words[e] for e in found - truth)), tuple(sorted(words[e] for e in truth - found)), tied, refused,
+        tuple(sorted(words[e] for e in found - truth)), tuple(sorted(words[e] for e in truth - found)), tied,
+        refused,
         document["seconds"], len(one.masses),
     )  # fmt: skip
 

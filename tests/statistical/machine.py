@@ -1,4 +1,5 @@
-"""The rig of the statistical tests, its configuration, and its motion as the simulator's own equations give it."""
+"""The rig of the statistical tests, its configuration, and its motion as the simulator's own equations give
+it."""
 
 import copy
 import os
@@ -85,7 +86,8 @@ def configuration(
     noise_sd: float | None, window_s: float = 1.0, limits: tuple[float, ...] = (),
     masses: tuple[float, float] = (5.0, 3.0),
 ) -> RigConfig:  # fmt: skip
-    """The rig with sensors of a noise (None: to be learnt), limits in each parameter's unit or 10 % of nominal.
+    """The rig with sensors of a noise (None: to be learnt), limits in each parameter's unit or 10 % of
+    nominal.
 
     masses: what the configuration says of them, right or wrong.
     """
@@ -95,7 +97,9 @@ def configuration(
     with TemporaryDirectory() as folder:
         file = Path(folder) / "rig.toml"
         text = TEXT.format(noise=noise, window_s=window_s, alarms=alarms)
-        text = text.replace("value = 5.0", f"value = {masses[0]}").replace("value = 3.0", f"value = {masses[1]}")
+        text = text.replace("value = 5.0", f"value = {masses[0]}").replace(
+            "value = 3.0", f"value = {masses[1]}"
+        )
         file.write_text(text, encoding="utf-8")
         return load(file)
 

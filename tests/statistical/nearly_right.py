@@ -43,7 +43,9 @@ class Play:
     def of(cls, chain: Chain, rng: np.random.Generator, samples: int) -> "Play":
         force = chain.force(rng, samples)
         noise = np.array(chain.noise) * rng.standard_normal((samples, len(chain.sensors)))
-        return cls(chain, force, np.zeros((samples, len(chain.masses))), force.copy(), noise, list(chain.masses))
+        return cls(
+            chain, force, np.zeros((samples, len(chain.masses))), force.copy(), noise, list(chain.masses)
+        )
 
     def readings(self) -> FloatArray:
         """(N, 1 + p) as channels give them."""
@@ -228,7 +230,8 @@ class Found:
     """What the product said of recordings.
 
     Attributes:
-        valid, held: (windows, q) of disjoint windows, from the first: valid; and the interval holds the truth.
+        valid, held: (windows, q) of disjoint windows, from the first: valid; and the interval holds the
+            truth.
         rows: share of all rows that are valid;  understood: or unexcited, where forces hide a parameter.
         alarms: parameters alarmed.
         beliefs: largest probability of each hypothesis, and the last of each.
@@ -257,7 +260,9 @@ class Found:
         return {name: p for name, p in self.largest.items() if p > 0.5 and name not in right}
 
     def __str__(self) -> str:
-        per = ", ".join(f"{100 * s:.0f}" for s in self.held.sum(axis=0) / np.maximum(self.valid.sum(axis=0), 1))
+        per = ", ".join(
+            f"{100 * s:.0f}" for s in self.held.sum(axis=0) / np.maximum(self.valid.sum(axis=0), 1)
+        )
         top = ", ".join(f"{n} {p:.2f}" for n, p in sorted(self.largest.items(), key=lambda a: -a[1])[:3])
         alarms = ", ".join(self.alarms) or "none"
         return (

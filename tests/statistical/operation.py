@@ -1,8 +1,9 @@
 """Normal operation of the rig without end: drives of changing level, load changes, bursts and standstills.
 
-The force is measured and excites both modes: two turning parts and a random load. Phases of 5 to 40 s follow each
-other at random: a drive at 80, 100 or 120 %; a load change, which moves the mean force at once; a burst, half a second
-to two seconds with twice the random load; a standstill without force, where the motion dies out.
+The force is measured and excites both modes: two turning parts and a random load. Phases of 5 to 40 s follow
+each other at random: a drive at 80, 100 or 120 %; a load change, which moves the mean force at once; a burst,
+half a second to two seconds with twice the random load; a standstill without force, where the motion dies
+out.
 """
 
 from dataclasses import dataclass

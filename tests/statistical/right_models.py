@@ -19,7 +19,8 @@ KINDS = ("displacement", "velocity", "acceleration")
 
 
 def rig(seed: int) -> Chain:
-    """A chain of 1 to 6 masses, its fastest mode at a fortieth of the sampling rate, four slow periods a window."""
+    """A chain of 1 to 6 masses, its fastest mode at a fortieth of the sampling rate, four slow periods a
+    window."""
     rng = np.random.default_rng([seed, 61])
     count, rate = 1 + seed % 6, RATES_HZ[seed % len(RATES_HZ)]
     masses, shape = rng.uniform(1, 3, count), rng.uniform(0.7, 1.4, count)
@@ -33,7 +34,8 @@ def rig(seed: int) -> Chain:
     sensors = tuple((str(rng.choice(KINDS)) if i else "displacement", i) for i in range(count))
     window_s = 20 * max(4, round(samples / 20)) / rate
     return Chain(
-        tuple(masses.tolist()), tuple(springs.tolist()), tuple(dampers.tolist()), rate, sensors, (1.0,) * count,
+        tuple(masses.tolist()), tuple(springs.tolist()), tuple(dampers.tolist()), rate, sensors,
+        (1.0,) * count,
         window_s, force_n=10.0, force_hz=fast / (2 * np.pi),
     )  # fmt: skip
 
@@ -66,7 +68,9 @@ def compared(chain: Chain, said: Chain, rng: np.random.Generator, windows: int) 
     given = records(Case(said, config=EXACT | {"limit_percent": 1e4}), v)
     batches = [r for r in given if isinstance(r, EstimateBatch)]
     parts = ("index", "value", "sd_repeat", "lower", "upper", "status")
-    index, value, sd, lower, upper, status = (np.concatenate([getattr(b, part) for b in batches]) for part in parts)
+    index, value, sd, lower, upper, status = (
+        np.concatenate([getattr(b, part) for b in batches]) for part in parts
+    )
     ends = np.searchsorted(index, (np.arange(windows) + 1) * chain.window - 1)
     bound = bounds(chain, forces, sigma)
     held = (lower[ends] <= chain.theta) & (chain.theta <= upper[ends])
@@ -75,7 +79,8 @@ def compared(chain: Chain, said: Chain, rng: np.random.Generator, windows: int) 
 
 
 def bounds(chain: Chain, forces: FloatArray, sigma: FloatArray) -> FloatArray:
-    """(windows, q) Cramer-Rao bounds with unknown initial state, by central differences of the simulated motion."""
+    """(windows, q) Cramer-Rao bounds with unknown initial state, by central differences of the simulated
+    motion."""
     columns = []
     for i, size in enumerate(chain.theta):
         change = np.zeros(len(chain.theta))

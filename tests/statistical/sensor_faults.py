@@ -16,7 +16,8 @@ CHANNELS = ("force", "x1", "x2")
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """What came of a run: the channel at fault, the sensors blamed, the parameters alarmed, samples to the first."""
+    """What came of a run: the channel at fault, the sensors blamed, the parameters alarmed, samples to the
+    first."""
 
     seed: int
     kind: str

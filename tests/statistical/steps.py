@@ -60,7 +60,9 @@ def step(name: str, seed: int, chain: Chain = TWO) -> Raised:
     found = records(Case(chain, config={"limit_percent": change.limit_percent}), v)
     alarms = raised(found, chain)
     wanted = [n for n, s in zip(chain.names, change.shares, strict=True) if s]
-    delays = tuple(next(((t - at) / chain.rate_hz for n, t in alarms if n == w and t >= at), np.nan) for w in wanted)
+    delays = tuple(
+        next(((t - at) / chain.rate_hz for n, t in alarms if n == w and t >= at), np.nan) for w in wanted
+    )
     wrong = tuple(n for n, t in alarms if n not in wanted or t < at)
     return Raised(delays, wrong)
 
@@ -73,7 +75,8 @@ def latest(chain: Chain = TWO) -> float:
 def readings(
     chain: Chain, rng: np.random.Generator, samples: int, thetas: Sequence[tuple[int, FloatArray]]
 ) -> FloatArray:
-    """Readings (samples, 1 + p) of a chain whose parameters change at samples counted from the settling's first."""
+    """Readings (samples, 1 + p) of a chain whose parameters change at samples counted from the settling's
+    first."""
     play = Play.of(chain, rng, samples + SETTLE * chain.window + 1)
     forces = np.zeros((len(play.force), len(chain.masses)))
     forces[:, -1] = play.force
@@ -115,9 +118,11 @@ def healthy(seed: int, windows: int, chain: Chain = TWO) -> tuple[int, int]:
     return len(found.index), int(found.changing.sum())
 
 
-def flicker(seed: int, share: float = -0.2, on_s: float = 0.3, every_s: float = 2.0, chain: Chain = TWO) -> float:
-    """Share of the rows whose windows hold some of a fault that comes and goes, and that are neither invalid nor
-    alarmed."""
+def flicker(
+    seed: int, share: float = -0.2, on_s: float = 0.3, every_s: float = 2.0, chain: Chain = TWO
+) -> float:
+    """Share of the rows whose windows hold some of a fault that comes and goes, and that are neither invalid
+    nor alarmed."""
     W, rate = chain.window, chain.rate_hz
     samples = 20 * W
     weak = chain.theta.copy()
@@ -125,12 +130,17 @@ def flicker(seed: int, share: float = -0.2, on_s: float = 0.3, every_s: float = 
     starts = np.arange(6 * W, samples - W, round(every_s * rate))
     thetas = [(0, chain.theta)]
     for start in starts:
-        thetas += [(int(start) + SETTLE * W, weak), (int(start) + SETTLE * W + round(on_s * rate), chain.theta)]
+        thetas += [
+            (int(start) + SETTLE * W, weak),
+            (int(start) + SETTLE * W + round(on_s * rate), chain.theta),
+        ]
     v = readings(chain, np.random.default_rng([seed, 98]), samples, thetas)
     given = records(Case(chain, config={"limit_percent": 10.0}), v)
     found = rows(given)
     alarmed = [t for n, t in raised(given, chain) if n == "k1"]
     # whole faults inside: those that only just begin cannot be seen
-    holds = np.array([np.any((starts > i - 0.8 * W) & (starts + on_s * rate < i - 0.1 * W)) for i in found.index])
+    holds = np.array(
+        [np.any((starts > i - 0.8 * W) & (starts + on_s * rate < i - 0.1 * W)) for i in found.index]
+    )
     known = ~found.valid[:, 0] | np.array([any(t <= i for t in alarmed) for i in found.index])
     return float((holds & ~known).sum() / max(holds.sum(), 1))

@@ -1,7 +1,7 @@
 """A mass on a spring with dry friction, solved from event to event, and what the agent says of it.
 
-Between two events (the mass stops, breaks loose) the equations are linear with a force on a straight line, so each
-piece is exact; the instant of an event is found by bisection.
+Between two events (the mass stops, breaks loose) the equations are linear with a force on a straight line, so
+each piece is exact; the instant of an event is found by bisection.
 """
 
 from dataclasses import dataclass, replace
@@ -122,7 +122,8 @@ class Case:
 
 
 def run(case: Case, seed: int) -> tuple[FloatArray, FloatArray, float]:
-    """(windows, 3) which of k, c, Fc are valid, and errors over half widths (1 is the edge), the share that sticks.
+    """(windows, 3) which of k, c, Fc are valid, and errors over half widths (1 is the edge), the share that
+    sticks.
 
     The first window is left out.
     """

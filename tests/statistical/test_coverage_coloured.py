@@ -22,8 +22,9 @@ QUICK = {
 
 
 def hold(name: str, found: Coverage) -> None:
-    # a damper may be unexcited for a window: few runs tell no more than this; and the rounding of a force by 16 bits
-    # is a force noise that the first ten windows hardly tell from none, and take for a change in one of thirty
+    # a damper may be unexcited for a window: few runs tell no more than this; and the rounding of a force by
+    # 16 bits is a force noise that the first ten windows hardly tell from none, and take for a change in one
+    # of thirty
     assert found.valid.min() >= (0.92 if name.startswith("16 bits") else 0.95)
     assert found.covered.min() >= (0.92 if name.startswith("white") else 0.90)
     if name.startswith("white"):
@@ -40,14 +41,18 @@ def test_intervals_under_a_disturbance_hold_the_truth(name: str, request: pytest
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", CASES)
-def test_intervals_under_a_disturbance_hold_the_truth_in_200_runs(name: str, request: pytest.FixtureRequest) -> None:
+def test_intervals_under_a_disturbance_hold_the_truth_in_200_runs(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     found = cover(name, FULL, first=10_000)
     say(request, f"{name}, {FULL} runs: {found}")
     hold(name, found)
 
 
 @pytest.mark.soak
-def test_intervals_under_white_noise_hold_the_truth_as_often_as_they_say(request: pytest.FixtureRequest) -> None:
+def test_intervals_under_white_noise_hold_the_truth_as_often_as_they_say(
+    request: pytest.FixtureRequest,
+) -> None:
     found = cover("white", 1000, first=20_000)
     say(request, f"white, 1000 runs of {CASES['white'].windows} windows: {found}")
     assert float(np.mean(found.covered)) == pytest.approx(0.97, abs=0.02)

@@ -23,7 +23,9 @@ def summary(found: list[Verdict]) -> tuple[float, float, str]:
     return detected, len(blamed) / len(found), text
 
 
-def test_detection_of_a_15_percent_step_is_timely_and_blames_nothing_else(request: pytest.FixtureRequest) -> None:
+def test_detection_of_a_15_percent_step_is_timely_and_blames_nothing_else(
+    request: pytest.FixtureRequest,
+) -> None:
     detected, blamed, text = summary(each(verdict, range(QUICK)))
     say(request, text)
     assert detected >= 0.98

@@ -1,4 +1,5 @@
-"""The joint EKF on runs of the detection test: same readings, same alarm rules, its random walk tuned for the task."""
+"""The joint EKF on runs of the detection test: same readings, same alarm rules, its random walk tuned for the
+task."""
 
 import numpy as np
 import pytest
@@ -18,8 +19,12 @@ WALKS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3)
 def model() -> MassSpringDamper:
     masses = tuple(Mass(name, value) for name, value in MASSES.items())
     ends = (("ground", "m1"), ("m1", "m2"))
-    springs = tuple(Element(name, end, value) for name, end, value in zip(("k1", "k2"), ends, NOMINAL[:2], strict=True))
-    dampers = tuple(Element(name, end, value) for name, end, value in zip(("B1", "B2"), ends, NOMINAL[2:], strict=True))
+    springs = tuple(
+        Element(name, end, value) for name, end, value in zip(("k1", "k2"), ends, NOMINAL[:2], strict=True)
+    )
+    dampers = tuple(
+        Element(name, end, value) for name, end, value in zip(("B1", "B2"), ends, NOMINAL[2:], strict=True)
+    )
     outputs = (Output("displacement", "m1"), Output("displacement", "m2"))
     return MassSpringDamper(Structure(masses, springs, dampers), NAMES, ("m2",), outputs)
 
@@ -33,8 +38,10 @@ def batch(theta: FloatArray, sd: FloatArray) -> EstimateBatch:
     return EstimateBatch(
         rig="rig", method="ekf", parameters=NAMES, units=("N/m", "N/m", "N s/m", "N s/m"), reference=NOMINAL,
         baseline_id=None, index=index, t_ns=index * 1_000_000, value=value, sd=sd, lower=value - 1.96 * sd,
-        upper=value + 1.96 * sd, sd_repeat=sd, status=status, reason=np.zeros(value.shape, dtype=np.uint8), held=none,
-        held_age_s=none, window_s=np.zeros(value.shape), n_used=zero, n_missing=zero, dof=np.full(len(index), np.inf),
+        upper=value + 1.96 * sd, sd_repeat=sd, status=status, reason=np.zeros(value.shape, dtype=np.uint8),
+        held=none,
+        held_age_s=none, window_s=np.zeros(value.shape), n_used=zero, n_missing=zero,
+        dof=np.full(len(index), np.inf),
     )  # fmt: skip
 
 
@@ -63,7 +70,9 @@ def line(name: str, found: list[Verdict]) -> str:
 
 @pytest.mark.bench
 def test_detection_misses_and_blames_less_than_the_joint_ekf(request: pytest.FixtureRequest) -> None:
-    tuning = {walk: faults(each(ekf_verdict, [(90_000 + i, walk) for i in range(TUNING_RUNS)])) for walk in WALKS}
+    tuning = {
+        walk: faults(each(ekf_verdict, [(90_000 + i, walk) for i in range(TUNING_RUNS)])) for walk in WALKS
+    }
     walk = min(tuning, key=lambda candidate: tuning[candidate])
     ekf, ours = each(ekf_verdict, [(seed, walk) for seed in range(RUNS)]), each(verdict, range(RUNS))
     say(request, line("window-ml", ours))

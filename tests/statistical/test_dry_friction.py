@@ -1,4 +1,5 @@
-"""Intervals of a sliding mass under dry friction hold the truth; a mass that mostly sticks says so (soak: all runs)."""
+"""Intervals of a sliding mass under dry friction hold the truth; a mass that mostly sticks says so (soak: all
+runs)."""
 
 import numpy as np
 import pytest
@@ -49,7 +50,9 @@ def test_intervals_under_dry_friction_hold_the_truth(name: str, request: pytest.
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", SLIDING)
-def test_intervals_under_dry_friction_hold_the_truth_in_40_runs(name: str, request: pytest.FixtureRequest) -> None:
+def test_intervals_under_dry_friction_hold_the_truth_in_40_runs(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     assess(name, range(100, 140), request)
 
 

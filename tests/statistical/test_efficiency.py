@@ -1,4 +1,5 @@
-"""Errors and stated deviations of many runs against the Cramer-Rao bound, the parameters up to 20 % off nominal."""
+"""Errors and stated deviations of many runs against the Cramer-Rao bound, the parameters up to 20 % off
+nominal."""
 
 from dataclasses import replace
 from functools import partial
@@ -24,7 +25,10 @@ def one_run(seed: int, windows: int) -> Errors:
 
 
 def hold(
-    found: list[Errors], efficiency: tuple[float, float], coverage: tuple[float, float], request: pytest.FixtureRequest
+    found: list[Errors],
+    efficiency: tuple[float, float],
+    coverage: tuple[float, float],
+    request: pytest.FixtureRequest,
 ) -> None:
     error, sd, valid, held = (
         np.concatenate([getattr(e, part) for e in found]) for part in ("error", "sd", "valid", "held")

@@ -1,4 +1,5 @@
-"""Spikes in the measured force are refused and counted where the motion knows nothing of them; true blows are not."""
+"""Spikes in the measured force are refused and counted where the motion knows nothing of them; true blows are
+not."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -46,7 +47,9 @@ def struck(seed: int) -> FloatArray:
     return np.column_stack([force[:-1], y + NOISE_M * rng.standard_normal(y.shape)])
 
 
-def run(v: FloatArray, cuts: Sequence[int] = ()) -> tuple[Pipeline, list[EstimateBatch], list[AlarmTransition]]:
+def run(
+    v: FloatArray, cuts: Sequence[int] = ()
+) -> tuple[Pipeline, list[EstimateBatch], list[AlarmTransition]]:
     pipe = fresh("force spikes", lambda: make_pipeline(configuration(NOISE_M)))
     index = np.arange(len(v), dtype=np.int64)
     found = []
@@ -72,7 +75,13 @@ def assessed(seed: int) -> tuple[int, int, float, float, int]:
     late = joined(batches, "index") >= WARM
     valid = joined(batches, "status")[late] == Status.VALID
     inside = (joined(batches, "lower")[late] <= NOMINAL) & (joined(batches, "upper")[late] >= NOMINAL)
-    return spoilt, ledger.rejected.get("spike", 0), float(valid.mean()), float(inside[valid].mean()), len(alarms)
+    return (
+        spoilt,
+        ledger.rejected.get("spike", 0),
+        float(valid.mean()),
+        float(inside[valid].mean()),
+        len(alarms),
+    )
 
 
 def measured(runs: range, request: pytest.FixtureRequest) -> None:
@@ -118,7 +127,9 @@ def test_spikes_in_the_force_give_the_same_rows_however_the_stream_is_cut() -> N
 
 
 @pytest.mark.parametrize(("size", "length"), [(2e6, 1), (1e12, 1), (9e29, 3)])
-def test_one_wild_reading_of_the_force_is_refused_as_a_spike_and_costs_no_estimate(size: float, length: int) -> None:
+def test_one_wild_reading_of_the_force_is_refused_as_a_spike_and_costs_no_estimate(
+    size: float, length: int
+) -> None:
     v = healthy(np.random.default_rng([3, 77]), 4000)
     v[2500 : 2500 + length, 0] = size
     pipe, batches, alarms = run(v)

@@ -1,4 +1,5 @@
-"""Unknown forces that begin long after the first fit are learnt after ten windows; nothing else is taken for them."""
+"""Unknown forces that begin long after the first fit are learnt after ten windows; nothing else is taken for
+them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +21,8 @@ WEIGHTS = {"m1": (1.0, 0.0), "both": (0.7, 0.7)}
 
 
 def pushed(rng: np.random.Generator, weights: tuple[float, float], after: int = 0) -> FloatArray:
-    """Readings (N, 3) of a healthy rig on whose masses white forces that nobody measures act from BEFORE to LASTS."""
+    """Readings (N, 3) of a healthy rig on whose masses white forces that nobody measures act from BEFORE to
+    LASTS."""
     samples = SETTLE + BEFORE + LASTS + after + 1
     force = drive(rng, samples)
     unknown = STRONG_N * rng.standard_normal((samples, 2)) * weights
@@ -52,8 +54,9 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What came of a run after the forces had been learnt: share of rows that are understood (valid, or unexcited where
-    the forces hide a parameter), disjoint windows that are valid and that hold the truth (4,); and what was alarmed."""
+    """What came of a run after the forces had been learnt: share of rows that are understood (valid, or
+    unexcited where the forces hide a parameter), disjoint windows that are valid and that hold the truth
+    (4,); and what was alarmed."""
 
     understood: float
     valid: FloatArray

@@ -38,7 +38,8 @@ AT_FAULT = (Reason.STUCK, Reason.SATURATED)
 
 
 def one(job: tuple[str, int]) -> tuple[bool, bool, float]:
-    """Play one run: whether one channel at fault and nothing else was alarmed; rows are right; seconds to the alarm."""
+    """Play one run: whether one channel at fault and nothing else was alarmed; rows are right; seconds to the
+    alarm."""
     kind, seed = job
     rng = np.random.default_rng([seed, 77])
     at = int(rng.integers(4 * SECOND, 5 * SECOND))
@@ -47,15 +48,20 @@ def one(job: tuple[str, int]) -> tuple[bool, bool, float]:
     spoil(v, at)
     found = records(pipeline(), v)
     alarms = [(r.kind, r.parameter, r.to_state) for r in found if isinstance(r, AlarmTransition)]
-    raised = [r.t_ns // 1_000_000 - at for r in found if isinstance(r, AlarmTransition) and r.to_state == "UNACK"]
+    raised = [
+        r.t_ns // 1_000_000 - at for r in found if isinstance(r, AlarmTransition) and r.to_state == "UNACK"
+    ]
     named = any(alarms == [("sensor", name, "UNACK"), ("sensor", name, "RTNUN")] for name in channels)
     return named, rows_are_right(found, at), raised[0] / SECOND if raised else np.inf
 
 
 def rows_are_right(found: list[Record], at: int) -> bool:
-    """Tell whether rows say so from a window after the fault until it ended, and are valid a window after that."""
+    """Tell whether rows say so from a window after the fault until it ended, and are valid a window after
+    that."""
     batches = [r for r in found if isinstance(r, EstimateBatch)]
-    index, status, reason = (np.concatenate([getattr(b, p) for b in batches]) for p in ("index", "status", "reason"))
+    index, status, reason = (
+        np.concatenate([getattr(b, p) for b in batches]) for p in ("index", "status", "reason")
+    )
     stuck = (index >= at + 1.2 * SECOND) & (index < at + LASTS)
     sound = index >= at + LASTS + 1.2 * SECOND
     return bool(np.isin(reason[stuck], AT_FAULT).all() and (status[sound] == Status.VALID).all())
@@ -83,7 +89,9 @@ def test_channel_that_freezes_is_named_in_200_runs(kind: str, request: pytest.Fi
     assess(kind, each(one, [(kind, 10_000 + seed) for seed in range(FULL)]), request)
 
 
-def test_force_that_read_the_same_from_the_first_sample_is_named_where_nothing_else_explains_the_motion() -> None:
+def test_force_that_read_the_same_from_the_first_sample_is_named_where_nothing_else_explains_the_motion() -> (
+    None
+):
     named = 0
     for seed in (0, 1):
         v = healthy(np.random.default_rng(seed), 6 * SECOND)

@@ -10,7 +10,9 @@ QUICK, FULL = 18, 200
 
 
 def measured(name: str, runs: range, request: pytest.FixtureRequest) -> None:
-    valid, covered = (np.mean(part, axis=0) for part in zip(*each(one, [(name, seed) for seed in runs]), strict=True))
+    valid, covered = (
+        np.mean(part, axis=0) for part in zip(*each(one, [(name, seed) for seed in runs]), strict=True)
+    )
     cells = zip(NAMES, valid, covered, strict=True)
     text = ", ".join(f"{n} {100 * c:.1f} % ({100 * v:.1f} % valid)" for n, v, c in cells)
     say(request, f"{name}, {len(runs)} runs of 6 windows: {text}")
@@ -28,5 +30,7 @@ def test_intervals_of_windows_with_holes_hold_the_truth(name: str, request: pyte
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", HOLES)
-def test_intervals_of_windows_with_holes_hold_the_truth_in_200_runs(name: str, request: pytest.FixtureRequest) -> None:
+def test_intervals_of_windows_with_holes_hold_the_truth_in_200_runs(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     measured(name, range(10_000, 10_000 + FULL), request)

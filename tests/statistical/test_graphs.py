@@ -1,4 +1,5 @@
-"""Which springs and dampers a machine has: found where the file has one too few or too many, nothing added else."""
+"""Which springs and dampers a machine has: found where the file has one too few or too many, nothing added
+else."""
 
 from collections.abc import Iterator
 from pathlib import Path

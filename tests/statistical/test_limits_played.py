@@ -1,4 +1,5 @@
-"""Limits learnt from minutes of a healthy rig, tried on other seeds and on a spring that loses what they find."""
+"""Limits learnt from minutes of a healthy rig, tried on other seeds and on a spring that loses what they
+find."""
 
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,9 @@ def recording(path: Path, seed: int, seconds: int, after: FloatArray = NOMINAL) 
     y.append(rig.play(on_second(force[half:])))
     read = np.vstack(y)[10 * SECOND :, :2]
     read = read + NOISE_M * rng.standard_normal(read.shape)
-    np.savez(path, t=np.arange(len(read)) / SECOND, force=force[10 * SECOND : -1], x1=read[:, 0], x2=read[:, 1])
+    np.savez(
+        path, t=np.arange(len(read)) / SECOND, force=force[10 * SECOND : -1], x1=read[:, 0], x2=read[:, 1]
+    )
     return path
 
 
@@ -47,7 +50,10 @@ def test_proposed_limits_raise_nothing_on_other_seeds_and_find_the_change_they_s
     found = proposed(db, None, 1.0, config, write=True)["parameters"]
     assert set(found) == set(NAMES)
     for seed in (1, 2):
-        assert levels(replay(config=config, recordings=[recording(tmp_path / "r.npz", seed, HEALTHY_S)], db=db)) == []
+        assert (
+            levels(replay(config=config, recordings=[recording(tmp_path / "r.npz", seed, HEALTHY_S)], db=db))
+            == []
+        )
     weaker = NOMINAL - np.array([found["k1"]["finds"] * 1.2, 0.0, 0.0, 0.0])
     document = replay(config=config, recordings=[recording(tmp_path / "w.npz", 3, 40, weaker)], db=db)
     assert set(levels(document)) == {"k1"}

@@ -1,4 +1,5 @@
-"""Configurations that are nearly right: estimates stay valid, intervals hold, and what is off is named or nobody is."""
+"""Configurations that are nearly right: estimates stay valid, intervals hold, and what is off is named or
+nobody is."""
 
 from functools import partial
 
@@ -10,7 +11,8 @@ from tests.statistical.nearly_right import CASES, Case, Found, play, together
 QUICK_WINDOWS, FULL_WINDOWS, FULL_RECORDINGS = 30, 100, 3
 FIRST_SEED = 5000
 QUICK = (
-    "right", "right, three masses", "noise x 0.5", "m1 +5 %", "middle mass +8 %", "x2 reads 5 % more, three masses",
+    "right", "right, three masses", "noise x 0.5", "m1 +5 %", "middle mass +8 %",
+    "x2 reads 5 % more, three masses",
     "held, hold first, one mass", "hum", "driving-point accelerometer", "gain by poles", "mass 3 % and hum",
     "noise x 0.83 and m2 +5 %", "force noise and x2 +4 %",
 )  # fmt: skip
@@ -19,7 +21,8 @@ SLACK_SD = 3.0
 
 
 def least(share: float, count: float) -> float:
-    """The share that `count` intervals may show when `share` of all hold; neighbours share noise and constants."""
+    """The share that `count` intervals may show when `share` of all hold; neighbours share noise and
+    constants."""
     return share - SLACK_SD * float((share * (1 - share) / max(count, 1.0)) ** 0.5)
 
 
@@ -36,7 +39,9 @@ def hold(name: str, case: Case, found: Found, sure: float) -> None:
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_nearly_right_configuration_gives_valid_rows_that_hold(name: str, request: pytest.FixtureRequest) -> None:
+def test_nearly_right_configuration_gives_valid_rows_that_hold(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     found = play(name, 1, QUICK_WINDOWS)
     say(request, f"{name}, {QUICK_WINDOWS} windows: {found}")
     hold(name, CASES[name], found, 0.5)
@@ -44,7 +49,9 @@ def test_nearly_right_configuration_gives_valid_rows_that_hold(name: str, reques
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", CASES)
-def test_nearly_right_configuration_holds_in_three_recordings(name: str, request: pytest.FixtureRequest) -> None:
+def test_nearly_right_configuration_holds_in_three_recordings(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     seeds = range(FIRST_SEED, FIRST_SEED + FULL_RECORDINGS)
     found = together(each(partial(_one, name), seeds))
     say(request, f"{name}, {FULL_RECORDINGS} x {FULL_WINDOWS} windows: {found}")

@@ -1,4 +1,5 @@
-"""A force with nine samples a period: straight lines lose 4 % of it, polynomials through more readings do not."""
+"""A force with nine samples a period: straight lines lose 4 % of it, polynomials through more readings do
+not."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,7 +50,8 @@ every_s = 0
 
 
 def recording(lost: slice = slice(0)) -> FloatArray:
-    """Readings (N, 2) of the steady motion under four tones of 8.6 to 9.4 samples a period, some of the force lost."""
+    """Readings (N, 2) of the steady motion under four tones of 8.6 to 9.4 samples a period, some of the force
+    lost."""
     rng, t = np.random.default_rng(9), np.arange(SAMPLES) / RATE_HZ
     omega = 2 * np.pi * RATE_HZ / np.array([8.6, 8.87, 9.13, 9.4])
     tones = 5.0 * np.exp(1j * (np.outer(t, omega) + rng.uniform(0, 2 * np.pi, 4)))
@@ -60,7 +62,12 @@ def recording(lost: slice = slice(0)) -> FloatArray:
 
 
 def run(
-    folder: Path, hold: str, gain: float = 0.0, hop_s: float = 0.5, cuts: Sequence[int] = (), lost: slice = slice(0)
+    folder: Path,
+    hold: str,
+    gain: float = 0.0,
+    hop_s: float = 0.5,
+    cuts: Sequence[int] = (),
+    lost: slice = slice(0),
 ) -> list[EstimateBatch]:
     file = folder / "rig.toml"
     file.write_text(TEXT.format(hold=hold, gain=gain, hop=hop_s), encoding="utf-8")

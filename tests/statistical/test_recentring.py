@@ -21,7 +21,8 @@ FOLLOWED = 4
 
 
 def followed(kind: str, seed: int) -> float:
-    """Share of the rows, from FOLLOWED windows after the jump on, that are valid and within 10 % of every parameter."""
+    """Share of the rows, from FOLLOWED windows after the jump on, that are valid and within 10 % of every
+    parameter."""
     rng = np.random.default_rng([seed, 5])
     theta = TWO.theta * rng.choice(FACTORS, 4)
     W = TWO.window
@@ -37,7 +38,10 @@ def followed(kind: str, seed: int) -> float:
 
 
 def hold(kind: str, found: list[float], request: pytest.FixtureRequest) -> None:
-    say(request, f"gain {kind}, {len(found)} jumps of all parameters: {100 * min(found):.0f} % right at the least")
+    say(
+        request,
+        f"gain {kind}, {len(found)} jumps of all parameters: {100 * min(found):.0f} % right at the least",
+    )
     assert min(found) >= 0.9
 
 

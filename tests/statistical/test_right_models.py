@@ -1,4 +1,5 @@
-"""Right models: errors at the Cramer-Rao bound, intervals that hold from the first window on, no wider than due."""
+"""Right models: errors at the Cramer-Rao bound, intervals that hold from the first window on, no wider than
+due."""
 
 import numpy as np
 import pytest

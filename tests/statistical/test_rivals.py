@@ -21,7 +21,9 @@ def test_polynomial_of_the_sampled_model_is_exact_over_the_scenes_changes(change
     polynomial, delta = rivals.Polynomial(rig(), PERIOD), np.array(change)
     exact = discretise(rig().continuous(NOMINAL + delta), PERIOD, "first").model
     derivatives = polynomial.derivatives(delta)
-    assert np.allclose(polynomial.matrix(delta, derivatives), np.hstack([exact.A, exact.B]), rtol=0, atol=1e-9)
+    assert np.allclose(
+        polynomial.matrix(delta, derivatives), np.hstack([exact.A, exact.B]), rtol=0, atol=1e-9
+    )
     assert np.allclose(derivatives, np.concatenate([exact.dA, exact.dB], axis=2), rtol=1e-4, atol=1e-9)
 
 
@@ -37,7 +39,9 @@ def test_joint_filter_finds_constant_parameters_within_its_own_interval(run, rec
 def test_joint_filters_agree_with_each_other(record: Record) -> None:
     polynomial = rivals.Polynomial(rig(), PERIOD)
     short = (record.y[:1000], record.u[:1000])
-    (ekf, _), (ukf, _) = (f(polynomial, 1e-6, rivals.Tuning(1e-4), *short) for f in (joint.run_ekf, joint.run_ukf))
+    (ekf, _), (ukf, _) = (
+        f(polynomial, 1e-6, rivals.Tuning(1e-4), *short) for f in (joint.run_ekf, joint.run_ukf)
+    )
     assert np.all(np.abs(ekf[-1] - ukf[-1]) < 0.02 * NOMINAL)
 
 

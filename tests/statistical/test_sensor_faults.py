@@ -11,7 +11,9 @@ QUICK, FULL = 12, 200
 
 def assess(kind: str, found: list[Blame], request: pytest.FixtureRequest) -> None:
     named = [run for run in found if run.right and run.sensors]
-    wrong = [f"run {run.seed}: {run.channel} {run.sensors} {run.parameters}" for run in found if not run.right]
+    wrong = [
+        f"run {run.seed}: {run.channel} {run.sensors} {run.parameters}" for run in found if not run.right
+    ]
     blamed = [run for run in found if run.parameters]
     delays = [run.delay for run in named if run.delay is not None]
     say(

@@ -27,7 +27,8 @@ def test_standstill_holds_what_was_known_and_says_why(noise_sd: float | None) ->
     found = records(pipe, played())
     batches = [record for record in found if isinstance(record, EstimateBatch)]
     index, status, reason, held = (
-        np.concatenate([getattr(batch, part) for batch in batches]) for part in ("index", "status", "reason", "held")
+        np.concatenate([getattr(batch, part) for batch in batches])
+        for part in ("index", "status", "reason", "held")
     )
     still = (index >= STILL) & (index < MOVES)
     assert (status[still] == Status.UNEXCITED).all()

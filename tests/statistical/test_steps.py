@@ -1,4 +1,5 @@
-"""Steps are alarmed in time and nothing else is; healthy hops are never called changing; a flickering fault is seen."""
+"""Steps are alarmed in time and nothing else is; healthy hops are never called changing; a flickering fault
+is seen."""
 
 from functools import partial
 
@@ -17,7 +18,10 @@ def hold(name: str, found: list[Raised], request: pytest.FixtureRequest) -> None
     delays = np.array([run.delays for run in found])
     wrong = [w for run in found for w in run.wrong]
     text = ", ".join(sorted(set(wrong))) or "nothing"
-    say(request, f"{name}, {len(found)} runs: alarmed after {np.nanmax(delays):.2f} s at the latest; else {text}")
+    say(
+        request,
+        f"{name}, {len(found)} runs: alarmed after {np.nanmax(delays):.2f} s at the latest; else {text}",
+    )
     assert (delays <= latest()).all()
     assert not wrong
 
@@ -58,6 +62,9 @@ def test_flickering_fault_is_alarmed_or_its_rows_are_invalid(request: pytest.Fix
 def test_flickering_fault_is_seen_in_25_runs(request: pytest.FixtureRequest) -> None:
     unseen = each(flicker, range(5000, 5000 + FULL))
     share, most = 100 * np.mean(unseen), 100 * max(unseen)
-    say(request, f"a flickering fault, {FULL} runs: {share:.1f} % of its rows, at most {most:.0f} % of one run's")
+    say(
+        request,
+        f"a flickering fault, {FULL} runs: {share:.1f} % of its rows, at most {most:.0f} % of one run's",
+    )
     assert np.mean(unseen) <= 0.1
     assert max(unseen) <= UNSEEN

@@ -1,4 +1,5 @@
-"""Machines without nominals, or with all of them 1, are identified within their intervals, or refused by name."""
+"""Machines without nominals, or with all of them 1, are identified within their intervals, or refused by
+name."""
 
 from pathlib import Path
 

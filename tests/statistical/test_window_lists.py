@@ -1,4 +1,5 @@
-"""Lists of windows: each estimate is of the shortest window that is sharp enough, and its interval holds the truth."""
+"""Lists of windows: each estimate is of the shortest window that is sharp enough, and its interval holds the
+truth."""
 
 from dataclasses import replace
 from functools import partial
@@ -22,7 +23,9 @@ def shares(name: str, seed: int) -> tuple[int, int, int, int]:
     """Estimates of a run, those valid, those whose interval holds, and those that a longer window gave."""
     windows = LISTS[name]
     chain: Chain = replace(TWO, window_s=windows[0] / TWO.rate_hz)
-    play = Play.of(chain, np.random.default_rng([seed, 78]), SETTLE_WINDOWS * TWO.window + SECONDS * TWO.window + 1)
+    play = Play.of(
+        chain, np.random.default_rng([seed, 78]), SETTLE_WINDOWS * TWO.window + SECONDS * TWO.window + 1
+    )
     v = play.readings()[SETTLE_WINDOWS * TWO.window : -1]
     settings = estimator_settings(chain.configuration(hop_s=0.05), np.zeros(2))
     rows = SlidingEstimator(replace(settings, longer=windows[1:])).step(0, v[:, 1:], v[:, :1])
@@ -33,7 +36,9 @@ def shares(name: str, seed: int) -> tuple[int, int, int, int]:
     return valid.size, int(valid.sum()), int(held.sum()), int(longer.sum())
 
 
-def hold(name: str, found: list[tuple[int, int, int, int]], least: float, request: pytest.FixtureRequest) -> None:
+def hold(
+    name: str, found: list[tuple[int, int, int, int]], least: float, request: pytest.FixtureRequest
+) -> None:
     total, valid, held, longer = np.sum(found, axis=0)
     text = f"{name}: {100 * valid / total:.1f} % valid, {100 * held / valid:.1f} % hold"
     say(request, f"{text}, {100 * longer / total:.1f} % of longer windows")

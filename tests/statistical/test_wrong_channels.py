@@ -77,7 +77,9 @@ def one(job: tuple[str, int]) -> Said:
     WRONG[kind](v)
     found = records(pipeline(), v)
     batches = [r for r in found if isinstance(r, EstimateBatch)]
-    status, lower, upper = (np.vstack([getattr(b, part) for b in batches]) for part in ("status", "lower", "upper"))
+    status, lower, upper = (
+        np.vstack([getattr(b, part) for b in batches]) for part in ("status", "lower", "upper")
+    )
     valid = status == Status.VALID
     return Said(
         tuple(r.message for r in found if isinstance(r, HealthEvent) and r.source == MODEL),
@@ -90,13 +92,18 @@ def hold(kinds: list[str], seeds: range, request: pytest.FixtureRequest) -> None
     found = each(one, [(kind, seed) for kind in kinds for seed in seeds])
     valid, held = sum(run.valid for run in found), sum(run.held for run in found)
     alarmed = sorted({p for run in found for p in run.alarms if p in NAMES})
-    say(request, f"{', '.join(kinds)}, {len(found)} runs: {held} of {valid} valid estimates hold; alarmed: {alarmed}")
+    say(
+        request,
+        f"{', '.join(kinds)}, {len(found)} runs: {held} of {valid} valid estimates hold; alarmed: {alarmed}",
+    )
     assert held >= 0.9 * valid
     assert not alarmed
 
 
 @pytest.mark.parametrize("kind", QUICK)
-def test_channel_that_is_wrong_from_the_start_gives_no_wrong_row(kind: str, request: pytest.FixtureRequest) -> None:
+def test_channel_that_is_wrong_from_the_start_gives_no_wrong_row(
+    kind: str, request: pytest.FixtureRequest
+) -> None:
     hold([kind], range(1), request)
 
 

@@ -1,4 +1,5 @@
-"""A mass that the configuration has wrong by 20 % is named; nothing else is blamed, and a right one is not accused."""
+"""A mass that the configuration has wrong by 20 % is named; nothing else is blamed, and a right one is not
+accused."""
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ QUICK, FULL = 1, 25
 
 
 def wrong(seeds: range, noises: range = range(len(NOISES))) -> list[Job]:
-    return [Job(mass, share, noise, s) for mass in MASSES for share in SHARES for noise in noises for s in seeds]
+    return [
+        Job(mass, share, noise, s) for mass in MASSES for share in SHARES for noise in noises for s in seeds
+    ]
 
 
 def assess(found: list[Said], request: pytest.FixtureRequest) -> None:
@@ -31,7 +34,10 @@ def assess(found: list[Said], request: pytest.FixtureRequest) -> None:
 def judge_right(found: list[Said], request: pytest.FixtureRequest) -> None:
     accused = [(run.job, run.advice) for run in found if run.advice]
     valid = 100 * np.mean([run.valid for run in found])
-    say(request, f"right masses, {len(found)} runs: something accused in {len(accused)}; {valid:.1f} % valid {accused}")
+    say(
+        request,
+        f"right masses, {len(found)} runs: something accused in {len(accused)}; {valid:.1f} % valid {accused}",
+    )
     assert len(accused) <= 0.01 * len(found)
     assert valid >= 99.0
 

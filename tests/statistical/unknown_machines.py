@@ -41,7 +41,8 @@ class Machine:
 
 
 def machine(rng: np.random.Generator, masses: int | None = None) -> Machine:
-    """Draw 1-4 masses in a tree from the ground, some with a ring; a force on each part that hangs on the ground."""
+    """Draw 1-4 masses in a tree from the ground, some with a ring; a force on each part that hangs on the
+    ground."""
     n = masses or int(rng.integers(1, 5))
     m = 10.0 ** rng.uniform(-0.3, 1.0, n)
     ends = [(int(rng.integers(0, i)), i) for i in range(1, n + 1)]
@@ -65,8 +66,11 @@ def _forced(n: int, ends: list[tuple[int, int]]) -> tuple[int, ...]:
     return tuple(sorted(forces))
 
 
-def recorded(one: Machine, rng: np.random.Generator, noise: float, span_s: float = SPAN_S) -> dict[str, FloatArray]:
-    """Return a recording under white forces of 10 N rms, integrated exactly; noise: share of each motion's rms."""
+def recorded(
+    one: Machine, rng: np.random.Generator, noise: float, span_s: float = SPAN_S
+) -> dict[str, FloatArray]:
+    """Return a recording under white forces of 10 N rms, integrated exactly; noise: share of each motion's
+    rms."""
     A, n = one.generator(), len(one.masses)
     rate = float(max(round(20 * np.abs(np.linalg.eigvals(A)).max() / 2 / np.pi), 50))
     N, c = int(span_s * rate), len(one.forces)
@@ -92,7 +96,11 @@ def name(node: int) -> str:
 
 
 def configuration(
-    one: Machine, columns: dict[str, FloatArray], masses: FloatArray, nominal: str = "", without: int | None = None
+    one: Machine,
+    columns: dict[str, FloatArray],
+    masses: FloatArray,
+    nominal: str = "",
+    without: int | None = None,
 ) -> str:
     """Write down what is known of a machine; nominal: text behind each element; without: an element left out."""
     kept = [i for i in range(len(one.ends)) if i != without]
@@ -101,7 +109,9 @@ def configuration(
     lines.append(_rows("mass", [f'name = "m{i}", value = {m!r}' for i, m in enumerate(masses.tolist(), 1)]))
     for kind, letter in (("spring", "k"), ("damper", "B")):
         ends = [(i + 1, name(one.ends[i][0]), name(one.ends[i][1])) for i in kept]
-        lines.append(_rows(kind, [f'name = "{letter}{i}", between = ["{a}", "{b}"]{nominal}' for i, a, b in ends]))
+        lines.append(
+            _rows(kind, [f'name = "{letter}{i}", between = ["{a}", "{b}"]{nominal}' for i, a, b in ends])
+        )
     channels = [("f", "force", node, "N") for node in one.forces]
     channels += [("x", "displacement", i, "m") for i in range(1, len(masses) + 1)]
     lines += [

@@ -19,7 +19,8 @@ NOISES: tuple[tuple[float, bool], ...] = ((NOISE_M, True), (NOISE_M, False), (1e
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A run: the mass that is wrong (None: none), the share of it that the configuration has, which noise, a seed."""
+    """A run: the mass that is wrong (None: none), the share of it that the configuration has, which noise, a
+    seed."""
 
     mass: str | None
     share: float
@@ -66,5 +67,7 @@ def one(job: Job) -> Said:
     status = np.concatenate([b.status[:, 0] for b in batches])
     full = status != Status.WARMING
     advice = tuple((r.cause, r.message) for r in found if isinstance(r, HealthEvent) and r.source == MODEL)
-    alarms = tuple((r.kind, r.parameter) for r in found if isinstance(r, AlarmTransition) and r.to_state == "UNACK")
+    alarms = tuple(
+        (r.kind, r.parameter) for r in found if isinstance(r, AlarmTransition) and r.to_state == "UNACK"
+    )
     return Said(job, advice, alarms, float((status[full] == Status.VALID).mean()))

@@ -1,4 +1,5 @@
-"""Starts writers that answer commands quickly: a path on stdin forks one, whose database then has fresh alarms.
+"""Starts writers that answer commands quickly: a path on stdin forks one, whose database then has fresh
+alarms.
 
 On stdout: "pid N", "ready N" with the number of the newest alarm, then "dead" once it has ended.
 """

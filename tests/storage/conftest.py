@@ -8,7 +8,8 @@ import pytest
 
 @pytest.fixture
 def memory(tmp_path: Path) -> Iterator[Path]:
-    """A folder in memory, where syncing is free; what is synced and what not is the power-cut tests' business."""
+    """A folder in memory, where syncing is free; what is synced and what not is the power-cut tests'
+    business."""
     if not Path("/dev/shm").is_dir():
         yield tmp_path
         return

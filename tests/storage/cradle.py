@@ -1,4 +1,5 @@
-"""Starts agents quickly: all that the agent imports is imported once, each line of arguments on stdin forks one.
+"""Starts agents quickly: all that the agent imports is imported once, each line of arguments on stdin forks
+one.
 
 On stdout: "pid N", then what that agent tells (stdout and stderr), then "dead" once it has ended.
 """

@@ -40,7 +40,8 @@ def batch(
     fields: dict[str, Any] = {
         "rig": rig, "method": "window-ml", "parameters": parameters, "units": ("N/m",) * width,
         "reference": 25.0 + np.arange(width), "baseline_id": None, "index": 250 + 50 * index,
-        "t_ns": start + hop_ns * index, "value": value, "sd": sd, "lower": value - half, "upper": value + half,
+        "t_ns": start + hop_ns * index, "value": value, "sd": sd, "lower": value - half,
+        "upper": value + half,
         "sd_repeat": changes.get("sd", sd) * rng.uniform(0.5, 1.0, (hops, width)),
         "status": np.full((hops, width), Status.VALID, np.uint8), "reason": np.zeros((hops, width), np.uint8),
         "held": nothing, "held_age_s": nothing.copy(), "window_s": np.full((hops, width), 0.25),
@@ -62,7 +63,8 @@ def warming(hops: int, **changes: Any) -> EstimateBatch:
 
 def step(old: Any, new: Any, t_ns: int = START, **changes: Any) -> AlarmTransition:
     fields: dict[str, Any] = {
-        "rig": "press-7", "kind": "level", "parameter": "k1", "priority": "high", "t_ns": t_ns, "from_state": old,
+        "rig": "press-7", "kind": "level", "parameter": "k1", "priority": "high", "t_ns": t_ns,
+        "from_state": old,
         "to_state": new, "cause": "limit", "message": "k1 fell by 16 N/m", "delta": -16.0, "sd": 0.2,
         "limit_value": 15.0, "probability": 0.99,
     }  # fmt: skip
@@ -71,7 +73,8 @@ def step(old: Any, new: Any, t_ns: int = START, **changes: Any) -> AlarmTransiti
 
 def verdict(t_ns: int = START, **changes: Any) -> Verdict:
     fields: dict[str, Any] = {
-        "rig": "press-7", "t_ns": t_ns, "hypothesis": "m1", "size": 4.25, "sd": 0.5, "unit": "%", "probability": 0.97,
+        "rig": "press-7", "t_ns": t_ns, "hypothesis": "m1", "size": 4.25, "sd": 0.5, "unit": "%",
+        "probability": 0.97,
     }  # fmt: skip
     return Verdict(**(fields | changes))
 

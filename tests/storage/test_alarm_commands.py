@@ -24,7 +24,9 @@ def at(wall_s: float, monotonic_s: float, boot: str = "boot-1") -> Moment:
     return Moment(START + int(wall_s * 1e9), 10**12 + int(monotonic_s * 1e9), boot)
 
 
-def ask(cause: Any, *ids: int, hours: float | None = None, by: str = "eva", comment: str | None = None) -> Request:
+def ask(
+    cause: Any, *ids: int, hours: float | None = None, by: str = "eva", comment: str | None = None
+) -> Request:
     return Request(cause, ids, by, comment, None if hours is None else int(hours * HOUR))
 
 
@@ -41,11 +43,15 @@ def write(store: Store, *steps: Any) -> None:
 
 
 def alarms(store: Store) -> list[tuple[Any, ...]]:
-    return select(store.path, "SELECT id, state, acked_by, cleared_at IS NULL, shelved_until IS NULL FROM v_alarms")
+    return select(
+        store.path, "SELECT id, state, acked_by, cleared_at IS NULL, shelved_until IS NULL FROM v_alarms"
+    )
 
 
 def events(store: Store) -> list[tuple[Any, ...]]:
-    return select(store.path, 'SELECT from_state, to_state, cause, "by", comment FROM v_alarm_events ORDER BY id')
+    return select(
+        store.path, 'SELECT from_state, to_state, cause, "by", comment FROM v_alarm_events ORDER BY id'
+    )
 
 
 def test_acknowledged_alarm_that_clears_is_normal_though_the_detector_knew_nothing(store: Store) -> None:
@@ -62,7 +68,9 @@ def test_acknowledged_alarm_that_clears_is_normal_though_the_detector_knew_nothi
 def test_alarm_is_acknowledged_once_and_the_second_is_told_by_whom(store: Store) -> None:
     carry_out(store, ask("acknowledge", 1), at(5, 5))
     before = events(store)
-    with pytest.raises(StoreError, match=r"alarm 1: k1 was acknowledged already, by eva at 2026-01-01T00:00:05") as two:
+    with pytest.raises(
+        StoreError, match=r"alarm 1: k1 was acknowledged already, by eva at 2026-01-01T00:00:05"
+    ) as two:
         carry_out(store, ask("acknowledge", 1, by="tom"), at(6, 6))
     assert (two.value.exit_code, events(store)) == (3, before)
 
@@ -86,7 +94,11 @@ def test_refused_request_says_why_and_changes_nothing(store: Store, request_: Re
 
 def test_shelved_alarm_stays_silent_while_its_condition_comes_and_goes(store: Store) -> None:
     carry_out(store, ask("shelve", 1, hours=1), at(0, 0))
-    write(store, step("UNACK", "RTNUN", START + 9, cause="clear"), step("NORM", "UNACK", START + 10, cause="raise"))
+    write(
+        store,
+        step("UNACK", "RTNUN", START + 9, cause="clear"),
+        step("NORM", "UNACK", START + 10, cause="raise"),
+    )
     assert alarms(store) == [(1, "SHLVD", None, 1, 0)]
     carry_out(store, ask("unshelve", 1), at(9, 9))
     assert alarms(store) == [(1, "ACKED", "eva", 1, 1)]
@@ -138,7 +150,10 @@ def test_shelf_goes_on_over_restarts_of_the_agent_and_of_the_machine(store: Stor
 def test_shelf_over_while_nothing_ran_ends_before_the_next_command(store: Store) -> None:
     carry_out(store, ask("shelve", 1, hours=1), at(0, 0))
     carry_out(store, ask("acknowledge", 1), at(7200, 7200))
-    assert [e[:3] for e in events(store)[-2:]] == [("SHLVD", "UNACK", "expire"), ("UNACK", "ACKED", "acknowledge")]
+    assert [e[:3] for e in events(store)[-2:]] == [
+        ("SHLVD", "UNACK", "expire"),
+        ("UNACK", "ACKED", "acknowledge"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -209,7 +224,10 @@ def test_next_run_goes_on_with_what_was_commanded(writer: StoreWriter, memory: P
     writer.stop()
     with Store.open(memory / "rig.db") as store:
         store.begin_run(run_info())
-        assert {row.parameter: row.state for row in store.open_alarms("press-7")} == {"k1": "ACKED", "k2": "SHLVD"}
+        assert {row.parameter: row.state for row in store.open_alarms("press-7")} == {
+            "k1": "ACKED",
+            "k2": "SHLVD",
+        }
 
 
 def test_alarm_that_asks_again_is_the_same_activation(store: Store) -> None:

@@ -1,4 +1,5 @@
-"""What a healthy machine was like is stored a parameter at a time, taken up by runs, and saved from damaged files."""
+"""What a healthy machine was like is stored a parameter at a time, taken up by runs, and saved from damaged
+files."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +17,16 @@ from agent.types import Baseline
 from tests.storage.rows import START, batch, run_info, select
 
 GRAPH = "spring k1 ground-m1"
-SHOWN = "SELECT baseline_id, parameter, reference, sd, spread_sd, days_sd, n, newest FROM v_baselines ORDER BY 1"
+SHOWN = (
+    "SELECT baseline_id, parameter, reference, sd, spread_sd, days_sd, n, newest FROM v_baselines ORDER BY 1"
+)
 
 
 def baseline(parameter: str = "k1", reference: float = 25.0, **changes: Any) -> Baseline:
     figures = (reference, 0.01, 0.1, 0.3, None, 7200.0, 12.0)
-    one = Baseline("press-7", parameter, "N/m", GRAPH, *figures, "[]", START, START + 86_400_000_000_000, 1234)
+    one = Baseline(
+        "press-7", parameter, "N/m", GRAPH, *figures, "[]", START, START + 86_400_000_000_000, 1234
+    )
     return replace(one, **changes)
 
 
@@ -39,10 +44,15 @@ def test_relearning_a_parameter_leaves_the_others_as_they_are(path: Path) -> Non
         (3, "k1", 24.0, 0.01, 0.1, None, 1234, 1),
     ]
     with Store.open(path) as store:
-        assert [(one.baseline_id, one.reference) for one in store.baselines("press-7")] == [(3, 24.0), (2, 100.0)]
+        assert [(one.baseline_id, one.reference) for one in store.baselines("press-7")] == [
+            (3, 24.0),
+            (2, 100.0),
+        ]
         assert store.baselines("other") == ()
     times = "SELECT learnt_from, learnt_until, graph FROM v_baselines WHERE baseline_id = 3"
-    assert select(path, times) == [("2026-01-01T00:00:00.000000000Z", "2026-01-02T00:00:00.000000000Z", GRAPH)]
+    assert select(path, times) == [
+        ("2026-01-01T00:00:00.000000000Z", "2026-01-02T00:00:00.000000000Z", GRAPH)
+    ]
 
 
 def test_rows_and_runs_say_which_baseline_they_count_from(path: Path) -> None:

@@ -21,14 +21,16 @@ HOUR, DAY, YEAR = 3600 * SECOND, 86_400 * SECOND, 365 * 86_400 * SECOND
 TO_1995 = 788_918_400 * SECOND - START
 KEEP = Retention(full_s=3 * 3600.0, minute_s=12 * 3600.0)
 STEPS = {
-    "+1 s": SECOND, "-1 s": -SECOND, "+1.5 s": 3 * SECOND // 2, "+1 h": HOUR, "-1 h": -HOUR, "-2 h": -2 * HOUR,
+    "+1 s": SECOND, "-1 s": -SECOND, "+1.5 s": 3 * SECOND // 2, "+1 h": HOUR, "-1 h": -HOUR,
+    "-2 h": -2 * HOUR,
     "+1 year": YEAR, "1995": TO_1995,
 }  # fmt: skip
 
 
 @dataclass
 class Machine:
-    """A machine with a wall clock that may be wrong, whose true time is known; its agent stores a row each 10 s.
+    """A machine with a wall clock that may be wrong, whose true time is known; its agent stores a row each 10
+    s.
 
     Attributes:
         true_ns: since the first start; stands still only while nothing does.
@@ -109,7 +111,9 @@ def machine(memory: Path) -> Machine:
 
 @pytest.mark.parametrize("step", STEPS.values(), ids=STEPS)
 @pytest.mark.parametrize("moment", ["before", "in", "after"])
-def test_step_of_the_wall_clock_loses_no_row_that_true_age_would_keep(machine: Machine, step: int, moment: str) -> None:
+def test_step_of_the_wall_clock_loses_no_row_that_true_age_would_keep(
+    machine: Machine, step: int, moment: str
+) -> None:
     machine.run((2 * HOUR, 0))
     if moment == "before":
         machine.run((60 * SECOND, step))
@@ -141,7 +145,9 @@ def test_rows_around_a_step_are_purged_by_true_age(machine: Machine, step: int) 
 
 @pytest.mark.parametrize("step", [-2 * HOUR, TO_1995, YEAR], ids=["-2 h", "1995", "+1 year"])
 @pytest.mark.parametrize("restart", [False, True])
-def test_newest_since_and_trend_follow_time_and_not_the_stamp(machine: Machine, step: int, restart: bool) -> None:
+def test_newest_since_and_trend_follow_time_and_not_the_stamp(
+    machine: Machine, step: int, restart: bool
+) -> None:
     if restart:
         machine.run((HOUR, 0))
         machine.run((600 * SECOND, step))
@@ -203,7 +209,9 @@ def test_pause_counts_once_the_clock_is_confirmed_on_both_sides(machine: Machine
     assert machine.lost() == []
 
 
-def test_clock_stays_known_when_a_damaged_file_is_replaced(memory: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_clock_stays_known_when_a_damaged_file_is_replaced(
+    memory: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     offset, index = START, np.arange(200, 210)
     run = RunInfo("press-7", "live", START, "0.1.0", "ab" * 32, None, "boot-0", offset)
     ahead = {"t_ns": START + YEAR + HOUR + SECOND * index, "index": index}
@@ -220,7 +228,9 @@ def test_clock_stays_known_when_a_damaged_file_is_replaced(memory: Path, caplog:
 
 
 def part(run: int, begin_s: int, length_s: int, ahead_s: int = 0) -> Part:
-    return Part(run, run, True, 0, (begin_s + ahead_s) * SECOND, (begin_s + ahead_s + length_s) * SECOND, True)
+    return Part(
+        run, run, True, 0, (begin_s + ahead_s) * SECOND, (begin_s + ahead_s + length_s) * SECOND, True
+    )
 
 
 @pytest.mark.parametrize("wrong", [YEAR // SECOND, -YEAR // SECOND])
@@ -242,6 +252,8 @@ def test_each_step_between_runs_is_one_event_and_one_warning(
         machine.run((60 * SECOND, HOUR))
         machine.reboot()
         machine.run((60 * SECOND, TO_1995))
-    words = [message for (message,) in select(machine.path, "SELECT message FROM v_events WHERE source = 'clock'")]
+    words = [
+        message for (message,) in select(machine.path, "SELECT message FROM v_events WHERE source = 'clock'")
+    ]
     assert ["+3600.000 s" in words[0], "behind" in words[1], len(words)] == [True, True, 2]
     assert sum("wall clock" in record.getMessage() for record in caplog.records) == 2

@@ -47,7 +47,9 @@ def test_ask_returns_what_the_agent_answers(server: Path) -> None:
         ("twice", {}, "KeyError"),
     ],
 )
-def test_ask_tells_of_what_was_refused(server: Path, command: str, arguments: dict[str, Any], words: str) -> None:
+def test_ask_tells_of_what_was_refused(
+    server: Path, command: str, arguments: dict[str, Any], words: str
+) -> None:
     with pytest.raises(StoreError, match=words) as caught:
         ask(server, command, **arguments)
     assert caught.value.exit_code == 3
@@ -60,7 +62,9 @@ def test_brief_command_is_given_up_in_time_though_the_agent_shows_signs_of_life(
     release = threading.Event()
     made = CommandServer(tmp_path / "rig.db", {"wait": lambda _: {"over": release.wait(20)}})
     made.start()
-    with pytest.raises(StoreError, match=r"did not answer in 0.3 s; it may still be done: look, then try again"):
+    with pytest.raises(
+        StoreError, match=r"did not answer in 0.3 s; it may still be done: look, then try again"
+    ):
         ask(tmp_path / "rig.db", "wait", 0.3, brief=True)
     release.set()
     assert ask(tmp_path / "rig.db", "wait", 0.3, brief=True) == {"over": True}
@@ -131,7 +135,9 @@ def test_more_commands_than_are_done_at_a_time_are_told_so(tmp_path: Path) -> No
     made.stop()
 
 
-@pytest.mark.parametrize("line", [b"\n", b"[]\n", b'{"command": 3}\n', b"\xff\xfe\n", b"x" * 70_000, b"[" * 60_000])
+@pytest.mark.parametrize(
+    "line", [b"\n", b"[]\n", b'{"command": 3}\n', b"\xff\xfe\n", b"x" * 70_000, b"[" * 60_000]
+)
 def test_server_survives_lines_that_are_no_commands(server: Path, line: bytes) -> None:
     with socket.socket(socket.AF_UNIX) as peer:
         peer.connect(str(beside(server, ".sock")))
@@ -165,7 +171,9 @@ def test_socket_left_by_a_killed_agent_is_replaced_and_long_paths_work(tmp_path:
     made.stop()
 
 
-def test_group_is_let_in_where_no_file_may_be_given_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_group_is_let_in_where_no_file_may_be_given_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError
 

@@ -75,7 +75,9 @@ def test_repair_of_a_sound_file_that_an_agent_holds_changes_nothing(path: Path, 
     assert agent.run_ids == {"press-7": 2}
 
 
-def test_repair_of_a_damaged_file_that_an_agent_holds_goes_on_in_a_new_one(path: Path, agent: StoreWriter) -> None:
+def test_repair_of_a_damaged_file_that_an_agent_holds_goes_on_in_a_new_one(
+    path: Path, agent: StoreWriter
+) -> None:
     agent.publish([step("NORM", "UNACK"), batch(5, first=10**6)])
     assert agent.flush(20)
     agent._jobs.ask(lambda store: store.connection.execute("UPDATE alarms SET message = 'k1 rose'"))

@@ -16,7 +16,8 @@ from tests.storage.rows import START, run_info, select
 EARLIER = Path(__file__).parent / "fixtures" / "version-7.db.gz"
 FOUND = WindowConditions(
     window=250, defect=0.25, defect_outputs=0.5, rank=4, rank_joined=5, defect_special=math.inf, z_zero=True,
-    iterations=9, converged=True, cost=1e-9, step=1e-13, passes=2, ratio=None, trail=((1.0, 2.0), (math.nan, 2.5)),
+    iterations=9, converged=True, cost=1e-9, step=1e-13, passes=2, ratio=None,
+    trail=((1.0, 2.0), (math.nan, 2.5)),
 )  # fmt: skip
 
 
@@ -34,7 +35,16 @@ def write(path: Path, count: int) -> None:
 def test_conditions_are_shown_with_the_trail_by_parameter(path: Path) -> None:
     write(path, 1)
     (row,) = queries.conditions(path)
-    names = ("window_s", "condition_11", "rank", "rank_joined", "condition_12", "condition_15", "z_zero", "iterations")
+    names = (
+        "window_s",
+        "condition_11",
+        "rank",
+        "rank_joined",
+        "condition_12",
+        "condition_15",
+        "z_zero",
+        "iterations",
+    )
     assert [row[name] for name in names] == [0.25, 0.25, 4, 5, 0, None, 1, 9]
     assert json.loads(row["trail"]) == [{"k1": 1.0, "B1": 2.0}, {"k1": None, "B1": 2.5}]
 

@@ -46,8 +46,12 @@ def build(path: Path, *, leave_log: bool) -> None:
 
 def content(path: Path) -> tuple[Rows, Rows]:
     """Return every estimate, and every alarm, that readers are shown."""
-    rows = select(path, "SELECT t_ns, parameter, unit, value, sd, lower, upper, delta, status, span_s FROM v_estimates")
-    return set(rows), set(select(path, "SELECT id, parameter, priority, state, delta, acked_by FROM v_alarms"))
+    rows = select(
+        path, "SELECT t_ns, parameter, unit, value, sd, lower, upper, delta, status, span_s FROM v_estimates"
+    )
+    return set(rows), set(
+        select(path, "SELECT id, parameter, priority, state, delta, acked_by FROM v_alarms")
+    )
 
 
 def flip_bit(path: Path, rng: np.random.Generator) -> None:
@@ -87,7 +91,8 @@ def spoil_log(path: Path, rng: np.random.Generator) -> None:
 
 
 MUTATIONS: dict[str, Mutate] = {
-    "bit": flip_bit, "page": spoil_page, "swap": swap_pages, "cut": truncate, "header": spoil_header, "log": spoil_log,
+    "bit": flip_bit, "page": spoil_page, "swap": swap_pages, "cut": truncate, "header": spoil_header,
+    "log": spoil_log,
 }  # fmt: skip
 
 
@@ -98,7 +103,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def trial(whole: Path, folder: Path, mutate: Mutate, rng: np.random.Generator, truths: list[tuple[Rows, Rows]]) -> str:
+def trial(
+    whole: Path, folder: Path, mutate: Mutate, rng: np.random.Generator, truths: list[tuple[Rows, Rows]]
+) -> str:
     """Damage a copy, start on it, and say what came of it."""
     path = folder / "rig.db"
     for old in folder.iterdir():
@@ -133,7 +140,9 @@ def trial(whole: Path, folder: Path, mutate: Mutate, rng: np.random.Generator, t
     return "detected" if reported else "undetected"
 
 
-@pytest.mark.parametrize("count", [500, pytest.param(20_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
+@pytest.mark.parametrize(
+    "count", [500, pytest.param(20_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+)
 def test_start_on_damaged_copies_finds_the_damage_and_serves_nothing_false(
     whole: Path, memory: Path, rng: np.random.Generator, count: int
 ) -> None:
@@ -148,7 +157,9 @@ def test_start_on_damaged_copies_finds_the_damage_and_serves_nothing_false(
         seen[name][trial(whole, tmp_path, MUTATIONS[name], rng, truths)] += 1
     total = sum(seen.values(), Counter())
     harmful = sum(n for what, n in total.items() if what not in {"unharmed", "harmless"})
-    words = ", ".join(f"{name} {c['undetected']} of {c.total()}" for name, c in seen.items() if c["undetected"])
+    words = ", ".join(
+        f"{name} {c['undetected']} of {c.total()}" for name, c in seen.items() if c["undetected"]
+    )
     figure(f"damaged copies: {count}, {harmful} harmed, {total['undetected']} undetected ({words or 'none'})")
     assert total["undetected"] <= 0.1 * harmful
     assert seen["log"]["undetected"] <= 0.1 * seen["log"].total()

@@ -1,4 +1,5 @@
-"""The index of event records in the database; how the records themselves are made is tested in tests/recording."""
+"""The index of event records in the database; how the records themselves are made is tested in
+tests/recording."""
 
 import gzip
 import sqlite3
@@ -19,7 +20,8 @@ from tests.storage.rows import START, batch, run_info, select, step
 FIRST_VERSION = Path(__file__).parent / "fixtures" / "version-1.db.gz"
 RAISED = START + 2_000_000_000
 RECORD = EventRecord(
-    "press-7", RAISED, "level", "k1", 1, "rig.db.events/press-7-00000000-k1.npz", "recording", START, RAISED, 2000,
+    "press-7", RAISED, "level", "k1", 1, "rig.db.events/press-7-00000000-k1.npz", "recording", START, RAISED,
+    2000,
     9000, 7,
 )  # fmt: skip
 
@@ -64,7 +66,9 @@ def test_records_are_exported(path: Path, tmp_path: Path) -> None:
 def test_records_survive_the_repair_of_a_damaged_file(path: Path) -> None:
     with Store.open(path) as store:
         store.write(store.begin_run(run_info()), [batch(40), RECORD])
-        page = store.connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'hops'").fetchone()[0]
+        page = store.connection.execute("SELECT rootpage FROM sqlite_master WHERE name = 'hops'").fetchone()[
+            0
+        ]
     octets = bytearray(path.read_bytes())
     octets[(page - 1) * 1024 : page * 1024] = b"\xa5" * 1024
     path.write_bytes(octets)

@@ -26,7 +26,9 @@ def test_exchange_ends_one_run_whole_and_leaves_the_other(tmp_path: Path) -> Non
     writer.start()
     before = dict(writer.run_ids)
     for rig in ("a", "b"):
-        writer.publish([batch(50, rig=rig)])  # two periods and a half; the last is kept only at the end of a run
+        writer.publish(
+            [batch(50, rig=rig)]
+        )  # two periods and a half; the last is kept only at the end of a run
     writer.exchange(["a"], [run_info("a", started_ns=START + 50 * HOP), run_info("c")], 1.0, KEEP, 1.0)
     assert writer.run_ids["b"] == before["b"]
     assert writer.run_ids["a"] not in before.values()

@@ -1,4 +1,5 @@
-"""Forecasts are stored, scored once, proved, bounded, exported and saved; files of earlier versions get their table."""
+"""Forecasts are stored, scored once, proved, bounded, exported and saved; files of earlier versions get their
+table."""
 
 import gzip
 import json
@@ -54,8 +55,10 @@ def test_forecast_is_shown_with_its_times_family_and_code_version(path: Path) ->
     promised = {
         "rig": "press-7", "parameter": "k1", "limit_value": 20.0, "made_at_ns": START,
         "made_at": "2026-01-01T00:00:00.000000000Z", "p10_at": "2026-01-04T00:00:00.000000000Z",
-        "p50_at": "2026-01-06T00:00:00.000000000Z", "p90_at": "2026-01-09T00:00:00.000000000Z", "chance": 0.75,
-        "status": "ok", "family": '{"constant": 1.0}', "code_version": "0.1.0", "scored_at": None, "crossed_at": None,
+        "p50_at": "2026-01-06T00:00:00.000000000Z", "p90_at": "2026-01-09T00:00:00.000000000Z",
+        "chance": 0.75,
+        "status": "ok", "family": '{"constant": 1.0}', "code_version": "0.1.0", "scored_at": None,
+        "crossed_at": None,
         "crps": None, "held": None,
     }  # fmt: skip
     assert {name: row[name] for name in promised} == promised
@@ -70,9 +73,20 @@ def test_forecast_that_can_say_nothing_has_nulls(path: Path) -> None:
 
 
 def test_forecast_is_scored_once_and_then_waits_no_more(path: Path) -> None:
-    write(path, batch(5), forecast(), forecast(START + DAY), score(), score(held=False, crossed_ns=None, crps=None))
+    write(
+        path,
+        batch(5),
+        forecast(),
+        forecast(START + DAY),
+        score(),
+        score(held=False, crossed_ns=None, crps=None),
+    )
     first, second = queries.forecasts(path)
-    assert (first["crossed_at"], first["crps"], first["held"]) == ("2026-01-05T00:00:00.000000000Z", 12_345.5, 1)
+    assert (first["crossed_at"], first["crps"], first["held"]) == (
+        "2026-01-05T00:00:00.000000000Z",
+        12_345.5,
+        1,
+    )
     assert second["scored_at"] is None
     assert [row["id"] for row in queries.forecasts(path, waiting=True)] == [second["id"]]
     assert maintenance.check(path).problems == []

@@ -65,7 +65,9 @@ def wait_for(condition: object, deadline_s: float) -> float:
 @pytest.mark.parametrize("cycles", [5, pytest.param(20, marks=[pytest.mark.soak, pytest.mark.timeout(1200)])])
 def test_full_disk_loses_nothing_acknowledged_and_resumes_alone(disk: Path, cycles: int) -> None:
     path = disk / "rig.db"
-    remount(disk, f"size={SIZE * cycles // 5}")  # rows of all cycles must fit, or the oldest give way to the newest
+    remount(
+        disk, f"size={SIZE * cycles // 5}"
+    )  # rows of all cycles must fit, or the oldest give way to the newest
     writer = StoreWriter(lambda: Store.open(path, Retention()), [run_info()], period_s=0.05)
     writer.start()
     number = 0
@@ -88,12 +90,15 @@ def test_full_disk_loses_nothing_acknowledged_and_resumes_alone(disk: Path, cycl
         assert writer.flush(10.0), f"no recovery in 10 s: {writer.failing}"
         slowest = max(slowest, time.monotonic() - begin)
     writer.stop(20)
-    figure(f"full disk: {cycles} cycles, nothing acknowledged lost, recovery in {slowest:.1f} s at most (10 s)")
+    figure(
+        f"full disk: {cycles} cycles, nothing acknowledged lost, recovery in {slowest:.1f} s at most (10 s)"
+    )
     assert writer.dropped == {}
     assert slowest <= 10.0
     assert len(writer.run_ids) == 1
     assert (
-        select(path, "SELECT count(*) FROM hops WHERE span = 0 AND t_ns < ?", START + 10**6 * HOP)[0][0] == cycles * 100
+        select(path, "SELECT count(*) FROM hops WHERE span = 0 AND t_ns < ?", START + 10**6 * HOP)[0][0]
+        == cycles * 100
     )
     counted = select(path, "SELECT sum(count) FROM counters")[0][0] or 0
     assert writer.written == select(path, "SELECT (SELECT count(*) FROM estimates WHERE seq >> 10 IN (SELECT seq FROM "
@@ -133,7 +138,10 @@ def test_full_disk_that_stays_full_gives_the_place_of_the_oldest_hour_to_new_row
     fill(disk)
     number = 4500
     deadline = time.monotonic() + 30
-    while select(path, "SELECT min(t_ns) FROM hops WHERE span = 0")[0][0] == START and time.monotonic() < deadline:
+    while (
+        select(path, "SELECT min(t_ns) FROM hops WHERE span = 0")[0][0] == START
+        and time.monotonic() < deadline
+    ):
         writer.publish([batch(20, first=number, hop_ns=4 * 10**9)])
         number += 20
         writer.flush(0.05)
@@ -166,7 +174,9 @@ def test_start_on_a_read_only_disk_waits_and_says_so(disk: Path, there: bool) ->
         with Store.open(path) as store:
             store.write(store.begin_run(run_info()), [batch(10)])
     remount(disk, "ro")
-    writer = StoreWriter(lambda: Store.open(path, Retention()), [run_info(started_ns=START + 1)], period_s=0.05)
+    writer = StoreWriter(
+        lambda: Store.open(path, Retention()), [run_info(started_ns=START + 1)], period_s=0.05
+    )
     writer.start()
     writer.publish([batch(10, first=100), step("NORM", "UNACK", START + 100 * HOP)])
     assert not writer.flush(0.3)

@@ -58,7 +58,9 @@ class Nursery:
     def kill(self, pid: int) -> list[bytes]:
         """Kill the life; return every whole line that it had told."""
         os.kill(pid, signal.SIGKILL)
-        reported = self.read(lambda lines: lines[-1:] == [b"dead"] or self._reported.endswith(b"dead\n"), 30.0)
+        reported = self.read(
+            lambda lines: lines[-1:] == [b"dead"] or self._reported.endswith(b"dead\n"), 30.0
+        )
         assert self._reported.endswith(b"dead\n")
         return reported[:-1]
 
@@ -80,7 +82,9 @@ def nursery() -> Iterator[Nursery]:
 def missing_of(reader: sqlite3.Connection, run_id: int, hops: int, profile: str) -> int:
     """Return how many of the first `hops` hops of a run are not there whole, but for those purged by age."""
     hop_ns = PROFILES[profile].hop_ns
-    kept = reader.execute("SELECT coalesce(full_from_ns, -9e18) FROM runs WHERE seq = ?", (run_id,)).fetchone()[0]
+    kept = reader.execute(
+        "SELECT coalesce(full_from_ns, -9e18) FROM runs WHERE seq = ?", (run_id,)
+    ).fetchone()[0]
     query = (
         "SELECT count(*), sum((SELECT count(*) FROM estimates e WHERE e.seq BETWEEN h.seq << 10 AND (h.seq << 10) + "
         "1023)) FROM hops h WHERE h.run_id = ? AND h.span = 0 AND h.t_ns >= ? AND h.t_ns < ?"
@@ -117,7 +121,9 @@ def test_kill_of_the_writer_at_any_moment_loses_nothing_acknowledged(
     with Store.open(path, PROFILES[profile].keep) as store:
         assert store.recovery is None
         assert sum(missing_of(store.connection, run_id, hops, profile) for run_id, hops in lives) == 0
-    figure(f"kill -9 of the writer, {profile}: {kills} kills, none of {acknowledged} acknowledged writes lost")
+    figure(
+        f"kill -9 of the writer, {profile}: {kills} kills, none of {acknowledged} acknowledged writes lost"
+    )
     assert acknowledged > kills
 
 

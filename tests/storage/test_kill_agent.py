@@ -1,4 +1,5 @@
-"""kill -9 of the whole agent while it listens to a bus. What was acknowledged is noted by the reader of its output."""
+"""kill -9 of the whole agent while it listens to a bus. What was acknowledged is noted by the reader of its
+output."""
 
 import json
 import os
@@ -51,7 +52,10 @@ CHANGES = 3000
 def scenario(folder: Path) -> Path:
     """Write a scenario in which an alarm is raised and cleared again and again."""
     path = folder / "flutter.toml"
-    changes = (f"[[change]]\nat_s = {CHANGE_S * i:.1f}\ndelta = {{ k1 = {25.0 * (i % 2)} }}\n" for i in range(CHANGES))
+    changes = (
+        f"[[change]]\nat_s = {CHANGE_S * i:.1f}\ndelta = {{ k1 = {25.0 * (i % 2)} }}\n"
+        for i in range(CHANGES)
+    )
     path.write_text(SCENARIO + "".join(changes), encoding="utf-8")
     return path
 
@@ -126,12 +130,18 @@ class Cradle:
     def __init__(self) -> None:
         command = [sys.executable, "-m", "tests.storage.cradle"]
         self._process = subprocess.Popen(
-            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, bufsize=0
+            command,
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            bufsize=0,
         )
         self._output = Output(self._process)
 
     def live(self, command: list[str], after_s: float) -> list[bytes]:
-        """Let an agent live until some time after its first acknowledged rows; kill it, return what it had told."""
+        """Let an agent live until some time after its first acknowledged rows; kill it, return what it had
+        told."""
         assert self._process.stdin is not None
         self._output.forget()
         self._process.stdin.write(json.dumps(command).encode() + b"\n")
@@ -152,10 +162,15 @@ def worked_s(pid: int) -> float:
 
 
 def live_from_nothing(command: list[str]) -> tuple[list[bytes], float, float]:
-    """As `Cradle.live`, of an agent started as users do; also how long its first sample took, and of that work, s."""
+    """As `Cradle.live`, of an agent started as users do; also how long its first sample took, and of that
+    work, s."""
     started = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-m", "agent", *command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, bufsize=0
+        [sys.executable, "-m", "agent", *command],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        bufsize=0,
     )
     output = Output(process)
     assert output.read(has(b"delivers samples")), output.lines
@@ -233,7 +248,9 @@ def test_kill_of_the_agent_at_any_moment_loses_nothing_acknowledged(
     with ThreadPoolExecutor() as pool:
         done = list(pool.map(lives, [bus] * len(PROFILES), PROFILES, kills, seeds))
     reported = dict(zip(PROFILES, done, strict=True))
-    words = ", ".join(f"{name} {sum(t.instants.values())} instants, {t.steps} steps" for name, t in reported.items())
+    words = ", ".join(
+        f"{name} {sum(t.instants.values())} instants, {t.steps} steps" for name, t in reported.items()
+    )
     figure(f"kill -9 of the agent: {sum(kills)} kills, nothing of what was acknowledged lost ({words})")
     assert min(sum(t.instants.values()) for t in reported.values()) >= kills[0]
     assert reported["alarms"].steps > 0

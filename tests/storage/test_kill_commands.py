@@ -1,4 +1,5 @@
-"""kill -9 between an acknowledgement and its answer: an answered one is never lost, another is whole or not at all."""
+"""kill -9 between an acknowledgement and its answer: an answered one is never lost, another is whole or not
+at all."""
 
 import os
 import signal
@@ -27,7 +28,8 @@ KILLS = 500
 @pytest.fixture
 def lives() -> "Iterator[subprocess.Popen[str]]":
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.storage.commanded"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT,
+        [sys.executable, "-m", "tests.storage.commanded"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        cwd=ROOT,
         text=True,
     )  # fmt: skip
     yield process
@@ -44,7 +46,8 @@ def line(stream: IO[str] | None) -> str:
 
 
 def live(process: "subprocess.Popen[str]", path: Path, delay_s: float) -> tuple[set[int], set[int]]:
-    """Acknowledge the fresh alarms of one life one by one until it is killed; return those answered, those asked."""
+    """Acknowledge the fresh alarms of one life one by one until it is killed; return those answered, those
+    asked."""
     assert process.stdin is not None
     process.stdin.write(f"{path}\n")
     process.stdin.flush()
@@ -73,7 +76,9 @@ def kill(lives: "subprocess.Popen[str]", path: Path, count: int) -> int:
     for _ in range(count):
         done, tried = live(lives, path, float(rng.uniform(0.005, 0.12)))
         answered, asked = answered | done, asked | tried
-    acked = {row[0] for row in select(path, "SELECT id FROM v_alarms WHERE state = 'ACKED' AND acked_by = 'eva'")}
+    acked = {
+        row[0] for row in select(path, "SELECT id FROM v_alarms WHERE state = 'ACKED' AND acked_by = 'eva'")
+    }
     said = select(path, "SELECT alarm_id, comment FROM v_alarm_events WHERE cause = 'acknowledge'")
     assert answered <= acked <= asked
     assert sorted(said) == [(alarm, f"{alarm}") for alarm in sorted(acked)]
@@ -86,9 +91,13 @@ def test_answered_acknowledgement_outlives_a_kill(lives: "subprocess.Popen[str]"
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
-def test_answered_acknowledgement_outlives_five_hundred_kills(lives: "subprocess.Popen[str]", tmp_path: Path) -> None:
+def test_answered_acknowledgement_outlives_five_hundred_kills(
+    lives: "subprocess.Popen[str]", tmp_path: Path
+) -> None:
     begun = time.monotonic()
     cut_off = kill(lives, tmp_path / "rig.db", KILLS)
     seconds = time.monotonic() - begun
-    figure(f"{KILLS} agents killed while they acknowledged: {cut_off} answers cut off, none lost, {seconds:.0f} s")
+    figure(
+        f"{KILLS} agents killed while they acknowledged: {cut_off} answers cut off, none lost, {seconds:.0f} s"
+    )
     assert cut_off > KILLS // 10

@@ -1,4 +1,5 @@
-"""What a rig's windows have taught outlives the process, the version and an edit elsewhere in the configuration."""
+"""What a rig's windows have taught outlives the process, the version and an edit elsewhere in the
+configuration."""
 
 import gzip
 import sqlite3
@@ -38,7 +39,9 @@ def write(path: Path, *records: LearntRecord, **changes: Any) -> int:
     return run_id
 
 
-def test_newest_of_a_rig_kind_and_key_is_found_whatever_version_and_configuration_wrote_it(path: Path) -> None:
+def test_newest_of_a_rig_kind_and_key_is_found_whatever_version_and_configuration_wrote_it(
+    path: Path,
+) -> None:
     write(path, learnt(KNOWN), learnt(NEWER))
     write(path, learnt("{}", key="bb"))
     write(path, learnt("{}"), kind="replay")
@@ -54,7 +57,10 @@ def test_newest_of_a_rig_kind_and_key_is_found_whatever_version_and_configuratio
 def test_run_that_learns_more_changes_its_own_row_only(path: Path) -> None:
     first = write(path, learnt(KNOWN), learnt(NEWER))
     second = write(path, learnt(KNOWN))
-    assert select(path, "SELECT run_id, content FROM learnt ORDER BY seq") == [(first, NEWER), (second, KNOWN)]
+    assert select(path, "SELECT run_id, content FROM learnt ORDER BY seq") == [
+        (first, NEWER),
+        (second, KNOWN),
+    ]
 
 
 @pytest.mark.parametrize("damage", ["content = '{\"sigma\": [3.0]}'", "key = 'aa', content = '{'"])

@@ -25,7 +25,9 @@ def filled(path: Path, order: int) -> None:
             store.write(run, [step("NORM", "UNACK", t_ns), step("UNACK", "RTNUN", t_ns + 1)])
             state = "purged" if i < 6 else "complete"
             file = f"e/press-7-{i}-k1.npz"
-            store.write(run, [EventRecord("press-7", t_ns, "level", "k1", 1, file, state, t_ns, t_ns, 9, 9, None)])
+            store.write(
+                run, [EventRecord("press-7", t_ns, "level", "k1", 1, file, state, t_ns, t_ns, 9, 9, None)]
+            )
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -53,7 +53,9 @@ def test_check_finds_one_flipped_bit_of_a_text_and_repair_leaves_that_row_out(pa
 
 
 @pytest.mark.parametrize("table", ["health", "alarm_events"])
-def test_repair_of_a_file_whose_pages_are_destroyed_never_says_that_nothing_was_lost(path: Path, table: str) -> None:
+def test_repair_of_a_file_whose_pages_are_destroyed_never_says_that_nothing_was_lost(
+    path: Path, table: str
+) -> None:
     with closing(sqlite3.connect(path)) as file:
         query = "SELECT rootpage FROM sqlite_master WHERE name = ?"
         pages = [file.execute(query, (name,)).fetchone()[0] for name in (table, "health_by_run")]

@@ -42,7 +42,9 @@ def test_parse_time_reads_iso_and_ages(text: str, t_ns: int) -> None:
     assert parse_time(text, START) == t_ns
 
 
-@pytest.mark.parametrize("text", ["", "yesterday", "30x", "-3d", "2026-13-01", "2026-01-01T25:00", "12", "1e3s", "nan"])
+@pytest.mark.parametrize(
+    "text", ["", "yesterday", "30x", "-3d", "2026-13-01", "2026-01-01T25:00", "12", "1e3s", "nan"]
+)
 def test_parse_time_of_nonsense_says_what_to_write(text: str) -> None:
     with pytest.raises(UsageError, match="is no time") as caught:
         parse_time(text, START)
@@ -81,7 +83,9 @@ def test_estimates_by_age_count_back_from_each_rigs_newest_row(path: Path) -> No
         ({"since": "soon"}, "is no time"),
     ],
 )
-def test_estimates_of_what_is_not_there_says_what_is(path: Path, arguments: dict[str, str], words: str) -> None:
+def test_estimates_of_what_is_not_there_says_what_is(
+    path: Path, arguments: dict[str, str], words: str
+) -> None:
     with pytest.raises(UsageError, match=words):
         queries.estimates(path, **arguments)
 

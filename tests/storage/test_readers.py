@@ -71,7 +71,9 @@ def test_side_file_left_by_a_kill_is_taken_in_at_the_next_start(path: Path) -> N
     other.rename(spill_path(path))
     for _ in range(2):
         Store.open(path).close()
-    assert [r["t_ns"] for r in queries.estimates(path, parameter="k1")] == [START + i * HOP for i in range(20)]
+    assert [r["t_ns"] for r in queries.estimates(path, parameter="k1")] == [
+        START + i * HOP for i in range(20)
+    ]
     assert [a["state"] for a in queries.alarms(path)] == ["RTNUN"]
     assert not spill_path(path).exists()
 

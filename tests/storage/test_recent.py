@@ -18,7 +18,8 @@ def path(memory: Path) -> Path:
         store.write(one, [batch(20), step("NORM", "UNACK"), ledger()])
         store.write(two, [batch(10, rig="press-8", parameters=("k1", "c9"))])
         store.write(
-            one, [batch(20, first=20), step("UNACK", "NORM", START + HOP), ledger(START + 10**10, received=3000)]
+            one,
+            [batch(20, first=20), step("UNACK", "NORM", START + HOP), ledger(START + 10**10, received=3000)],
         )
     return path
 
@@ -59,5 +60,8 @@ def test_sources_have_the_rate_between_their_newest_rows(path: Path) -> None:
 
 
 def test_alarm_events_name_their_rig(path: Path) -> None:
-    assert [(r["rig"], r["to_state"]) for r in recent.alarm_events(path)] == [("press-7", "UNACK"), ("press-7", "NORM")]
+    assert [(r["rig"], r["to_state"]) for r in recent.alarm_events(path)] == [
+        ("press-7", "UNACK"),
+        ("press-7", "NORM"),
+    ]
     assert recent.alarm_events(path, "press-8") == []

@@ -25,12 +25,18 @@ Place = Callable[[Path], None]
 
 
 def deltak(*arguments: object) -> tuple[int, str]:
-    """Run the command as a process that may write to nothing of others; returns its exit code and what it told.
+    """Run the command as a process that may write to nothing of others; returns its exit code and what it
+    told.
 
     As root without the capabilities that let root pass by permissions.
     """
     drop = "-dac_override,-dac_read_search,-fowner"
-    command = [peers.program("setpriv", "util-linux"), f"--bounding-set={drop}", f"--inh-caps={drop}", sys.executable]
+    command = [
+        peers.program("setpriv", "util-linux"),
+        f"--bounding-set={drop}",
+        f"--inh-caps={drop}",
+        sys.executable,
+    ]
     done = subprocess.run([*command, "-m", "agent", *map(str, arguments)], cwd=peers.ROOT, capture_output=True,
                           text=True, check=False, timeout=100)  # fmt: skip
     return done.returncode, done.stderr
@@ -51,9 +57,14 @@ def good(path: Path) -> None:
 
 
 def state(folder: Path) -> dict[str, bytes]:
-    """Return every file's content by its path, but for the log (empty) and its index that readers of SQLite leave."""
+    """Return every file's content by its path, but for the log (empty) and its index that readers of SQLite
+    leave."""
     assert not any(path.stat().st_size for path in folder.glob("*-wal"))
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.endswith(("-wal", "-shm"))]
+    files = [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.name.endswith(("-wal", "-shm"))
+    ]
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
@@ -166,7 +177,10 @@ def test_sql_in_a_name_is_only_a_name_that_is_not_there(
 ) -> None:
     good(folder / "rig.db")
     before = state(folder)
-    assert guarded(app, [word.format(db=folder / "rig.db") if "{db}" in word else word for word in arguments]) == 2
+    assert (
+        guarded(app, [word.format(db=folder / "rig.db") if "{db}" in word else word for word in arguments])
+        == 2
+    )
     reported = capfd.readouterr().err
     assert words in reported
     assert EVIL in reported

@@ -13,7 +13,13 @@ from scipy.special import stdtrit
 from agent.errors import StoreError
 from agent.storage.database import connect
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import APPLICATION_ID, SCHEMA_VERSION, columns_of, numbers_crc, version_mark
+from agent.storage.database.schema import (
+    APPLICATION_ID,
+    SCHEMA_VERSION,
+    columns_of,
+    numbers_crc,
+    version_mark,
+)
 from agent.storage.read import queries
 from agent.storage.write.store import Store
 from agent.types import EstimateBatch, HealthEvent, Learnt, LearntRecord, Reason, SourceClock, Status
@@ -62,7 +68,9 @@ def test_views_of_a_new_file_have_exactly_the_promised_columns(path: Path, view:
 
 def test_tables_are_strict_and_have_a_growing_seq(path: Path) -> None:
     stored(path)
-    tables = select(path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'")
+    tables = select(
+        path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'"
+    )
     assert len(tables) == 30
     for name, sql in tables:
         assert sql.endswith("STRICT"), name
@@ -99,7 +107,10 @@ def test_estimates_written_come_back_to_the_last_bit(path: Path) -> None:
     assert rows[4]["time"] == "2026-01-01T00:00:00.050000000Z"
     assert [r["parameter"] for r in rows[:4]] == list(PARAMETERS)
     assert rows[1]["delta"] == rows[1]["value"] - 26.0
-    facts = {name: rows[0][name] for name in ("status", "reason", "held", "window_s", "n_used", "n_missing", "span_s")}
+    facts = {
+        name: rows[0][name]
+        for name in ("status", "reason", "held", "window_s", "n_used", "n_missing", "span_s")
+    }
     assert facts == {"status": "valid", "reason": None, "held": None, "window_s": 0.25, "n_used": 250, "n_missing": 0,
                      "span_s": 0}  # fmt: skip
 
@@ -130,7 +141,8 @@ def test_estimates_withoutnumbers_are_null_and_infinities_never_stored(path: Pat
 def test_estimates_unexcited_show_reason_in_words_and_the_held_value(path: Path) -> None:
     shape = (2, 4)
     held = batch(
-        2, status=np.full(shape, Status.UNEXCITED, np.uint8), reason=np.full(shape, Reason.DRY_FRICTION, np.uint8),
+        2, status=np.full(shape, Status.UNEXCITED, np.uint8),
+        reason=np.full(shape, Reason.DRY_FRICTION, np.uint8),
         held=np.full(shape, 24.5), held_age_s=np.full(shape, 1.25),
     )  # fmt: skip
     stored(path, held)
@@ -184,7 +196,8 @@ def test_write_refused_by_the_disk_leaves_nothing_and_can_be_repeated(path: Path
 def test_checksums_of_every_row_agree_with_zlib(path: Path) -> None:
     learnt = LearntRecord("press-7", START, Learnt("ab", "{}"))
     stored(path, warming(2), batch(3, first=2), step("NORM", "UNACK"), ledger(), ledger(rejected={}, dropped={}),
-           learnt, verdict(), HealthEvent("press-7", "can", START, "unplugged", "it's \x1f gone"))  # fmt: skip
+           learnt, verdict(),
+           HealthEvent("press-7", "can", START, "unplugged", "it's \x1f gone"))  # fmt: skip
     for table in ("rigs", "runs", "series", "fits", "verdicts", "alarms", "alarm_events", "health", "events", "meta",
                   "learnt", "hypotheses"):  # fmt: skip
         rows = select(path, f"SELECT {', '.join(columns_of(table))} FROM {table}")
@@ -214,7 +227,9 @@ def test_views_show_the_newest_run_that_covers_an_instant(path: Path) -> None:
 
 def test_views_of_runs_that_follow_one_another_show_all_of_them(path: Path) -> None:
     ids = [stored(path, batch(10, first=10 * i)) for i in range(3)]
-    assert [r["run_id"] for r in queries.estimates(path, parameter="B2")] == [i for i in ids for _ in range(10)]
+    assert [r["run_id"] for r in queries.estimates(path, parameter="B2")] == [
+        i for i in ids for _ in range(10)
+    ]
     assert select(path, "SELECT count(*) FROM overlaps") == [(0,)]
 
 
@@ -284,11 +299,16 @@ def test_health_reasons_are_counted_by_kind(path: Path) -> None:
 
 def test_health_tells_drift_and_skew_of_a_source_and_counts_them_nowhere(path: Path) -> None:
     stored(
-        path, ledger(clock=SourceClock(12.5, 0.25, 0.0037, 1e-5)), ledger(START + 10**10, clock=SourceClock(8.0, 2.0))
+        path,
+        ledger(clock=SourceClock(12.5, 0.25, 0.0037, 1e-5)),
+        ledger(START + 10**10, clock=SourceClock(8.0, 2.0)),
     )
     rows = select(path, "SELECT drift_ppm, drift_sd_ppm, skew_s, skew_sd_s FROM v_health ORDER BY t_ns")
     assert rows == [(12.5, 0.25, 0.0037, 1e-5), (8.0, 2.0, None, None)]
-    assert select(path, "SELECT DISTINCT kind FROM v_health_reasons ORDER BY kind") == [("dropped",), ("rejected",)]
+    assert select(path, "SELECT DISTINCT kind FROM v_health_reasons ORDER BY kind") == [
+        ("dropped",),
+        ("rejected",),
+    ]
 
 
 def test_seq_never_goes_back_after_everything_was_deleted(path: Path) -> None:
@@ -299,13 +319,16 @@ def test_seq_never_goes_back_after_everything_was_deleted(path: Path) -> None:
     with connection:
         connection.execute("DELETE FROM hops")
         connection.execute("DELETE FROM estimates")
-        connection.execute("INSERT INTO sequences VALUES (1, 'hops', ?, ?)", (before, row_crc((1, "hops", before))))
+        connection.execute(
+            "INSERT INTO sequences VALUES (1, 'hops', ?, ?)", (before, row_crc((1, "hops", before)))
+        )
     connection.close()
     stored(path, batch(1))
     assert select(path, "SELECT min(seq) FROM hops") == [(before + 1,)]
 
 
-# --- what must be refused ------------------------------------------------------------------------------------------
+# --- what must be refused
+# ------------------------------------------------------------------------------------------
 
 
 def test_open_by_a_second_process_names_the_first(path: Path) -> None:
@@ -391,7 +414,9 @@ def test_names_with_sql_in_them_are_only_names(path: Path) -> None:
     evil = "x'; DROP TABLE hops; --"
     with Store.open(path) as store:
         run_id = store.begin_run(run_info(evil))
-        store.write(run_id, [batch(2, rig=evil, parameters=(evil,)), step("NORM", "UNACK", rig=evil, parameter=evil)])
+        store.write(
+            run_id, [batch(2, rig=evil, parameters=(evil,)), step("NORM", "UNACK", rig=evil, parameter=evil)]
+        )
     assert [r["parameter"] for r in queries.estimates(path, rig=evil, parameter=evil)] == [evil, evil]
     assert queries.alarms(path, rig=evil)[0]["parameter"] == evil
 
@@ -401,7 +426,8 @@ def test_encode_for_a_run_that_was_not_begun_is_refused(path: Path) -> None:
         store.write(7, [batch(1)])
 
 
-# --- readers ---------------------------------------------------------------------------------------------------------
+# --- readers
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_read_while_an_agent_writes_sees_what_was_committed(path: Path) -> None:
@@ -436,7 +462,9 @@ def test_reader_of_a_file_without_place_for_the_shared_index_falls_back(path: Pa
         def close(self) -> None:
             pass
 
-    monkeypatch.setattr(connect.sqlite3, "connect", lambda t, **o: refuse(t, **o) if "immutable" in t else Failing())
+    monkeypatch.setattr(
+        connect.sqlite3, "connect", lambda t, **o: refuse(t, **o) if "immutable" in t else Failing()
+    )
     assert len(queries.estimates(path)) == 20
 
 
@@ -466,7 +494,9 @@ def test_rows_under_coloured_noise_keep_their_intervals_and_name_no_fit_each(pat
             store.write(run_id, [one])
     fits = select(path, "SELECT count(*) FROM fits")[0][0]
     assert fits < 150
-    found = np.array(select(path, "SELECT lower, upper FROM v_estimates WHERE parameter = 'k1' ORDER BY t_ns"))
+    found = np.array(
+        select(path, "SELECT lower, upper FROM v_estimates WHERE parameter = 'k1' ORDER BY t_ns")
+    )
     np.testing.assert_array_equal(found[:, 0], np.concatenate([b.lower[:, 0] for b in batches]))
     np.testing.assert_array_equal(found[:, 1], np.concatenate([b.upper[:, 0] for b in batches]))
 

@@ -45,7 +45,9 @@ def test_thinner_with_zero_keeps_everything() -> None:
 
 @pytest.mark.parametrize("sizes", [[1], [3, 17, 1], [400], [5000]])
 @pytest.mark.parametrize("alarms", [[], [1500], [0, 1, 2999], [700, 705, 1900]])
-def test_thinner_keeps_the_newest_of_each_period_and_all_around_alarms(sizes: list[int], alarms: list[int]) -> None:
+def test_thinner_keeps_the_newest_of_each_period_and_all_around_alarms(
+    sizes: list[int], alarms: list[int]
+) -> None:
     out = fed(cut(3000, sizes, alarms))
     assert times(out) == expected(3000, alarms)
     assert len([r for r in out if isinstance(r, AlarmTransition)]) == len(alarms)

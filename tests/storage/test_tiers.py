@@ -47,7 +47,9 @@ def test_minute_is_the_information_weighted_mean_of_its_valid_rows(path: Path) -
     one.reason[10:20, 0] = Reason.STANDSTILL
     fill(path, [one], Retention())
     rows = select(path, "SELECT * FROM v_tiers WHERE span_s = 60 AND parameter = 'k1'")
-    (rig, _, time, t_ns, parameter, unit, span, n, n_valid, value, sd, low, high, worst, reason, repeat) = rows[0]
+    (rig, _, time, t_ns, parameter, unit, span, n, n_valid, value, sd, low, high, worst, reason, repeat) = (
+        rows[0]
+    )
     good = one.status[:, 0] == Status.VALID
     weight = 1 / one.sd[good, 0] ** 2
     assert (rig, time, t_ns, parameter, unit, span) == (
@@ -86,9 +88,13 @@ def test_minute_of_overlapping_windows_claims_no_more_than_independent_ones() ->
 
 def test_what_the_constants_leave_open_is_not_averaged_away(path: Path) -> None:
     """3/5 of the sd is of this window alone; the other share is that of the masses, the same in every window."""
-    batches = [replace(b, sd=np.full_like(b.sd, 0.5), sd_repeat=np.full_like(b.sd, 0.3)) for b in spaced(3600, 1)]
+    batches = [
+        replace(b, sd=np.full_like(b.sd, 0.5), sd_repeat=np.full_like(b.sd, 0.3)) for b in spaced(3600, 1)
+    ]
     fill(path, batches, Retention())
-    shown = select(path, "SELECT span_s, sd_repeat, sd FROM v_tiers WHERE parameter = 'k1' ORDER BY span_s DESC, t_ns")
+    shown = select(
+        path, "SELECT span_s, sd_repeat, sd FROM v_tiers WHERE parameter = 'k1' ORDER BY span_s DESC, t_ns"
+    )
     expected = {span: 0.3 / np.sqrt(span) for span in (60, 3600)}
     assert len(shown) == 61
     for span, repeat, sd in shown:
@@ -101,7 +107,9 @@ def test_minute_without_a_valid_row_has_no_number(path: Path) -> None:
     one.status[:] = Status.INVALID
     one.reason[:] = Reason.SENSOR
     fill(path, [one], Retention())
-    rows = select(path, "SELECT value, sd, low, n_valid, worst_status, worst_reason FROM v_tiers WHERE span_s = 60")
+    rows = select(
+        path, "SELECT value, sd, low, n_valid, worst_status, worst_reason FROM v_tiers WHERE span_s = 60"
+    )
     assert rows == [(None, None, None, 0, "invalid", "sensor")] * 4
 
 
@@ -123,7 +131,9 @@ def test_views_show_each_period_once_from_the_finest_rows_left(path: Path) -> No
     full, minutes = (sum(1 for s in spans if s == span) for span in (0, 60))
     assert 4 * 360 <= full <= 5 * 360
     assert 7 * 60 <= minutes <= 9 * 60
-    assert select(path, "SELECT count(*) FROM estimates WHERE seq >> 10 NOT IN (SELECT seq FROM hops)") == [(0,)]
+    assert select(path, "SELECT count(*) FROM estimates WHERE seq >> 10 NOT IN (SELECT seq FROM hops)") == [
+        (0,)
+    ]
     assert select(path, "SELECT count(*) FROM spreads WHERE seq NOT IN (SELECT seq FROM estimates)") == [(0,)]
 
 
@@ -152,7 +162,9 @@ def test_pause_of_a_year_costs_nothing(path: Path) -> None:
 def test_purge_keeps_what_was_not_sent_unless_the_file_grows_too_large(path: Path) -> None:
     keep = Retention(full_s=3600.0)
     with Store.open(path, keep) as store:
-        store.connection.execute("INSERT INTO consumers (name, last_seq) VALUES ('mqtt', ?)", (100 << 10 | 3,))
+        store.connection.execute(
+            "INSERT INTO consumers (name, last_seq) VALUES ('mqtt', ?)", (100 << 10 | 3,)
+        )
         run_id = store.begin_run(run_info())
         for one in spaced(6 * 3600, 10):
             store.write(run_id, [one])
@@ -163,13 +175,16 @@ def test_purge_keeps_what_was_not_sent_unless_the_file_grows_too_large(path: Pat
     with Store.open(path, Retention(max_bytes=400e3)) as store:
         store.maintain()
         assert store._tiers.used_bytes() <= 380e3
-        unsent = store.connection.execute("SELECT count FROM counters WHERE name = 'purged unsent'").fetchone()[0]
+        unsent = store.connection.execute(
+            "SELECT count FROM counters WHERE name = 'purged unsent'"
+        ).fetchone()[0]
         assert unsent > 0
 
 
 def test_size_of_the_file_is_bounded(path: Path) -> None:
     fill(path, spaced(30 * 3600, 3), Retention(full_s=FOR_EVER, minute_s=FOR_EVER, max_bytes=1e6))
-    # a file without rows is 1 kB a table and index; rows are purged by the hour, and each is a large share of so little
+    # a file without rows is 1 kB a table and index; rows are purged by the hour, and each is a large share of
+    # so little
     assert path.stat().st_size <= 1.12e6
     rows = queries.estimates(path, parameter="k1")
     assert rows[-1]["t_ns"] == START + (30 * 3600 - 3) * SECOND

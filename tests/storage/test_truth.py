@@ -28,23 +28,30 @@ from tests.storage.rows import START, batch, ledger, run_info, step, warming
 
 SECOND, DAY = 10**9, 86_400 * 10**9
 Shown = Counter[tuple[object, ...]]
-RECORD = EventRecord("press-7", START, "level", "k1", 1, "e/press-7-0-k1.npz", "complete", START, START, 9, 9, 7)
+RECORD = EventRecord(
+    "press-7", START, "level", "k1", 1, "e/press-7-0-k1.npz", "complete", START, START, 9, 9, 7
+)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Rigs, a replay that covers a part of a run, a clock that was set back, minutes, alarms, ledgers and records."""
+    """Rigs, a replay that covers a part of a run, a clock that was set back, minutes, alarms, ledgers and
+    records."""
     path = tmp_path_factory.mktemp("whole") / "rig.db"
     with Store.open(path, Retention(full_s=60.0)) as store:
         run = store.begin_run(run_info())
         store.write(run, [warming(5), batch(30, first=5, hop_ns=4 * 10**9), RECORD])
-        store.write(run, [step("NORM", "UNACK"), step("UNACK", "ACKED", by="anna"), ledger(), ledger(START + 10**10)])
+        store.write(
+            run, [step("NORM", "UNACK"), step("UNACK", "ACKED", by="anna"), ledger(), ledger(START + 10**10)]
+        )
         store.maintain(finish=True)
         other = store.begin_run(run_info("press-8"))
         store.write(other, [batch(10, rig="press-8"), ledger(rig="press-8")])
         again = store.begin_run(run_info(kind="replay"))
         store.write(again, [batch(8, start=START + 1000, hop_ns=4 * 10**9)])
-        stepped = store.begin_run(RunInfo("press-9", "live", START, "0.1.0", "ab" * 32, None, "boot-1", START))
+        stepped = store.begin_run(
+            RunInfo("press-9", "live", START, "0.1.0", "ab" * 32, None, "boot-1", START)
+        )
         for first, offset in ((0, START), (300, START - DAY)):
             clock = ClockRecord("press-9", offset + first * SECOND, first, offset)
             rows = batch(6, rig="press-9", start=clock.t_ns, hop_ns=SECOND, index=np.arange(first, first + 6))
@@ -53,7 +60,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 ANSWERS: dict[str, Callable[[Path], Any]] = {
-    "estimates": queries.estimates, "latest": queries.latest, "alarms": queries.alarms, "health": queries.health,
+    "estimates": queries.estimates, "latest": queries.latest, "alarms": queries.alarms,
+    "health": queries.health,
     "runs": queries.runs, "records": queries.event_records, "events": queries.events,
 }  # fmt: skip
 
@@ -80,9 +88,9 @@ def _exported(path: Path, what: str) -> list[dict[int, object]]:
 
 def _points(path: Path, rig: str) -> list[dict[str, object]]:
     got = queries.points(path, rig, "k1")
-    return [dict(zip("tvs", cells, strict=True)) for cells in zip(got.t_ns, got.value, got.sd, strict=True)] + [
-        {"unit": got.unit, "reference": got.reference}
-    ]
+    return [
+        dict(zip("tvs", cells, strict=True)) for cells in zip(got.t_ns, got.value, got.sd, strict=True)
+    ] + [{"unit": got.unit, "reference": got.reference}]
 
 
 def _shown(ask: Callable[[], Any], caplog: pytest.LogCaptureFixture) -> Shown | None:
@@ -120,10 +128,14 @@ def test_flipped_bit_anywhere_shows_no_changed_row(
         found = asked(path, caplog)
         reported += None in found.values()
         wrong += [
-            (place, bit, name) for name, rows in found.items() if rows is not None and rows - (truth[name] or Shown())
+            (place, bit, name)
+            for name, rows in found.items()
+            if rows is not None and rows - (truth[name] or Shown())
         ]
         silent += [
-            (place, bit, name) for name in WHOLE_ANSWERS if found[name] is not None and truth[name] != found[name]
+            (place, bit, name)
+            for name in WHOLE_ANSWERS
+            if found[name] is not None and truth[name] != found[name]
         ]
         flip(path, place, bit)
     figure(f"bits flipped anywhere: {count}, {reported} said so by a question, {len(wrong)} answers with a changed "
@@ -133,7 +145,8 @@ def test_flipped_bit_anywhere_shows_no_changed_row(
 
 
 def numbers_of(path: Path, table: str) -> list[tuple[int, int]]:
-    """Return the places and widths, in octets, of what numbers the rows in the last leaf of a table: their count first.
+    """Return the places and widths, in octets, of what numbers the rows in the last leaf of a table: their
+    count first.
 
     The format is in https://www.sqlite.org/fileformat2.html#b_tree_pages.
     """
@@ -154,11 +167,15 @@ def numbers_of(path: Path, table: str) -> list[tuple[int, int]]:
     return places
 
 
-def test_run_that_is_not_live_any_more_is_missed(whole: Path, memory: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_run_that_is_not_live_any_more_is_missed(
+    whole: Path, memory: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = memory / "rig.db"
     shutil.copy(whole, path)
     place, width = numbers_of(path, "runs")[-1]
-    kind = path.read_bytes().index(bytes([13 + 2 * len("live")]), place + width)  # its type: a text of four letters
+    kind = path.read_bytes().index(
+        bytes([13 + 2 * len("live")]), place + width
+    )  # its type: a text of four letters
     assert kind < place + width + 8
     flip(path, kind, 2)
     assert [name for name, rows in asked(path, caplog).items() if rows is not None] == []
@@ -199,7 +216,9 @@ def test_flipped_bit_in_the_text_of_a_view_is_noticed_by_check_and_by_every_ques
     for place in rng.choice(places, count):
         bit = int(rng.integers(8))
         flip(path, int(place), bit)
-        assert not any(rows is not None for rows in asked(path, caplog).values()), f"bit {bit} of byte {place}"
+        assert not any(rows is not None for rows in asked(path, caplog).values()), (
+            f"bit {bit} of byte {place}"
+        )
         assert _problems(path), f"bit {bit} of byte {place}"
         flip(path, int(place), bit)
     figure(f"bits flipped in the text of views: {count}, all noticed by db check and by every question")
@@ -263,7 +282,9 @@ def test_damage_to_what_orders_the_parts_of_a_run_is_not_shown_as_time(
 
 
 @pytest.mark.parametrize("index", ["clocks_by_run", "overlaps_by_run"])
-def test_index_that_leaves_out_a_row_that_hides_others_is_damage(whole: Path, memory: Path, index: str) -> None:
+def test_index_that_leaves_out_a_row_that_hides_others_is_damage(
+    whole: Path, memory: Path, index: str
+) -> None:
     path = memory / "rig.db"
     shutil.copy(whole, path)
     leave_out(path, index, "seq < 0")
@@ -294,7 +315,9 @@ def _newest_hop(path: Path) -> int:
         return int(file.execute(f"SELECT {NEWEST}").fetchone()[0])
 
 
-def test_newest_row_that_the_index_leaves_out_is_not_replaced_by_an_older_one(whole: Path, memory: Path) -> None:
+def test_newest_row_that_the_index_leaves_out_is_not_replaced_by_an_older_one(
+    whole: Path, memory: Path
+) -> None:
     path = memory / "rig.db"
     shutil.copy(whole, path)
     leave_out(path, "hops_by_time", f"seq <> {_newest_hop(path)}")
@@ -313,7 +336,8 @@ def test_newest_row_of_all_that_the_index_leaves_out_is_missed_by_a_trend(memory
 
 
 @pytest.mark.parametrize(
-    "damage", ["DELETE FROM estimates", "UPDATE estimates SET value = 9.0", "UPDATE estimates SET series_id = 99"]
+    "damage",
+    ["DELETE FROM estimates", "UPDATE estimates SET value = 9.0", "UPDATE estimates SET series_id = 99"],
 )
 def test_newest_estimate_that_is_damaged_is_counted_by_latest_and_estimates(
     whole: Path, memory: Path, damage: str
@@ -350,7 +374,9 @@ def test_damaged_newest_row_of_other_answers_is_counted(
     assert ask(path).refused >= 1
 
 
-RECURSIVE = "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"
+RECURSIVE = (
+    "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"
+)
 
 
 @pytest.mark.parametrize("name", ["v_meta", "v_latest", "json_each"])

@@ -1,4 +1,5 @@
-"""sd_repeat beside sd, and what is believed of a rig's constants: stored, shown, exported, saved from damaged files."""
+"""sd_repeat beside sd, and what is believed of a rig's constants: stored, shown, exported, saved from damaged
+files."""
 
 import csv
 import gzip
@@ -51,7 +52,9 @@ def test_sd_repeat_is_null_where_sd_is_and_is_sd_where_none_was_given(path: Path
 
 
 @pytest.mark.parametrize("file", EARLIER, ids=lambda file: file.name)
-def test_rows_of_earlier_versions_have_their_sd_as_sd_repeat_and_keep_their_checksums(path: Path, file: Path) -> None:
+def test_rows_of_earlier_versions_have_their_sd_as_sd_repeat_and_keep_their_checksums(
+    path: Path, file: Path
+) -> None:
     path.write_bytes(gzip.decompress(file.read_bytes()))
     write(path, batch(5, first=10**6))
     before = [(sd, repeat) for sd, repeat in repeats(path) if sd == repeat]
@@ -85,7 +88,8 @@ def test_verdicts_are_listed_by_time_with_their_run_and_exported(path: Path) -> 
     write(path, batch(5), later, verdict())
     first, second = queries.verdicts(path, "press-7")
     assert first == {
-        "rig": "press-7", "run_id": 1, "t_ns": START, "time": "2026-01-01T00:00:00.000000000Z", "hypothesis": "m1",
+        "rig": "press-7", "run_id": 1, "t_ns": START, "time": "2026-01-01T00:00:00.000000000Z",
+        "hypothesis": "m1",
         "size": 4.25, "sd": 0.5, "unit": "%", "probability": 0.97,
     }  # fmt: skip
     assert (second["hypothesis"], second["unit"], second["probability"]) == ("delay", "s", None)

@@ -40,7 +40,8 @@ def test_file_of_several_windows_holds_the_rows_of_each_and_marks_the_chosen_one
 
 
 def test_longer_window_that_a_change_lies_in_is_not_called_valid(stored: Path) -> None:
-    """At sample 1249 the window of 0.25 s is the first that holds nothing of what was before the change at 1000."""
+    """At sample 1249 the window of 0.25 s is the first that holds nothing of what was before the change at
+    1000."""
     query = (
         "SELECT window_s, chosen, status FROM v_estimates_windows WHERE parameter = 'k1' "
         "AND t_ns = (SELECT min(t_ns) FROM v_estimates) + 1200000000 ORDER BY window_s"

@@ -80,7 +80,9 @@ def test_writer_flush_commits_what_was_published(path: Path, make: Callable[...,
     assert writer.run_ids == {"press-7": 1}
 
 
-def test_writer_commits_alarms_at_once_and_the_rest_in_batches(path: Path, make: Callable[..., StoreWriter]) -> None:
+def test_writer_commits_alarms_at_once_and_the_rest_in_batches(
+    path: Path, make: Callable[..., StoreWriter]
+) -> None:
     seen = threading.Event()
     real = Sick._transaction
 
@@ -109,13 +111,19 @@ def test_writer_stop_writes_what_is_left(path: Path, make: Callable[..., StoreWr
     writer = make(every_s=1.0)
     writer.publish([batch(50)])
     writer.stop(20)
-    assert [r["t_ns"] for r in queries.estimates(path, parameter="k1")] == [START + i * HOP for i in (19, 39, 49)]
+    assert [r["t_ns"] for r in queries.estimates(path, parameter="k1")] == [
+        START + i * HOP for i in (19, 39, 49)
+    ]
     assert writer.dropped == {}
 
 
 @pytest.mark.parametrize(("problem", "cause"), [(FULL, "disk full"), (SYNC, "input output error")])
 def test_writer_keeps_at_it_while_the_disk_fails_and_says_so(
-    path: Path, make: Callable[..., StoreWriter], caplog: pytest.LogCaptureFixture, problem: sqlite3.Error, cause: str
+    path: Path,
+    make: Callable[..., StoreWriter],
+    caplog: pytest.LogCaptureFixture,
+    problem: sqlite3.Error,
+    cause: str,
 ) -> None:
     reported: list[HealthEvent] = []
     writer = make(on_event=reported.append)
@@ -134,7 +142,10 @@ def test_writer_keeps_at_it_while_the_disk_fails_and_says_so(
     assert [e.cause for e in reported] == [cause]
     (alarm,) = [a for a in queries.alarms(path) if a["parameter"] == "store"]
     assert (alarm["kind"], alarm["priority"], alarm["state"]) == ("source", "high", "RTNUN")
-    assert (alarm["raised_at"], alarm["cleared_at"]) == (iso_time(START + 9 * HOP), iso_time(START + 19 * HOP))
+    assert (alarm["raised_at"], alarm["cleared_at"]) == (
+        iso_time(START + 9 * HOP),
+        iso_time(START + 19 * HOP),
+    )
     assert [r.getMessage().split(": ", 1)[1][:20] for r in caplog.records if r.levelname == "WARNING"] == [
         "cannot be written (i" if problem is SYNC else "cannot be written (d", "can be written again",
     ]  # fmt: skip
@@ -161,7 +172,9 @@ def test_writer_bounds_what_waits_and_counts_what_it_drops_but_no_alarm(
     assert str(writer.dropped["disk full"]) in queries.events(path)[-1]["message"]
 
 
-def test_writer_that_cannot_keep_up_never_blocks_the_pipeline(path: Path, make: Callable[..., StoreWriter]) -> None:
+def test_writer_that_cannot_keep_up_never_blocks_the_pipeline(
+    path: Path, make: Callable[..., StoreWriter]
+) -> None:
     writer = make(most_cells=400)
     gate = writer._store.gate = threading.Event()
     for i in range(60):
@@ -256,9 +269,14 @@ def test_backlog_joins_small_batches_and_keeps_order() -> None:
 
 def test_backlog_never_drops_alarms() -> None:
     waiting = Backlog(4)
-    waiting.add([step("NORM", "UNACK"), batch(1), batch(1, first=1), step("UNACK", "RTNUN"), ledger()], "disk full")
+    waiting.add(
+        [step("NORM", "UNACK"), batch(1), batch(1, first=1), step("UNACK", "RTNUN"), ledger()], "disk full"
+    )
     kept = waiting.take()
-    assert [type(r) for r in kept if not isinstance(r, EstimateBatch)][:2] == [AlarmTransition, AlarmTransition]
+    assert [type(r) for r in kept if not isinstance(r, EstimateBatch)][:2] == [
+        AlarmTransition,
+        AlarmTransition,
+    ]
     assert waiting.dropped == {"disk full": 8}
 
 
@@ -285,7 +303,9 @@ def test_writer_whose_thread_fails_says_so_and_replays_do_not_take_that_for_succ
     with pytest.raises(StoreError, match="KeyError"):
         writer.stop(20)
     assert not writer.is_alive()
-    assert [r.message for r in caplog.records if r.exc_info] == [f"{path}: the thread that writes to it failed"]
+    assert [r.message for r in caplog.records if r.exc_info] == [
+        f"{path}: the thread that writes to it failed"
+    ]
     Store.open(path).close()
 
 

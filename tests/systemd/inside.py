@@ -102,8 +102,8 @@ ExecStart=
 ExecStart=/opt/deltak/bin/deltak serve --db /var/lib/deltak/deltak.db --config /etc/deltak/conf.d \\
   --token-file /run/deltak-page/page.token
 """
-"""As the runbook has it, but for LoadCredential: the guest's kernel has neither of what systemd hands a credential to
-another user than root by (a file system of its own, access lists)."""
+"""As the runbook has it, but for LoadCredential: the guest's kernel has neither of what systemd hands a
+credential to another user than root by (a file system of its own, access lists)."""
 
 
 def until(condition: Callable[[], object], what: str) -> float:
@@ -176,7 +176,9 @@ def rows(query: str, *values: object) -> list[tuple[object, ...]]:
 
 def flows(since_ns: int = 0) -> list[str]:
     """Return the rigs of which rows have come since then."""
-    found = rows("SELECT rig FROM v_estimates WHERE t_ns > ? GROUP BY rig HAVING count(*) > 4 ORDER BY rig", since_ns)
+    found = rows(
+        "SELECT rig FROM v_estimates WHERE t_ns > ? GROUP BY rig HAVING count(*) > 4 ORDER BY rig", since_ns
+    )
     return [str(rig) for (rig,) in found]
 
 
@@ -188,7 +190,11 @@ def as_user(groups: list[str]) -> dict[str, bool]:
         os.setgroups([grp.getgrnam(name).gr_gid for name in groups])
         os.setgid(pwd.getpwnam("nobody").pw_gid)
         os.setuid(pwd.getpwnam("nobody").pw_uid)
-        tries = {"read": lambda: DB.open("rb").close(), "write": lambda: DB.open("r+b").close(), "command": command}
+        tries = {
+            "read": lambda: DB.open("rb").close(),
+            "write": lambda: DB.open("r+b").close(),
+            "command": command,
+        }
         os.write(writing, json.dumps({name: succeeds(act) for name, act in tries.items()}).encode())
         os._exit(0)
     os.waitpid(child, 0)
@@ -211,7 +217,9 @@ def command() -> dict[str, object]:
         return dict(json.loads(peer.makefile().readline() or "{}"))
 
 
-def asked(method: str, path: str, body: object = None, headers: dict[str, str] | None = None) -> tuple[int, str, str]:
+def asked(
+    method: str, path: str, body: object = None, headers: dict[str, str] | None = None
+) -> tuple[int, str, str]:
     """Ask the page; return status, cookie and what it says. Status 0 while nobody listens."""
     peer = http.client.HTTPConnection("127.0.0.1", 8765, timeout=60)
     sent = {"Content-Type": "application/json", **(headers or {})}

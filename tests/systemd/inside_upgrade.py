@@ -1,6 +1,7 @@
 """Has a version without valid rows take over, under a real systemd; test_upgrade.py asserts what is found.
 
-The agents of both versions are played: they are ready at once and write rows, the first one's valid, the other's not.
+The agents of both versions are played: they are ready at once and write rows, the first one's valid, the
+other's not.
 """
 
 import json

@@ -1,4 +1,5 @@
-"""Plays three devices at 20 Hz by the standard library: frames on CAN, lines on a pty, registers over Modbus TCP."""
+"""Plays three devices at 20 Hz by the standard library: frames on CAN, lines on a pty, registers over Modbus
+TCP."""
 
 import os
 import random

@@ -12,7 +12,8 @@ from tests.vcan import guest
 
 LIMIT_S = 300.0
 TRIES = 3
-"""Of booting a guest: its kernel dies now and then under systemd (it cannot read a register of process 1 any more)."""
+"""Of booting a guest: its kernel dies now and then under systemd (it cannot read a register of process 1 any
+more)."""
 pytestmark = [pytest.mark.realtime, pytest.mark.soak, pytest.mark.timeout(TRIES * LIMIT_S)]
 
 

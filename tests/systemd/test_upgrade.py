@@ -1,4 +1,5 @@
-"""A version whose agent is ready but gives no valid rows is taken back by its unit, under a real systemd in a guest."""
+"""A version whose agent is ready but gives no valid rows is taken back by its unit, under a real systemd in a
+guest."""
 
 from pathlib import Path
 

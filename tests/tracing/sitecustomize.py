@@ -1,4 +1,5 @@
-"""Python imports a module of this name at its start when it finds one: so agents that tests start are watched too."""
+"""Python imports a module of this name at its start when it finds one: so agents that tests start are watched
+too."""
 
 import importlib.util
 import os

@@ -1,9 +1,9 @@
 """Holds every write of a driver, in every Python process of a test run, against what a listener may write.
 
-The run puts this folder on PYTHONPATH, so that agents which tests start are watched as well (sitecustomize.py). A
-write is a driver's when, going outwards from the call, code of the
-drivers or a method of a Driver is met before code of a test or of the simulator. What no rule permits is written to
-the file that $DELTAK_WRITES names; the run ends red when anything stands there.
+The run puts this folder on PYTHONPATH, so that agents which tests start are watched as well
+(sitecustomize.py). A write is a driver's when, going outwards from the call, code of the drivers or a method
+of a Driver is met before code of a test or of the simulator. What no rule permits is written to the file that
+$DELTAK_WRITES names; the run ends red when anything stands there.
 """
 
 import atexit

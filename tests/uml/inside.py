@@ -1,9 +1,10 @@
-"""Device, agent and can-utils on the kernel's virtual buses. A plain script: test_uml.py judges what it leaves behind.
+"""Device, agent and can-utils on the kernel's virtual buses. A plain script: test_uml.py judges what it
+leaves behind.
 
-One agent watches three rigs: vcan0 carries ten seconds of a simulated device beside frames of cangen, with candump
-taking everything down and the agent recording; on vcan1 canplayer plays the first three seconds of that recording;
-vcan2 is set down and up, deleted and made anew, while a device sends. Nothing heavy is imported, as a guest computes
-slowly.
+One agent watches three rigs: vcan0 carries ten seconds of a simulated device beside frames of cangen, with
+candump taking everything down and the agent recording; on vcan1 canplayer plays the first three seconds of
+that recording; vcan2 is set down and up, deleted and made anew, while a device sends. Nothing heavy is
+imported, as a guest computes slowly.
 """
 
 import json
@@ -25,7 +26,8 @@ HERE = Path(__file__).parent
 BUSES = {"played": "vcan0", "canplayer": "vcan1", "shaken": "vcan2"}
 LIMIT_S = 60.0
 SAME_ARITHMETIC = {"OPENBLAS_CORETYPE": "Prescott"}
-"""A guest shows programs another processor than its host does; sums in another order would differ in the last bits."""
+"""A guest shows programs another processor than its host does; sums in another order would differ in the last
+bits."""
 
 
 def ip(*words: str) -> None:
@@ -97,7 +99,9 @@ def deltak(*words: str | Path) -> list[str]:
 
 def watch_and_play(folder: Path, db: Path) -> None:
     """vcan0: a device for ten seconds, cangen beside it, candump taking everything down."""
-    sim = deltak("sim", folder / "played/demo.toml", "--scenario", HERE / "ten.toml", "--truth", folder / "truth.npz")
+    sim = deltak(
+        "sim", folder / "played/demo.toml", "--scenario", HERE / "ten.toml", "--truth", folder / "truth.npz"
+    )
     noise = ["cangen", "vcan0", "-I", "5A5", "-L", "8", "-g", "20"]
     with (
         running(["candump", "-L", "-r", "8000000", "vcan0"], folder / "candump.log"),

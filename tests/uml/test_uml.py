@@ -34,7 +34,9 @@ class Left:
         self.db = folder / "live.db"
         runs = json.loads((folder / "run.json").read_text())["runs"]
         self.runs: Mapping[str, Any] = {run["rig"]: run for run in runs}
-        self.frames = [line.split()[2].split("#") for line in (folder / "candump.log").read_text().splitlines()]
+        self.frames = [
+            line.split()[2].split("#") for line in (folder / "candump.log").read_text().splitlines()
+        ]
         self.recording = next((folder / "live.db.raw").glob("*.log"))
         self.integers = wires.integers(folder / "truth.npz", COARSE)
 
@@ -46,7 +48,9 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Left:
     folder = tmp_path_factory.mktemp("left")
     if kernel_has_vcan():
         environment = os.environ | {"RESULTS": str(folder)}
-        done = subprocess.run(COMMAND, cwd=ROOT, env=environment, capture_output=True, timeout=LIMIT_S, check=False)
+        done = subprocess.run(
+            COMMAND, cwd=ROOT, env=environment, capture_output=True, timeout=LIMIT_S, check=False
+        )
         status, output = done.returncode, done.stderr.decode()
     else:
         status, output = guest.run(COMMAND, ROOT, LIMIT_S, folder)
@@ -59,7 +63,9 @@ def test_ten_seconds_at_one_kilohertz_arrive_without_loss(left: Left) -> None:
 
 
 def test_candump_saw_what_the_device_played_and_nothing_of_the_agent(left: Left) -> None:
-    data = np.frombuffer(bytes.fromhex("".join(data for number, data in left.frames if number == "100")), "<i2")
+    data = np.frombuffer(
+        bytes.fromhex("".join(data for number, data in left.frames if number == "100")), "<i2"
+    )
     np.testing.assert_array_equal(data.reshape(-1, 4)[:, 1:], left.integers)
     assert {number for number, _ in left.frames} == {"100", "5A5"}  # the device's and cangen's
 
@@ -76,15 +82,22 @@ def test_rows_and_alarms_on_vcan_are_those_of_the_recording(left: Left, tmp_path
 
 def test_recording_is_to_the_letter_what_candump_took_down_of_the_device(left: Left) -> None:
     recorded = left.recording.read_text(encoding="ascii").splitlines()
-    lines = [line for line in (left.folder / "candump.log").read_text(encoding="ascii").splitlines() if " 100#" in line]
+    lines = [
+        line
+        for line in (left.folder / "candump.log").read_text(encoding="ascii").splitlines()
+        if " 100#" in line
+    ]
     assert len(recorded) == 10_000
-    # a busy machine makes candump itself lose frames; what it took down is ours, in its order, to the microsecond
+    # a busy machine makes candump itself lose frames; what it took down is ours, in its order, to the
+    # microsecond
     ours = iter(recorded)
     assert all(line in ours for line in lines)
     assert len(lines) > 5000
 
 
-def test_recording_from_vcan_replays_to_the_rows_and_alarms_of_the_live_run(left: Left, tmp_path: Path) -> None:
+def test_recording_from_vcan_replays_to_the_rows_and_alarms_of_the_live_run(
+    left: Left, tmp_path: Path
+) -> None:
     config = wires.configure("daemon", tmp_path)
     replayed = wires.replayed(config, left.recording, tmp_path / "replay.db", SAME_ARITHMETIC)
     live = wires.outcome(left.db, "played")
@@ -92,7 +105,10 @@ def test_recording_from_vcan_replays_to_the_rows_and_alarms_of_the_live_run(left
     wires.assert_same(live, replayed, wires.NEAR)
     times = "SELECT t_ns FROM v_estimates WHERE rig = ? ORDER BY t_ns, parameter"
     with closing(wires.opened(left.db)) as ours, closing(wires.opened(tmp_path / "replay.db")) as theirs:
-        first, second = ours.execute(times, ("played",)).fetchall(), theirs.execute(times, ("daemon",)).fetchall()
+        first, second = (
+            ours.execute(times, ("played",)).fetchall(),
+            theirs.execute(times, ("daemon",)).fetchall(),
+        )
     assert list(map(tuple, first)) == list(map(tuple, second))
 
 
@@ -100,7 +116,9 @@ def test_what_canplayer_sends_gives_the_rows_of_the_device_itself(left: Left) ->
     assert left.runs["canplayer"]["samples"] == {"received": 3000, "used": 3000, **HEALTHY}
     first, again = wires.outcome(left.db, "played"), wires.outcome(left.db, "canplayer")
     assert len(again.rows) == 240
-    wires.assert_same(wires.Outcome(first.rows[:240], ()), wires.Outcome(again.rows, again.alarms), wires.NEAR)
+    wires.assert_same(
+        wires.Outcome(first.rows[:240], ()), wires.Outcome(again.rows, again.alarms), wires.NEAR
+    )
 
 
 def test_bus_that_goes_and_returns_is_read_again_within_two_seconds(left: Left) -> None:

@@ -12,7 +12,8 @@ from tests import peers
 DEPLOY = peers.ROOT / "deploy"
 UNITS = {
     "deltak@.service": ("deltak@press-7.service", "run"), "deltak.service": ("deltak.service", "run"),
-    "deltak-page.service": ("deltak-page.service", "serve"), "deltak-opcua.service": ("deltak-opcua.service", "opcua"),
+    "deltak-page.service": ("deltak-page.service", "serve"),
+    "deltak-opcua.service": ("deltak-opcua.service", "opcua"),
 }  # fmt: skip
 """By file: what an instance is called, and the command that it runs."""
 
@@ -43,7 +44,10 @@ def unit(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 
 def test_every_unit_is_looked_at() -> None:
-    assert {file.name for file in (DEPLOY / "systemd").glob("*.service")} == {*UNITS, "deltak-upgrade@.service"}
+    assert {file.name for file in (DEPLOY / "systemd").glob("*.service")} == {
+        *UNITS,
+        "deltak-upgrade@.service",
+    }
 
 
 def test_unit_is_taken_without_a_word(unit: Path) -> None:

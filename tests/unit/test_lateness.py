@@ -1,4 +1,5 @@
-"""An agent that is behind its samples says so once, with an alarm that names the rig, and once when it keeps up."""
+"""An agent that is behind its samples says so once, with an alarm that names the rig, and once when it keeps
+up."""
 
 from pathlib import Path
 

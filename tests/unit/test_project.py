@@ -1,4 +1,5 @@
-"""The project's own promises: what is installed by which name, what the test run says when something is missing."""
+"""The project's own promises: what is installed by which name, what the test run says when something is
+missing."""
 
 import re
 import shutil
@@ -35,7 +36,9 @@ def test_entry_point_names_a_thing_that_exists(name: str, value: str) -> None:
     module, _, attribute = value.partition(":")
     thing = f"importlib.import_module({module!r})"
     code = f"import importlib; {f'assert callable(getattr({thing}, {attribute!r}))' if attribute else thing}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
     assert done.returncode == 0, f"{name} = {value}: {done.stderr[-300:]}"
 
 
@@ -64,7 +67,9 @@ def test_missing_peer_is_told_and_fails_only_in_ci(monkeypatch: pytest.MonkeyPat
     assert peers.NOT_TESTED == ["no line to speak on"] * 2
 
 
-def test_missing_data_is_told_and_fails_where_it_was_promised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_data_is_told_and_fails_where_it_was_promised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(peers, "NOT_TESTED", [])
     monkeypatch.setenv("CI", "true")
     monkeypatch.setenv("DELTAK_DATA", str(tmp_path))
@@ -88,7 +93,9 @@ def test_import_contracts_name_what_an_import_breaks(tmp_path: Path) -> None:
     lint = Path(sys.executable).with_name("lint-imports")
     env = {"PYTHONPATH": str(tmp_path), "COLUMNS": "200"}
     command = [lint, "--no-logo", "--no-cache"]
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=100)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False, timeout=100
+    )
     assert done.returncode == 1
     assert "agent.blocks.wrong -> sim_bus" in done.stdout
     assert "agent.blocks.wrong -> drivers.modbus.driver" in done.stdout
@@ -96,7 +103,9 @@ def test_import_contracts_name_what_an_import_breaks(tmp_path: Path) -> None:
 
 def test_make_demo_says_what_it_does_while_it_installs(tmp_path: Path) -> None:
     command = ["make", "--dry-run", f"VENV={tmp_path / 'venv'}", "demo"]
-    steps = subprocess.run(command, cwd=peers.ROOT, capture_output=True, text=True, check=True, timeout=60).stdout
+    steps = subprocess.run(
+        command, cwd=peers.ROOT, capture_output=True, text=True, check=True, timeout=60
+    ).stdout
     said, install = steps.index("installing deltak"), steps.index("pip --python")
     assert steps.index("making ") < steps.index("-m venv") < said < install
     assert " -q" not in steps[install:].splitlines()[0]

@@ -38,7 +38,9 @@ def test_with_sd_pair_is_written_to_the_digits_of_its_sd(value: float, sd: float
         (1.0, 1.0, "1 … 1"),
     ],
 )
-def test_interval_is_written_to_the_digits_of_its_width(lower: float | None, upper: float | None, text: str) -> None:
+def test_interval_is_written_to_the_digits_of_its_width(
+    lower: float | None, upper: float | None, text: str
+) -> None:
     assert interval(lower, upper) == text
 
 

@@ -1,4 +1,5 @@
-"""What outsiders read: units that look like others, noise in a channel's unit, refused lines, and where words go."""
+"""What outsiders read: units that look like others, noise in a channel's unit, refused lines, and where words
+go."""
 
 import io
 import os
@@ -72,7 +73,8 @@ def test_unit_that_looks_like_a_known_one_is_told(quantity, unit: str, meant: st
 
 
 def accelerated(folder: Path, noise_g: float) -> Path:
-    """A mass on a spring under a force that changes from sample to sample, and what an accelerometer shows of it."""
+    """A mass on a spring under a force that changes from sample to sample, and what an accelerometer shows of
+    it."""
     rng, h, g = np.random.default_rng(3), 1e-4, 9.80665
     force, x, v, rows = rng.normal(0.0, 20.0, 4001), 0.0, 0.0, []
     for i in range(4000):
@@ -136,16 +138,21 @@ def test_probe_of_a_line_whose_every_row_is_refused_shows_the_first_of_them(tmp_
     assert source["first_rejected"]["columns"].startswith('"7;1.5;2.5;0": 1 cells; columns has')
 
 
-def test_check_says_of_a_source_all_of_whose_lines_are_refused_which_and_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_says_of_a_source_all_of_whose_lines_are_refused_which_and_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     source = {
-        "name": "scale", "received": 9, "rejected": {"columns": 9}, "first_rejected": {"columns": '"7;1" is short'},
+        "name": "scale", "received": 9, "rejected": {"columns": 9},
+        "first_rejected": {"columns": '"7;1" is short'},
         "rate_hz": None, "nominal_hz": 1000.0, "drift_ppm": None,
     }  # fmt: skip
     gathering = type("Silent", (), {"recorded": lambda *_: None, "sources": lambda _: [source]})()
     monkeypatch.setattr("agent.commissioning.evidence.listen", lambda *_: gathering)
     config = type("Config", (), {"source": [type("Source", (), {"name": "scale"})]})()
     first, last = map(str, Evidence(probe=True).gather(config).warnings)
-    assert first.startswith('source[0]: scale: all of 9 that came were rejected (columns 9); the first: "7;1" is short')
+    assert first.startswith(
+        'source[0]: scale: all of 9 that came were rejected (columns 9); the first: "7;1" is short'
+    )
     assert "see that the devices send" not in last
 
 
@@ -191,7 +198,9 @@ def test_endless_row_of_a_csv_is_refused_and_not_read(tmp_path: Path) -> None:
     for head, line in (("t,force,x1\n", 2), ("t,force,x1\n0,1,2\n", 3)):
         path.write_text(head + "1" * (9 << 20), encoding="utf-8")
         recording = driver(path)
-        with pytest.raises(DriverConfigError, match=rf"endless\.csv:{line}: a row of more than 4194304 characters"):
+        with pytest.raises(
+            DriverConfigError, match=rf"endless\.csv:{line}: a row of more than 4194304 characters"
+        ):
             everything(recording)
         recording.close()
 
@@ -205,7 +214,9 @@ def test_npz_that_unpacks_to_what_no_measurement_packs_so_well_is_refused_unread
                 array.write(header.getvalue())
                 for _ in range(23):
                     array.write(block)
-    with pytest.raises(DriverConfigError, match=r"bytes that unpack to \d+, \d+ times as many, are no measurement"):
+    with pytest.raises(
+        DriverConfigError, match=r"bytes that unpack to \d+, \d+ times as many, are no measurement"
+    ):
         driver(path).open()
 
 

@@ -1,4 +1,5 @@
-"""The kernel's own slcan: a line discipline on a pseudo-terminal whose far end the test plays, as an adapter would."""
+"""The kernel's own slcan: a line discipline on a pseudo-terminal whose far end the test plays, as an adapter
+would."""
 
 import fcntl
 import os
@@ -47,7 +48,9 @@ class KernelAdapter:
                 self.to(data)
 
     def up(self, *words: str) -> None:
-        subprocess.run(["ip", "link", "set", self.name, "type", "can", "bitrate", "500000", *words], check=True)
+        subprocess.run(
+            ["ip", "link", "set", self.name, "type", "can", "bitrate", "500000", *words], check=True
+        )
         subprocess.run(["ip", "link", "set", self.name, "up"], check=True)
 
     def send(self, text: bytes) -> None:

@@ -1,4 +1,5 @@
-"""What a frame costs the thread that reads it: python-can and both paths of ours, the socket filled beforehand.
+"""What a frame costs the thread that reads it: python-can and both paths of ours, the socket filled
+beforehand.
 
 A plain script for a machine with vcan0; prints one line a path: its name, frames and microseconds a frame.
 """

@@ -1,4 +1,5 @@
-"""Runs a command in a User-Mode Linux guest, whose kernel has CAN, with the host's files and its own virtual bus."""
+"""Runs a command in a User-Mode Linux guest, whose kernel has CAN, with the host's files and its own virtual
+bus."""
 
 import os
 import shlex
@@ -19,7 +20,8 @@ MODULES = "/usr/lib/uml/modules"
 def run(
     command: Sequence[str], folder: Path, limit_s: float, kept: Path | None = None, init: Path = INIT
 ) -> tuple[int, str]:
-    """Return exit status and output of a command run in `folder` of a fresh guest; status DIED when the guest died.
+    """Return exit status and output of a command run in `folder` of a fresh guest; status DIED when the guest
+    died.
 
     What the command leaves in the folder that $RESULTS names goes to `kept`; init: the guest's first process.
     """
@@ -36,12 +38,17 @@ def run(
         (results / "lean/asammdf.py").write_text("raise ImportError\n")
         (results / "command").write_text(_script(command, folder, results))
         arguments = [
-            linux, "mem=512M", f"uml_dir={results}", "umid=guest", "root=/dev/root", "rootfstype=hostfs", "rootflags=/",
+            linux, "mem=512M", f"uml_dir={results}", "umid=guest", "root=/dev/root", "rootfstype=hostfs",
+            "rootflags=/",
             "ro", "quiet", "loglevel=3", "panic=1", "con=null", "con0=null,fd:1", "ssl=null", f"init={first}",
             f"results={results}", f"modules={MODULES}",
         ]  # fmt: skip
         done = subprocess.run(
-            _on_one_processor(arguments), stdin=subprocess.DEVNULL, capture_output=True, timeout=limit_s, check=False
+            _on_one_processor(arguments),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=limit_s,
+            check=False,
         )
         if kept is not None:
             shutil.copytree(results / "kept", kept, dirs_exist_ok=True)

@@ -1,4 +1,5 @@
-"""What is tested where vcan0 exists; test_vcan.py starts it (its name keeps pytest from collecting it elsewhere)."""
+"""What is tested where vcan0 exists; test_vcan.py starts it (its name keeps pytest from collecting it
+elsewhere)."""
 
 import itertools
 import socket
@@ -46,7 +47,9 @@ def raw_socket(fd: bool = False, bus: str = "vcan0") -> socket.socket:
     return raw
 
 
-def request(*fields: str, counter: str = "RIG_SAMPLE.Counter", fd: bool = False, bus: str = "vcan0") -> SourceRequest:
+def request(
+    *fields: str, counter: str = "RIG_SAMPLE.Counter", fd: bool = False, bus: str = "vcan0"
+) -> SourceRequest:
     settings = CanSettings(interface="socketcan", channel=bus, dbc=Path("rig.dbc"), fd=fd)
     return SourceRequest("line", settings, fields or ("RIG_SAMPLE.Force", "RIG_SAMPLE.X1"), counter, FOLDER)
 
@@ -170,7 +173,9 @@ def send_paced(count: int, period_s: float) -> None:
 
 
 def test_frames_of_cangen_arrive_as_candump_sees_them(driver: CanDriver) -> None:
-    with subprocess.Popen(["candump", "-L", "-n", "600", "vcan0"], stdout=subprocess.PIPE, text=True) as watcher:
+    with subprocess.Popen(
+        ["candump", "-L", "-n", "600", "vcan0"], stdout=subprocess.PIPE, text=True
+    ) as watcher:
         subprocess.run(["cangen", "vcan0", "-I", "100", "-L", "8", "-g", "1", "-n", "600"], check=True)
         samples = collect(driver, 600)
         lines, _ = watcher.communicate(timeout=DEADLINE_S)
@@ -182,7 +187,9 @@ def test_frames_of_cangen_arrive_as_candump_sees_them(driver: CanDriver) -> None
     force = seen.table["data"][:, 2:4].copy().view(">i2")[:, 0] * 0.25
     np.testing.assert_array_equal(samples.values[:, 0], force)
     assert samples.t_ns is not None
-    np.testing.assert_allclose(samples.t_ns, seen.t_ns, atol=1000)  # candump prints microseconds of the same stamps
+    np.testing.assert_allclose(
+        samples.t_ns, seen.t_ns, atol=1000
+    )  # candump prints microseconds of the same stamps
 
 
 def test_log_played_by_canplayer_arrives_whole_and_in_order(driver: CanDriver, tmp_path: Path) -> None:

@@ -64,7 +64,9 @@ def assert_same(fast: Frames, plain: Frames, count: int) -> None:
     assert abs(int(fast.t_ns[-1]) - time.time_ns()) < 60e9
 
 
-def test_frames_of_every_kind_are_the_same_in_batches_as_one_by_one(buses: tuple[KernelBus, KernelBus]) -> None:
+def test_frames_of_every_kind_are_the_same_in_batches_as_one_by_one(
+    buses: tuple[KernelBus, KernelBus],
+) -> None:
     rng = np.random.default_rng(3)
     sizes = [1, 2, 600, 1023, 1024, 1025, 3, 700]
     with raw_socket(fd=True) as sender:

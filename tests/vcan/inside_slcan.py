@@ -64,7 +64,10 @@ def test_script_for_adapters_makes_an_interface_that_listens_only(tmp_path: Path
 def end_daemon_of(port: str) -> None:
     """End the slcand that holds a port; it has gone into the background."""
     for folder in Path("/proc").glob("[0-9]*"):
-        if port.encode() in (words := (folder / "cmdline").read_bytes().split(b"\0")) and words[0] == b"slcand":
+        if (
+            port.encode() in (words := (folder / "cmdline").read_bytes().split(b"\0"))
+            and words[0] == b"slcand"
+        ):
             os.kill(int(folder.name), signal.SIGTERM)
 
 
@@ -134,7 +137,8 @@ def test_what_our_adapter_writes_is_read_by_the_kernels_slcan(quiet: KernelAdapt
 def test_both_read_the_same_stream_of_an_adapter_that_is_noisy(quiet: KernelAdapter) -> None:
     """Lines cut and spoilt: what both take for frames is the same.
 
-    Lines with digits missing or too many are left out: the kernel fills them up from the line before, or reads them.
+    Lines with digits missing or too many are left out: the kernel fills them up from the line before, or
+    reads them.
     """
     stream = b"\r" + b"".join(b"t%03X4%08X\r" % (number, number * 7919) for number in range(0x100, 0x140))
     noisy = stream.replace(b"t10A4", b"t10A9").replace(b"t1114", b"\xff\xfe").replace(b"t1204", b"t12\rt1204")
@@ -156,14 +160,18 @@ def test_both_read_the_same_stream_of_an_adapter_that_is_noisy(quiet: KernelAdap
 
 
 def driver(channel: str, **keys: object) -> CanDriver:
-    settings = CanSettings.model_validate({"interface": "socketcan", "channel": channel, "dbc": "rig.dbc", **keys})
+    settings = CanSettings.model_validate(
+        {"interface": "socketcan", "channel": channel, "dbc": "rig.dbc", **keys}
+    )
     return CanDriver(SourceRequest("line", settings, ("RIG_SAMPLE.X1",), "RIG_SAMPLE.Counter", FOLDER))
 
 
 SAMPLE = b"t10080100000405000000\r"
 
 
-def test_states_of_the_controller_are_reported_and_bus_off_ends_with_the_next_sample(quiet: KernelAdapter) -> None:
+def test_states_of_the_controller_are_reported_and_bus_off_ends_with_the_next_sample(
+    quiet: KernelAdapter,
+) -> None:
     reader = NotedLink(driver(quiet.name), 30.0, rng=random.Random(0))
     until(reader, lambda: reader.is_open)
     quiet.send(SAMPLE)
@@ -195,7 +203,9 @@ def until(reader: NotedLink, condition: Callable[[], bool]) -> None:
         assert time.monotonic() < deadline
 
 
-def test_interface_that_is_not_listen_only_is_minded_and_told_once_when_it_is_opened(talking: KernelAdapter) -> None:
+def test_interface_that_is_not_listen_only_is_minded_and_told_once_when_it_is_opened(
+    talking: KernelAdapter,
+) -> None:
     opened = driver(talking.name, bitrate=250_000, fd=True)
     hints = opened.hints()
     for _ in range(2):

@@ -15,9 +15,12 @@ def driver() -> Iterator[webdriver.Chrome]:
     options = webdriver.ChromeOptions()
     options.binary_location = peers.program("chromium", "chromium")
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu",
-                     "--disable-background-networking", "--disable-component-update", "--no-first-run"):  # fmt: skip
+                     "--disable-background-networking", "--disable-component-update",
+                     "--no-first-run"):  # fmt: skip
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
-    made = webdriver.Chrome(options, webdriver.ChromeService(peers.program("chromedriver", "chromium-driver")))
+    made = webdriver.Chrome(
+        options, webdriver.ChromeService(peers.program("chromedriver", "chromium-driver"))
+    )
     yield made
     made.quit()

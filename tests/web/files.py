@@ -54,7 +54,8 @@ path = "rig.db"
 
 
 def make(folder: Path, hops: int = 100) -> Path:
-    """Write rig.db and rig.toml: press-8 is normal, press-7 has an alarm, a text with orders and markup, a doubt."""
+    """Write rig.db and rig.toml: press-8 is normal, press-7 has an alarm, a text with orders and markup, a
+    doubt."""
     path = folder / "rig.db"
     (folder / "rig.toml").write_text(CONFIG)
     newest = time.time_ns()
@@ -66,7 +67,9 @@ def make(folder: Path, hops: int = 100) -> Path:
         status[-1, 3], reason[-1, 3] = Status.UNEXCITED, Reason.STANDSTILL
         alarm = step("NORM", "UNACK", newest - 10**9, message=f"k1 fell by 16 N/m {EVIL}")
         rows = batch(hops, start=start, status=status, reason=reason)
-        store.write(one, [rows, alarm, ledger(newest - 10**10), ledger(newest, received=3000), verdict(newest)])
+        store.write(
+            one, [rows, alarm, ledger(newest - 10**10), ledger(newest, received=3000), verdict(newest)]
+        )
         store.write(one, forecasts(newest))
         store.write(one, scores(newest))
         two = store.begin_run(run_info("press-8", started_ns=start))
@@ -97,4 +100,6 @@ def plant(path: Path, parameter: str = "k2") -> None:
     """Raise one more alarm, as the agent does while others read."""
     with Store.open(path) as store:
         run = store.begin_run(run_info(started_ns=time.time_ns()))
-        store.write(run, [step("NORM", "UNACK", time.time_ns(), parameter=parameter, message=f"{parameter} planted")])
+        store.write(
+            run, [step("NORM", "UNACK", time.time_ns(), parameter=parameter, message=f"{parameter} planted")]
+        )

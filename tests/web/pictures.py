@@ -33,7 +33,8 @@ def wear(folder: Path) -> None:
     value[-48:, 1] += 2.8
     sd = np.full((HOURS, 4), 0.2)
     alarm = step(
-        "NORM", "UNACK", newest, parameter="k2", message="k2 is 2.7 N/m above nominal 26 (limit 2.6)", delta=2.7,
+        "NORM", "UNACK", newest, parameter="k2", message="k2 is 2.7 N/m above nominal 26 (limit 2.6)",
+        delta=2.7,
         limit_value=2.6,
     )  # fmt: skip
     status, reason = np.full((HOURS, 4), Status.VALID, np.uint8), np.zeros((HOURS, 4), np.uint8)
@@ -44,7 +45,9 @@ def wear(folder: Path) -> None:
     )  # fmt: skip
     with Store.open(folder / "rig.db") as store:
         run = store.begin_run(run_info(started_ns=start))
-        store.write(run, [rows, alarm, ledger(newest - 10**10), ledger(newest, received=11_000), verdict(newest)])
+        store.write(
+            run, [rows, alarm, ledger(newest - 10**10), ledger(newest, received=11_000), verdict(newest)]
+        )
         store.write(run, forecasts(start))
 
 
@@ -57,7 +60,9 @@ def forecasts(start: int) -> list[ForecastRecord]:
         ends = (t_ns + round(share * left * DAY_NS) for share in (0.8, 1.0, 1.3))
         now = 25.0 - day / 6.0
         made.append(
-            ForecastRecord("press-7", "k1", t_ns, now, 11.0, "ok", *ends, 0.9, 60 * 86_400.0, "{}", "[]", "due")
+            ForecastRecord(
+                "press-7", "k1", t_ns, now, 11.0, "ok", *ends, 0.9, 60 * 86_400.0, "{}", "[]", "due"
+            )
         )
     return made
 

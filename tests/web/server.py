@@ -46,7 +46,10 @@ class Client:
     def sign_in(self, name: str = "anna", password: str = PASSWORD) -> int:
         status, headers, body = self.ask("POST", "/api/v1/session", {"name": name, "password": password})
         if status == 200:
-            self.headers = {"Cookie": headers["set-cookie"].partition(";")[0], "X-CSRF-Token": json.loads(body)["csrf"]}
+            self.headers = {
+                "Cookie": headers["set-cookie"].partition(";")[0],
+                "X-CSRF-Token": json.loads(body)["csrf"],
+            }
         return status
 
     @contextmanager

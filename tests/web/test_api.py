@@ -96,7 +96,11 @@ def test_every_document_is_described_and_answers(client: Client) -> None:
 
 def test_overview_and_model_know_limits_and_places(client: Client) -> None:
     worst = client.get("overview")["rigs"][0]
-    assert (worst["rig"], worst["parameters"][0]["limit"], worst["words"]) == ("press-7", 15.0, "1 unacknowledged")
+    assert (worst["rig"], worst["parameters"][0]["limit"], worst["words"]) == (
+        "press-7",
+        15.0,
+        "1 unacknowledged",
+    )
     model = client.get("model?rig=press-7")
     assert [(mass["name"], mass["place"]) for mass in model["masses"]] == [("m1", 1), ("m2", 2)]
     assert [(e["name"], e["from"], e["to"], e["row"]) for e in model["elements"]] == [
@@ -177,12 +181,16 @@ def agent(folder: Path) -> Iterator[list[Mapping[str, Any]]]:
     made.stop()
 
 
-def test_acknowledging_reaches_the_agent_with_who_and_why(client: Client, agent: list[Mapping[str, Any]]) -> None:
+def test_acknowledging_reaches_the_agent_with_who_and_why(
+    client: Client, agent: list[Mapping[str, Any]]
+) -> None:
     assert client.sign_in("anna") == 200
     status, _, body = client.ask("POST", "/api/v1/alarms/rig/1/ack", {"comment": files.EVIL})
     assert (status, json.loads(body)["alarms"][0]["to_state"]) == (200, "ACKED")
     assert client.ask("POST", "/api/v1/alarms/rig/1/shelve", {"for": "8h"})[0] == 200
-    asked = [{k: line[k] for k in ("command", "cause", "ids", "by", "comment", "length_ns")} for line in agent]
+    asked = [
+        {k: line[k] for k in ("command", "cause", "ids", "by", "comment", "length_ns")} for line in agent
+    ]
     first = {
         "command": "alarm",
         "cause": "acknowledge",
@@ -240,7 +248,9 @@ def test_session_cookie_is_for_this_site_and_no_script(client: Client) -> None:
     assert "samesite=strict" in cookie
 
 
-def test_without_an_agent_an_acknowledgement_is_refused_and_nothing_is_written(client: Client, folder: Path) -> None:
+def test_without_an_agent_an_acknowledgement_is_refused_and_nothing_is_written(
+    client: Client, folder: Path
+) -> None:
     client.sign_in()
     before = (folder / "rig.db").read_bytes()
     status, _, said = client.ask("POST", "/api/v1/alarms/rig/1/ack", {})
@@ -258,7 +268,11 @@ def test_behind_a_proxy_wrong_passwords_are_counted_by_who_sent_them_and_reading
         assert client.ask("GET", "/")[0] == 200
         assert [client.sign_in(password="wrong") for _ in range(6)] == [401] * 5 + [429]
         assert client.sign_in() == 429
-        client.headers = {"Host": "deltak.example.org", "X-Forwarded-For": "192.0.2.2", "X-Forwarded-Proto": "https"}
+        client.headers = {
+            "Host": "deltak.example.org",
+            "X-Forwarded-For": "192.0.2.2",
+            "X-Forwarded-Proto": "https",
+        }
         body = {"name": "anna", "password": PASSWORD}
         status, headers, _ = client.ask("POST", "/api/v1/session", body)
         assert (status, "; secure" in headers["set-cookie"].lower()) == (200, True)
@@ -285,7 +299,10 @@ def test_points_are_the_valid_rows_of_sql(client: Client, folder: Path) -> None:
 
 def test_database_that_cannot_be_read_hides_no_other(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "rig.db", tmp_path / "other.db")
-    with serving("--db", folder / "rig.db", "--db", tmp_path / "other.db") as client, client.events() as events:
+    with (
+        serving("--db", folder / "rig.db", "--db", tmp_path / "other.db") as client,
+        client.events() as events,
+    ):
         assert next(events)[1] == "hello"
         assert len(client.get("overview")["rigs"]) == 4
         (tmp_path / "other.db").write_bytes(b"\0" * 8192)
@@ -323,7 +340,9 @@ def test_serve_refuses_to_be_open_to_others(
         app(["serve", "--db", "rig.db", "--port", "0", *arguments], standalone_mode=False)
 
 
-def test_serve_without_its_extra_says_how_to_install_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_serve_without_its_extra_says_how_to_install_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     with pytest.raises(UsageError, match=r"needs the extra web .*; pip install 'deltak\[web\]'"):
         app(["serve", "--db", str(folder / "rig.db")], standalone_mode=False)
@@ -355,7 +374,9 @@ def test_forecasts_are_those_of_sql_with_their_record_in_words(client: Client, f
         connection.row_factory = sqlite3.Row
         said = [dict(row) for row in connection.execute("SELECT * FROM v_forecast WHERE rig = 'press-7'")]
     connection.close()
-    assert [{**row, "draws": said[0]["draws"]} for row in found["forecasts"]] == [{**r, "db": "rig"} for r in said]
+    assert [{**row, "draws": said[0]["draws"]} for row in found["forecasts"]] == [
+        {**r, "db": "rig"} for r in said
+    ]
     (record,) = found["records"]
     assert record["words"] == "reached in 5 days (80 %: 3 days … 8 days); chance within 6 days 75 %"
     assert record["record_words"] == ["of 2 made here, 1 held within the 80 % band; CRPS 3.43 hours"]
@@ -365,7 +386,9 @@ def test_forecasts_are_those_of_sql_with_their_record_in_words(client: Client, f
 def test_forecast_without_a_band_says_why(client: Client, folder: Path) -> None:
     row = queries.forecasts(folder / "rig.db")[-1]
     nothing = dict.fromkeys(("p10_ns", "p50_ns", "p90_ns", "chance"))
-    assert words_of({**row, **nothing, "status": "too short"}) == "no forecast: the history is too short to say"
+    assert (
+        words_of({**row, **nothing, "status": "too short"}) == "no forecast: the history is too short to say"
+    )
     assert words_of({**row, "p90_ns": None}).startswith("not reached in twenty times the history's span")
 
 

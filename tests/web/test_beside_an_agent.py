@@ -1,4 +1,5 @@
-"""A server with 500 slow listeners, killed again and again, beside an agent on a bus: not a sample is lost to it."""
+"""A server with 500 slow listeners, killed again and again, beside an agent on a bus: not a sample is lost to
+it."""
 
 import os
 import signal
@@ -88,6 +89,8 @@ def test_agent_loses_nothing_to_a_crowd_and_a_killed_server(tmp_path: Path) -> N
             used.append(cpu_s(pid) - before)
         document = agent.document()
     samples = document["samples"]
-    figure(f"agent beside {LISTENERS} slow listeners: {samples}, {used[1] / used[0]:.2f} of the processor time without")
+    figure(
+        f"agent beside {LISTENERS} slow listeners: {samples}, {used[1] / used[0]:.2f} of the processor time without"
+    )
     assert samples["received"] == samples["used"] > 2 * SECONDS * 500
     assert (samples["dropped"], samples["gaps"]) == ({}, 0)

@@ -36,22 +36,32 @@ VALUES = [
     "%ED%A0%80",
 ]  # fmt: skip
 BODIES = [
-    b"", b"{}", b"[]", b"null", b'{"name": 1}', b'{"name": "x", "password": "y"}', b"\xff", b"{" * 5000, b"1e999",
+    b"", b"{}", b"[]", b"null", b'{"name": 1}', b'{"name": "x", "password": "y"}', b"\xff", b"{" * 5000,
+    b"1e999",
     b'{"name": "\\ud800", "password": "\\ud800"}', b'{"for": "8h", "comment": "x"}', b" " * 40000,
 ]  # fmt: skip
 HEADERS = [
-    b"", b"Last-Event-ID: 1.1\r\n", b"Last-Event-ID: \xff\r\n", b'If-None-Match: *, "x\r\n', b"X-CSRF-Token: \xff\r\n",
-    b"Cookie: deltak_session=\xe9\r\n", b"Cookie: deltak_session=x; =; ;\r\n", b"Content-Type: application/json\r\n",
-    b"Origin: http://evil.example\r\n", b"Range: bytes=0-1\r\n", b"Transfer-Encoding: chunked\r\n", b"Host: \xff\r\n",
+    b"", b"Last-Event-ID: 1.1\r\n", b"Last-Event-ID: \xff\r\n", b'If-None-Match: *, "x\r\n',
+    b"X-CSRF-Token: \xff\r\n",
+    b"Cookie: deltak_session=\xe9\r\n", b"Cookie: deltak_session=x; =; ;\r\n",
+    b"Content-Type: application/json\r\n",
+    b"Origin: http://evil.example\r\n", b"Range: bytes=0-1\r\n", b"Transfer-Encoding: chunked\r\n",
+    b"Host: \xff\r\n",
     b"Content-Length: -1\r\n", b"Expect: 100-continue\r\n",
 ]  # fmt: skip
 
 
 def request(rng: random.Random, cookie: bytes) -> bytes:
     """Return the bytes of one request, mostly well formed; cookie: of a session, whose token no request has."""
-    method = rng.choice(["GET"] * 6 + ["POST"] * 4 + ["DELETE", "PUT", "HEAD", "OPTIONS", "TRACE", "BREW", "get"])
-    query = "&".join(f"{rng.choice(KEYS)}={rng.choice(VALUES)}" for _ in range(rng.choice([0, 1, 2, 2, 3, 3])))
-    path = rng.choice(["/", "/static/page.js", "/x"]) if rng.random() < 0.05 else f"/api/v1/{rng.choice(NAMES)}"
+    method = rng.choice(
+        ["GET"] * 6 + ["POST"] * 4 + ["DELETE", "PUT", "HEAD", "OPTIONS", "TRACE", "BREW", "get"]
+    )
+    query = "&".join(
+        f"{rng.choice(KEYS)}={rng.choice(VALUES)}" for _ in range(rng.choice([0, 1, 2, 2, 3, 3]))
+    )
+    path = (
+        rng.choice(["/", "/static/page.js", "/x"]) if rng.random() < 0.05 else f"/api/v1/{rng.choice(NAMES)}"
+    )
     if method == "POST" and rng.random() < 0.8:
         path = f"/api/v1/{rng.choice(WRITES)}"
     body = rng.choice(BODIES) if method != "GET" or rng.random() < 0.05 else b""
@@ -59,10 +69,14 @@ def request(rng: random.Random, cookie: bytes) -> bytes:
     head += cookie * (rng.random() < 0.2)
     head += b"".join(rng.choice(HEADERS) for _ in range(rng.choice([0, 1, 1, 2])))
     if body:
-        head += b"Content-Type: application/json\r\n" * (rng.random() < 0.8) + b"Content-Length: %d\r\n" % len(body)
+        head += b"Content-Type: application/json\r\n" * (
+            rng.random() < 0.8
+        ) + b"Content-Length: %d\r\n" % len(body)
     whole = head + b"\r\n" + body
     return (
-        whole if rng.random() < 0.97 else bytes(rng.randrange(256) if rng.random() < 0.02 else byte for byte in whole)
+        whole
+        if rng.random() < 0.97
+        else bytes(rng.randrange(256) if rng.random() < 0.02 else byte for byte in whole)
     )
 
 
@@ -79,7 +93,9 @@ def status(port: int, sent: bytes) -> int:
     return int(answer.split(b" ", 2)[1]) if answer.startswith(b"HTTP/1.") else 0
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(100_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
+@pytest.mark.parametrize(
+    "count", [300, pytest.param(100_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+)
 def test_no_request_breaks_the_server_or_writes(memory: Path, count: int) -> None:
     rng = random.Random(f"{SEED} {count}")
     path = files.make(memory, hops=20)

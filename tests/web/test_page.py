@@ -89,7 +89,9 @@ def test_numbers_on_the_page_are_those_of_sql(browser: webdriver.Chrome, folder:
         Number(li.querySelector("data").value), Number(li.querySelector("data").dataset.sd), li.textContent])"""
     shown = browser.execute_script(script)
     connection = sqlite3.connect(folder / "rig.db")
-    said = connection.execute("SELECT parameter, value, sd, status FROM v_latest WHERE rig = 'press-7'").fetchall()
+    said = connection.execute(
+        "SELECT parameter, value, sd, status FROM v_latest WHERE rig = 'press-7'"
+    ).fetchall()
     connection.close()
     assert [row[:3] for row in shown] == [[name, value, sd] for name, value, sd, _ in said]
     for (_, value, _, text), (*_, status) in zip(shown, said, strict=True):
@@ -104,7 +106,10 @@ def test_text_of_the_database_is_text(browser: webdriver.Chrome) -> None:
 
 
 def test_rigs_stand_worst_first_and_the_model_is_drawn(browser: webdriver.Chrome, folder: Path) -> None:
-    assert [text.split()[0] for text in until(lambda: texts(browser, "#rig-list li"))] == ["press-7", "press-8"]
+    assert [text.split()[0] for text in until(lambda: texts(browser, "#rig-list li"))] == [
+        "press-7",
+        "press-8",
+    ]
     picture = until(lambda: browser.find_elements(By.CSS_SELECTOR, "#model svg"))[0]
     assert "k1 alarm, k2 normal, B1 normal, B2 cannot tell" in str(picture.get_attribute("aria-label"))
     assert texts(browser, "#model text") == ["k1", "k2", "B1", "B2", "m1", "m2"]
@@ -126,7 +131,9 @@ def test_page_says_what_could_be_known_now_and_what_was_forecast(browser: webdri
     assert "of 2 made here, 1 held within the 80 % band" in forecast
 
 
-def test_chart_shows_reference_limits_and_the_fan_with_forecasts_of_the_past(browser: webdriver.Chrome) -> None:
+def test_chart_shows_reference_limits_and_the_fan_with_forecasts_of_the_past(
+    browser: webdriver.Chrome,
+) -> None:
     def legend() -> list[str]:
         return texts(browser, ".u-legend .u-label")
 
@@ -153,7 +160,9 @@ def test_alarm_is_acknowledged_and_shelved_by_keyboard_alone(
         webdriver.ActionChains(browser).send_keys(*keys).perform()
 
     def focused() -> str:
-        return str(browser.execute_script("return document.activeElement.dataset.key ?? document.activeElement.id"))
+        return str(
+            browser.execute_script("return document.activeElement.dataset.key ?? document.activeElement.id")
+        )
 
     files.plant(folder / "rig.db", "k2")  # so that there is one to move to, whichever tests ran before
     until(lambda: len(texts(browser, "#alarm-list li")) > 1)
@@ -177,10 +186,16 @@ def test_alarm_is_acknowledged_and_shelved_by_keyboard_alone(
     until(lambda: focused() == first)  # where one was is where one stays
     press("s")
     until(lambda: agent[-1]["cause"] == "shelve")
-    assert (agent[-1]["by"], agent[-1]["ids"], agent[-1]["length_ns"]) == ("anna", line["ids"], 8 * 3600 * 10**9)
+    assert (agent[-1]["by"], agent[-1]["ids"], agent[-1]["length_ns"]) == (
+        "anna",
+        line["ids"],
+        8 * 3600 * 10**9,
+    )
 
 
-def test_narrow_page_in_both_schemes_has_no_horizontal_scroll_and_axe_finds_nothing(browser: webdriver.Chrome) -> None:
+def test_narrow_page_in_both_schemes_has_no_horizontal_scroll_and_axe_finds_nothing(
+    browser: webdriver.Chrome,
+) -> None:
     axe = (resources.files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
     browser.execute_cdp_cmd("Runtime.evaluate", {"expression": axe})
     for scheme in ("light", "dark"):
@@ -215,7 +230,9 @@ def test_two_hundred_rows_are_shown_with_the_numbers_of_sql_as_they_are_committe
             value = rng.normal(25.0, 10.0 ** rng.integers(-3, 4), (1, 4))
             sd = np.abs(rng.normal(0.0, 10.0 ** rng.integers(-6, 1), (1, 4)))
             now = time.time_ns() - number * HOP  # the row's own number adds as much
-            rows = batch(1, first=number, start=now, value=value, sd=sd, lower=value - 2 * sd, upper=value + 2 * sd)
+            rows = batch(
+                1, first=number, start=now, value=value, sd=sd, lower=value - 2 * sd, upper=value + 2 * sd
+            )
             store.write(run, [rows])
             wanted = [[name, *pair] for name, *pair in zip(PARAMETERS, value[0], sd[0], strict=True)]
             until(lambda wanted=wanted: shown(browser) == wanted)

@@ -1,4 +1,5 @@
-"""Events: every commit once and in order, whatever is cut; slow listeners and a killed server touch no database."""
+"""Events: every commit once and in order, whatever is cut; slow listeners and a killed server touch no
+database."""
 
 import os
 import signal
@@ -52,7 +53,11 @@ def test_stream_cut_fifty_times_has_no_gap_and_no_double(client: Client, path: P
         run = store.begin_run(run_info(started_ns=start))
         for cut in range(50):
             store.write(
-                run, [batch(3, first=3 * cut, start=start), step("NORM", "UNACK", start + cut, parameter=f"p{cut}")]
+                run,
+                [
+                    batch(3, first=3 * cut, start=start),
+                    step("NORM", "UNACK", start + cut, parameter=f"p{cut}"),
+                ],
             )
             with client.events(since) as events:
                 wanted = 1 + cut % 4  # none of the cuts falls where a commit ends
@@ -102,8 +107,12 @@ def test_killed_server_and_slow_listeners_cost_the_database_nothing(memory: Path
     with serving("--db", path) as client, Store.open(path) as store:
         run = store.begin_run(run_info(started_ns=start))
         slow = [socket.create_connection(("127.0.0.1", client.port)) for _ in range(100)]
-        for place, peer in enumerate(slow):  # half of them never end their request, half never read the answer
-            peer.sendall(b"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n" + (b"\r\n" if place % 2 else b""))
+        for place, peer in enumerate(
+            slow
+        ):  # half of them never end their request, half never read the answer
+            peer.sendall(
+                b"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n" + (b"\r\n" if place % 2 else b"")
+            )
         for turn in range(10):
             before = time.monotonic()
             store.write(run, [batch(50, first=50 * turn, start=start)])

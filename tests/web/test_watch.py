@@ -36,7 +36,11 @@ def test_overview_puts_the_worst_rig_first_and_takes_limits_from_the_configurati
     assert parameters["k1"]["limit"] == 15.0
     assert parameters["k2"]["limit"] == pytest.approx(2.6)
     assert parameters["k1"]["used"] == pytest.approx(abs(parameters["k1"]["delta"]) / 15.0)
-    assert (parameters["B1"]["limit"], parameters["B1"]["used"], parameters["k1"]["alarm"]) == (None, None, "UNACK")
+    assert (parameters["B1"]["limit"], parameters["B1"]["used"], parameters["k1"]["alarm"]) == (
+        None,
+        None,
+        "UNACK",
+    )
     assert found["rigs"][0]["sources"][0]["rate_hz"] == 200.0
 
 
@@ -63,13 +67,17 @@ def test_databases_of_one_name_are_told_apart(tmp_path: Path) -> None:
     assert names == ["rig", "rig-2"]
 
 
-def test_watch_without_a_target_needs_exactly_one_database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_watch_without_a_target_needs_exactly_one_database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match="no database; name a configuration or a database"):
         one(None)
 
 
-def test_once_prints_one_frame_with_the_numbers_of_the_database_and_no_orders_to_a_terminal(path: Path) -> None:
+def test_once_prints_one_frame_with_the_numbers_of_the_database_and_no_orders_to_a_terminal(
+    path: Path,
+) -> None:
     command = [sys.executable, "-m", "agent", "watch", str(path), "--once"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     for row in queries.latest(path):

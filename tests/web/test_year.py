@@ -1,4 +1,5 @@
-"""The chart of a rig-year in a real browser: every stretch, from a minute to all of it, is drawn within a second."""
+"""The chart of a rig-year in a real browser: every stretch, from a minute to all of it, is drawn within a
+second."""
 
 from pathlib import Path
 
@@ -24,7 +25,9 @@ button.click();
 """
 
 
-def test_every_stretch_of_a_rig_year_is_drawn_within_a_second(tmp_path: Path, driver: webdriver.Chrome) -> None:
+def test_every_stretch_of_a_rig_year_is_drawn_within_a_second(
+    tmp_path: Path, driver: webdriver.Chrome
+) -> None:
     year(tmp_path / "rig.db")
     with serving("--db", tmp_path / "rig.db") as client:
         driver.get(f"http://localhost:{client.port}/")

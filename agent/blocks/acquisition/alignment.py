@@ -1,12 +1,14 @@
 """Data acquisition of rigs whose channels do not come together: several devices, delays, clocks and rates of their own.
 
-Rows follow the samples of one source, the reference. Every other channel is read where the reference's instant lies in
-its own source: at the same number where devices share a counter, at the place that both clocks say where they do not,
-later by the channel's delay and by the skew of its source. Between samples a reading is interpolated. What is decided
-depends on each source's own samples, not on whose block came first, so that a replay gives the same rows.
+Rows follow the samples of one source, the reference. Every other channel is read where the reference's
+instant lies in its own source: at the same number where devices share a counter, at the place that both
+clocks say where they do not, later by the channel's delay and by the skew of its source. Between samples a
+reading is interpolated. What is decided depends on each source's own samples, not on whose block came first,
+so that a replay gives the same rows.
 
-A device that begins to count anew begins a span of rows, which no row before goes with. The others join it by their
-counters where they began anew as well; where one did not, its samples are found by a skew that is measured anew.
+A device that begins to count anew begins a span of rows, which no row before goes with. The others join it by
+their counters where they began anew as well; where one did not, its samples are found by a skew that is
+measured anew.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -49,12 +51,14 @@ class Alignment(Acquisition):
     Args:
         plan: how rows are made.
         watch: measures the skews of sources; None where there is nothing to measure.
-        remeasure: makes a watch of all sources, for when their counters say nothing; None where there is but one.
+        remeasure: makes a watch of all sources, for when their counters say nothing; None where there is but
+            one.
         keep_incomplete: hand on rows that lack some reading (NaN).
     """
 
     def __init__(
-        self, plan: AlignmentPlan, watch: SkewWatch | None = None, remeasure: Callable[[], SkewWatch] | None = None,
+        self, plan: AlignmentPlan, watch: SkewWatch | None = None,
+        remeasure: Callable[[], SkewWatch] | None = None,
         *, keep_incomplete: bool = False,
     ) -> None:  # fmt: skip
         origin = Origin(shared=len(plan.streams) > 1)
@@ -76,7 +80,9 @@ class Alignment(Acquisition):
     def sources(self) -> dict[str, SourceState]:
         return {name: stream.state for name, stream in self.streams.items()}
 
-    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> Acquired:
+    def step(
+        self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None
+    ) -> Acquired:
         stream = self.streams[source]
         stream.take(block, modulus, label if stream is self.reference else None)
         if stream.began_anew():
@@ -93,7 +99,9 @@ class Alignment(Acquisition):
         since = max(stream.state.indexer.began, self._made + 1, self._spans[-1].since)
         own = stream.plan.own_clock
         if len(self.streams) > 1:
-            span = Span(self._in_rows(stream, since), self._watch_anew(since, needed=not own and self._parted()))
+            span = Span(
+                self._in_rows(stream, since), self._watch_anew(since, needed=not own and self._parted())
+            )
             self._spans.append(span)
 
     def _in_rows(self, stream: Stream, number: int) -> int:
@@ -194,7 +202,11 @@ class Alignment(Acquisition):
             return False
         ready = self._ready(watch.margin)
         found = watch.look(self._first_common(), ready, self.reference.newest, self._read)
-        if watch.needed and not span.announced and self.reference.newest > span.since + TOGETHER_S * self.plan.rate_hz:
+        if (
+            watch.needed
+            and not span.announced
+            and self.reference.newest > span.since + TOGETHER_S * self.plan.rate_hz
+        ):
             span.announced = True
             self._announce(watch.against)
         self._events += found
@@ -292,7 +304,11 @@ class Alignment(Acquisition):
         """Tell which rows (n,) would be read on both sides of where a device began to count anew."""
         reach = AFTER + 1 + round(float(np.abs(delays).max()) * self.plan.rate_hz)
         edges = [span.since for span in self._spans if span.since >= 0]
-        return np.any([np.abs(rows - edge) < reach for edge in edges], axis=0) if edges else np.zeros(len(rows), bool)
+        return (
+            np.any([np.abs(rows - edge) < reach for edge in edges], axis=0)
+            if edges
+            else np.zeros(len(rows), bool)
+        )
 
     def _nearest(self, stream: Stream, rows: IntArray, delays: FloatArray) -> IntArray:
         whole, part = self._places(stream, rows, float(delays[stream.plan.source.columns[0]]))
@@ -304,7 +320,9 @@ class Alignment(Acquisition):
             return np.zeros(len(rows), dtype=np.bool_)
         place = self._nearest(stream, rows, delays)
         after = np.minimum(np.searchsorted(stream.index, place), len(stream.index) - 1)
-        away = np.minimum(np.abs(stream.index[after] - place), np.abs(stream.index[np.maximum(after - 1, 0)] - place))
+        away = np.minimum(
+            np.abs(stream.index[after] - place), np.abs(stream.index[np.maximum(after - 1, 0)] - place)
+        )
         reach = max(NEIGHBOURS, round(NEIGHBOURS * stream.plan.rate_hz / self.plan.rate_hz))
         return np.asarray(away <= reach)
 
@@ -324,7 +342,9 @@ class Alignment(Acquisition):
         history = max(8 if span.watch is None else span.watch.history for span in self._spans)
         for stream in self.streams.values():
             rate = stream.plan.rate_hz / self.plan.rate_hz
-            needed = self._nearest(stream, np.array([self._made]), delays)[0] if self._placeable(stream) else -1
+            needed = (
+                self._nearest(stream, np.array([self._made]), delays)[0] if self._placeable(stream) else -1
+            )
             if self.reference.newest <= self._made:
                 # no row waits: what is older than the patience has no partner to come
                 stream.give_up(stream.newest - round(self._patience * rate))
@@ -334,4 +354,6 @@ class Alignment(Acquisition):
 
     def _placeable(self, stream: Stream) -> bool:
         clocks = self.reference.clock, stream.clock
-        return self._made >= 0 and (not self._apart(stream) or all(c is not None and c.settled for c in clocks))
+        return self._made >= 0 and (
+            not self._apart(stream) or all(c is not None and c.settled for c in clocks)
+        )

@@ -1,10 +1,10 @@
 """Which sample is it, where nothing but its arrival says so: samples are counted, and time tells of those that lack.
 
-An arrival is never early and often late: rounding each one by itself makes repeats and gaps of what is only jitter.
-So samples follow one another, and a line of the most punctual arrivals says when the next one is due. Only arrivals
-that are later than is usual by most of a sample, or that stay late for a while, tell of samples that were lost. Where
-samples have no receipt of their own, the newest of a block is up to a sample old when it is read: of a single lost one
-that tells late or not at all.
+An arrival is never early and often late: rounding each one by itself makes repeats and gaps of what is only
+jitter. So samples follow one another, and a line of the most punctual arrivals says when the next one is due.
+Only arrivals that are later than is usual by most of a sample, or that stay late for a while, tell of samples
+that were lost. Where samples have no receipt of their own, the newest of a block is up to a sample old when
+it is read: of a single lost one that tells late or not at all.
 """
 
 from collections import deque

@@ -20,8 +20,8 @@ class _Piece(NamedTuple):
 class ClockMap:
     """Times (s, the gateway's monotonic clock) of a device's samples: straight pieces, one after the other.
 
-    Each piece rests on arrivals before it alone, and on the device's own alone, so what is said of a sample does not
-    depend on when it is asked. Where the device began anew, so does the map, with a jump.
+    Each piece rests on arrivals before it alone, and on the device's own alone, so what is said of a sample
+    does not depend on when it is asked. Where the device began anew, so does the map, with a jump.
     """
 
     rate_hz: float

@@ -38,11 +38,14 @@ class Origin:
     generation: int = 0
     anew: Anew | None = None
 
-    def renumber(self, generation: int, by_time: int, raw: int, modulus: int | None, reach: float) -> tuple[int, int]:
+    def renumber(
+        self, generation: int, by_time: int, raw: int, modulus: int | None, reach: float
+    ) -> tuple[int, int]:
         """Return the index of a sample of a source that counts anew, and the generation of its numbers.
 
-        Another source that began anew since this one did (`generation`) gives the number where both counts agree with
-        the clock, `by_time`, to within `reach` samples, and wraps are too far apart for that to be chance.
+        Another source that began anew since this one did (`generation`) gives the number where both counts
+        agree with the clock, `by_time`, to within `reach` samples, and wraps are too far apart for that to be
+        chance.
         """
         other = self.anew if self.generation > generation else None
         joined = None if other is None else _joined(other, by_time, raw, modulus, reach)
@@ -75,7 +78,8 @@ class Indexer:
         modulus: the counter wraps at this; None where it does not.
         rejected: samples refused, by reason.
         restarts: how often the device was found to have started anew.
-        generation: of the origin that its numbers count from; sources of one origin and generation count together.
+        generation: of the origin that its numbers count from; sources of one origin and generation count
+            together.
         began: index of the first sample of the count that it follows now.
     """
 
@@ -107,7 +111,9 @@ class Indexer:
         stamped = self.clock != "uniform" and block.t_ns is not None
         return self._by_readings(block, counted=counted, numbered=not counted and not stamped)
 
-    def _by_readings(self, block: SampleBlock, *, counted: bool, numbered: bool) -> tuple[IntArray, BoolArray]:
+    def _by_readings(
+        self, block: SampleBlock, *, counted: bool, numbered: bool
+    ) -> tuple[IntArray, BoolArray]:
         """Number samples by their counter, by their time stamps, or one after the other."""
         arrival_ns = block.arrival_ns
         raw = self._readings(block, counted=counted, numbered=numbered)
@@ -189,7 +195,11 @@ class Indexer:
     def _punctual_ns(self, arrival_ns: int) -> float:
         """When index 0 would have arrived, had it been as punctual as the most punctual sample was."""
         here = arrival_ns - self._newest * 1e9 / self.rate_hz
-        return here if self._line_ns is None else min(here, self._line_ns + LEAK * (arrival_ns - self._received_ns))
+        return (
+            here
+            if self._line_ns is None
+            else min(here, self._line_ns + LEAK * (arrival_ns - self._received_ns))
+        )
 
     def _ahead(self, index: int, arrival_ns: int) -> bool:
         """Tell whether a sample would have come before its time: its device counts anew, from further on."""
@@ -207,7 +217,8 @@ class Indexer:
     def _silent_wraps(self, counted: int, arrival_ns: int) -> int:
         """Samples that whole wraps of the counter hide, after a silence longer than half a wrap.
 
-        counted: the samples up to the newest, by the counter alone. A long block is no silence before its first one.
+        counted: the samples up to the newest, by the counter alone. A long block is no silence before its
+        first one.
         """
         hidden = (arrival_ns - self._received_ns) * self.rate_hz / 1e9 - counted
         if self.modulus is None or hidden < max(self.modulus / 2, PUNCTUAL_S * self.rate_hz):
@@ -239,7 +250,9 @@ class Indexer:
         if self._line_ns is not None:
             # the newest sample before may have been old when it came: its device was on its way down
             by_time = max(self._newest + 1, round((arrival_ns - self._line_ns) * self.rate_hz / 1e9))
-        known = self.origin.renumber(self.generation, by_time, int(raw[-1]), self.modulus, JOIN_S * self.rate_hz)
+        known = self.origin.renumber(
+            self.generation, by_time, int(raw[-1]), self.modulus, JOIN_S * self.rate_hz
+        )
         self._resumed, self.generation = known
         self._raw = int(raw[0])
         self._received_ns = arrival_ns

@@ -38,7 +38,8 @@ class SourcePlan:
 class SourceState:
     """What is known of one source.
 
-    passed counts samples handed on to the rig; rejected those refused here, by reason; gaps the jumps of the index.
+    passed counts samples handed on to the rig; rejected those refused here, by reason; gaps the jumps of the
+    index.
     """
 
     plan: SourcePlan
@@ -84,7 +85,9 @@ class Acquisition(ABC):
         """What is known of each source, by its name."""
 
     @abstractmethod
-    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> Acquired:
+    def step(
+        self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None
+    ) -> Acquired:
         """Take a block of one source; return the samples that it leads to, and what it shows of the sources.
 
         label gives time stamps; without it the samples' own are taken, or those of their numbers.

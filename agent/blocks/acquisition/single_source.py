@@ -23,7 +23,8 @@ from drivers.port import SampleBlock
 
 LARGEST = 1e30
 """No instrument means more, in SI: marks of "no value" (the greatest float32 is 3.4e38) and torn bytes are beyond it, \
-the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so nothing overflows."""
+the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so nothing
+overflows."""
 
 
 class SingleSource(Acquisition):
@@ -33,7 +34,8 @@ class SingleSource(Acquisition):
         plan: its source.
         inputs: number of model inputs; they are the first channels, the others are outputs.
         clock, rate_hz: what orders samples, and how fast they come.
-        keep_incomplete: hand on samples that lack some reading (NaN); they are counted as refused all the same.
+        keep_incomplete: hand on samples that lack some reading (NaN); they are counted as refused all the
+            same.
     """
 
     def __init__(
@@ -52,14 +54,18 @@ class SingleSource(Acquisition):
         """What is known of the source, by its name."""
         return {self._state.plan.name: self._state}
 
-    def step(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None) -> Acquired:
+    def step(
+        self, source: str, block: SampleBlock, modulus: int | None, label: Label | None = None
+    ) -> Acquired:
         index, values, stamps = intake(self._state, block, modulus)
         if not self._keep_incomplete:
             finite = np.isfinite(values).all(axis=1)
             index, values, stamps = index[finite], values[finite], None if stamps is None else stamps[finite]
         self._state.passed += len(index)
         pieces = [self._numbered(*piece) for piece in uninterrupted(index, values[:, self._order], stamps)]
-        return Acquired(pieces if label is None else [replace(piece, stamps=label(piece.index)) for piece in pieces])
+        return Acquired(
+            pieces if label is None else [replace(piece, stamps=label(piece.index)) for piece in pieces]
+        )
 
     def ends(self, source: str, through: Through) -> Ends:
         used, rejected = self._before
@@ -77,7 +83,9 @@ class SingleSource(Acquisition):
         return Aligned(index, values[:, : self._inputs], values[:, self._inputs :], stamps, self._segment)
 
 
-def intake(state: SourceState, block: SampleBlock, modulus: int | None) -> tuple[IntArray, FloatArray, IntArray | None]:
+def intake(
+    state: SourceState, block: SampleBlock, modulus: int | None
+) -> tuple[IntArray, FloatArray, IntArray | None]:
     """Take a block of a source: return the numbers (n,) of samples that go forward, SI values (n, c), stamps (n,).
 
     What is not finite or beyond `LARGEST` is NaN; what goes backwards is left out; all are counted.

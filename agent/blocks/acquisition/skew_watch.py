@@ -53,7 +53,8 @@ class SkewWatch:
         skew_s, sd_s: (g,) what is compensated now and how well it is known; sd inf while it is not.
         holding: rows are to wait.
         since: rows before this one are not to be measured.
-        needed: numbers say nothing of which samples go together, so rows are no good before the skew is known.
+        needed: numbers say nothing of which samples go together, so rows are no good before the skew is
+            known.
         unknown: the skew has not been found yet.
     """
 
@@ -107,7 +108,8 @@ class SkewWatch:
     def anew(self, since: int, *, needed: bool) -> "SkewWatch":
         """Return a watch that measures from row `since` on, and expects what this one found."""
         watch = SkewWatch(
-            self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest, self.rate_hz,
+            self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest,
+            self.rate_hz,
             self.complete, since=since, needed=needed, budget=self.budget,
             _patience_s=SKEW_PATIENCE_ANEW_S,
         )  # fmt: skip
@@ -188,7 +190,9 @@ class SkewWatch:
             self._found.append(best)
             self._theta = best.theta
 
-    def _try(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, index: int) -> Delays | None:
+    def _try(
+        self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, index: int
+    ) -> Delays | None:
         """Measure a stretch that ends with sample number `index` from one start; None where it tells nothing."""
         if self.budget is None or not self.budget.allows(index):
             return None
@@ -240,7 +244,9 @@ class SkewWatch:
         for number in which:
             delay, sd = 1e3 * float(known.delay_s[number]), 1e3 * float(known.sd_s[number])
             source = self.groups[number].source
-            words = f"{source}: read {abs(delay):.3f} ± {sd:.3f} ms {'later' if delay > 0 else 'earlier'} than "
+            words = (
+                f"{source}: read {abs(delay):.3f} ± {sd:.3f} ms {'later' if delay > 0 else 'earlier'} than "
+            )
             words += self.against + ("; compensated" if self.skew_s[number] else "; nothing to compensate")
             self._events.append(SourceEvent(source, "skew", words))
 

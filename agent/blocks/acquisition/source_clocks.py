@@ -33,4 +33,6 @@ class SourceClocks:
         drift = self.drift(source)
         if drift is None and skew_s is None:
             return None
-        return SourceClock(None if drift is None else drift.ppm, None if drift is None else drift.sd, skew_s, skew_sd_s)
+        return SourceClock(
+            None if drift is None else drift.ppm, None if drift is None else drift.sd, skew_s, skew_sd_s
+        )

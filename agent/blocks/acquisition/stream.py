@@ -34,7 +34,8 @@ class AlignmentPlan:
         streams: the sources; `reference` is the place of the one whose samples make rows.
         channels, inputs: number of channels, of which the first are inputs.
         clock, rate_hz: what orders samples, and how fast rows come.
-        delay_s: (c,) how much later than the reference's first channel each is read, as far as that is configured.
+        delay_s: (c,) how much later than the reference's first channel each is read, as far as that is
+            configured.
         late_s: how late that first channel is itself.
     """
 
@@ -81,7 +82,11 @@ class Stream:
     def waiting(self) -> int:
         """Complete samples that wait for their row, or for what is made of it."""
         open_ = self.index > self.sent
-        return int(np.isfinite(self.values[open_]).all(axis=1).sum()) + self.tally.waiting if len(self.index) else 0
+        return (
+            int(np.isfinite(self.values[open_]).all(axis=1).sum()) + self.tally.waiting
+            if len(self.index)
+            else 0
+        )
 
     def take(self, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
         """Keep a block's samples, those that lack a reading too, with the stamps of `label` or else their own."""
@@ -91,7 +96,13 @@ class Stream:
             self.clock.restart()
         if not len(index):
             return
-        times = label(index) if label is not None else _by_rate(index, self.plan.rate_hz) if stamps is None else stamps
+        times = (
+            label(index)
+            if label is not None
+            else _by_rate(index, self.plan.rate_hz)
+            if stamps is None
+            else stamps
+        )
         self.index, self.stamps = np.concatenate([self.index, index]), np.concatenate([self.stamps, times])
         self.values = np.concatenate([self.values, values]) if self.values.size else values
         if self.clock is not None:
@@ -100,7 +111,9 @@ class Stream:
     def send(self, last: IntArray) -> IntArray:
         """Return how many complete samples (n,) go with rows that take along all up to last (n,)."""
         complete = self.index[np.isfinite(self.values).all(axis=1)] if len(self.index) else self.index
-        edges = np.searchsorted(complete, np.maximum.accumulate(np.concatenate([[self.sent], last])), side="right")
+        edges = np.searchsorted(
+            complete, np.maximum.accumulate(np.concatenate([[self.sent], last])), side="right"
+        )
         self.sent = max(self.sent, int(last[-1]))
         return np.diff(edges)
 

@@ -12,8 +12,8 @@ from agent.types import IntArray, Samples
 class Tally:
     """The samples of one source on their way through rows.
 
-    A row takes along as many samples as fell to it: one, seldom none or two where the device's clock runs at its own
-    speed, several where the device is the faster one.
+    A row takes along as many samples as fell to it: one, seldom none or two where the device's clock runs at
+    its own speed, several where the device is the faster one.
 
     Attributes:
         used: samples of rows that entered the estimation whole.

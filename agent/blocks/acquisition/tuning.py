@@ -4,7 +4,8 @@ A time or a count that is nobody's data sheet stands here and nowhere else; what
 tests/unit/blocks/acquisition or tests/scenario.
 """
 
-# ------------------------------------------------------------------ numbers of samples by counter and by time stamp
+# ------------------------------------------------------------------ numbers of samples by counter and by time
+# stamp
 WIDEST = 1 << 62
 """A counter of more values does not wrap in any lifetime, and one of 64 bits wraps with the numbers themselves."""
 RESTART_AFTER_S = 0.1

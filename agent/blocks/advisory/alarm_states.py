@@ -1,7 +1,7 @@
 """Advisory: the states of a rig's alarms while it runs. Detectors say what the process did, operators what they want.
 
-The store decides each step once more from the row that it holds, so where a command and the process cross, both take
-the same two causes and come to the same state.
+The store decides each step once more from the row that it holds, so where a command and the process cross,
+both take the same two causes and come to the same state.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,12 +1,14 @@
 """Watching the watcher: alarms of parameters that are not estimated, and of a model that explains the machine no more.
 
-A parameter with an alarm that got no valid row for its time is blind, whatever its readings say: a fault from the first
-sample on, or one that comes and goes faster than a window, is not silent. Time counts sample indices, from row to row,
-so what a source did not deliver (which has an alarm of its own) is no time. Parameters that go blind for one reason
-share one alarm; the reason `mismatch` is the model's, and its alarm of another kind. A valid row clears, nothing else.
+A parameter with an alarm that got no valid row for its time is blind, whatever its readings say: a fault from
+the first sample on, or one that comes and goes faster than a window, is not silent. Time counts sample
+indices, from row to row, so what a source did not deliver (which has an alarm of its own) is no time.
+Parameters that go blind for one reason share one alarm; the reason `mismatch` is the model's, and its alarm
+of another kind. A valid row clears, nothing else.
 
-A row at a standstill is no fault: it is no time either, unless the configuration names a time (`blind_s`). A row that
-is unexcited though the machine moves counts: a model that does not fit widens intervals before anything else.
+A row at a standstill is no fault: it is no time either, unless the configuration names a time (`blind_s`). A
+row that is unexcited though the machine moves counts: a model that does not fit widens intervals before
+anything else.
 """
 
 from collections import Counter
@@ -23,7 +25,9 @@ WINDOWS: Final = 100
 BLIND_KINDS: Final[tuple[AlarmKind, ...]] = ("blind", "mismatch")
 MODEL: Final = "model"
 """What alarms of kind mismatch are of."""
-_OF_CHANNELS: Final = frozenset({Reason.SENSOR, Reason.STUCK, Reason.SATURATED, Reason.NO_DATA, Reason.INSEPARABLE})
+_OF_CHANNELS: Final = frozenset(
+    {Reason.SENSOR, Reason.STUCK, Reason.SATURATED, Reason.NO_DATA, Reason.INSEPARABLE}
+)
 """Reasons that an alarm of a channel explains, where one stands."""
 
 
@@ -151,7 +155,9 @@ class BlindAlarms:
                 group.members |= set(names)
                 return []
         first = self._watches[names[0]]
-        group = _Group(kind, MODEL if kind == "mismatch" else names[0], first.rule.priority, reason, set(names))
+        group = _Group(
+            kind, MODEL if kind == "mismatch" else names[0], first.rule.priority, reason, set(names)
+        )
         self._groups.append(group)
         words = self._words(kind, reason, names, first.samples.total() / self._rate)
         return [self._transition(group, t_ns, words, stands=True, advice=first.rule.advice)]
@@ -160,7 +166,9 @@ class BlindAlarms:
     def _words(kind: AlarmKind, reason: str, names: Sequence[str], seconds: float) -> str:
         listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         if kind == "mismatch":
-            return f"the model has not explained the machine for {seconds:.0f} s: no valid estimate of {listed}"
+            return (
+                f"the model has not explained the machine for {seconds:.0f} s: no valid estimate of {listed}"
+            )
         return f"no valid estimate of {listed} for {seconds:.0f} s, most often for the reason {reason}"
 
     def _transition(

@@ -116,7 +116,8 @@ class PrognosisAlarms:
         self._states[kind, rule.parameter] = after
         change = AlarmTransition(
             rig=self._rig, kind=kind, parameter=rule.parameter, priority=rule.priority, t_ns=outlook.t_ns,
-            from_state=before, to_state=after, cause="raise" if found.raised else "clear", message=found.words,
+            from_state=before, to_state=after, cause="raise" if found.raised else "clear",
+            message=found.words,
             delta=found.delta, sd=found.sd, limit_value=found.limit, probability=found.probability,
             advice=rule.advice,
         )  # fmt: skip
@@ -146,7 +147,9 @@ def _forecast_words(outlook: Outlook, made: "Forecast", within_s: float, *, near
         return f"{outlook.parameter}: nothing leads to {limit} any more"
     p10, p50, p90 = (ahead(days * DAY_S) for days in (made.p10, made.p50, made.p90))
     lead = "reaches" if near else "no alarm any more: reaches"
-    return f"{outlook.parameter} {lead} {limit} in {p50} (80 %: {p10} … {p90}; alarm within {ahead(within_s)})"
+    return (
+        f"{outlook.parameter} {lead} {limit} in {p50} (80 %: {p10} … {p90}; alarm within {ahead(within_s)})"
+    )
 
 
 def _drift(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
@@ -161,7 +164,13 @@ def _drift(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
     lead = f"{'falls' if change.newest < 0.0 else 'rises'} by" if is_fast else "is slow again, changes by"
     words = f"{outlook.parameter} {lead} {slope} (limit {number(rate)})"
     return _Finding(
-        is_fast, slower >= rule.confidence, change.newest, change.newest_sd, rate, faster if is_fast else slower, words
+        is_fast,
+        slower >= rule.confidence,
+        change.newest,
+        change.newest_sd,
+        rate,
+        faster if is_fast else slower,
+        words,
     )
 
 

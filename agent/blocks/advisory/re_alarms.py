@@ -28,11 +28,15 @@ class ReAlarms:
         self._rules: Mapping[str, ReAlarmRule] = {rule.parameter: rule for rule in rules if rule.re_alarm_s}
         self._since: dict[tuple[AlarmKind, str], int] = {}
 
-    def step(self, alarms: Iterable[tuple[AlarmKind, str, Alarm]], now_ns: int, t_ns: int) -> list[AlarmTransition]:
+    def step(
+        self, alarms: Iterable[tuple[AlarmKind, str, Alarm]], now_ns: int, t_ns: int
+    ) -> list[AlarmTransition]:
         """Return who asks again: alarms by kind and parameter; now_ns monotonic, t_ns the time that steps get."""
         if not self._rules:
             return []
-        acked = [(kind, name) for kind, name, alarm in alarms if alarm.state == "ACKED" and name in self._rules]
+        acked = [
+            (kind, name) for kind, name, alarm in alarms if alarm.state == "ACKED" and name in self._rules
+        ]
         self._since = {key: self._since.get(key, now_ns) for key in acked}
         due = [key for key, since in self._since.items() if now_ns - since >= self._length_ns(key[1])]
         return [self._asks(kind, name, t_ns) for kind, name in due]
@@ -44,6 +48,7 @@ class ReAlarms:
         rule = self._rules[parameter]
         words = f"{parameter}: acknowledged {rule.re_alarm_s:g} s ago and not over"
         return AlarmTransition(
-            rig=self._rig, kind=kind, parameter=parameter, priority=rule.priority, t_ns=t_ns, from_state="ACKED",
+            rig=self._rig, kind=kind, parameter=parameter, priority=rule.priority, t_ns=t_ns,
+            from_state="ACKED",
             to_state="UNACK", cause="re-alarm", message=words, advice=rule.advice,
         )  # fmt: skip

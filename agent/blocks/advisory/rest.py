@@ -1,8 +1,8 @@
 """Suppression by design (ISA-18.2 clause 5.4, state H): what stands is silent while the machine rests.
 
-Where `at_rest = "suppress"`, a part that the motion has not resolved (`unexcited`) for ten seconds says nothing: its
-level alarm is DSUPR, whatever was acknowledged, and asks again with the first valid row. An alarm that does not stand
-is left: rows that are not valid raise nothing.
+Where `at_rest = "suppress"`, a part that the motion has not resolved (`unexcited`) for ten seconds says
+nothing: its level alarm is DSUPR, whatever was acknowledged, and asks again with the first valid row. An
+alarm that does not stand is left: rows that are not valid raise nothing.
 """
 
 from collections.abc import Sequence

@@ -70,11 +70,14 @@ class Compensation:
 
     def count_from(self, baselines: Sequence[Baseline]) -> None:
         """Move these references from the next row on, those of them that depend on a covariate."""
-        self._moved = {one.parameter: self._of(one, found) for one in baselines if (found := dependences(one))}
+        self._moved = {
+            one.parameter: self._of(one, found) for one in baselines if (found := dependences(one))
+        }
 
     def _of(self, one: Baseline, found: tuple[Dependence, ...]) -> _Moved:
         filters = {
-            d.name: LagFilter(self._means.get(d.name, {}), d.center, ceil(d.hold_s / PERIOD_S), d.lag) for d in found
+            d.name: LagFilter(self._means.get(d.name, {}), d.center, ceil(d.hold_s / PERIOD_S), d.lag)
+            for d in found
         }
         return _Moved(one, found, filters)
 

@@ -41,7 +41,9 @@ class CovariateMeans:
             table = self.known.get(mean.name)
             if table is not None and mean.unit == self._covariates[mean.name].unit:
                 first = mean.t_ns // PERIOD_NS
-                table.update(dict.fromkeys(range(first, first + mean.span_s * 10**9 // PERIOD_NS), mean.value))
+                table.update(
+                    dict.fromkeys(range(first, first + mean.span_s * 10**9 // PERIOD_NS), mean.value)
+                )
 
     def take(self, t_ns: IntArray, readings: Mapping[str, FloatArray]) -> None:
         """Take readings (n,) of covariates at instants t_ns (n,); NaN where there is none."""

@@ -20,7 +20,9 @@ _RIGHT = {"reference", "spread", "between days", "lasts", "rows"}
 def print_learnt(document: Document) -> None:
     """Print what was learnt, and what it does not know."""
     rows = document["parameters"]
-    print_table(f"{document['rig']}: learnt", COLUMNS, [_cells(name, row) for name, row in rows.items()], right=_RIGHT)
+    print_table(
+        f"{document['rig']}: learnt", COLUMNS, [_cells(name, row) for name, row in rows.items()], right=_RIGHT
+    )
     print_dependences(rows.items())
     for words in document["warnings"]:
         show(f"warning: {words}")
@@ -68,7 +70,16 @@ def print_dependences(rows: Iterable[tuple[str, Document]]) -> None:
         print_table("what references depend on", _DEPENDENCE, cells)
 
 
-_DEPENDENCE = ("parameter", "covariate", "change a unit", "95 %", "of reference", "follows it", "learnt between", "")
+_DEPENDENCE = (
+    "parameter",
+    "covariate",
+    "change a unit",
+    "95 %",
+    "of reference",
+    "follows it",
+    "learnt between",
+    "",
+)
 
 
 def _dependence(name: str, row: Document, one: Document) -> tuple[str, ...]:
@@ -76,7 +87,16 @@ def _dependence(name: str, row: Document, one: Document) -> tuple[str, ...]:
     share = f"{100.0 * one['coefficient'] / row['reference']:.2g} %" if row["reference"] else "-"
     between = f"{number(one['low'], 3)} and {number(one['high'], 3)} {one['unit']}"
     used = "taken out" if one["used"] else "no dependence is seen; left in"
-    return name, one["name"], change, interval(one["lower"], one["upper"]), share, _followed(one), between, used
+    return (
+        name,
+        one["name"],
+        change,
+        interval(one["lower"], one["upper"]),
+        share,
+        _followed(one),
+        between,
+        used,
+    )
 
 
 def _followed(one: Document) -> str:

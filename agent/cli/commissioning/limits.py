@@ -15,7 +15,9 @@ Document = Mapping[str, Any]
 WRITTEN = ("limit", "on_delay_s")
 
 
-def proposed(place: Path, rig: str | None, per_year: float, config: Path | None, *, write: bool) -> dict[str, Any]:
+def proposed(
+    place: Path, rig: str | None, per_year: float, config: Path | None, *, write: bool
+) -> dict[str, Any]:
     """Return proposed limits, written into the configuration where asked. Raises UsageError without a file for them."""
     own = place.suffix.lower() == ".toml"
     file = place if own else config
@@ -38,9 +40,15 @@ def print_limits(document: Document) -> None:
     print_table(title, columns, rows, right={*columns[1:2], *columns[3:6]})
     for name, row in document["parameters"].items():
         if row["compensated"]:
-            show(f"{name}: what {', '.join(row['compensated'])} does is taken out of these, as of rows and alarms")
+            show(
+                f"{name}: what {', '.join(row['compensated'])} does is taken out of these, as of rows and alarms"
+            )
     written = document["written"]
-    show(f"written to {written}" if written else "nothing was written; --write puts these into the configuration")
+    show(
+        f"written to {written}"
+        if written
+        else "nothing was written; --write puts these into the configuration"
+    )
 
 
 def _cells(name: str, row: Document) -> tuple[str, ...]:
@@ -54,7 +62,9 @@ def tried(
 ) -> dict[str, Any]:
     """Return what the limits of a file would have raised. Raises UsageError."""
     if write:
-        raise UsageError.at("--write", "cannot go with --try", "FILE has its limits already; write them without --try")
+        raise UsageError.at(
+            "--write", "cannot go with --try", "FILE has its limits already; write them without --try"
+        )
     return trial.tried(place, rig, file, *stretch)
 
 

@@ -16,7 +16,8 @@ PLACES = (Path(), Path("/var/lib/deltak"))
 def database_of(named: Path | None) -> Path:
     """Return the database whose socket is to be asked.
 
-    Raises ConfigError for a configuration with faults, StoreError where no agent runs, UsageError where several do.
+    Raises ConfigError for a configuration with faults, StoreError where no agent runs, UsageError where
+    several do.
     """
     if named is None:
         return _only_one()
@@ -56,5 +57,7 @@ def asked(db: Path, command: str, **arguments: Any) -> Mapping[str, Any]:
         return ask(db, command, **arguments)
     except StoreError as error:
         if isinstance(error.__cause__, ConnectionRefusedError):
-            raise StoreError.at(str(db), "no agent runs on it; the last one was killed", "start it again") from error
+            raise StoreError.at(
+                str(db), "no agent runs on it; the last one was killed", "start it again"
+            ) from error
         raise

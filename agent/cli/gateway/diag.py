@@ -59,7 +59,12 @@ def diag(named: Path | None, to: Path) -> Document:
     except OSError as error:
         advice = "give a file in a folder that you may write to"
         raise UsageError.at("--to", f"{to}: {error.strerror or error}", advice) from error
-    return {"file": str(to), "bytes": to.stat().st_size, "parts": sorted(texts | samples), "agent": status is not None}
+    return {
+        "file": str(to),
+        "bytes": to.stat().st_size,
+        "parts": sorted(texts | samples),
+        "agent": status is not None,
+    }
 
 
 def print_diag(found: Document) -> None:
@@ -117,7 +122,10 @@ def _json(value: Any) -> bytes:
 def _write(to: Path, parts: Mapping[str, bytes]) -> None:
     """Write the archive whole, readable by nobody else."""
     packed = io.BytesIO()
-    with gzip.GzipFile(fileobj=packed, mode="wb") as zipped, tarfile.open(fileobj=zipped, mode="w") as archive:
+    with (
+        gzip.GzipFile(fileobj=packed, mode="wb") as zipped,
+        tarfile.open(fileobj=zipped, mode="w") as archive,
+    ):
         for info, content in _members(parts):
             archive.addfile(info, io.BytesIO(content))
     with os.fdopen(opened(to, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:

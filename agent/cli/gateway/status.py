@@ -30,7 +30,9 @@ def print_status(found: Document) -> None:
     rows = [_rig_row(rig) for rig in found["rigs"]]
     title = f"deltak {found['version']}, running for {found['uptime_s']:.0f} s"
     print_table(title, ("rig", "lag", "sources", "alarms", "estimates"), rows, right=("lag", "alarms"))
-    stores = [(s["db"], f"{sum(s['bytes'].values()) / 1e6:.1f}", s["failing"] or "written") for s in found["stores"]]
+    stores = [
+        (s["db"], f"{sum(s['bytes'].values()) / 1e6:.1f}", s["failing"] or "written") for s in found["stores"]
+    ]
     print_table("", ("database", "MB", "state"), stores, right=("MB",))
     stalled = [thread["thread"] for thread in found["threads"] if thread["stalled"]]
     if stalled:

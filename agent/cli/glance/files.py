@@ -19,7 +19,8 @@ class Watched:
     """A database that is looked at.
 
     Attributes:
-        name: what it is called in answers; the file's name without its ending, with a number where two are alike.
+        name: what it is called in answers; the file's name without its ending, with a number where two are
+            alike.
         path: of the file.
         configs: of its rigs, by their names, where they are known.
     """
@@ -53,8 +54,8 @@ def one(target: Path | None) -> Watched:
 def several(databases: Sequence[Path], configs: Iterable[Path]) -> list[Watched]:
     """Return databases with what their configurations say; those that only a configuration names come last.
 
-    configs: files, or folders of them. Where one database is named, a configuration whose own is not there belongs to
-    it: so writes an agent that runs with --db.
+    configs: files, or folders of them. Where one database is named, a configuration whose own is not there
+    belongs to it: so writes an agent that runs with --db.
     """
     from agent.config.load import load_many
     from agent.config.reading.toml_file import files_of

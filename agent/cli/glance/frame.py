@@ -44,13 +44,17 @@ def _line(text: str, style: str = "") -> "Text":
 def _rig(rig: Mapping[str, Any]) -> "Iterable[RenderableType]":
     lag = "no rows yet" if rig["lag_s"] is None else f"newest row {_age(rig['lag_s'])} ago"
     yield _line(f"\n{rig['rig']}: {rig['words']}, {lag}", "bold")
-    yield _table(("parameter", "value ± sd", "", "of limit", "status", "alarm"), map(_parameter, rig["parameters"]))
+    yield _table(
+        ("parameter", "value ± sd", "", "of limit", "status", "alarm"), map(_parameter, rig["parameters"])
+    )
     if rig["parameters"]:
         yield _line(rig["known"])
     if rig["alarms"]:
         yield _table(("alarm", "priority", "state", "raised", "what"), map(_alarm, rig["alarms"]))
     if rig["sources"]:
-        yield _table(("source", "samples/s", "lag", "rejected", "dropped", "gaps", ""), map(_source, rig["sources"]))
+        yield _table(
+            ("source", "samples/s", "lag", "rejected", "dropped", "gaps", ""), map(_source, rig["sources"])
+        )
 
 
 def _table(columns: Iterable[str], rows: "Iterable[Sequence[RenderableType]]") -> "Table":

@@ -26,8 +26,8 @@ _WARMING: Final = "the first window is not full yet"
 def known_now(row: Row, limit: float | None) -> dict[str, Any]:
     """Return {"resolved", "half_width", "of_limit", "words"} of a row of v_latest.
 
-    half_width: half of the 95 % interval of the newest window, in the parameter's unit; of_limit: its share of the
-    limit. Both are None where there is no interval, or no limit.
+    half_width: half of the 95 % interval of the newest window, in the parameter's unit; of_limit: its share
+    of the limit. Both are None where there is no interval, or no limit.
     """
     half = _half_width(row)
     resolved = row["status"] == "valid"
@@ -68,7 +68,11 @@ def _of_limit(share: float | None) -> str:
     """Say how much of the limit that is: in per cent, or how many times where it is more."""
     if share is None:
         return ""
-    size = f"{number(share, 2)} times its limit" if share >= 2.0 else f"{number(100.0 * share, 2)} % of its limit"
+    size = (
+        f"{number(share, 2)} times its limit"
+        if share >= 2.0
+        else f"{number(100.0 * share, 2)} % of its limit"
+    )
     return f", {size}"
 
 

@@ -75,7 +75,8 @@ def _limits_of_alarms(alarms: Iterable[Row]) -> dict[str, Row]:
     levels = (row for row in alarms if row["kind"] == "level" and row["limit_value"] is not None)
     nothing = {"limit_percent": None, "side": "both"}
     return {
-        row["parameter"]: {"limit": abs(row["limit_value"]), "priority": row["priority"], **nothing} for row in levels
+        row["parameter"]: {"limit": abs(row["limit_value"]), "priority": row["priority"], **nothing}
+        for row in levels
     }
 
 
@@ -110,11 +111,18 @@ def _severity(rig: Mapping[str, Any]) -> list[float]:
     """Return what rigs are ordered by: alarms that nobody has acknowledged, standing ones, lack of data, margins."""
     standing = [a for a in rig["alarms"] if a["state"] in {"UNACK", "ACKED", "RTNUN"}]
     worst = [
-        max((urgency(a)[1] + 1 for a in standing if a["state"] == state), default=0) for state in ("UNACK", "ACKED")
+        max((urgency(a)[1] + 1 for a in standing if a["state"] == state), default=0)
+        for state in ("UNACK", "ACKED")
     ]
     silent = sum(bool(source["stale"]) for source in rig["sources"])
     doubtful = sum(p["status"] != "valid" for p in rig["parameters"])
-    return [*worst, len(standing), silent, doubtful, max((p["used"] or 0.0 for p in rig["parameters"]), default=0.0)]
+    return [
+        *worst,
+        len(standing),
+        silent,
+        doubtful,
+        max((p["used"] or 0.0 for p in rig["parameters"]), default=0.0),
+    ]
 
 
 def _words(rig: Mapping[str, Any]) -> str:

@@ -26,8 +26,8 @@ _EVERY_S = 1.0
 def watch(target: Path | None, *, once: bool) -> None:
     """Show the state of the rigs of a database or of a configuration's database; once: one frame and no more.
 
-    Where stdout or stdin is no terminal it is one frame as well. The file is opened for each frame and only for
-    reading, so nothing of it is held in between.
+    Where stdout or stdin is no terminal it is one frame as well. The file is opened for each frame and only
+    for reading, so nothing of it is held in between.
 
     Raises:
         StoreError: the first frame cannot be read; UsageError, ConfigError: the target.
@@ -51,7 +51,9 @@ def _follow(watched: Watched) -> None:
         while True:
             picture: RenderableType
             try:
-                picture = frame(_turned(overview([watched], wall_ns()), first), f"{_clock()}   q quits, n: next rig")
+                picture = frame(
+                    _turned(overview([watched], wall_ns()), first), f"{_clock()}   q quits, n: next rig"
+                )
             except StoreError as error:
                 picture = Text(printable(str(error)), style="red")
             live.update(picture, refresh=True)

@@ -108,7 +108,9 @@ class UserDirectory:
         secret = self._users.get(name)
         if self._attempts.wait_s(name) > 0.0:
             return False
-        known = (secret or _NOBODY).is_known_by(password) and secret is not None  # as long for a name nobody has
+        known = (secret or _NOBODY).is_known_by(
+            password
+        ) and secret is not None  # as long for a name nobody has
         if not known:
             self._attempts.fail(name)
         return known
@@ -135,8 +137,10 @@ class Rules:
 
 
 _ALLOWED: Final = (
-    "CreateSession", "CloseSession", "ActivateSession", "CloseSecureChannel", "GetEndpoints", "FindServers", "Read",
-    "Browse", "TranslateBrowsePathsToNodeIds", "CreateSubscription", "ModifySubscription", "DeleteSubscriptions",
+    "CreateSession", "CloseSession", "ActivateSession", "CloseSecureChannel", "GetEndpoints", "FindServers",
+    "Read",
+    "Browse", "TranslateBrowsePathsToNodeIds", "CreateSubscription", "ModifySubscription",
+    "DeleteSubscriptions",
     "CreateMonitoredItems", "ModifyMonitoredItems", "DeleteMonitoredItems", "Publish", "Republish", "Call",
     "SetMonitoringMode", "SetPublishingMode", "RegisterNodes", "UnregisterNodes",
 )  # fmt: skip
@@ -147,5 +151,7 @@ def check_key(path: Path) -> None:
     try:
         mode = os.stat(path).st_mode  # noqa: PTH116 - a link is followed, as the key is read
     except OSError as error:
-        raise UsageError.at(str(path), f"cannot be read ({error})", "name the file of a private key") from error
+        raise UsageError.at(
+            str(path), f"cannot be read ({error})", "name the file of a private key"
+        ) from error
     check_closed(path, mode)

@@ -16,8 +16,8 @@ _MOST_SHELVED_MS: Final = 7 * 86_400_000.0
 def states_of(alarm: Row) -> dict[str, bool]:
     """Return the two-state variables of an alarm's state: Active, Acked, Confirmed, Suppressed, OutOfService, Shelved.
 
-    A silenced alarm is active while its condition stands (nothing has cleared it) and acked if somebody did so before.
-    The life cycle has one step by which somebody says that he knows, so Confirmed is as Acked.
+    A silenced alarm is active while its condition stands (nothing has cleared it) and acked if somebody did
+    so before. The life cycle has one step by which somebody says that he knows, so Confirmed is as Acked.
     """
     state = alarm["state"]
     is_silent = state in {"SHLVD", "DSUPR", "OOSRV"}

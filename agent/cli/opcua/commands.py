@@ -29,7 +29,10 @@ _TYPES: Final[Mapping[str, tuple[str, ...]]] = {
     "RemoveFromService": ("AlarmConditionType_RemoveFromService",),
     "PlaceInService": ("AlarmConditionType_PlaceInService",),
     **{
-        f"ShelvingState.{name}": (f"ShelvedStateMachineType_{name}", f"AlarmConditionType_ShelvingState_{name}")
+        f"ShelvingState.{name}": (
+            f"ShelvedStateMachineType_{name}",
+            f"AlarmConditionType_ShelvingState_{name}",
+        )
         for name in ("TimedShelve", "Unshelve", "OneShotShelve")
     },
 }

@@ -35,7 +35,8 @@ class Conditions:
 
     Attributes:
         space: where rigs and parameters are.
-        methods: what is called on a condition, by names such as "Acknowledge" and "ShelvingState.TimedShelve".
+        methods: what is called on a condition, by names such as "Acknowledge" and
+            "ShelvingState.TimedShelve".
     """
 
     space: Space
@@ -79,11 +80,15 @@ class Conditions:
         rig = await self.space.rig(db, alarm["rig"])
         of_type = ua.NodeId(ua.ObjectIds.AlarmConditionType)
         shown = f"{self.space.index}:{alarm['kind']} {alarm['parameter']} {alarm['id']}"
-        node = await rig.add_object(self.space.node_id(name), shown, objecttype=of_type, instantiate_optional=False)
+        node = await rig.add_object(
+            self.space.node_id(name), shown, objecttype=of_type, instantiate_optional=False
+        )
         await self._add_optional(node, name)
         for method in self.methods:
             if method not in ADDED:
-                server.link_method(server.get_node(self.space.node_id(f"{name}.{method}")), self.methods[method])
+                server.link_method(
+                    server.get_node(self.space.node_id(f"{name}.{method}")), self.methods[method]
+                )
         event = await get_event_obj_from_type_node(server.get_node(of_type))
         event.add_property("NodeId", node.nodeid, ua.VariantType.NodeId)
         return Condition(db, alarm, node, rig, event)
@@ -94,16 +99,25 @@ class Conditions:
 
         for state in _STATES:
             words = await node.add_variable(
-                self.space.node_id(f"{name}.{state}"), f"0:{state}", ua.LocalizedText(""), ua.VariantType.LocalizedText
+                self.space.node_id(f"{name}.{state}"),
+                f"0:{state}",
+                ua.LocalizedText(""),
+                ua.VariantType.LocalizedText,
             )
             await words.add_property(self.space.node_id(f"{name}.{state}.Id"), "0:Id", val=False)
         limit = self.space.node_id(f"{name}.MaxTimeShelved")
         await node.add_property(limit, "0:MaxTimeShelved", 0.0, datatype=ua.NodeId(ua.ObjectIds.Duration))
         shelving = ua.NodeId(ua.ObjectIds.ShelvedStateMachineType)
         await node.add_object(
-            self.space.node_id(f"{name}.ShelvingState"), "0:ShelvingState", shelving, instantiate_optional=False
+            self.space.node_id(f"{name}.ShelvingState"),
+            "0:ShelvingState",
+            shelving,
+            instantiate_optional=False,
         )
-        said = [_argument("EventId", ua.ObjectIds.ByteString), _argument("Comment", ua.ObjectIds.LocalizedText)]
+        said = [
+            _argument("EventId", ua.ObjectIds.ByteString),
+            _argument("Comment", ua.ObjectIds.LocalizedText),
+        ]
         for method in ADDED:
             inputs = said if method == "Confirm" else []
             place = self.space.node_id(f"{name}.{method}")

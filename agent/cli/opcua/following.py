@@ -73,7 +73,9 @@ class Following:
         """Read a database, in any thread. Raises StoreError."""
         after = self._cursors.get(database.name)
         now = Cursor(newest(database.path).alarms, _NO_ROWS)
-        is_first = after is None or not now.reaches(after)  # another file stands in its place, as after a repair
+        is_first = after is None or not now.reaches(
+            after
+        )  # another file stands in its place, as after a repair
         if after is None or is_first:
             return _Look(overview([database], wall_ns())["rigs"], [], now, is_first)
         steps: list[Change] = []

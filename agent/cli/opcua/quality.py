@@ -28,9 +28,9 @@ class Quality(NamedTuple):
 def quality_of(row: Row, now_ns: int) -> Quality:
     """Return what a row of v_latest says to a client.
 
-    valid is Good, and uncertain (last usable value, nobody communicates) once the row is older than STALE_S. Where it
-    is not valid the last valid value is given with its own instant, uncertain; without one a window that does not
-    resolve the parameter gives its own value as sub-normal, and all else is bad.
+    valid is Good, and uncertain (last usable value, nobody communicates) once the row is older than STALE_S.
+    Where it is not valid the last valid value is given with its own instant, uncertain; without one a window
+    that does not resolve the parameter gives its own value as sub-normal, and all else is bad.
     """
     if row["status"] == "valid":
         is_old = (now_ns - row["t_ns"]) / 1e9 > STALE_S

@@ -60,15 +60,19 @@ def serve(targets: Sequence[Path], options: Options) -> None:
     """Answer OPC UA clients until SIGINT or SIGTERM.
 
     Raises:
-        UsageError: without the extra `opcua`, for an address that needs users and a certificate, or one that cannot be
-            used; ConfigError, StoreError: a configuration or a database that cannot be read.
+        UsageError: without the extra `opcua`, for an address that needs users and a certificate, or one that
+            cannot be used; ConfigError, StoreError: a configuration or a database that cannot be read.
     """
     try:
         import asyncua
     except ImportError as error:
-        raise UsageError.at("opcua", f"needs the extra opcua ({error})", "pip install 'deltak[opcua]'") from error
+        raise UsageError.at(
+            "opcua", f"needs the extra opcua ({error})", "pip install 'deltak[opcua]'"
+        ) from error
     del asyncua
-    if not logging.getLogger().isEnabledFor(logging.INFO):  # what clients do wrong is answered to them, not logged
+    if not logging.getLogger().isEnabledFor(
+        logging.INFO
+    ):  # what clients do wrong is answered to them, not logged
         logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     watched = _watched(targets)
     users = read_users(options.users) if options.users is not None else {}
@@ -83,7 +87,9 @@ def check(options: Options, users: Users) -> None:
     if options.key is not None:
         check_key(options.key)
     if options.trusted is not None and options.certificate is None:
-        raise UsageError.at("--trusted", "needs --certificate", "clients show theirs where the server has one")
+        raise UsageError.at(
+            "--trusted", "needs --certificate", "clients show theirs where the server has one"
+        )
     if options.private and not users:
         raise UsageError.at("--private", "needs users", "give --users FILE")
     if not options.is_local and not (users and options.certificate is not None):
@@ -107,7 +113,9 @@ async def running(watched: Sequence[Watched], options: Options, users: Users) ->
     space = Space(server, await server.register_namespace(NAMESPACE))
     conditions = Conditions(space)
     following = Following(watched, space, conditions)
-    commands = Commands(conditions, {database.name: database.path for database in watched}, following.news.set)
+    commands = Commands(
+        conditions, {database.name: database.path for database in watched}, following.news.set
+    )
     conditions.methods = commands.methods()
     commands.link(server)
     await following.look()
@@ -138,7 +146,9 @@ async def _made(options: Options, users: Users) -> Any:
     server.iserver.isession.max_connections = _MOST_SESSIONS
     server.limits.max_message_size = _MOST_MESSAGE
     server.set_server_name("deltak")
-    await server.set_build_info(APPLICATION_URI, "deltak", "deltak", __version__, __version__, datetime.now(UTC))
+    await server.set_build_info(
+        APPLICATION_URI, "deltak", "deltak", __version__, __version__, datetime.now(UTC)
+    )
     server.socket_address = (options.host, options.port)
     server.set_endpoint(options.address(options.port))
     anybody = [ua.AnonymousIdentityToken] if options.is_local and not options.private else []

@@ -9,7 +9,8 @@ from agent.cli.opcua.quality import own_code, quality_of
 Row = Mapping[str, Any]
 NAMESPACE: Final = "urn:deltak:rigs"
 FIGURES: Final[Mapping[str, str]] = {
-    "lower": "Lower", "upper": "Upper", "sd": "Sd", "delta": "Delta", "reference": "Reference", "limit": "Limit",
+    "lower": "Lower", "upper": "Upper", "sd": "Sd", "delta": "Delta", "reference": "Reference",
+    "limit": "Limit",
     "window_s": "WindowSeconds",
 }  # fmt: skip
 """What stands beside a parameter, by column of the overview: numbers of the newest window."""
@@ -95,7 +96,9 @@ class Space:
 
         empty = ua.Variant(None, ua.VariantType.Null)
         data_type = ua.NodeId(kind.value)
-        return await parent.add_variable(self.node_id(*place), f"{self.index}:{name}", empty, datatype=data_type)
+        return await parent.add_variable(
+            self.node_id(*place), f"{self.index}:{name}", empty, datatype=data_type
+        )
 
     async def _write(self, key: Key, row: Row, now_ns: int) -> None:
         from asyncua import ua
@@ -106,7 +109,9 @@ class Space:
         for column, name in FIGURES.items():
             await self._put(self.node_id(*key, name), row[column], ua.VariantType.Double, row["t_ns"], code)
         for column, name in TEXTS.items():
-            await self._put(self.node_id(*key, name), row[column] or "", ua.VariantType.String, row["t_ns"], "Good")
+            await self._put(
+                self.node_id(*key, name), row[column] or "", ua.VariantType.String, row["t_ns"], "Good"
+            )
 
     async def _put(self, node_id: Any, value: Any, kind: Any, t_ns: int, code: str) -> None:
         from asyncua import ua
@@ -117,9 +122,13 @@ class Space:
         self._written[node_id] = said
         variant = ua.Variant(None, ua.VariantType.Null) if value is None else ua.Variant(value, kind)
         status = ua.StatusCode(getattr(ua.StatusCodes, code))
-        await self.server.write_attribute_value(node_id, ua.DataValue(variant, status, SourceTimestamp=instant(t_ns)))
+        await self.server.write_attribute_value(
+            node_id, ua.DataValue(variant, status, SourceTimestamp=instant(t_ns))
+        )
 
 
 def instant(t_ns: int) -> datetime:
     """Return integer nanoseconds as the time that OPC UA carries (to the microsecond here)."""
-    return datetime.fromtimestamp(t_ns // 1_000_000_000, UTC).replace(microsecond=t_ns % 1_000_000_000 // 1000)
+    return datetime.fromtimestamp(t_ns // 1_000_000_000, UTC).replace(
+        microsecond=t_ns % 1_000_000_000 // 1000
+    )

@@ -17,8 +17,10 @@ from agent.text import iso_time, number, with_local
 
 Row = Mapping[str, Any]
 ALARM_COLUMNS = (
-    "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at", "acked_by",
-    "shelved_until", "delta", "sd", "limit_value", "probability", "message", "advice", "percent", "site", "labels",
+    "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at",
+    "acked_by",
+    "shelved_until", "delta", "sd", "limit_value", "probability", "message", "advice", "percent", "site",
+    "labels",
 )  # fmt: skip
 KINDS: Final = {
     "level": "a parameter has left its limit",
@@ -98,7 +100,9 @@ def what(row: Row) -> str:
 def print_states(*, as_json: bool) -> None:
     """Print the table of states and causes, and what they mean."""
     if as_json:
-        print_json({"table": [line.split() for line in TABLE.splitlines()], "states": legend(), "causes": rules()})
+        print_json(
+            {"table": [line.split() for line in TABLE.splitlines()], "states": legend(), "causes": rules()}
+        )
         return
     show(TABLE)
     show("-: stays as it is; x: refused; P/Q: P where the condition stands, else Q")
@@ -115,7 +119,9 @@ def statistics(db: Path, rig: str | None, since: str | None) -> dict[str, Any]:
     newest = max(
         [event["t_ns"] for event in events] + [row["t_ns"] for row in queries.latest(db, rig)], default=0
     )  # fmt: skip
-    oldest = min([_instant(run["started_at"]) for run in runs] + [event["t_ns"] for event in events], default=0)
+    oldest = min(
+        [_instant(run["started_at"]) for run in runs] + [event["t_ns"] for event in events], default=0
+    )
     first = oldest if since is None else parse_time(since, newest)
     if first > newest:
         raise UsageError.at("--since", f"{iso_time(first)} is after the newest row", "give an earlier time")
@@ -139,9 +145,12 @@ def _instant(text: str) -> int:
 def _document(found: Rates, first: int, newest: int) -> dict[str, Any]:
     document = asdict(found)
     document["floods"] = [
-        {"from": iso_time(flood.from_ns), "to": iso_time(flood.to_ns), "alarms": flood.alarms} for flood in found.floods
+        {"from": iso_time(flood.from_ns), "to": iso_time(flood.to_ns), "alarms": flood.alarms}
+        for flood in found.floods
     ]
-    document["chattering"] = [{"alarm": " ".join(key), "within_a_minute": n} for key, n in found.chattering.items()]
+    document["chattering"] = [
+        {"alarm": " ".join(key), "within_a_minute": n} for key, n in found.chattering.items()
+    ]
     document["stale"] = [{"alarm": " ".join(key), "raised_at": iso_time(t)} for key, t in found.stale.items()]
     document["frequent"] = [{"alarm": " ".join(key), "times": n} for key, n in found.frequent]
     return {"stats": {"since": iso_time(first), "until": iso_time(newest), **document}}
@@ -155,13 +164,23 @@ def print_statistics(document: Mapping[str, Any]) -> None:
         ("alarms announced", str(found["announced"]), f"over {number(found['days'], 3)} days"),
         ("a day", number(found["a_day"], 3), aims),
         ("most in 10 minutes", str(found["most_in_ten_minutes"]), "10 at most"),
-        ("floods", str(len(found["floods"])), f"{number(found['flood_percent'], 2)} % of the time; under 1 %"),
+        (
+            "floods",
+            str(len(found["floods"])),
+            f"{number(found['flood_percent'], 2)} % of the time; under 1 %",
+        ),
         ("chattering", _listed(found["chattering"], "within_a_minute"), "3 within a minute; none"),
         ("stale", _listed(found["stale"], "raised_at"), "standing for over 24 h; fewer than 5"),
         ("most frequent", _listed(found["frequent"], "times"), "ten make up 5 % at most"),
-        ("by priority", ", ".join(f"{n} {p}" for p, n in found["priorities"].items()), "80 % low, 15 %, 5 % high"),
+        (
+            "by priority",
+            ", ".join(f"{n} {p}" for p, n in found["priorities"].items()),
+            "80 % low, 15 %, 5 % high",
+        ),
     )
-    print_table(f"{found['since']} to {found['until']}", ("measure", "found", "ANSI/ISA-18.2-2016, clause 16"), rows)
+    print_table(
+        f"{found['since']} to {found['until']}", ("measure", "found", "ANSI/ISA-18.2-2016, clause 16"), rows
+    )
 
 
 def _listed(entries: Iterable[Mapping[str, Any]], figure: str) -> str:

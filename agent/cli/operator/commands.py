@@ -46,7 +46,9 @@ def _length_ns(length: str | None) -> int | None:
         return None
     found = age_ns(length)
     if found is None:
-        raise UsageError.at("--for", f'"{length}" is no length of time', "give one such as 30m, 8h or 2d, at most 7d")
+        raise UsageError.at(
+            "--for", f'"{length}" is no length of time', "give one such as 30m, 8h or 2d, at most 7d"
+        )
     return found
 
 
@@ -55,4 +57,6 @@ def print_taken(document: Mapping[str, Any]) -> None:
     for alarm in document["alarms"]:
         until = f" until {short_time(alarm['shelved_until'])}" if alarm["shelved_until"] else ""
         what = f"{alarm['rig']} {alarm['kind']} {alarm['parameter']}"
-        show(f"alarm {alarm['id']} ({what}): {alarm['from_state']} -> {alarm['to_state']}{until} by {alarm['by']}")
+        show(
+            f"alarm {alarm['id']} ({what}): {alarm['from_state']} -> {alarm['to_state']}{until} by {alarm['by']}"
+        )

@@ -40,12 +40,18 @@ def databases(files: Sequence[Path]) -> list[Path]:
     for path in files:
         found += sorted(path.glob("*.db")) if path.is_dir() else [path]
     if not found:
-        raise UsageError.at("DB", f"no .db file in {', '.join(map(str, files))}", "name databases, or folders of them")
+        raise UsageError.at(
+            "DB", f"no .db file in {', '.join(map(str, files))}", "name databases, or folders of them"
+        )
     return found
 
 
-def _rows(path: Path, parameter: str | None, horizon: float | None, limit_percent: float) -> list[dict[str, Any]]:
-    limits = {(a["rig"], a["parameter"]): a["limit_value"] for a in queries.alarms(path) if a["kind"] == "level"}
+def _rows(
+    path: Path, parameter: str | None, horizon: float | None, limit_percent: float
+) -> list[dict[str, Any]]:
+    limits = {
+        (a["rig"], a["parameter"]): a["limit_value"] for a in queries.alarms(path) if a["kind"] == "level"
+    }
     past: dict[tuple[str, str], list[Document]] = {}
     for made in queries.forecasts(path):
         past.setdefault((made["rig"], made["parameter"]), []).append(made)
@@ -61,7 +67,11 @@ def _rows(path: Path, parameter: str | None, horizon: float | None, limit_percen
 
 
 def _row(
-    points: queries.Points, window: float, alarm_limit: float | None, horizon: float | None, limit_percent: float
+    points: queries.Points,
+    window: float,
+    alarm_limit: float | None,
+    horizon: float | None,
+    limit_percent: float,
 ) -> dict[str, Any]:
     """Return what is said of one parameter of one rig; a forecast only where there is a trend."""
     row: dict[str, Any] = {
@@ -113,7 +123,9 @@ def _held(record: Document) -> str:
     return f"{record['held']} of {record['made']}" if record["made"] else "-"
 
 
-def learn_prior(files: Sequence[Path], parameter: str | None, limit: float | None, to: Path | None) -> dict[str, Any]:
+def learn_prior(
+    files: Sequence[Path], parameter: str | None, limit: float | None, to: Path | None
+) -> dict[str, Any]:
     """Learn a prior of like machines' histories and write it. Raises UsageError where they teach nothing."""
     if to is None:
         raise UsageError.at("--to", "is needed with learn", "name the file to write the prior to")
@@ -122,9 +134,15 @@ def learn_prior(files: Sequence[Path], parameter: str | None, limit: float | Non
     if learnt is None:
         raise UsageError.at("DB", "learn names no file", "name databases or tables of like machines")
     write_prior(learnt, to)
-    return {"prior": str(to), "histories": learnt.n, "of": {name: list(cells) for name, cells in learnt.of.items()}}
+    return {
+        "prior": str(to),
+        "histories": learnt.n,
+        "of": {name: list(cells) for name, cells in learnt.of.items()},
+    }
 
 
 def print_learnt(found: Document) -> None:
     """Print what was learnt of how many."""
-    show(f"{found['prior']}: learnt of {found['histories']} histories; use it by deltak trend --like {found['prior']}")
+    show(
+        f"{found['prior']}: learnt of {found['histories']} histories; use it by deltak trend --like {found['prior']}"
+    )

@@ -41,9 +41,13 @@ def _draw_points(axes: Any, found: Document) -> None:
     seconds, word = time_unit(found["span_s"])
     t = (np.array(t_ns) - t_ns[-1]) / (seconds * 1e9)
     axes.set_xlabel(f"{word}s from {short_time(found['until'])}")
-    axes.errorbar(t, value, yerr=1.96 * np.array(sd), fmt=".", ms=4, lw=0.8, color="tab:blue", label="estimate, 95 %")
+    axes.errorbar(
+        t, value, yerr=1.96 * np.array(sd), fmt=".", ms=4, lw=0.8, color="tab:blue", label="estimate, 95 %"
+    )
     if found["trend"]:
-        axes.plot(t, found["value"] + found["slope_per_day"] * t * seconds / 86_400, color="tab:red", label="trend")
+        axes.plot(
+            t, found["value"] + found["slope_per_day"] * t * seconds / 86_400, color="tab:red", label="trend"
+        )
     for change in found["changes"]:
         axes.axvline((change["t_ns"] - t_ns[-1]) / (seconds * 1e9), color="tab:gray", ls=":", label="step")
     if found["limit"] is not None:
@@ -67,5 +71,7 @@ def _draw_forecast(axes: Any, found: Document, newest: float, seconds: int) -> N
     """Draw the fan from the newest row to the limit at P10, P50 and P90."""
     p10, p50, p90 = (found["forecast"][f"{name}_s"] / seconds for name in ("p10", "p50", "p90"))
     limit = found["limit"]
-    axes.fill([0.0, p10, p90], [newest, limit, limit], color="tab:orange", alpha=0.25, lw=0, label="forecast, 80 %")
+    axes.fill(
+        [0.0, p10, p90], [newest, limit, limit], color="tab:orange", alpha=0.25, lw=0, label="forecast, 80 %"
+    )
     axes.plot([0.0, p50], [newest, limit], color="tab:orange", lw=1)

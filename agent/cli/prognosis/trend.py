@@ -16,7 +16,13 @@ from agent.prognosis.change import Change, change
 from agent.prognosis.history import DAY_NS, disjoint
 from agent.prognosis.steps import find_steps, without
 from agent.runtime.forecasts.compensated import Compensated, compensated
-from agent.runtime.forecasts.histories import forecast_document, history_of, horizon_days, like_machines, window_s
+from agent.runtime.forecasts.histories import (
+    forecast_document,
+    history_of,
+    horizon_days,
+    like_machines,
+    window_s,
+)
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
 from agent.text import iso_time, number, short_time, with_sd
@@ -65,12 +71,15 @@ def document(
 def _limit_of(limit: float | None, reference: float | None) -> float | None:
     """Return the limit as a value of the parameter. Raises UsageError where it is no number."""
     if limit is not None and not math.isfinite(limit):
-        raise UsageError.at("--limit", f"must be a number, not {limit:g}", "give a value of the parameter, in its unit")
+        raise UsageError.at(
+            "--limit", f"must be a number, not {limit:g}", "give a value of the parameter, in its unit"
+        )
     return limit if limit is None or reference is None else limit + reference
 
 
 def _asked(
-    db: Path, parameter: str | None, rig: str | None, times: tuple[str | None, str | None], limit: float | None,
+    db: Path, parameter: str | None, rig: str | None, times: tuple[str | None, str | None],
+    limit: float | None,
     ahead: Ahead,
 ) -> tuple[dict[str, Any], Sequence[Document]]:  # fmt: skip
     """Return what is said of one history, of a database or a table, and the forecasts that the agent made of it."""
@@ -87,7 +96,9 @@ def _print(document: dict[str, Any], form: str) -> None:
     if form == "json":
         print_json(document)
     elif form == "csv":
-        rows = ({"t_ns": t, "time": iso_time(t), "value": value, "sd": sd} for t, value, sd in document["points"])
+        rows = (
+            {"t_ns": t, "time": iso_time(t), "value": value, "sd": sd} for t, value, sd in document["points"]
+        )
         print_csv(("t_ns", "time", "value", "sd"), rows)
     else:
         show(_sentences(document))
@@ -172,12 +183,16 @@ def _sentences(found: Document) -> str:
         f"{found['n']} rows since {short_time(found['since'])}, {found['n_disjoint']} of them share no samples"
     )
     if found["backward"]:
-        lines.append(f"{found['backward']} rows stand before an earlier one, as after a step of a clock; put in order")
+        lines.append(
+            f"{found['backward']} rows stand before an earlier one, as after a step of a clock; put in order"
+        )
     lines += _remarks(found)
     if found["slope_lower"] is None:
         lines.append("too few rows to tell a drift")
     else:
-        lines.append(f"line there: {with_sd(found['value'], found['sd'])} {unit}; {drift(found)}: {finding(found)}")
+        lines.append(
+            f"line there: {with_sd(found['value'], found['sd'])} {unit}; {drift(found)}: {finding(found)}"
+        )
     if found["limit"] is not None:
         lines.append(f"limit {number(found['limit'])} {unit}: {_distance(found, newest)}".replace("  ", " "))
         lines += [forecast_words(found), *record_words(found["forecast"])]
@@ -191,10 +206,14 @@ def _remarks(found: Document) -> list[str]:
         names = " and ".join(found["covariates"])
         remarks.append(f"what {names} does is taken out: values are those at what was learnt on average")
     if found["without_covariates"]:
-        remarks.append(f"{found['without_covariates']} rows are less well known: a covariate is missing there")
+        remarks.append(
+            f"{found['without_covariates']} rows are less well known: a covariate is missing there"
+        )
     if len(found["references"]) > 1:
         numbers = ", then ".join(number(reference) for reference in found["references"])
-        remarks.append(f"rows of {len(found['references'])} references ({numbers}): their values are compared")
+        remarks.append(
+            f"rows of {len(found['references'])} references ({numbers}): their values are compared"
+        )
     if found["clock_steps"] > 0:
         times = "once" if found["clock_steps"] == 1 else f"{found['clock_steps']} times"
         remarks.append(f"the wall clock was set otherwise {times}: instants follow it as it is set now")
@@ -222,7 +241,9 @@ def _print_all(db: Path, rig: str | None, times: tuple[str | None, str | None], 
         return
     rows = [(d["rig"], d["parameter"], _newest(d), _sparkline(d), d["words"]) for d in documents]
     if form == "csv":
-        print_csv(("rig", "parameter", "words"), [{"rig": r[0], "parameter": r[1], "words": r[4]} for r in rows])
+        print_csv(
+            ("rig", "parameter", "words"), [{"rig": r[0], "parameter": r[1], "words": r[4]} for r in rows]
+        )
     else:
         print_table("", ("rig", "parameter", "newest", "history", "trend"), rows)
 

@@ -50,7 +50,9 @@ def _stepped(found: Document, change: Document) -> str:
 def drift(found: Document) -> str:
     """Write the drift in a unit of time that suits the span."""
     seconds, word = time_unit(found["span_s"])
-    slope, sd, lower, upper = (found[f"slope_{k}"] * seconds / _DAY for k in ("per_day", "sd", "lower", "upper"))
+    slope, sd, lower, upper = (
+        found[f"slope_{k}"] * seconds / _DAY for k in ("per_day", "sd", "lower", "upper")
+    )
     change = f"{with_sd(slope, sd)} {unit_of(found)}".rstrip()
     return f"drift {change} per {word} (95 %: {interval(lower, upper)})"
 
@@ -70,14 +72,22 @@ def forecast_words(found: Document) -> str:
     status = forecast["status"]
     if status == "crossed":
         return "the limit is crossed already"
-    chance = "" if forecast["chance"] is None else f"; chance within {ahead(forecast['horizon_s'])} {_share(forecast)}"
+    chance = (
+        ""
+        if forecast["chance"] is None
+        else f"; chance within {ahead(forecast['horizon_s'])} {_share(forecast)}"
+    )
     if forecast["p50_s"] is not None:
         return f"reached in {_band(forecast)}{_likes(forecast)}{chance}"
-    away = found["slope_per_day"] is not None and found["slope_per_day"] * (found["limit"] - found["value"]) < 0.0
+    away = (
+        found["slope_per_day"] is not None
+        and found["slope_per_day"] * (found["limit"] - found["value"]) < 0.0
+    )
     reasons = {
         "no trend": "no forecast: there is no trend",
         "too short": "no forecast: the history is too short to say",
-        "beyond": "not reached in twenty times the history's span" + ("; it moves away from the limit" if away else ""),
+        "beyond": "not reached in twenty times the history's span"
+        + ("; it moves away from the limit" if away else ""),
     }
     return reasons[status] + chance
 

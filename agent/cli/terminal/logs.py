@@ -15,8 +15,8 @@ THIRD_PARTY = ("pymodbus", "can", "asyncio", "matplotlib", "sqlite_utils", "py.w
 class OncePerPeriod(logging.Filter):
     """Let a warning or worse through once a period; the next one says how many were held back.
 
-    What counts as the same: logger, format string and first argument, which names the source, so a fault whose
-    figures differ each time is still one fault.
+    What counts as the same: logger, format string and first argument, which names the source, so a fault
+    whose figures differ each time is still one fault.
     """
 
     def __init__(self, period_s: float = PERIOD_S, now_s: Callable[[], float] = monotonic) -> None:
@@ -35,7 +35,9 @@ class OncePerPeriod(logging.Filter):
         if now - since < self._period_s:
             self._shown[key] = (since, held + 1)
             return False
-        if len(self._shown) >= 1000:  # names come from configurations, but a bug elsewhere must not eat the memory
+        if (
+            len(self._shown) >= 1000
+        ):  # names come from configurations, but a bug elsewhere must not eat the memory
             self._shown.clear()
         self._shown[key] = (now, 0)
         if held:

@@ -19,7 +19,9 @@ PLAIN_WIDTH = 250
 
 def json_ready(value: Any) -> Any:
     """Return a value as JSON carries it: null for NaN and inf, numpy as plain values, `time` beside `t_ns`."""
-    if hasattr(value, "tolist"):  # numpy scalars and arrays, without importing numpy for documents that have none
+    if hasattr(
+        value, "tolist"
+    ):  # numpy scalars and arrays, without importing numpy for documents that have none
         value = value.tolist()
     if isinstance(value, Mapping):
         return _object(value)
@@ -51,10 +53,13 @@ def print_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None
     writer.writerows([row.get(column) for column in columns] for row in rows)
 
 
-def print_rows(key: str, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], form: str, refused: int) -> None:
+def print_rows(
+    key: str, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], form: str, refused: int
+) -> None:
     """Print rows as CSV, or as JSON one a line under a key; the database has no NaN, so none needs replacing.
 
-    refused: how many are not shown because their checksums are wrong; JSON says so, for others a warning does.
+    refused: how many are not shown because their checksums are wrong; JSON says so, for others a warning
+    does.
     """
     if form == "csv":
         print_csv(columns, rows)
@@ -91,7 +96,9 @@ def print_table(
     heading = Text(printable(title)) if title else None
     table = Table(title=heading, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for column in columns:
-        table.add_column(Text(column), justify="right" if column in numeric else "left", no_wrap=column in numeric)
+        table.add_column(
+            Text(column), justify="right" if column in numeric else "left", no_wrap=column in numeric
+        )
     for row in rows:
         table.add_row(*(Text(printable(cell)) for cell in row))
     show(table)

@@ -61,12 +61,16 @@ def _run(command: Sequence[str], limit_s: float | None) -> str:
     """Run a program and return what it says. Raises AgentsError where it fails or takes longer."""
     name = " ".join(command)
     try:
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=limit_s, check=False)
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=limit_s, check=False
+        )
     except subprocess.TimeoutExpired as error:
         raise AgentsError.at(name, f"was not done after {limit_s:g} s", "see the agent's log") from error
     except OSError as error:
         raise AgentsError.at(name, f"cannot be run: {error.strerror}", "name --stop and --start") from error
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip().splitlines() or ["no word"]
-        raise AgentsError.at(name, f"failed with exit code {done.returncode}: {said[-1]}", "see the agent's log")
+        raise AgentsError.at(
+            name, f"failed with exit code {done.returncode}: {said[-1]}", "see the agent's log"
+        )
     return done.stdout.decode("utf-8", "replace")

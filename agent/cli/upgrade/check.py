@@ -66,7 +66,11 @@ def _config(path: Path) -> dict[str, Any]:
     try:
         configs = load_many(files_of([path]))
     except AgentError as error:
-        return {"file": str(path), "errors": [fault_document(fault) for fault in error.faults], "databases": ()}
+        return {
+            "file": str(path),
+            "errors": [fault_document(fault) for fault in error.faults],
+            "databases": (),
+        }
     return {"file": str(path), "errors": [], "databases": tuple(config.store.path for config in configs)}
 
 

@@ -56,8 +56,8 @@ def keep(path: Path, version: str) -> Path:
 def restore(path: Path, version: str) -> Path:
     """Put the copy from before a version in the database's place; return where the version's own file lies now.
 
-    What belongs to that file goes first, so that a power cut on the way never leaves the copy beside another's log.
-    Raises StoreHeldError where an agent writes to it, OSError where the disk refuses.
+    What belongs to that file goes first, so that a power cut on the way never leaves the copy beside
+    another's log. Raises StoreHeldError where an agent writes to it, OSError where the disk refuses.
     """
     aside = aside_of(path, version)
     lock = Lock(path)

@@ -25,19 +25,25 @@ class Releases:
         try:
             return (self._home / "current").readlink().name
         except OSError as error:
-            advice = "versions are switched where the package or `ln -s releases/VERSION current` laid them out"
+            advice = (
+                "versions are switched where the package or `ln -s releases/VERSION current` laid them out"
+            )
             raise UsageError.at(str(self._home / "current"), "is no link to a version", advice) from error
 
     def versions(self) -> list[str]:
         """Return the versions that are there."""
-        return sorted(path.name for path in (self._home / "releases").glob("*") if self._command(path.name).exists())
+        return sorted(
+            path.name for path in (self._home / "releases").glob("*") if self._command(path.name).exists()
+        )
 
     def command(self, version: str) -> Path:
         """Return the program of a version. Raises UsageError where it is not there."""
         found = self._command(version)
         if "/" in version or not found.exists():
             there = ", ".join(self.versions()) or "none"
-            raise UsageError.at("--to", f"there is no version {version} in {self._home}", f"versions are {there}")
+            raise UsageError.at(
+                "--to", f"there is no version {version} in {self._home}", f"versions are {there}"
+            )
         return found
 
     def switch(self, version: str) -> None:

@@ -1,7 +1,8 @@
 """`deltak upgrade --to VERSION`: another version takes over, and goes back where valid rows stay away.
 
-check by the new version -> stop -> copies of what it will migrate -> link -> start -> valid rows? -> done
-                                                                                  -> none: stop, copies, link, start
+check by the new version -> stop -> copies of what it will migrate -> link -> start -> valid rows? -> done ->
+                                                                                  none: stop, copies, link,
+                                                                                  start
 """
 
 import json
@@ -90,7 +91,11 @@ def _going_back(switch: Switch, expected: Rigs) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        why = "; ".join(fault.message for fault in error.faults) if isinstance(error, AgentError) else repr(error)
+        why = (
+            "; ".join(fault.message for fault in error.faults)
+            if isinstance(error, AgentError)
+            else repr(error)
+        )
         raise _taken_back(switch, expected, why) from error
 
 
@@ -98,7 +103,9 @@ def _taken_back(switch: Switch, expected: Rigs, why: str) -> TakenBackError:
     """Go back to the former version; return the error that says so, and what it took."""
     switch.agents.stop()
     aside = [
-        copies.restore(path, switch.version) for path in switch.kept if copies.copy_of(path, switch.version).exists()
+        copies.restore(path, switch.version)
+        for path in switch.kept
+        if copies.copy_of(path, switch.version).exists()
     ]
     switch.releases.switch(switch.former)
     try:
@@ -125,7 +132,8 @@ def _await(switch: Switch, expected: Rigs) -> None:
 def _document(switch: Switch, expected: Rigs, *, changed: bool) -> Document:
     kept = [str(copies.copy_of(path, switch.version)) for path in switch.kept]
     return {
-        "from": switch.former, "to": switch.version, "changed": changed, "rigs": sorted(rig for _, rig in expected),
+        "from": switch.former, "to": switch.version, "changed": changed,
+        "rigs": sorted(rig for _, rig in expected),
         "copies": kept,
     }  # fmt: skip
 

@@ -27,7 +27,8 @@ def giving(databases: Iterable[Path], within_s: float) -> Rigs:
 def silent(expected: Rigs, shown: set[tuple[Path, str]]) -> list[str]:
     """Return the rigs that have given no valid row in a run newer than the expected one.
 
-    shown: grows by those that did; a row that is valid once counts, since a machine may come to rest right after.
+    shown: grows by those that did; a row that is valid once counts, since a machine may come to rest right
+    after.
     """
     for path in {path for path, _ in expected}:
         rows = {(path, rig) for rig, run_id, _, status, _ in _newest(path)
@@ -39,7 +40,9 @@ def silent(expected: Rigs, shown: set[tuple[Path, str]]) -> list[str]:
 def _newest(path: Path) -> list[tuple[str, int, int, str, float | None]]:
     """Return the newest row of every parameter; none while the file is being made, migrated or damaged."""
     try:
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=1.0)) as connection:
+        with closing(
+            sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=1.0)
+        ) as connection:
             connection.execute("PRAGMA trusted_schema = OFF")
             return connection.execute(_NEWEST).fetchall()
     except sqlite3.Error:

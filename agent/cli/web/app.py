@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 MOST_LISTENERS: Final = 600
 _TYPES: Final = {
-    ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
+    ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml", ".txt": "text/plain; charset=utf-8",
 }  # fmt: skip
 _OPEN_PATHS: Final = ("/", "/static", "/api/v1/session")
@@ -59,7 +60,9 @@ def application(settings: Settings) -> "ASGIApp":
             await task
 
     inner = Starlette(
-        routes=_routes(settings, hub, writes), lifespan=living, exception_handlers={404: _absent, 405: _absent}
+        routes=_routes(settings, hub, writes),
+        lifespan=living,
+        exception_handlers={404: _absent, 405: _absent},
     )
     return Guard(_private(inner, writes) if settings.private else inner, settings.hosts)
 

@@ -91,7 +91,8 @@ def _rows_of(key: str, ask: Callable[[Watched, Asked], Rows]) -> Make:
 
 def _estimates(database: Watched, asked: Asked) -> Rows:
     return queries.estimates(
-        database.path, asked.get("rig"), asked.get("parameter"), asked.get("since", "60s"), asked.get("until"),
+        database.path, asked.get("rig"), asked.get("parameter"), asked.get("since", "60s"),
+        asked.get("until"),
         most=MOST_INSTANTS,
     )  # fmt: skip
 
@@ -163,8 +164,8 @@ def _columns(points: Points) -> "np.ndarray[Any, np.dtype[Any]]":
 def thinned(table: "np.ndarray[Any, np.dtype[Any]]", most: int) -> list[list[float]]:
     """Return rows [t_ns, value, sd, lowest, highest] of rows (n, 3) of t_ns, value, sd: at most `most`, in order.
 
-    A row that stands for several is of the time of the middle one and has the mean value and sd; no spike is lost,
-    since lowest and highest are those of all it stands for.
+    A row that stands for several is of the time of the middle one and has the mean value and sd; no spike is
+    lost, since lowest and highest are those of all it stands for.
     """
     if not len(table):
         return []
@@ -174,7 +175,8 @@ def thinned(table: "np.ndarray[Any, np.dtype[Any]]", most: int) -> list[list[flo
     starts = edges[:-1]
     sizes = np.diff(edges)
     columns = (
-        t_ns[starts + sizes // 2], np.add.reduceat(value, starts) / sizes, np.add.reduceat(sd, starts) / sizes,
+        t_ns[starts + sizes // 2], np.add.reduceat(value, starts) / sizes,
+        np.add.reduceat(sd, starts) / sizes,
         np.minimum.reduceat(value, starts), np.maximum.reduceat(value, starts),
     )  # fmt: skip
     return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
@@ -194,7 +196,9 @@ def _model(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
     database = _one(watched, asked)
     rig = _needed(asked, "rig")
     if rig not in database.configs:
-        raise UsageError.at("rig", f"the model of {rig!r} is not known", "start deltak serve with --config FILE")
+        raise UsageError.at(
+            "rig", f"the model of {rig!r} is not known", "start deltak serve with --config FILE"
+        )
     return {"rig": rig, "db": database.name, **drawing(database.configs[rig])}
 
 
@@ -220,7 +224,9 @@ def _baselines(database: Watched, asked: Asked) -> Rows:
 
 _RIG: Final = ("db", "rig")
 _PARAMETER: Final = (*_RIG, "parameter", "since", "until")
-_POINTS_OF = "Valid estimates for a chart, out of the tier that the time needs: t_ns, value, sd, lowest, highest."
+_POINTS_OF = (
+    "Valid estimates for a chart, out of the tier that the time needs: t_ns, value, sd, lowest, highest."
+)
 DOCUMENTS: Final[Mapping[str, Document]] = {
     "rigs": Document("Databases, their rigs and parameters.", ("db",), _rigs),
     "overview": Document("The state of all rigs, the worst first.", ("db",), _overview, by_clock=True),
@@ -231,14 +237,18 @@ DOCUMENTS: Final[Mapping[str, Document]] = {
     "alarms": Document("Rows of v_alarms, oldest first.", (*_RIG, "active"), _rows_of("alarms", _alarms)),
     "alarm_events": Document("Steps of alarms, oldest first.", _RIG, _rows_of("alarm_events", _alarm_events)),
     "verdicts": Document("What is believed of the rigs' constants.", _RIG, _rows_of("verdicts", _verdicts)),
-    "health": Document("The newest ledger row of each source, with its rate.", _RIG, _rows_of("sources", _health)),
+    "health": Document(
+        "The newest ledger row of each source, with its rate.", _RIG, _rows_of("sources", _health)
+    ),
     "baselines": Document("Rows of v_baselines, oldest first.", _RIG, _rows_of("baselines", _baselines)),
     "forecasts": Document(
         "Stored forecasts, oldest first, the newest and at most 99 before it of each parameter; and their record.",
         (*_RIG, "parameter"),
         _forecasts,
     ),
-    "trend": Document("Whether a parameter changes, and when it reaches a limit.", (*_PARAMETER, "limit"), _trend),
+    "trend": Document(
+        "Whether a parameter changes, and when it reaches a limit.", (*_PARAMETER, "limit"), _trend
+    ),
     "points": Document(_POINTS_OF, (*_PARAMETER, "points"), _points),
     "model": Document("Masses, springs and dampers of a rig, to be drawn.", _RIG, _model),
 }

@@ -84,7 +84,9 @@ def _record(made: list[Row], name: str) -> Row:
     record = record_of(made)
     return {
         "db": name,
-        **{key: newest[key] for key in ("rig", "parameter", "limit_value", "status", "made_at", "made_at_ns")},
+        **{
+            key: newest[key] for key in ("rig", "parameter", "limit_value", "status", "made_at", "made_at_ns")
+        },
         **record,
         "words": words_of(newest),
         "record_words": record_words({"record": record}),
@@ -96,7 +98,13 @@ def words_of(row: Row) -> str:
     ahead = {f"{name}_s": _seconds(row, name) for name in ("p10", "p50", "p90")}
     is_dated = all(seconds is not None for seconds in ahead.values())
     status = "beyond" if row["status"] == "ok" and not is_dated else row["status"]
-    forecast = {**ahead, "status": status, "chance": row["chance"], "horizon_s": row["horizon_s"], "like": None}
+    forecast = {
+        **ahead,
+        "status": status,
+        "chance": row["chance"],
+        "horizon_s": row["horizon_s"],
+        "like": None,
+    }
     if not is_dated:
         forecast["p50_s"] = None
     return forecast_words({"forecast": forecast, "slope_per_day": None, "limit": row["limit_value"]})

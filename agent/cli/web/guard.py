@@ -52,8 +52,9 @@ class Guard:
 
     Args:
         inner: the application.
-        hosts: names under which the server may be asked, without ports; a page of another name that a resolver turned
-            to this address (DNS rebinding) is refused by it. None for any, where a session is needed all the same.
+        hosts: names under which the server may be asked, without ports; a page of another name that a
+            resolver turned to this address (DNS rebinding) is refused by it. None for any, where a session is
+            needed all the same.
     """
 
     def __init__(self, inner: "ASGIApp", hosts: Iterable[str] | None) -> None:
@@ -75,7 +76,9 @@ class Guard:
             await asyncio.wait_for(send(message), _PATIENCE_S)
 
         if not self._is_host(scope):
-            answer = refusal(421, "host", "this server does not go by that name", "see deltak serve --hostname")
+            answer = refusal(
+                421, "host", "this server does not go by that name", "see deltak serve --hostname"
+            )
             await answer(scope, receive, send_guarded)
             return
         try:

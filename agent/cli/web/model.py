@@ -11,8 +11,8 @@ _KINDS = ("spring", "damper", "friction")
 def drawing(config: "RigConfig") -> dict[str, Any]:
     """Return {"kind", "masses": [{name, value, place}], "elements": [{name, kind, from, to, row}]}.
 
-    Masses stand on a line in the order of how far they are from the ground; elements between the same two places have
-    rows of their own. A model that is no graph has neither.
+    Masses stand on a line in the order of how far they are from the ground; elements between the same two
+    places have rows of their own. A model that is no graph has neither.
     """
     model = config.model
     if model.kind != "mass-spring-damper":

@@ -26,8 +26,13 @@ def _question(name: str, found: Document) -> Mapping[str, Any]:
         {"name": key, "in": "query", "description": PARAMETERS[key], "schema": {"type": "string"}}
         for key in found.takes
     ]
-    answers = {"200": {"description": "The document.", "content": _JSON}, "304": {"description": "As its ETag says."}}
-    return _operation(name, found.summary, {**answers, "400": _REFUSED, "409": _REFUSED}, parameters=parameters)
+    answers = {
+        "200": {"description": "The document.", "content": _JSON},
+        "304": {"description": "As its ETag says."},
+    }
+    return _operation(
+        name, found.summary, {**answers, "400": _REFUSED, "409": _REFUSED}, parameters=parameters
+    )
 
 
 def _operation(name: str, summary: str, responses: Mapping[str, Any], **more: Any) -> dict[str, Any]:
@@ -47,7 +52,10 @@ def _session() -> Mapping[str, Any]:
     return {
         "get": _operation("session", "Whether there is a session.", done),
         "post": _operation(
-            "sign_in", "Open a session: {name, password}.", {**done, **refused, "429": _REFUSED}, requestBody=_body()
+            "sign_in",
+            "Open a session: {name, password}.",
+            {**done, **refused, "429": _REFUSED},
+            requestBody=_body(),
         ),
         "delete": _operation("sign_out", "Close the session.", {**done, **refused}),
     }
@@ -64,7 +72,11 @@ def _actions() -> Mapping[str, Any]:
     return {
         f"/api/v1/alarms/{{db}}/{{alarm}}/{action}": {
             "post": _operation(
-                action, f"Ask the agent to {cause}: {{comment, for}}.", answers, parameters=places, requestBody=_body()
+                action,
+                f"Ask the agent to {cause}: {{comment, for}}.",
+                answers,
+                parameters=places,
+                requestBody=_body(),
             )
         }
         for action, cause in CAUSES.items()

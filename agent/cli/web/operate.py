@@ -30,11 +30,15 @@ def operate(db: Path, action: str, alarm: int, by: str, asked: Mapping[str, Any]
     if comment is not None and not (isinstance(comment, str) and len(comment) <= _LONGEST_COMMENT):
         raise UsageError.at("comment", f"is no text of at most {_LONGEST_COMMENT} characters", "shorten it")
     length = _length_ns(asked.get("for")) if action == "shelve" else None
-    return ask(db, "alarm", cause=CAUSES[action], ids=[alarm], by=by, comment=comment, length_ns=length, brief=True)
+    return ask(
+        db, "alarm", cause=CAUSES[action], ids=[alarm], by=by, comment=comment, length_ns=length, brief=True
+    )
 
 
 def _length_ns(text: object) -> int:
     found = age_ns(text) if isinstance(text, str) and len(text) < 20 else None
     if not found:
-        raise UsageError.at("for", f"{str(text)[:50]!r} is no length of time", "give one such as 30m, 8h or 2d")
+        raise UsageError.at(
+            "for", f"{str(text)[:50]!r} is no length of time", "give one such as 30m, 8h or 2d"
+        )
     return found

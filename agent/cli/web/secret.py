@@ -43,7 +43,9 @@ class Secret:
         """Return the secret of a new password. Raises UsageError for one that is too short or too long."""
         said = text.encode()
         if not _SHORTEST <= len(said) <= _MOST_BYTES_OF_SECRET:
-            raise UsageError.at("password", f"has {len(said)} bytes", f"take {_SHORTEST} to {_MOST_BYTES_OF_SECRET}")
+            raise UsageError.at(
+                "password", f"has {len(said)} bytes", f"take {_SHORTEST} to {_MOST_BYTES_OF_SECRET}"
+            )
         salt = os.urandom(16)
         return cls(password=(salt, _hash(said, salt)))
 
@@ -87,7 +89,9 @@ def write_closed(path: Path, content: str) -> None:
             os.fchmod(file.fileno(), 0o600)
             file.write(content)
     except OSError as error:
-        raise UsageError.at(str(path), f"cannot be written ({error})", "name a file that can be written") from error
+        raise UsageError.at(
+            str(path), f"cannot be written ({error})", "name a file that can be written"
+        ) from error
 
 
 def _hash(text: bytes, salt: bytes) -> bytes:
@@ -102,7 +106,9 @@ def closed_content(path: Path) -> str:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
             content = file.read(_MOST_BYTES_OF_FILE).strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError.at(str(path), f"cannot be read ({error})", "name a file with a password or a token") from error
+        raise UsageError.at(
+            str(path), f"cannot be read ({error})", "name a file with a password or a token"
+        ) from error
     check_closed(path, mode)
     return content
 
@@ -110,12 +116,15 @@ def closed_content(path: Path) -> str:
 def check_closed(path: Path, mode: int) -> None:
     """Raise UsageError where others may use a file.
 
-    Of a file that systemd made for this service a group's rights are passed over: its access list stands there.
+    Of a file that systemd made for this service a group's rights are passed over: its access list stands
+    there.
     """
     folder = os.environ.get("CREDENTIALS_DIRECTORY")
     is_handed_over = folder is not None and path.parent == Path(folder)
     if mode & (_OTHERS if is_handed_over else _OTHERS | _GROUP):
-        raise UsageError.at(str(path), f"may be used by others (mode {mode & 0o7777:04o})", f"chmod 600 {path}")
+        raise UsageError.at(
+            str(path), f"may be used by others (mode {mode & 0o7777:04o})", f"chmod 600 {path}"
+        )
 
 
 def _password(path: Path) -> Secret:
@@ -130,5 +139,7 @@ def _token(path: Path) -> Secret:
     content = closed_content(path)
     if len(content) < _SHORTEST_TOKEN:
         what = f"holds a token of {len(content)} characters"
-        raise UsageError.at(str(path), what, f"take at least {_SHORTEST_TOKEN}, such as `openssl rand -hex 32`")
+        raise UsageError.at(
+            str(path), what, f"take at least {_SHORTEST_TOKEN}, such as `openssl rand -hex 32`"
+        )
     return Secret(token=content.encode())

@@ -92,10 +92,14 @@ def _is_loopback(host: str) -> bool:
 
 def _check(options: Options, secret: Secret | None) -> None:
     if options.private and secret is None:
-        raise UsageError.at("--private", "needs a password or a token", "give --password-file or --token-file")
+        raise UsageError.at(
+            "--private", "needs a password or a token", "give --password-file or --token-file"
+        )
     if secret is None and not (_is_loopback(options.host) and options.proxy is None):
         what = f"others can reach {options.host}" if options.proxy is None else "a proxy lets others in"
-        raise UsageError.at("--host", f"{what}, and there is no password", "give --password-file or --token-file")
+        raise UsageError.at(
+            "--host", f"{what}, and there is no password", "give --password-file or --token-file"
+        )
 
 
 def _hosts(options: Options) -> frozenset[str] | None:
@@ -114,4 +118,6 @@ def _bound(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=family, backlog=512)
     except OSError as error:
-        raise UsageError.at("--host", f"{host} port {port} cannot be used ({error})", "take others") from error
+        raise UsageError.at(
+            "--host", f"{host} port {port} cannot be used ({error})", "take others"
+        ) from error

@@ -37,7 +37,9 @@ class Position(tuple[Cursor, ...]):
     @classmethod
     def read(cls, text: str, databases: int) -> Self | None:
         """Return the position that a text says; None where it is none of so many databases."""
-        found = [cursor for part in text.split("~")[: databases + 1] if (cursor := Cursor.read(part)) is not None]
+        found = [
+            cursor for part in text.split("~")[: databases + 1] if (cursor := Cursor.read(part)) is not None
+        ]
         return cls(found) if len(found) == databases and text.count("~") == databases - 1 else None
 
     def moved(self, place: int, cursor: Cursor) -> Self:

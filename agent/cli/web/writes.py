@@ -77,7 +77,12 @@ class Writes:
         value, session = self.sessions.begin(name)
         answer = document(200, _shown(session, possible=True))
         answer.set_cookie(
-            COOKIE, value, max_age=int(LIFE_S), httponly=True, samesite="strict", secure=request.url.scheme == "https"
+            COOKIE,
+            value,
+            max_age=int(LIFE_S),
+            httponly=True,
+            samesite="strict",
+            secure=request.url.scheme == "https",
         )
         return answer
 
@@ -100,8 +105,12 @@ class Writes:
             asked = await _object(request)
             database = next((d for d in self.watched if d.name == place["db"]), None)
             if database is None or place["action"] not in CAUSES or place["alarm"] >= 2**63:
-                raise _RefusedError(404, place["action"], "there is no such thing to do", "see /api/v1/openapi.json")
-            done = await run_sync(operate, database.path, place["action"], place["alarm"], session.name, asked)
+                raise _RefusedError(
+                    404, place["action"], "there is no such thing to do", "see /api/v1/openapi.json"
+                )
+            done = await run_sync(
+                operate, database.path, place["action"], place["alarm"], session.name, asked
+            )
         except _RefusedError as refused:
             return refusal(*refused.args)
         except AgentError as error:

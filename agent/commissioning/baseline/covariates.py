@@ -35,7 +35,8 @@ class Ready:
     """One covariate of a stretch.
 
     Attributes:
-        name, unit: of the covariate. center, spread: mean and sd of what was read. hold: periods a reading stands for.
+        name, unit: of the covariate. center, spread: mean and sd of what was read. hold: periods a reading
+            stands for.
         grid: it on the grid of minutes. edges: (c + 1,) of the classes that the machine is to have run in.
     """
 
@@ -56,7 +57,9 @@ class Ready:
 
     def covered(self, t_ns: IntArray) -> BoolArray:
         """Return at which rows (n,) it is known."""
-        inside = (newest_period(t_ns) >= self.grid.first) & (newest_period(t_ns) < self.grid.first + self._length)
+        inside = (newest_period(t_ns) >= self.grid.first) & (
+            newest_period(t_ns) < self.grid.first + self._length
+        )
         return np.asarray(inside & self.grid.covered[self._places(t_ns)])
 
     @property
@@ -67,7 +70,9 @@ class Ready:
         return np.clip(newest_period(t_ns) - self.grid.first, 0, self._length - 1)
 
 
-def read(target: Target, table: BaselineTable, first_ns: int, last_ns: int) -> tuple[list[Ready], list[Fault]]:
+def read(
+    target: Target, table: BaselineTable, first_ns: int, last_ns: int
+) -> tuple[list[Ready], list[Fault]]:
     """Return the covariates of a stretch, and why some of them teach nothing. Raises StoreError."""
     known = stored.means(target.db, target.rig)
     configured = {one.name: one.range for one in target.config.covariate} if target.config is not None else {}
@@ -138,7 +143,9 @@ def _classes(one: Ready, value: FloatArray) -> Iterator[Fault]:
                  for k in range(wanted) if k not in run]  # fmt: skip
         what = f"not yet: the machine has run in {len(run)} of {wanted} {one.name} classes"
         what += f" ({percent(len(run) / wanted)}); not in {', '.join(lacks)} {one.unit}"
-        yield Fault(one.name, what, "let it run on, or ask for less: [baseline] classes, or range of the channel")
+        yield Fault(
+            one.name, what, "let it run on, or ask for less: [baseline] classes, or range of the channel"
+        )
 
 
 def known_rows(points: Points, ready: Sequence[Ready]) -> BoolArray:
@@ -178,13 +185,16 @@ def depends(t_ns: IntArray, value: FloatArray, period_s: float, ready: Sequence[
 def _dependence(one: Ready, was: Found, lagged: FloatArray) -> Dependence:
     low, high = np.quantile(lagged, EDGES) + one.center
     return Dependence(
-        one.name, one.unit, was.coefficient, was.sd, was.coefficient - T95 * was.sd, was.coefficient + T95 * was.sd,
+        one.name, one.unit, was.coefficient, was.sd, was.coefficient - T95 * was.sd,
+        was.coefficient + T95 * was.sd,
         was.lag.shape, was.lag.seconds, was.lag_lower_s, was.lag_upper_s, one.center, float(low), float(high),
         one.spread, one.hold * PERIOD_S, was.significant,
     )  # fmt: skip
 
 
-def taken_out(t_ns: IntArray, value: FloatArray, found: Sequence[Dependence], ready: Mapping[str, Ready]) -> FloatArray:
+def taken_out(
+    t_ns: IntArray, value: FloatArray, found: Sequence[Dependence], ready: Mapping[str, Ready]
+) -> FloatArray:
     """Return rows as they would be with every covariate at its centre."""
     moved = [one.coefficient * ready[one.name].lagged(one.lag, t_ns) for one in found if one.used]
     return value - sum(moved) if moved else value

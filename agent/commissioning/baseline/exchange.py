@@ -25,7 +25,9 @@ def exported(path: Path, rig: str | None) -> dict[str, Any]:
     target = target_of(path, rig)
     found = baselines.standing(target.db, target.rig)
     if not found:
-        raise UsageError.at(str(target.db), f"{target.rig} has no baseline", "learn one: deltak baseline learn")
+        raise UsageError.at(
+            str(target.db), f"{target.rig} has no baseline", "learn one: deltak baseline learn"
+        )
     return {"form": FORM, "version": VERSION, "baselines": [asdict(one) for one in found]}
 
 
@@ -56,7 +58,9 @@ def _read(file: Path) -> list[Baseline]:
         raise UsageError.at(str(file), f"cannot be read: {error.strerror}", "name a file there is") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         why = str(error).partition("\n")[0]
-        raise UsageError.at(str(file), f"is no export of baselines ({why})", "make it by baseline export") from error
+        raise UsageError.at(
+            str(file), f"is no export of baselines ({why})", "make it by baseline export"
+        ) from error
     if not found:
         raise UsageError.at(str(file), "holds no baseline", "make it by deltak baseline export")
     return found
@@ -74,7 +78,9 @@ def _unfitting(target: Target, found: list[Baseline], file: Path) -> Iterator[Fa
     advice = "learn it from this rig's own rows"
     for one in found:
         if one.parameter not in units:
-            yield Fault(str(file), f"{target.rig} has no parameter {one.parameter}", f"it has {', '.join(units)}")
+            yield Fault(
+                str(file), f"{target.rig} has no parameter {one.parameter}", f"it has {', '.join(units)}"
+            )
         elif one.unit != units[one.parameter]:
             what = f"{one.parameter} is in {one.unit} there, in {units[one.parameter]} here"
             yield Fault(str(file), what, advice)

@@ -1,7 +1,7 @@
 """`deltak baseline learn`: references and their spread from the valid rows of a healthy stretch.
 
-valid rows -> means of equal periods -> what covariates do is taken out -> robust reference, spread between periods and
-days -> v_baselines. The periods are a 24th of what is wanted at least: hours, of a day.
+valid rows -> means of equal periods -> what covariates do is taken out -> robust reference, spread between
+periods and days -> v_baselines. The periods are a 24th of what is wanted at least: hours, of a day.
 """
 
 import json
@@ -112,7 +112,9 @@ def _history(target: Target, stretch: Stretch, progress: Callable[[str], None]) 
             yield points
     if not any_valid:
         what = f"{target.rig} has no valid row in this stretch"
-        raise UsageError.at("--since", what, "let the agent run while the machine moves, or ask for another stretch")
+        raise UsageError.at(
+            "--since", what, "let the agent run while the machine moves, or ask for another stretch"
+        )
 
 
 def _unready(points: Points, hours: float) -> Fault | None:
@@ -136,8 +138,10 @@ def _baseline(points: Points, graph: str, hours: float, ready: Sequence[Ready]) 
     still = taken_out(t_ns, value, depending, {one.name: one for one in ready})
     found = spread(t_ns / 1e9, still, period_s)
     return Baseline(
-        points.rig, points.parameter, points.unit, graph, found.reference, found.sd, found.spread_sd, found.within_sd,
-        found.days_sd, found.correlation_s, found.n_effective, written(depending), int(t_ns[0]), int(t_ns[-1]),
+        points.rig, points.parameter, points.unit, graph, found.reference, found.sd, found.spread_sd,
+        found.within_sd,
+        found.days_sd, found.correlation_s, found.n_effective, written(depending), int(t_ns[0]),
+        int(t_ns[-1]),
         len(t_ns),
     )  # fmt: skip
 
@@ -147,6 +151,7 @@ def row(one: Baseline, baseline_id: int | None) -> dict[str, Any]:
     return {
         "baseline_id": baseline_id, "unit": one.unit, "reference": one.reference, "sd": one.sd,
         "spread_sd": one.spread_sd, "within_sd": one.within_sd, "days_sd": one.days_sd,
-        "correlation_s": one.correlation_s, "n_effective": one.n_effective, "n": one.n, "from_ns": one.from_ns,
+        "correlation_s": one.correlation_s, "n_effective": one.n_effective, "n": one.n,
+        "from_ns": one.from_ns,
         "until_ns": one.until_ns, "covariates": json.loads(one.covariates),
     }  # fmt: skip

@@ -24,22 +24,34 @@ ORDINARY = 0.9
 PER_YEAR = 1.0
 
 
-def limits(place: Path, rig: str | None, per_year: float = PER_YEAR, config: Path | None = None) -> dict[str, Any]:
+def limits(
+    place: Path, rig: str | None, per_year: float = PER_YEAR, config: Path | None = None
+) -> dict[str, Any]:
     """Return the document of CONTRACT section 8: a limit and an on-delay for each parameter with a baseline.
 
     config: of the rig, beside a database.
     Raises UsageError where there is none, or no recent row; ConfigError, StoreError.
     """
     if not per_year > 0:
-        raise UsageError.at("--per-year", f"{per_year:g} is no number of alarms", "give a number above 0, such as 1")
+        raise UsageError.at(
+            "--per-year", f"{per_year:g} is no number of alarms", "give a number above 0, such as 1"
+        )
     target = target_of(place, rig) if config is None else configured(place, config)
     target.graph()
     found = baselines.standing(target.db, target.rig)
     if not found:
         advice = f"learn one from a healthy time first: deltak baseline learn {place}"
-        raise UsageError.at(str(target.db), f"{target.rig} has no baseline, and so no spread to set limits by", advice)
+        raise UsageError.at(
+            str(target.db), f"{target.rig} has no baseline, and so no spread to set limits by", advice
+        )
     rows = {one.parameter: _row(target, one, per_year) for one in found}
-    return {"rig": target.rig, "db": str(target.db), "per_year": per_year, "parameters": rows, "written": None}
+    return {
+        "rig": target.rig,
+        "db": str(target.db),
+        "per_year": per_year,
+        "parameters": rows,
+        "written": None,
+    }
 
 
 def _row(target: Target, one: Baseline, per_year: float) -> dict[str, Any]:
@@ -51,7 +63,8 @@ def _row(target: Target, one: Baseline, per_year: float) -> dict[str, Any]:
     found = proposed(healthy, per_year, confidence)
     limit, delay_s = _rounded(found.limit), _rounded(found.on_delay_s)
     row: dict[str, Any] = {
-        "limit": limit, "on_delay_s": delay_s, "false_per_year": false_per_year(healthy, limit, delay_s, confidence),
+        "limit": limit, "on_delay_s": delay_s,
+        "false_per_year": false_per_year(healthy, limit, delay_s, confidence),
         "finds": _rounded(found.finds), "finds_within_s": _rounded(found.finds_within_s), "unit": one.unit,
         "reference": one.reference, "baseline_id": one.baseline_id, "spread_sd": one.spread_sd,
         "row_sd": healthy.row_sd, "n_effective": one.n_effective,
@@ -69,7 +82,9 @@ def _rounded(value: float) -> float:
 
 
 def _words(one: Baseline, healthy: Healthy, row: Mapping[str, Any]) -> str:
-    said = f"finds a change of {number(row['finds'], 3)} {one.unit} within {number(row['finds_within_s'], 3)} s"
+    said = (
+        f"finds a change of {number(row['finds'], 3)} {one.unit} within {number(row['finds_within_s'], 3)} s"
+    )
     if one.n_effective < LITTLE:
         said += f"; rests on {number(one.n_effective, 2)} independent hours: learn longer for a smaller limit"
     elif row["limit"] <= 1.02 * healthy.least:
@@ -85,7 +100,9 @@ def healthy_of(target: Target, one: Baseline) -> Healthy | None:
     """Return how a parameter moves while healthy, the sd of its rows as the newest say; None without a valid row."""
     for since in RECENT:
         rows = queries.estimates(target.db, target.rig, one.parameter, since)
-        valid = [row for row in rows if row["status"] == "valid" and row["span_s"] == 0 and row["sd"] is not None]
+        valid = [
+            row for row in rows if row["status"] == "valid" and row["span_s"] == 0 and row["sd"] is not None
+        ]
         if valid:
             return _healthy(target.config, one, valid)
     return None
@@ -104,7 +121,14 @@ def _healthy(config: RigConfig | None, one: Baseline, rows: Sequence[Mapping[str
     row_sd = float(np.linalg.norm([np.median(repeat), one.sd, *moved]))
     least = float(np.quantile(repeat, ORDINARY)) / resolve
     return Healthy(
-        one.spread_sd, one.correlation_s, one.n_effective, row_sd, one.within_sd, window_s, min(hop_s, window_s), least
+        one.spread_sd,
+        one.correlation_s,
+        one.n_effective,
+        row_sd,
+        one.within_sd,
+        window_s,
+        min(hop_s, window_s),
+        least,
     )
 
 
@@ -117,7 +141,11 @@ def limit_warnings(config: RigConfig) -> Iterator[Fault]:
     """Warn of limits that a healthy machine would cross more than once a year, where its store has a baseline."""
     target = Target(config.store.path, config.rig.name, config)
     try:
-        known = {one.parameter: one for one in baselines.standing(target.db, target.rig)} if target.db.exists() else {}
+        known = (
+            {one.parameter: one for one in baselines.standing(target.db, target.rig)}
+            if target.db.exists()
+            else {}
+        )
     except (StoreError, OSError) as error:
         yield Fault("store.path", f"its baselines cannot be read ({error})", "see deltak db check")
         return
@@ -138,7 +166,9 @@ def _crossed(target: Target, one: Baseline, alarm: Alarm, path: str) -> Iterator
     if often <= PER_YEAR * 1.01:
         return
     better = proposed(healthy, PER_YEAR, alarm.confidence)
-    what = f"{number(limit, 3)} {one.unit} may be crossed {number(often, 2)} times a year by the healthy machine"
+    what = (
+        f"{number(limit, 3)} {one.unit} may be crossed {number(often, 2)} times a year by the healthy machine"
+    )
     allowed = f"{number(_rounded(better.limit), 3)} with an on-delay of {number(better.on_delay_s, 3)} s"
     advice = f"{allowed} is crossed once at the most; deltak limits says more"
     yield Fault(f"{path}.{key}", what, advice)

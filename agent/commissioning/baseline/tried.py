@@ -1,7 +1,8 @@
 """`deltak limits --try`: the stored history decided once more under the limits of another file.
 
-The same alarm block as the pipeline's goes over the rows that are kept, which is every one around an alarm and one a
-`store.every_s` elsewhere; aggregates raise nothing. Changes are counted from the baseline where one stands.
+The same alarm block as the pipeline's goes over the rows that are kept, which is every one around an alarm
+and one a `store.every_s` elsewhere; aggregates raise nothing. Changes are counted from the baseline where one
+stands.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -123,7 +124,8 @@ def _activations(steps: Iterator[AlarmTransition]) -> list[dict[str, Any]]:
             found.append(
                 {
                     "parameter": step.parameter, "raised_ns": step.t_ns, "raised_at": iso_time(step.t_ns),
-                    "cleared_ns": None, "cleared_at": None, "delta": step.delta, "limit_value": step.limit_value,
+                    "cleared_ns": None, "cleared_at": None, "delta": step.delta,
+                    "limit_value": step.limit_value,
                     "message": step.message,
                 }
             )  # fmt: skip
@@ -136,7 +138,10 @@ def _stored(row: Row) -> dict[str, Any]:
     from agent.storage.read.times import parse_time
 
     ends = [None if row[key] is None else parse_time(row[key], None) for key in ("raised_at", "cleared_at")]
-    kept = {key: row[key] for key in ("id", "parameter", "raised_at", "cleared_at", "delta", "limit_value", "message")}
+    kept = {
+        key: row[key]
+        for key in ("id", "parameter", "raised_at", "cleared_at", "delta", "limit_value", "message")
+    }
     return kept | {"raised_ns": ends[0], "cleared_ns": ends[1]}
 
 

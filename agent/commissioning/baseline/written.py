@@ -17,8 +17,8 @@ Values = Mapping[str, float]
 def write_limits(file: Path, limits: Mapping[str, Values]) -> None:
     """Write limits and on-delays by parameter into a file; comments and all else stay, absent alarms are added.
 
-    Raises UsageError where the file cannot be written, the text has no place for one, or what comes out is faulty;
-    nothing is changed then.
+    Raises UsageError where the file cannot be written, the text has no place for one, or what comes out is
+    faulty; nothing is changed then.
     """
     text = with_limits(read_bytes(file).decode("utf-8"), limits, file)
     try:
@@ -33,17 +33,23 @@ def with_limits(text: str, limits: Mapping[str, Values], file: Path) -> str:
     """Return the text of a configuration with these limits in it. Raises UsageError."""
     for parameter, values in limits.items():
         wanted = _wanted(parse_toml(text.encode("utf-8"), file), parameter, values)
-        found = next((new for new in _candidates(text, parameter, values) if reads_as(new, wanted, file)), None)
+        found = next(
+            (new for new in _candidates(text, parameter, values) if reads_as(new, wanted, file)), None
+        )
         if found is None:
             what = f'no place for the limit of "{parameter}" is found in {file}'
-            raise UsageError.at("--write", what, f"nothing was changed; enter {values['limit']:g} there yourself")
+            raise UsageError.at(
+                "--write", what, f"nothing was changed; enter {values['limit']:g} there yourself"
+            )
         text = found
     return text
 
 
 def _wanted(raw: dict[str, Any], parameter: str, values: Values) -> dict[str, Any]:
     alarms = raw.setdefault("alarm", [])
-    level = [row for row in alarms if row.get("parameter") == parameter and row.get("kind", "level") == "level"]
+    level = [
+        row for row in alarms if row.get("parameter") == parameter and row.get("kind", "level") == "level"
+    ]
     if not level:
         level = [{"parameter": parameter}]
         alarms += level

@@ -38,7 +38,9 @@ def replace_file(file: Path, text: str) -> None:
         _replace(Path(os.path.realpath(file)), text)
     except OSError as error:
         words = f"{file} cannot be written: {error.strerror or error}"
-        raise UsageError.at("--write", words, "nothing was changed; make it writable, or copy the values") from error
+        raise UsageError.at(
+            "--write", words, "nothing was changed; make it writable, or copy the values"
+        ) from error
 
 
 def shown(value: float) -> str:

@@ -1,6 +1,7 @@
 """`deltak excite`: the force that would teach most within what the machine allows, as a file for the operator's shaker.
 
-model -> information of each line -> optimal powers -> multisine of small peak -> scaled to force and stroke -> CSV
+model -> information of each line -> optimal powers -> multisine of small peak -> scaled to force and stroke
+-> CSV
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -100,7 +101,9 @@ def _moving(config: RigConfig, recording: Path) -> Recorded:
     least = np.maximum(MOVING * recorded.noise, ROUNDING * np.abs(recorded.y).max(axis=0))
     if not np.any(moved > least):
         what = "nothing moves beyond the noise of its sensor"
-        raise RecordingError.at(str(recording), what, "give one that was recorded while the machine moved, or none")
+        raise RecordingError.at(
+            str(recording), what, "give one that was recorded while the machine moved, or none"
+        )
     return recorded
 
 
@@ -111,9 +114,13 @@ def _checked(bounds: Bounds, config: RigConfig) -> Bounds:
             raise UsageError.at(option, f"{value:g} is none", "give a number above 0")
     if bounds.seconds * config.rig.sample_rate_hz > MOST_SAMPLES:
         most = MOST_SAMPLES / config.rig.sample_rate_hz
-        raise UsageError.at("--seconds", f"{bounds.seconds:g} s is too long", f"give {most:g} s at most and repeat it")
+        raise UsageError.at(
+            "--seconds", f"{bounds.seconds:g} s is too long", f"give {most:g} s at most and repeat it"
+        )
     if bounds.band is not None and not 0.0 <= bounds.band[0] < bounds.band[1]:
-        raise UsageError.at("--band", f"{bounds.band[0]:g} to {bounds.band[1]:g} Hz is no band", "give LO below HI")
+        raise UsageError.at(
+            "--band", f"{bounds.band[0]:g} to {bounds.band[1]:g} Hz is no band", "give LO below HI"
+        )
     return bounds
 
 
@@ -136,7 +143,8 @@ def _designed(
     force = _force(rig, u)
     stroke = _stroke(rig, u)
     document = {
-        "rig": rig.config.rig.name, "seconds": bounds.seconds, "samples": count, "design_gap": max(design.gap, 0.0),
+        "rig": rig.config.rig.name, "seconds": bounds.seconds, "samples": count,
+        "design_gap": max(design.gap, 0.0),
         "designed_for": [name for name, own in zip(names, kept.tolist(), strict=True) if own],
         "predicted_sd": dict(zip(names, expected.sd_repeat.tolist(), strict=True)),
         "against_nominal_sd": dict(zip(names, expected.sd.tolist(), strict=True)),
@@ -144,7 +152,8 @@ def _designed(
         "recording_s": None if recorded is None else recorded.facts["span_s"],
         "units": {parameter.name: parameter.unit for parameter in rig.model.parameters},
         "peak_force": force, "force_unit": rig.config.inputs[0].unit, "peak_stroke": stroke,
-        "stroke_unit": _stroke_unit(rig.config), "crest_factor": crest(u[:, 0]), "lines": named, "assumes": rig.words,
+        "stroke_unit": _stroke_unit(rig.config), "crest_factor": crest(u[:, 0]), "lines": named,
+        "assumes": rig.words,
     }  # fmt: skip
     return document | {"advice": [words, *_advice(document, past, expected, names)]}, u
 
@@ -161,7 +170,9 @@ def _design(rig: _Rig, lines: Lines, count: int) -> tuple[Design, FloatArray]:
         return optimal(information[:, taught][:, :, taught]), taught
     except ValueError as error:
         advice = "widen --band, or measure more of the motion"
-        raise ModelError.at("estimator.estimate", f"no force of this band teaches it: {error}", advice) from error
+        raise ModelError.at(
+            "estimator.estimate", f"no force of this band teaches it: {error}", advice
+        ) from error
 
 
 def _shape(lines: Lines, power: FloatArray, count: int, inputs: int) -> FloatArray:
@@ -174,7 +185,9 @@ def _shape(lines: Lines, power: FloatArray, count: int, inputs: int) -> FloatArr
     return u
 
 
-def _scaled(rig: _Rig, shape: FloatArray, bounds: Bounds, recorded: Recorded | None) -> tuple[FloatArray, str]:
+def _scaled(
+    rig: _Rig, shape: FloatArray, bounds: Bounds, recorded: Recorded | None
+) -> tuple[FloatArray, str]:
     """Return the signal as large as is allowed, SI, and in words by what."""
     ways = {}
     if bounds.force is not None:
@@ -186,7 +199,9 @@ def _scaled(rig: _Rig, shape: FloatArray, bounds: Bounds, recorded: Recorded | N
         return ways[option] * (1.0 - 1e-9) * shape, f"as large as {option} allows"
     if recorded is not None:
         inputs = recorded.u[:, : shape.shape[1]]
-        return float(np.sqrt(np.sum(np.var(inputs, axis=0)))) * shape, f"of the force's rms in {recorded.name}"
+        return float(
+            np.sqrt(np.sum(np.var(inputs, axis=0)))
+        ) * shape, f"of the force's rms in {recorded.name}"
     return shape, f"of 1 {rig.config.inputs[0].si_unit} rms; --max-force and --max-stroke say what is allowed"
 
 

@@ -42,7 +42,9 @@ def candidate_lines(discrete: Discrete, count: int, inputs: int, band: tuple[flo
     if last - first + 1 < 2 * inputs:
         held = f"{max(last - first + 1, 0)} lines, which are 1/{count / rate:g} Hz apart"
         what = f"the band {low:.4g} to {high:.4g} Hz holds {held}"
-        raise UsageError.at("--band", what, f"widen it (at most to {HIGHEST * rate:g} Hz), or give more seconds")
+        raise UsageError.at(
+            "--band", what, f"widen it (at most to {HIGHEST * rate:g} Hz), or give more seconds"
+        )
     chosen = _spaced(first, last, modes * count / rate)
     periods, column = [], []
     for number in range(inputs):

@@ -1,7 +1,8 @@
 """`deltak identify --graph`: which springs and dampers a machine has, and then their values.
 
-recordings -> a graph fitted, first the file's -> every element that could be, weighed about that fit -> dropped and
-proposed one by one, until a graph comes again -> identified as any other. Equations and limits: docs/identify.md.
+recordings -> a graph fitted, first the file's -> every element that could be, weighed about that fit ->
+dropped and proposed one by one, until a graph comes again -> identified as any other. Equations and limits:
+docs/identify.md.
 """
 
 import time
@@ -53,7 +54,9 @@ def choose(
         search = _Search.of(rig, material, said)
         answer = search.explained(material)
     except np.linalg.LinAlgError as error:
-        raise ModelError.at("model", "no values of any graph's elements give this motion", whole.LOOK_FOR) from error
+        raise ModelError.at(
+            "model", "no values of any graph's elements give this motion", whole.LOOK_FOR
+        ) from error
     finally:
         said("")
     document = whole.document_of(answer.chosen, answer.found)
@@ -80,8 +83,8 @@ def _write(config: Path, document: dict[str, Any]) -> None:
 class _Search:
     """The way from the file's graph to the one that explains the recordings.
 
-    A graph is fitted, its noise learnt; about that fit every element that could be is weighed, dropped and proposed;
-    the graph that comes of it is fitted in its turn, until one comes again.
+    A graph is fitted, its noise learnt; about that fit every element that could be is weighed, dropped and
+    proposed; the graph that comes of it is fitted in its turn, until one comes again.
 
     Attributes:
         rig: as the file has it;  full: with every element that could be;  names: of its parameters.
@@ -131,7 +134,9 @@ class _Search:
         try:
             selector, best = self._run(graph)
             chosen = self.graph(best)
-            return _Explained(selector, best, chosen, _identified(chosen, self.records, recordings, self.progress))
+            return _Explained(
+                selector, best, chosen, _identified(chosen, self.records, recordings, self.progress)
+            )
         except (np.linalg.LinAlgError, ModelError) as error:
             # a start so far off that its model runs away, or a graph that leaves a mass to itself
             self.errors.append(error)
@@ -158,7 +163,9 @@ class _Search:
         here = dict(zip((p.name for p in rig_model(config).parameters), said.theta.tolist(), strict=True))
         self.progress("weighing every element that could be")
         values = dict.fromkeys(_elements(self.full), 0.0) | here
-        point = with_nominals(self.full, {name: values[name] for name in _elements(self.full) if name in self.names})
+        point = with_nominals(
+            self.full, {name: values[name] for name in _elements(self.full) if name in self.names}
+        )
         _, settings, windows = whole.windowed(point, self.records, self.window)
         theta = np.array([here.get(name, 0.0) for name in self.names])
         costs, scatter = costs_of(settings.rig, windows, said, theta, settings.floor)
@@ -170,7 +177,11 @@ class _Search:
         for kind in KINDS:
             rows = getattr(begun.model, kind)
             largest = max((e.nominal for e in rows), default=0.0)
-            small = [e.name for e in rows if e.nominal < (TINY if e.name in _elements(self.rig) else SMALL) * largest]
+            small = [
+                e.name
+                for e in rows
+                if e.nominal < (TINY if e.name in _elements(self.rig) else SMALL) * largest
+            ]
             zeros |= dict.fromkeys(small, 0.0)
         return with_nominals(begun, zeros)
 

@@ -29,7 +29,9 @@ def draw_region(config: Path, document: dict[str, Any], file: Path, db: Path | N
         raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
     figure = Figure(figsize=(12.0, 5.5), layout="constrained")
     if file.suffix.lstrip(".").lower() not in figure.canvas.get_supported_filetypes():
-        raise UsageError.at("--plot", f"{file}: no such format", "give a file that ends in .png, .svg or .pdf")
+        raise UsageError.at(
+            "--plot", f"{file}: no such format", "give a file that ends in .png, .svg or .pdf"
+        )
     if not file.parent.is_dir():
         raise UsageError.at("--plot", f"{file.parent}: no such folder", "make it or name another")
     checked = load(config)
@@ -50,7 +52,9 @@ def _draw_poles(axis: "Axes", model: Any, observer: Any) -> None:
     circle = np.exp(1j * np.linspace(0, 2 * np.pi, 721))
     axis.plot(circle.real, circle.imag, color=INK, lw=0.8)
     for poles, colour, name in ((observer, OBSERVER, "observer"), (model, MODEL, "model")):
-        axis.plot(poles[1:].real.ravel(), poles[1:].imag.ravel(), ".", ms=3, alpha=0.35, color=colour, label=name)
+        axis.plot(
+            poles[1:].real.ravel(), poles[1:].imag.ravel(), ".", ms=3, alpha=0.35, color=colour, label=name
+        )
         axis.plot(poles[0].real, poles[0].imag, "x", ms=8, mew=1.8, color=colour, label=f"{name} at nominal")
     found = np.concatenate([model.ravel(), observer.ravel()])
     _frame(axis, found)
@@ -83,7 +87,8 @@ def _draw_plane(axis: "Axes", found: Plane | None, rig: RigModel, today: Today |
     axis.plot(nominal[i], nominal[j], "x", color=INK, ms=8, mew=1.8, label="nominal")
     if today is not None:
         axis.errorbar(
-            today.theta[i], today.theta[j], xerr=2 * np.nan_to_num(today.sd[i]), yerr=2 * np.nan_to_num(today.sd[j]),
+            today.theta[i], today.theta[j], xerr=2 * np.nan_to_num(today.sd[i]),
+            yerr=2 * np.nan_to_num(today.sd[j]),
             fmt="o", color=TODAY, ms=6, capsize=3, label=f"estimate of {today.time[:19]} ± 2 sd",
         )  # fmt: skip
     axis.set_xlabel(f"{rig.parameters[i].name}  ({rig.parameters[i].unit})")

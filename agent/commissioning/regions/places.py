@@ -53,8 +53,12 @@ def newest(config: RigConfig, rig: RigModel, db: Path) -> Today:
     found = [rows.get(parameter.name) for parameter in rig.parameters]
     if not any(found):
         what = f"{db} has no valid estimate of {config.rig.name}"
-        raise UsageError.at("--db", what, "leave it out, or wait for one: deltak estimates says what rows there are")
-    theta = np.array([row["value"] if row else p.nominal for row, p in zip(found, rig.parameters, strict=True)])
+        raise UsageError.at(
+            "--db", what, "leave it out, or wait for one: deltak estimates says what rows there are"
+        )
+    theta = np.array(
+        [row["value"] if row else p.nominal for row, p in zip(found, rig.parameters, strict=True)]
+    )
     sd = np.array([row["sd"] if row else np.nan for row in found])
     return Today(theta, sd, max(str(row["time"]) for row in found if row))
 
@@ -64,14 +68,18 @@ def poles_over(config: RigConfig, rig: RigModel, gain: FloatArray) -> tuple[Comp
     rng = np.random.default_rng(19)
     half = np.maximum(rig.limits, 0.0)
     # half of the points on edges of the box, where poles reach furthest
-    shares = np.sign(rng.uniform(-1, 1, (DRAWN, len(half)))) * np.where(np.arange(DRAWN)[:, None] % 2, 1.0, np.nan)
+    shares = np.sign(rng.uniform(-1, 1, (DRAWN, len(half)))) * np.where(
+        np.arange(DRAWN)[:, None] % 2, 1.0, np.nan
+    )
     shares = np.where(np.isnan(shares), rng.uniform(-1, 1, shares.shape), shares)
     points = np.vstack([rig.model.nominal, rig.model.nominal + shares * half])
     found = [_poles(config, rig, gain, theta) for theta in points]
     return np.array([one[0] for one in found]), np.array([one[1] for one in found])
 
 
-def _poles(config: RigConfig, rig: RigModel, gain: FloatArray, theta: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def _poles(
+    config: RigConfig, rig: RigModel, gain: FloatArray, theta: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
     at = rig.model.continuous(theta)
     A = at.A if at.is_sampled else expm(at.A / config.rig.sample_rate_hz)  # noqa: N806 - a letter of the books
     return np.linalg.eigvals(A).astype(complex), np.linalg.eigvals(A - gain @ at.C).astype(complex)
@@ -100,7 +108,9 @@ def _effect(measure: Measure, nominal: FloatArray, half: FloatArray, pair: tuple
     return float(sum(abs(measure(nominal + side) - measure(nominal - side)) for side in sides))
 
 
-def _radius(measures: list[Measure], around: FloatArray, pair: tuple[int, int], values: tuple[float, float]) -> float:
+def _radius(
+    measures: list[Measure], around: FloatArray, pair: tuple[int, int], values: tuple[float, float]
+) -> float:
     theta = around.copy()
     theta[list(pair)] = values
     with np.errstate(all="ignore"):

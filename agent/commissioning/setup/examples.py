@@ -14,7 +14,11 @@ from agent.errors import Fault, UsageError
 def listed() -> dict[str, Any]:
     """Return the examples: name, what it is in a sentence, its files."""
     rows = [
-        {"name": _name(file), "words": _words(file.read_text(encoding="utf-8")), "files": [f.name for f in _set(file)]}
+        {
+            "name": _name(file),
+            "words": _words(file.read_text(encoding="utf-8")),
+            "files": [f.name for f in _set(file)],
+        }
         for file in _configurations()
     ]
     return {"examples": rows}
@@ -37,7 +41,9 @@ def copied(name: str, folder: Path) -> dict[str, Any]:
                 shutil.copyfile(source, folder / file.name)
     except OSError as error:
         advice = "name a folder that can be written"
-        raise UsageError.at("DIR", f"{folder} cannot be written: {error.strerror or error}", advice) from error
+        raise UsageError.at(
+            "DIR", f"{folder} cannot be written: {error.strerror or error}", advice
+        ) from error
     return {"name": name, "files": [str(folder / file.name) for file in wanted]}
 
 

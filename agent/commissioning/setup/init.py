@@ -7,7 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agent.commissioning.setup.plan import BUSES, ELEMENTS, NONE, Plan, Signal, channel_of, links_of, mass_of, number_of
+from agent.commissioning.setup.plan import (
+    BUSES,
+    ELEMENTS,
+    NONE,
+    Plan,
+    Signal,
+    channel_of,
+    links_of,
+    mass_of,
+    number_of,
+)
 from agent.commissioning.setup.signals import dbc_signals, placed
 from agent.commissioning.setup.text import text_of
 from agent.config.load import parse
@@ -22,7 +32,11 @@ QUESTIONS = {
     "modbus": (
         ("host", "address of the device (TCP)", "127.0.0.1"),
         ("port", "TCP port, or the path of a serial line", "502"),
-        ("index", "register that counts the samples of a ring, ADDRESS[:TYPE]; empty where registers are polled", ""),
+        (
+            "index",
+            "register that counts the samples of a ring, ADDRESS[:TYPE]; empty where registers are polled",
+            "",
+        ),
     ),
 }
 """What is asked of a bus beside what has no default: key, question, default."""
@@ -47,7 +61,9 @@ def init(file: Path, plan: Plan, ask: Ask | None) -> dict[str, Any]:
     if ask is not None:
         _ask_all(plan, ask)
     if missing := plan.missing():
-        raise UsageError([*missing, *([] if ask else [Fault("", "no terminal to ask on: state these as flags")])])
+        raise UsageError(
+            [*missing, *([] if ask else [Fault("", "no terminal to ask on: state these as flags")])]
+        )
     if plan.bus == "can":
         _place_signals(plan, file.parent)
     text = text_of(plan)
@@ -87,7 +103,9 @@ def _default_name(file: Path) -> str:
 def _place_signals(plan: Plan, folder: Path) -> None:
     """Give channels of a CAN bus the signals of the DBC file that are called like them."""
     signals = dbc_signals(folder / str(plan.keys["dbc"]))
-    plan.channels = [replace(channel, field=placed(channel.field, signals, channel.name)) for channel in plan.channels]
+    plan.channels = [
+        replace(channel, field=placed(channel.field, signals, channel.name)) for channel in plan.channels
+    ]
     if plan.counter is not None:
         plan.counter = placed(plan.counter, signals, "--counter")
 
@@ -104,7 +122,9 @@ def _ask_all(plan: Plan, ask: Ask) -> None:
         plan.masses = _masses(ask("masses in kg, such as m1=5, m2=3", ""))
     for kind in ("spring", "damper"):
         if plan.elements.get(kind) is None:
-            answer = ask(f"{kind}s, such as a=ground,m1 b=m1,m2; empty for a chain from ground, none for none", "")
+            answer = ask(
+                f"{kind}s, such as a=ground,m1 b=m1,m2; empty for a chain from ground, none for none", ""
+            )
             plan.elements[kind] = links_of(answer.split(), kind)
     if not plan.channels:
         plan.channels = _channels(ask)
@@ -139,7 +159,9 @@ def _ask_keys(plan: Plan, ask: Ask) -> None:
         if plan.keys.get(key) is None:
             plan.keys[key] = ask(question, default)
     asked: set[str] = set()
-    while keys := [fault for fault in plan.missing() if _key(fault.path) not in asked | {"rate", "mass", "channel"}]:
+    while keys := [
+        fault for fault in plan.missing() if _key(fault.path) not in asked | {"rate", "mass", "channel"}
+    ]:
         key = _key(keys[0].path)
         asked.add(key)
         plan.keys[key] = ask(f"{key} ({keys[0].advice})", "")

@@ -1,6 +1,7 @@
 """`deltak listen`: what comes over the buses of a rig, unit by unit, beside what it decodes to; nothing is stored.
 
-Frames, lines and registers are those that the drivers themselves read; nothing is sent but what reading needs.
+Frames, lines and registers are those that the drivers themselves read; nothing is sent but what reading
+needs.
 """
 
 import threading
@@ -59,7 +60,8 @@ Say = Callable[[Line], None]
 def listen(config: Path, duration_s: float | None, say: Say) -> dict[str, Any]:
     """Listen until the duration is over or Ctrl-C; say each line, and return rates, ledger and the newest lines.
 
-    Raises ConfigError, UsageError without sources, BusError where a source could not be opened and nothing came.
+    Raises ConfigError, UsageError without sources, BusError where a source could not be opened and nothing
+    came.
     """
     rig = load(config, identified=True)
     require_sources(rig)
@@ -121,7 +123,9 @@ class _Watch:
         ears = []
         for connection in connect([rig], wake):
             columns = {
-                column: channels[name] for use in connection.uses for column, name in _columns(use, named[use.source])
+                column: channels[name]
+                for use in connection.uses
+                for column, name in _columns(use, named[use.source])
             }
             sources = tuple(named[use.source] for use in connection.uses)
             ears.append(_Ear(connection, connection.look_on(), sources, columns))
@@ -156,7 +160,9 @@ class _Watch:
                 self._happened(ear, event)
             for arrival in arrivals:
                 self._gather(ear, arrival)
-            self.gathering.counts |= {use.source: ear.connection.counts for use in ear.connection.uses if use.columns}
+            self.gathering.counts |= {
+                use.source: ear.connection.counts for use in ear.connection.uses if use.columns
+            }
             for line in self._lines(ear, ear.trace.take()):
                 self._show(line)
 
@@ -254,4 +260,7 @@ def _fields(source: Source) -> dict[str, str]:
 
 def _columns(use: Use, source: Source) -> list[tuple[int, str]]:
     """Return the columns of a source's blocks with the channels that they are."""
-    return [*zip(use.columns, source.map, strict=True), *((place, name) for name, place in use.covariates.items())]
+    return [
+        *zip(use.columns, source.map, strict=True),
+        *((place, name) for name, place in use.covariates.items()),
+    ]

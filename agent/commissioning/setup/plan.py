@@ -73,7 +73,9 @@ class Plan:
         if self.rate_hz is None:
             found.append(Fault("--rate", "is missing", "samples a second, such as --rate 1000"))
         if not self.masses:
-            found.append(Fault("--mass", "is missing", "one for each mass in kg, such as --mass m1=5 --mass m2=3"))
+            found.append(
+                Fault("--mass", "is missing", "one for each mass in kg, such as --mass m1=5 --mass m2=3")
+            )
         if not any(channel.quantity != "force" for channel in self.channels):
             advice = "one for each signal: [NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as --channel x1=displacement@m1:mm"
             found.append(Fault("--channel", "nothing that is measured of the motion is named", advice))
@@ -99,7 +101,10 @@ class Plan:
 
     def _missing_registers(self, has: set[str]) -> Iterator[tuple[str, str]]:
         if "fields" not in has:
-            yield "--fields", "NAME[@ADDRESS]:TYPE[:SCALE], such as --fields force@100:int16:1e-3,x1@101:int16"
+            yield (
+                "--fields",
+                "NAME[@ADDRESS]:TYPE[:SCALE], such as --fields force@100:int16:1e-3,x1@101:int16",
+            )
         if len(has & {"ring", "index"}) == 1:
             other = "--index" if "ring" in has else "--ring"
             yield other, "a ring has both: --index ADDRESS[:TYPE] and --ring ADDRESS:SLOTS"
@@ -113,7 +118,14 @@ def stated(
     links = {kind: links_of(texts or [], f"--{kind}") for kind, texts in elements.items()}
     masses, channels = listed
     return Plan(
-        name, bus, rate_hz, dict(map(mass_of, masses)), links, list(map(channel_of, channels)), counter, dict(keys)
+        name,
+        bus,
+        rate_hz,
+        dict(map(mass_of, masses)),
+        links,
+        list(map(channel_of, channels)),
+        counter,
+        dict(keys),
     )
 
 
@@ -127,7 +139,9 @@ def link_of(text: str, flag: str) -> Link:
     """Read NAME=NODE,NODE[:NOMINAL]."""
     match = _ELEMENT.fullmatch(text.replace(" ", ""))
     if match is None:
-        raise UsageError.at(flag, f'"{text}" is none', f"NAME=NODE,NODE[:NOMINAL], such as {flag} c1=ground,m1")
+        raise UsageError.at(
+            flag, f'"{text}" is none', f"NAME=NODE,NODE[:NOMINAL], such as {flag} c1=ground,m1"
+        )
     nominal = None if match[4] is None else number_of(match[4], flag, text)
     return Link(match[1], (match[2], match[3]), nominal)
 

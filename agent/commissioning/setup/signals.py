@@ -21,8 +21,18 @@ def dbc_signals(file: Path) -> list[str]:
 
 def placed(wanted: str, signals: list[str], what: str) -> str:
     """Return the signal that is called so, its message left out or not, whatever the case. Raises UsageError."""
-    same = [signal for signal in signals if wanted.casefold() in (signal.casefold(), signal.split(".")[1].casefold())]
+    same = [
+        signal
+        for signal in signals
+        if wanted.casefold() in (signal.casefold(), signal.split(".")[1].casefold())
+    ]
     if len(same) == 1:
         return same[0]
-    words = f'{what}: several signals are called "{wanted}"' if same else f'{what}: no signal is called "{wanted}"'
-    raise UsageError.at("--dbc", words, f"name one of {', '.join(signals[:20])}, as --channel ...:UNIT:MESSAGE.SIGNAL")
+    words = (
+        f'{what}: several signals are called "{wanted}"'
+        if same
+        else f'{what}: no signal is called "{wanted}"'
+    )
+    raise UsageError.at(
+        "--dbc", words, f"name one of {', '.join(signals[:20])}, as --channel ...:UNIT:MESSAGE.SIGNAL"
+    )

@@ -15,7 +15,15 @@ _CLOCKS = {
 
 def text_of(plan: Plan) -> str:
     """Return the file's text; lines end with a newline."""
-    parts = (_head(plan), _rig(plan), _model(plan), _channels(plan.channels), _rest(plan), _source(plan), _store(plan))
+    parts = (
+        _head(plan),
+        _rig(plan),
+        _model(plan),
+        _channels(plan.channels),
+        _rest(plan),
+        _source(plan),
+        _store(plan),
+    )
     return "\n".join(line for part in parts for line in part) + "\n"
 
 
@@ -84,7 +92,9 @@ def _channels(channels: Sequence[Signal]) -> Iterator[str]:
         yield f"name = {value_of(channel.name)}"
         yield f"quantity = {value_of(channel.quantity)}"
         yield f"at = {value_of(channel.at)}"
-        yield f"unit = {value_of(channel.unit)}".ljust(34) + " # after scale and offset, where these are given"
+        yield (
+            f"unit = {value_of(channel.unit)}".ljust(34) + " # after scale and offset, where these are given"
+        )
 
 
 def _rest(plan: Plan) -> Iterator[str]:

@@ -21,7 +21,9 @@ class Covariate(Table):
     unit: Text = Field(description='the unit after scale and offset, such as "degC", "kN" or "rpm"')
     scale: Number = 1.0
     offset: Number = 0.0
-    range: Span | None = Field(default=None, description="what it runs through in a year, such as [-10.0, 40.0]")
+    range: Span | None = Field(
+        default=None, description="what it runs through in a year, such as [-10.0, 40.0]"
+    )
 
 
 class BaselineTable(Table):
@@ -29,4 +31,6 @@ class BaselineTable(Table):
 
     covariates: Annotated[tuple[Name, ...], Strict(False)] | None = None
     days: Positive = DAYS
-    classes: int = Field(default=CLASSES, ge=1, le=50, description="classes of a covariate that it must have run in")
+    classes: int = Field(
+        default=CLASSES, ge=1, le=50, description="classes of a covariate that it must have run in"
+    )

@@ -21,7 +21,8 @@ class Stage(Table):
 class RlcLadder(Domain):
     """A filter or a cable: elements are called R1, L1, C1, R2 ... and load.
 
-    States are the coils' currents and the capacitors' voltages: L i' = v_before - v - R i, C v' = i - i_after.
+    States are the coils' currents and the capacitors' voltages: L i' = v_before - v - R i, C v' = i -
+    i_after.
     """
 
     kind: Literal["rlc-ladder"]

@@ -22,7 +22,9 @@ class DcMotor(Domain):
     def plant(self, quantities: frozenset[str]) -> Plant:
         """Return the motor; its angle is a state only where a channel measures it."""
         plant = Plant()
-        current, speed = _winding_and_mover(plant, self.R, self.L, self.K, "V s/rad", ("speed", "rad/s", "N m"))
+        current, speed = _winding_and_mover(
+            plant, self.R, self.L, self.K, "V s/rad", ("speed", "rad/s", "N m")
+        )
         plant.part("J", self.J, "kg m2", stores=True)
         plant.part("b", self.b, "N m s/rad")
         plant.inert(speed, speed, 1.0, {"J": 1})
@@ -71,7 +73,12 @@ class VoiceCoil(Domain):
 
 
 def _winding_and_mover(
-    plant: Plant, resistance: float, inductance: float, constant: float, unit: str, mover: tuple[str, str, str]
+    plant: Plant,
+    resistance: float,
+    inductance: float,
+    constant: float,
+    unit: str,
+    mover: tuple[str, str, str],
 ) -> tuple[int, int]:
     """Add R, L and K with the current and what moves (its name, unit and effort); return both states."""
     plant.part("R", resistance, "Ohm")

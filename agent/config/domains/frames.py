@@ -1,7 +1,8 @@
 """Frames in a plane of beams that bend and do not stretch (Euler-Bernoulli): what is watched is EI of each beam.
 
-Cubic shapes between nodes give each beam its stiffness EI and its mass a metre (Przemieniecki, Theory of Matrix
-Structural Analysis, 1968, chapters 5 and 11); that no beam changes its length leaves fewer motions than nodes have.
+Cubic shapes between nodes give each beam its stiffness EI and its mass a metre (Przemieniecki, Theory of
+Matrix Structural Analysis, 1968, chapters 5 and 11); that no beam changes its length leaves fewer motions
+than nodes have.
 """
 
 from collections.abc import Iterator
@@ -70,7 +71,11 @@ class Frame(Domain):
         """Return (3 nodes, f) how every node moves with each of the f motions that no support and no beam forbids."""
         import numpy as np
 
-        rows = [unit(3 * i + j, 3 * len(self.node)) for i, node in enumerate(self.node) for j in HELD[node.support]]
+        rows = [
+            unit(3 * i + j, 3 * len(self.node))
+            for i, node in enumerate(self.node)
+            for j in HELD[node.support]
+        ]
         rows += [np.array([1.0, 0, 0, -1.0, 0, 0]) @ self._seen(beam) for beam in self.beam]
         return kernel(np.array(rows))
 

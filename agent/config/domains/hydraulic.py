@@ -27,8 +27,8 @@ class Line(Link):
 class Hydraulic(Domain):
     """Tanks of area (m2) and closed vessels of capacity (m3/Pa), in small changes around the working point.
 
-    capacity p' = flow + sum of (p_j - p_i) / R_ij; of a line inertance q' = p_i - p_j - R q. "ground" is the open
-    air or the return. A level is p / (density · g).
+    capacity p' = flow + sum of (p_j - p_i) / R_ij; of a line inertance q' = p_i - p_j - R q. "ground" is the
+    open air or the return. A level is p / (density · g).
     """
 
     kind: Literal["hydraulic"]
@@ -43,7 +43,9 @@ class Hydraulic(Domain):
         """Yield what is wrong between values."""
         rows = {"tank": self.tank, "vessel": self.vessel, "restriction": self.restriction, "line": self.line}
         if not (self.tank or self.vessel or self.line):
-            yield Fact("tank", "is missing: nothing keeps a volume", 'name one: { name = "T1", nominal = 0.05 }')
+            yield Fact(
+                "tank", "is missing: nothing keeps a volume", 'name one: { name = "T1", nominal = 0.05 }'
+            )
         yield from twice(rows)
         nodes = [*(store.name for store in (*self.tank, *self.vessel)), *self.boundary, GROUND]
         yield from loose("restriction", self.restriction, nodes)

@@ -82,7 +82,9 @@ class Plant:
         self.parts.append(Part(name, "storage" if stores else "element", nominal, unit))
         return name
 
-    def state(self, name: str, unit: str, stored: Powers | None = None, push: str = "", factor: float = 1.0) -> int:
+    def state(
+        self, name: str, unit: str, stored: Powers | None = None, push: str = "", factor: float = 1.0
+    ) -> int:
         """Add a state with factor · stored · x' on the left of its equation; return its number."""
         number = len(self.states)
         self.states.append(State(name, unit, push))
@@ -182,7 +184,9 @@ def twice(rows: Mapping[str, Iterable[Any]]) -> Iterator[Fact]:
         for i, row in enumerate(table):
             path = f"{key}[{i}]"
             if row.name in owner:
-                yield Fact(f"{path}.name", f"{shown(row.name)} is the name of {owner[row.name]}", "names must differ")
+                yield Fact(
+                    f"{path}.name", f"{shown(row.name)} is the name of {owner[row.name]}", "names must differ"
+                )
             owner.setdefault(row.name, path)
 
 
@@ -192,6 +196,12 @@ def loose(key: str, links: Iterable[Any], nodes: Iterable[str]) -> Iterator[Fact
     for i, link in enumerate(links):
         for j, end in enumerate(link.between):
             if end not in known:
-                yield Fact(f"{key}[{i}].between[{j}]", f"no node is called {shown(end)}", f"nodes are {listing(known)}")
+                yield Fact(
+                    f"{key}[{i}].between[{j}]",
+                    f"no node is called {shown(end)}",
+                    f"nodes are {listing(known)}",
+                )
         if link.between[0] == link.between[1]:
-            yield Fact(f"{key}[{i}].between", f"both ends are {shown(link.between[0])}", "name two different nodes")
+            yield Fact(
+                f"{key}[{i}].between", f"both ends are {shown(link.between[0])}", "name two different nodes"
+            )

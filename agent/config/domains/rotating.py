@@ -39,12 +39,16 @@ class Torsional(Domain):
         speeds = {}
         for store in self.inertia:
             plant.part(store.name, store.nominal, "kg m2", stores=True)
-            speed = speeds[store.name] = plant.state(f"speed of {store.name}", "rad/s", {store.name: 1}, push="N m")
+            speed = speeds[store.name] = plant.state(
+                f"speed of {store.name}", "rad/s", {store.name: 1}, push="N m"
+            )
             plant.drive(("torque", store.name), speed)
             plant.read(("speed", store.name), speed)
         for bearing in self.bearing:
             one, other = (speeds.get(end) for end in bearing.between)
-            plant.across(one, other, {plant.part(bearing.name, bearing.nominal, "N m s/rad"): 1}, bearing.ratio)
+            plant.across(
+                one, other, {plant.part(bearing.name, bearing.nominal, "N m s/rad"): 1}, bearing.ratio
+            )
         angles = _angles(plant, speeds) if "angle" in quantities else {}
         for shaft in self.shaft:
             plant.part(shaft.name, shaft.nominal, "N m/rad")

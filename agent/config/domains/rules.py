@@ -68,7 +68,9 @@ def placed(path: str, channel: Signal, plant: Plant, faults: Faults) -> Placed |
     unit = channel.unit
     if readable(unit) and not is_known(channel.quantity, unit) and wrong_kind(channel.quantity, unit) is None:
         what = f"{shown(unit)} is no unit of {channel.quantity} that is known"
-        advice = f"the parameters come out in SI: use one of {examples(channel.quantity)} ..., by scale and offset"
+        advice = (
+            f"the parameters come out in SI: use one of {examples(channel.quantity)} ..., by scale and offset"
+        )
         faults.add(f"{path}.unit", what, advice)
     return Placed(place[1], place in plant.drives)
 

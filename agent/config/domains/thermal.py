@@ -30,8 +30,12 @@ class Thermal(Domain):
     def facts(self) -> Iterator[Fact]:
         """Yield what is wrong between values."""
         if not self.capacity:
-            yield Fact("capacity", "is missing", 'name at least one, such as { name = "core", nominal = 500.0 }')
-        yield from twice({"capacity": self.capacity, "conductance": self.conductance, "resistance": self.resistance})
+            yield Fact(
+                "capacity", "is missing", 'name at least one, such as { name = "core", nominal = 500.0 }'
+            )
+        yield from twice(
+            {"capacity": self.capacity, "conductance": self.conductance, "resistance": self.resistance}
+        )
         nodes = [*(store.name for store in self.capacity), *self.boundary]
         yield from loose("conductance", self.conductance, nodes)
         yield from loose("resistance", self.resistance, nodes)

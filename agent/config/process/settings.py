@@ -15,8 +15,8 @@ ROUND_S: Final = 0.05
 class Agent(Table):
     """How an agent computes. Files that name a key agree on it; a change holds from the next start on.
 
-    workers: processes that compute, 0 or 1 for the agent's own alone; None for one a core, as many as rigs at most.
-    round_s: from one round of computing to the next at least.
+    workers: processes that compute, 0 or 1 for the agent's own alone; None for one a core, as many as rigs at
+    most. round_s: from one round of computing to the next at least.
     """
 
     workers: int | None = Field(default=None, ge=0, le=256, description="a number of processes from 0 to 256")
@@ -33,5 +33,7 @@ def agreed(named: Sequence[tuple[Path, Agent]]) -> tuple[Agent, list[Fault]]:
             owner, known = first.setdefault(key, (file, value))
             if known != value:
                 what = f"is {shown(value)}, but {shown(known)} in {owner}"
-                faults.append(Fault(f"{file}: agent.{key}", what, "make them the same: it holds for the whole agent"))
+                faults.append(
+                    Fault(f"{file}: agent.{key}", what, "make them the same: it holds for the whole agent")
+                )
     return Agent.model_validate({key: value for key, (_, value) in first.items()}), faults

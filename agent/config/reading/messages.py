@@ -70,7 +70,9 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def unknown_key(path: str, key: str, known: Sequence[str]) -> Fault:
     """Make the fault of a key that its table does not have."""
     return Fault(
-        join(path, key), "unknown key", f'the nearest known key is "{nearest(key, known)}" of {listing(known)}'
+        join(path, key),
+        "unknown key",
+        f'the nearest known key is "{nearest(key, known)}" of {listing(known)}',
     )
 
 

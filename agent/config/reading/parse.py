@@ -45,7 +45,9 @@ def unique(entries: Iterable[tuple[str, Titled]], faults: Faults) -> None:
     owner: dict[str, str] = {}
     for path, table in entries:
         if table.name in owner:
-            faults.add(f"{path}.name", f"{shown(table.name)} is the name of {owner[table.name]}", "names must differ")
+            faults.add(
+                f"{path}.name", f"{shown(table.name)} is the name of {owner[table.name]}", "names must differ"
+            )
         elif readable(table.name):
             owner[table.name] = path
 
@@ -58,8 +60,8 @@ def readable(*values: object) -> bool:
 def read_table(table: type[T], raw: object, path: str, faults: Faults) -> T:
     """Read one table; note its faults.
 
-    A value that could not be read is None in what is returned, whatever its annotation says, so that the rules
-    between values can judge the rest; such a table never leaves this package.
+    A value that could not be read is None in what is returned, whatever its annotation says, so that the
+    rules between values can judge the rest; such a table never leaves this package.
     """
     if not isinstance(raw, dict):
         faults.add(path, f"must be a table, not {shown(raw)}")
@@ -77,9 +79,13 @@ def read_table(table: type[T], raw: object, path: str, faults: Faults) -> T:
 def read_list(table: type[T], raw: object, path: str, faults: Faults) -> list[Entry[T]]:
     """Read a list of tables; what is no table is noted and left out."""
     if not isinstance(raw, list):
-        faults.add(path, f"must be a list of tables, not {shown(raw)}", f"write [[{path}]] or {path} = [{{ ... }}]")
+        faults.add(
+            path, f"must be a list of tables, not {shown(raw)}", f"write [[{path}]] or {path} = [{{ ... }}]"
+        )
         return []
-    return [Entry(join(path, i), read_table(table, item, join(path, i), faults)) for i, item in enumerate(raw)]
+    return [
+        Entry(join(path, i), read_table(table, item, join(path, i), faults)) for i, item in enumerate(raw)
+    ]
 
 
 def _nested(table: type[Table], key: str, value: object, path: str, faults: Faults) -> object:

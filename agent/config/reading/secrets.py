@@ -9,7 +9,9 @@ from agent.config.reading.fields import FilePath, Table, Text
 from agent.config.reading.messages import join
 from agent.config.reading.parse import Faults
 
-_SECRET: Final = re.compile(r"(^|_)(password|passwd|passphrase|secret|token|api_?key|private_key)$", re.IGNORECASE)
+_SECRET: Final = re.compile(
+    r"(^|_)(password|passwd|passphrase|secret|token|api_?key|private_key)$", re.IGNORECASE
+)
 
 
 def is_secret(key: str) -> bool:
@@ -46,7 +48,8 @@ def is_vague(secret: object) -> bool:
 def without_plain_secrets(raw: object, path: str, faults: Faults) -> object:
     """Return what was read without the secrets that stand in it, and note each, at any depth.
 
-    Only places of secrets may: { file = "..." }, or the same with env or credential. No other fault quotes one then.
+    Only places of secrets may: { file = "..." }, or the same with env or credential. No other fault quotes
+    one then.
     """
     if isinstance(raw, list):
         return [without_plain_secrets(item, join(path, i), faults) for i, item in enumerate(raw)]

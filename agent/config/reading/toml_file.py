@@ -30,9 +30,13 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     try:
-        found = sorted(entry for entry in path.iterdir() if entry.suffix == ".toml" and not entry.name.startswith("."))
+        found = sorted(
+            entry for entry in path.iterdir() if entry.suffix == ".toml" and not entry.name.startswith(".")
+        )
     except OSError as error:
-        raise ConfigError.at(str(path), f"cannot be read: {error.strerror}", "let the agent's user read it") from error
+        raise ConfigError.at(
+            str(path), f"cannot be read: {error.strerror}", "let the agent's user read it"
+        ) from error
     if not found:
         raise ConfigError.at(str(path), "holds no *.toml", "put the configuration of a rig there")
     for file in found:
@@ -66,7 +70,9 @@ def parse_toml(data: bytes, file: Path) -> dict[str, Any]:
     endless = _LONG_KEY.search(text)
     if endless:
         line = text.count("\n", 0, endless.start()) + 1
-        raise ConfigError.at(f"{file}:{line}", "is a key of more than 64 parts", "no key of a configuration is")
+        raise ConfigError.at(
+            f"{file}:{line}", "is a key of more than 64 parts", "no key of a configuration is"
+        )
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -19,7 +19,9 @@ _FORCE: Final[Mapping[str, float]] = {
     "N": 1.0, "MN": 1e6, "kN": 1e3, "daN": 10.0, "mN": 1e-3, "uN": 1e-6,
     "kgf": 9.80665, "kp": 9.80665, "lbf": 4.4482216152605, "kip": 4448.2216152605,
 }  # fmt: skip
-_VELOCITY: Final[Mapping[str, float]] = {f"{unit}/s": factor for unit, factor in _LENGTH.items()} | {"km/h": 1 / 3.6}
+_VELOCITY: Final[Mapping[str, float]] = {f"{unit}/s": factor for unit, factor in _LENGTH.items()} | {
+    "km/h": 1 / 3.6
+}
 _ACCELERATION: Final[Mapping[str, float]] = {
     spelling.format(unit): factor
     for unit, factor in _LENGTH.items()
@@ -27,7 +29,8 @@ _ACCELERATION: Final[Mapping[str, float]] = {
 } | {"g": 9.80665, "gn": 9.80665, "mg": 9.80665e-3}
 
 _PREFIXES: Final[Mapping[str, str]] = {
-    "": "", "nano": "n", "micro": "u", "milli": "m", "centi": "c", "deci": "d", "deca": "da", "kilo": "k", "mega": "M",
+    "": "", "nano": "n", "micro": "u", "milli": "m", "centi": "c", "deci": "d", "deca": "da", "kilo": "k",
+    "mega": "M",
 }  # fmt: skip
 
 
@@ -38,7 +41,11 @@ def _spelt(words: tuple[str, ...], unit: str, known: Mapping[str, float]) -> dic
     return {word: symbol for word, symbol in every.items() if symbol in known}
 
 
-_LENGTH_WORDS: Final = _spelt(("meter", "metre"), "m", _LENGTH) | {"micron": "um", "inches": "in", "feet": "ft"}
+_LENGTH_WORDS: Final = _spelt(("meter", "metre"), "m", _LENGTH) | {
+    "micron": "um",
+    "inches": "in",
+    "feet": "ft",
+}
 _WORDS: Final[Mapping[str, Mapping[str, str]]] = {
     "force": _spelt(("newton",), "N", _FORCE) | {"pounds": "lbf", "kilopond": "kp"},
     "displacement": _LENGTH_WORDS,
@@ -81,7 +88,8 @@ def conversion(quantity: Quantity, unit: str) -> tuple[float, str]:
 def wrong_kind(quantity: Quantity, unit: str) -> str | None:
     """Return what a known unit measures where that is not the quantity; None where nothing is wrong.
 
-    Inputs and outputs of linear models take any unit; so do forces and motions, whose sensors may count in volts.
+    Inputs and outputs of linear models take any unit; so do forces and motions, whose sensors may count in
+    volts.
     """
     text = normal(unit)
     if quantity not in _KNOWN or text in _KNOWN[quantity]:

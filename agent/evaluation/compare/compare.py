@@ -1,7 +1,8 @@
 """`deltak compare`: window-ml beside its rivals on a user's own recording.
 
-Everyone begins at the configuration's nominals, is tuned on the first third and scored on what comes after: each
-window is predicted by a free run of the model at what was known before it, from the state that its readings fit best.
+Everyone begins at the configuration's nominals, is tuned on the first third and scored on what comes after:
+each window is predicted by a free run of the model at what was known before it, from the state that its
+readings fit best.
 """
 
 from pathlib import Path
@@ -40,7 +41,8 @@ def compare(
         said("")
     document = {
         "rig": rig.rig.name, "recording": recorded.name, "samples": len(trial.y),
-        "window_s": trial.window * trial.period_s, "windows": len(trial.scored()), "methods": rows, "skipped": skipped,
+        "window_s": trial.window * trial.period_s, "windows": len(trial.scored()), "methods": rows,
+        "skipped": skipped,
         "noise": {c.name: sd / c.si_factor for c, sd in zip(rig.outputs, trial.noise.tolist(), strict=True)},
     }  # fmt: skip
     return document, ran

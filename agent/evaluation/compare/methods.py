@@ -1,13 +1,14 @@
 """The methods by name: each tuned as its book says on the first part of the recording, then run over all of it.
 
 window-ml   not tuned: its configuration's window, noise learnt.
-ekf, ukf    joint filters; the random walks of parameters and states that make the innovations most likely (Mehra, IEEE
-            Trans. Automatic Control 15 (1970) 175; Bar-Shalom, Li & Kirubarajan, Estimation with Applications to
-            Tracking and Navigation, 2001, ch. 5 and 11). The UKF takes those of the EKF: they mean the same.
-rls         forgetting and observer poles that predict best what was not seen (Ljung, System Identification, 2nd ed.,
-            1999, ch. 11 and 16.6).
-observer    the adaptive observer; poles two to six times faster than the plant's (Franklin, Powell & Workman, Digital
-            Control of Dynamic Systems, 1998, ch. 8), its rate by the same prediction.
+ekf, ukf    joint filters; the random walks of parameters and states that make the innovations most likely
+            (Mehra, IEEE Trans. Automatic Control 15 (1970) 175; Bar-Shalom, Li & Kirubarajan, Estimation with
+            Applications to Tracking and Navigation, 2001, ch. 5 and 11). The UKF takes those of the EKF: they
+            mean the same.
+rls         forgetting and observer poles that predict best what was not seen (Ljung, System Identification,
+            2nd ed., 1999, ch. 11 and 16.6).
+observer    the adaptive observer; poles two to six times faster than the plant's (Franklin, Powell & Workman,
+            Digital Control of Dynamic Systems, 1998, ch. 8), its rate by the same prediction.
 seed        the paper's method, re-centred, with the configuration's poles or such; it reads A and B only.
 """
 
@@ -41,7 +42,8 @@ T975 = 1.96
 BLOCK, PARTS = 65_536, 12
 """Samples that a method of the product is given at once, as a replay reads them; and into how many parts at least.
 
-Its cost is that of the scored part: the first fit and the search for unknown forces happen once in an agent's life.
+Its cost is that of the scored part: the first fit and the search for unknown forces happen once in an agent's
+life.
 """
 
 Run = Callable[[], Estimates]
@@ -149,9 +151,13 @@ def _rls(trial: Trial) -> Tuned:
 
     def run(gain: FloatArray, memory: float, part: slice) -> Estimates:
         y, u = trial.y[part], trial.u[part]
-        return tracked(lambda: rivals.run_rls(model, trial.period_s, gain, memory, y, u, trial.hold, trial.size))
+        return tracked(
+            lambda: rivals.run_rls(model, trial.period_s, gain, memory, y, u, trial.hold, trial.size)
+        )
 
-    choices = ((f"poles x {s:g}, forgets {m:g}", partial(run, _gain(trial, s), m)) for s in SPEEDS for m in MEMORIES)
+    choices = (
+        (f"poles x {s:g}, forgets {m:g}", partial(run, _gain(trial, s), m)) for s in SPEEDS for m in MEMORIES
+    )
     return _best(trial, choices)
 
 
@@ -163,7 +169,9 @@ def _observer(trial: Trial) -> Tuned:
         y, u = trial.y[part], trial.u[part]
         return tracked(lambda: rivals.run_observer(polynomial, gain, rate, trial.noise, y, u))
 
-    choices = ((f"poles x {s:g}, rate {r:g}", partial(run, _gain(trial, s), r)) for s in SPEEDS for r in RATES)
+    choices = (
+        (f"poles x {s:g}, rate {r:g}", partial(run, _gain(trial, s), r)) for s in SPEEDS for r in RATES
+    )
     return _best(trial, choices)
 
 
@@ -184,7 +192,9 @@ def tracked(track: Callable[[], rivals.Track]) -> Estimates:
     spent = time.process_time() - begun
     half = T975 * sd
     index = np.arange(len(theta), dtype=np.int64)
-    return Estimates(index, theta, sd, theta - half, theta + half, np.isfinite(theta), 1e6 * spent / len(theta))
+    return Estimates(
+        index, theta, sd, theta - half, theta + half, np.isfinite(theta), 1e6 * spent / len(theta)
+    )
 
 
 def _polynomial(trial: Trial) -> rivals.Polynomial:
@@ -194,7 +204,9 @@ def _polynomial(trial: Trial) -> rivals.Polynomial:
 def _require_direct(trial: Trial) -> None:
     continuous = trial.rig.model.continuous(trial.nominal)
     if continuous.dC.any() or continuous.dD.any():
-        raise ValueError("its regression is of A and B; accelerometers and constants of outputs stand in C and D")
+        raise ValueError(
+            "its regression is of A and B; accelerometers and constants of outputs stand in C and D"
+        )
 
 
 def _poles(trial: Trial, speed: float) -> list[float]:

@@ -1,11 +1,12 @@
 """The estimators that window-ml is compared with, and what they share: the sampled model as a function of theta.
 
-Here are recursive least squares with forgetting, on the regression of `agent.numerics.paper.seed`, and the adaptive
-observer; the joint Kalman filters are in `joint`. All know the model, the force and the noise of the sensors. Each
-runs over y (N, p), u (N, m) and returns estimates and standard deviations after every sample, (N, q) each.
+Here are recursive least squares with forgetting, on the regression of `agent.numerics.paper.seed`, and the
+adaptive observer; the joint Kalman filters are in `joint`. All know the model, the force and the noise of the
+sensors. Each runs over y (N, p), u (N, m) and returns estimates and standard deviations after every sample,
+(N, q) each.
 
-The sampled model is a second-order Taylor polynomial about nominal: an exponential of a matrix at every step would
-cost twenty times a filter itself.
+The sampled model is a second-order Taylor polynomial about nominal: an exponential of a matrix at every step
+would cost twenty times a filter itself.
 """
 
 from dataclasses import dataclass
@@ -24,10 +25,12 @@ SETTLING = 2000
 class Polynomial:
     """[A B; C D](theta) of the sampled model to second order about nominal, and its derivatives.
 
-    Rows of C and D are there only where they depend on theta: of accelerometers, of outputs' gains and offsets.
+    Rows of C and D are there only where they depend on theta: of accelerometers, of outputs' gains and
+    offsets.
 
     Attributes:
-        size: (q,) what a parameter's change is counted in: its nominal, or what is given for one whose nominal is 0.
+        size: (q,) what a parameter's change is counted in: its nominal, or what is given for one whose
+            nominal is 0.
         direct: they do not, and C and D are those at nominal.
     """
 
@@ -92,8 +95,8 @@ class Tuning:
     Attributes:
         walk: random walk of each parameter a sample, as a share of its size.
         spread: standard deviation of each parameter at the start, as a share of its size.
-        push: random walk of each state a sample, as a share of its size: unknown forces. Never 0: round-off would
-            make P indefinite.
+        push: random walk of each state a sample, as a share of its size: unknown forces. Never 0: round-off
+            would make P indefinite.
     """
 
     walk: float
@@ -102,7 +105,8 @@ class Tuning:
 
 
 def run_rls(
-    model: Model, period_s: float, gain: FloatArray, forget: float, y: FloatArray, u: FloatArray, hold: Hold = "first",
+    model: Model, period_s: float, gain: FloatArray, forget: float, y: FloatArray, u: FloatArray,
+    hold: Hold = "first",
     size: FloatArray | None = None,
 ) -> Track:  # fmt: skip
     """Recursive least squares with forgetting on b(k) = sum (dA_i x + dB_i u) theta_i of the seed's regression."""
@@ -110,7 +114,8 @@ def run_rls(
     x = observe(s, gain, y, u, np.zeros(s.n))
     b = x[1:] - x[:-1] @ s.A.T - u @ s.B.T
     rows = np.einsum("kj,qij->kiq", np.hstack([x[:-1], u]), np.concatenate([s.dA, s.dB], axis=2))
-    # in units of the correction's own size, so that the start weighs like a hundredth of a sample whatever the units
+    # in units of the correction's own size, so that the start weighs like a hundredth of a sample whatever
+    # the units
     scale = float(np.sqrt(np.mean(b**2)))
     b, rows = b / scale, rows / scale
     change = np.zeros(s.q)
@@ -141,8 +146,8 @@ def run_observer(
         Y(k+1) = (A - L C) Y + Psi          th(k+1) = th + mu G Y'C' R^-1 e / (1 + tr C Y G Y'C' R^-1)
         x(k+1) = A x + B u + Psi th + L e + Y(k+1) (th(k+1) - th)
 
-    with Psi = dA x + dB u, G the squares of the parameters' sizes, R those of sigma (p,), mu the rate. It states no
-    standard deviation: those returned are NaN.
+    with Psi = dA x + dB u, G the squares of the parameters' sizes, R those of sigma (p,), mu the rate. It
+    states no standard deviation: those returned are NaN.
     """
     poly, n = polynomial, polynomial.n
     C = poly.C

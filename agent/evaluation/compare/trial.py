@@ -65,7 +65,8 @@ class Trial:
 
     Attributes:
         config, rig: of the machine.
-        y, u: (N, p), (N, m) the recording's longest piece in SI, the constant input appended where the model has one.
+        y, u: (N, p), (N, m) the recording's longest piece in SI, the constant input appended where the model
+            has one.
         noise: (p,) of the outputs' sensors.
         window: samples that are predicted at a time.
         size: (q,) what changes of the parameters are counted in.
@@ -145,7 +146,9 @@ def trial_of(config: RigConfig, recorded: Recorded) -> Trial:
     window = max(hop_plan(config).window, min(longest, len(y) // (4 * LEAST_WINDOWS)))
     if len(y) < LEAST_WINDOWS * window:
         what = f"its longest piece of {len(y)} samples holds fewer than {LEAST_WINDOWS} windows of {window}"
-        raise RecordingError.at(recorded.name, what, "give a longer recording, or a shorter estimator.window_s")
+        raise RecordingError.at(
+            recorded.name, what, "give a longer recording, or a shorter estimator.window_s"
+        )
     stated = np.array([(c.noise_sd or 0.0) * c.si_factor for c in config.outputs])
     seen = np.where(recorded.noise > 0, recorded.noise, stated)
     noise = np.maximum(seen, np.maximum(DIGITS * y.std(axis=0), 1e-300))

@@ -49,10 +49,14 @@ class Wire:
     def marks(self, numbers: tuple[Number, ...]) -> Marks:
         """Return what fills the templates' places; on CAN a counter and the numbers make one frame."""
         size = self.bits * (1 + len(numbers)) // 8
-        fields = (f'    {{ name = "{n.channel}", type = "{self.type}", scale = {self.step(n)} }},' for n in numbers)
+        fields = (
+            f'    {{ name = "{n.channel}", type = "{self.type}", scale = {self.step(n)} }},' for n in numbers
+        )
         return {
-            "BITS": str(self.bits), "FRAME_BYTES": str(size), "FD": "true" if size > CLASSIC_BYTES else "false",
-            "FIELDS": "\n".join(fields), "FIELD_MAP": ", ".join(f'{n.channel} = "{n.channel}"' for n in numbers),
+            "BITS": str(self.bits), "FRAME_BYTES": str(size),
+            "FD": "true" if size > CLASSIC_BYTES else "false",
+            "FIELDS": "\n".join(fields),
+            "FIELD_MAP": ", ".join(f'{n.channel} = "{n.channel}"' for n in numbers),
             "SIGNALS": "\n".join(self._signal(1 + i, n) for i, n in enumerate(numbers)),
             "SIGNAL_MAP": ", ".join(f'{n.channel} = "RIG_SAMPLE.{n.signal}"' for n in numbers),
         }  # fmt: skip
@@ -65,11 +69,13 @@ class Wire:
 CLASSIC_BYTES = 8
 """What a frame of classic CAN holds."""
 TWO_MASSES = DemoRig(
-    "rig.toml", (Number("force", "Force", "N", is_input=True), Number("x1", "X1", "m"), Number("x2", "X2", "m")),
+    "rig.toml",
+    (Number("force", "Force", "N", is_input=True), Number("x1", "X1", "m"), Number("x2", "X2", "m")),
     "default",
 )  # fmt: skip
 VOICE_COIL = DemoRig(
-    "voice-coil.toml", (Number("voltage", "Voltage", "V", is_input=True), Number("position", "Position", "m")),
+    "voice-coil.toml",
+    (Number("voltage", "Voltage", "V", is_input=True), Number("position", "Position", "m")),
     "voice-coil",
 )  # fmt: skip
 RIGS: Mapping[str, DemoRig] = {"two-mass": TWO_MASSES, "voice-coil": VOICE_COIL}
@@ -86,7 +92,9 @@ class DemoBus:
     words: str
 
 
-def write_config(bus: str, wire: Wire, folder: Path, *, fast: bool = False, rig: DemoRig = TWO_MASSES) -> DemoBus:
+def write_config(
+    bus: str, wire: Wire, folder: Path, *, fast: bool = False, rig: DemoRig = TWO_MASSES
+) -> DemoBus:
     """Write the configuration of a rig of the demo on a bus into a folder.
 
     Played fast, a bus is wanted whose reader can hold the device back.

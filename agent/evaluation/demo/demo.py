@@ -1,7 +1,7 @@
 """`deltak demo`: a simulated device and the agent as two processes on a real local bus, held against the truth.
 
-This process starts both, waits, and compares afterwards; only it reads what the device played. Device and agent share
-the bus and the configuration.
+This process starts both, waits, and compares afterwards; only it reads what the device played. Device and
+agent share the bus and the configuration.
 """
 
 import json
@@ -26,14 +26,19 @@ STALL_S = 20.0
 GRACE_S = 20.0
 
 
-def demo(*, bus: str, scenario: str | None, fast: bool, db: Path | None, rig: str = "two-mass") -> dict[str, Any]:
+def demo(
+    *, bus: str, scenario: str | None, fast: bool, db: Path | None, rig: str = "two-mass"
+) -> dict[str, Any]:
     """Run the demo; return the document of CONTRACT section 8. Without db the database is left in a folder of its own.
 
     Raises what the process says that fails, by its exit code: UsageError, StoreError, else BusError.
     """
     played = RIGS[rig]
     name = scenario or ("random" if "DELTAK_SEED" in os.environ and played is TWO_MASSES else played.scenario)
-    with TemporaryDirectory(prefix="deltak-demo-", ignore_cleanup_errors=True) as folder, _database(db) as database:
+    with (
+        TemporaryDirectory(prefix="deltak-demo-", ignore_cleanup_errors=True) as folder,
+        _database(db) as database,
+    ):
         made = write_config(bus, FINE if name == "paper" else COARSE, Path(folder), fast=fast, rig=played)
         sys.stderr.write(f"bus: {made.words}\n")
         document = _played(made.config, name, database, fast=fast)

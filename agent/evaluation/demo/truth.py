@@ -40,8 +40,10 @@ def read_truth(path: Path) -> Truth:
             return {str(name): file[columns][:, i] for i, name in enumerate(file[names])}
 
         return Truth(
-            named("forces", "node_names"), named("states", "state_names"), named("parameters", "parameter_names"),
-            {name: float(sensor["noise_sd"]) for name, sensor in ledger["sensors"].items()}, len(file["index"]),
+            named("forces", "node_names"), named("states", "state_names"),
+            named("parameters", "parameter_names"),
+            {name: float(sensor["noise_sd"]) for name, sensor in ledger["sensors"].items()},
+            len(file["index"]),
         )  # fmt: skip
 
 
@@ -55,7 +57,9 @@ def segments(config: RigConfig, truth: Truth, rows: Sequence[Row]) -> list[dict[
         last = max((i for i in index if start <= i < stop), default=None)
         chosen = {r["parameter"]: r for r, i in zip(rows, index, strict=True) if i == last}
         bounds = _bounds(config, truth, last) if last is not None else {}
-        parameters = {name: _assessed(name, truth, stop - 1, chosen.get(name, {}), bounds) for name in _names(config)}
+        parameters = {
+            name: _assessed(name, truth, stop - 1, chosen.get(name, {}), bounds) for name in _names(config)
+        }
         found.append({"from_s": start / rate, "to_s": stop / rate, "parameters": parameters})
     return found
 
@@ -102,7 +106,9 @@ def _bounds(config: RigConfig, truth: Truth, last: int) -> dict[str, float]:
 
 
 def _state_columns(rig: RigModel) -> list[str]:
-    return [name.replace("velocity of ", "v.").replace("displacement of ", "q.") for name in rig.model.state_names]
+    return [
+        name.replace("velocity of ", "v.").replace("displacement of ", "q.") for name in rig.model.state_names
+    ]
 
 
 def _sigma(config: RigConfig, truth: Truth) -> FloatArray:

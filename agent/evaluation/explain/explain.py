@@ -56,7 +56,11 @@ def explain(db: Path, alarm_id: int) -> Explained:
 
 def _record(rows: Sequence[Row], alarm: Row, raised_ns: int) -> Row | None:
     """Return the record that holds an alarm; the one that it began, if there is one."""
-    own = [row for row in rows if row["run_id"] == alarm["run_id"] and row["from_ns"] <= raised_ns <= row["to_ns"]]
+    own = [
+        row
+        for row in rows
+        if row["run_id"] == alarm["run_id"] and row["from_ns"] <= raised_ns <= row["to_ns"]
+    ]
     return next((row for row in own if row["alarm_id"] == alarm["id"]), own[-1] if own else None)
 
 
@@ -72,7 +76,9 @@ def _unusable(db: Path, record: Row | None) -> str | None:
 
 def _unexplained(alarm: Row, run: Row, why: str, record: Row | None) -> Explained:
     said = [words.stored(alarm), why, *words.version(run["code_version"])]
-    return Explained(_document(alarm, run, record) | {"same": False, "digits": 0, "words": " ".join(said)}, alarm)
+    return Explained(
+        _document(alarm, run, record) | {"same": False, "digits": 0, "words": " ".join(said)}, alarm
+    )
 
 
 def _explained(alarm: Row, run: Row, record: Row, kept: Kept, again: Recomputed) -> Explained:
@@ -99,7 +105,9 @@ def _explained(alarm: Row, run: Row, record: Row, kept: Kept, again: Recomputed)
 
 
 def _figures(step: AlarmTransition | None) -> dict[str, Any] | None:
-    return None if step is None else {name: getattr(step, name) for name in (*FIGURES, "limit_value", "message")}
+    return (
+        None if step is None else {name: getattr(step, name) for name in (*FIGURES, "limit_value", "message")}
+    )
 
 
 def _document(alarm: Row, run: Row, record: Row | None) -> dict[str, Any]:
@@ -138,7 +146,9 @@ def _same_step(steps: Sequence[AlarmTransition], alarm: Row, raised_ns: int) -> 
 
 def agreeing(stored: Row, found: Row) -> int:
     """Return how many significant digits of all figures agree; those of an alarm without figures are its words."""
-    pairs = [(stored[name], found[name]) for name in FIGURES if stored[name] is not None or found[name] is not None]
+    pairs = [
+        (stored[name], found[name]) for name in FIGURES if stored[name] is not None or found[name] is not None
+    ]
     if not pairs:
         return EXACT if stored["message"] == found["message"] else 0
     return min(_digits(one, other) for one, other in pairs)

@@ -26,7 +26,11 @@ def compared(alarm: Row, found: Row | None, digits: int, *, same: bool) -> str:
     if same:
         how = "to the last digit" if digits >= 17 else f"to {digits} digits"
         return f"Computed again from its samples the verdict is the same, {how}."
-    again = f"{number(found['delta'])} ± {number(found['sd'])}" if found["delta"] is not None else found["message"]
+    again = (
+        f"{number(found['delta'])} ± {number(found['sd'])}"
+        if found["delta"] is not None
+        else found["message"]
+    )
     agree = f"{digits} digits agree" if alarm["delta"] is not None else "the words differ"
     return f"Computed again from its samples it is another verdict: {again}; {agree}."
 

@@ -28,15 +28,20 @@ INK, ACTUAL, PRINTED, RECENTRED, PRODUCT = "#2b2b2b", "#b5b5b5", "#d1603d", "#7a
 def new_figure(file: Path) -> "Figure":
     """Return an empty figure for a file.
 
-    Raises UsageError where matplotlib is missing, does not know the file's format, or its folder is not there.
+    Raises UsageError where matplotlib is missing, does not know the file's format, or its folder is not
+    there.
     """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise UsageError([Fault("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'")]) from error
+        raise UsageError(
+            [Fault("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'")]
+        ) from error
     figure = Figure(figsize=(13.0, 8.0), layout="constrained")
     if file.suffix.lstrip(".").lower() not in figure.canvas.get_supported_filetypes():
-        raise UsageError([Fault("--plot", f"{file}: no such format", "give a file that ends in .png, .svg or .pdf")])
+        raise UsageError(
+            [Fault("--plot", f"{file}: no such format", "give a file that ends in .png, .svg or .pdf")]
+        )
     if not file.parent.is_dir():
         raise UsageError([Fault("--plot", f"{file.parent}: no such folder", "make it or name another")])
     return figure
@@ -78,7 +83,9 @@ def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
     ]
     for i, axis in enumerate(axes):
         actual = np.repeat([change[i] for change in changes], cases.SEGMENT)
-        axis.plot(np.arange(1, len(actual) + 1), actual, color=ACTUAL, lw=5, solid_capstyle="butt", label="actual")
+        axis.plot(
+            np.arange(1, len(actual) + 1), actual, color=ACTUAL, lw=5, solid_capstyle="butt", label="actual"
+        )
         last = np.searchsorted(curves[0][2], np.arange(1, len(changes) + 1) * cases.SEGMENT)
         _limit(axis, np.concatenate([actual, curves[0][3][last, i]]))
         for name, colour, index, values in curves:
@@ -93,7 +100,9 @@ def _figure_4(axes: "list[Axes]", window: int, passes: int) -> None:
         f"Figure 4: case 2, window of {window} samples (grey: it holds a change, and no line is drawn)",
         loc="left", fontsize=10, color=INK,
     )  # fmt: skip
-    axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="upper right", ncols=4, frameon=False, fontsize=9)
+    axes[0].figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="upper right", ncols=4, frameon=False, fontsize=9
+    )
     axes[-1].set_xlabel("sample")
 
 
@@ -115,7 +124,8 @@ def _name_settled(axis: "Axes", samples: IntArray, values: FloatArray, actual: F
     for sample, value, true in zip(samples.tolist(), values.tolist(), actual.tolist(), strict=True):
         below = value < true
         axis.annotate(
-            f"{value:.3g}".replace("-", "−"), (sample, value), (-4, -4 if below else 3), textcoords="offset points",
+            f"{value:.3g}".replace("-", "−"), (sample, value), (-4, -4 if below else 3),
+            textcoords="offset points",
             ha="right", va="top" if below else "bottom", fontsize=8, color=PRINTED,
         )  # fmt: skip
 

@@ -44,14 +44,17 @@ def valid_changes(rows: Outcome) -> FloatArray:
 def _product_settings(window: int, hop: int) -> EstimatorSettings:
     """The paper's rig with its constants exact, as the paper takes them, and noise not stated.
 
-    Its data have no noise at all; a floor far below any sensor's keeps rounding from being taken for a change.
+    Its data have no noise at all; a floor far below any sensor's keeps rounding from being taken for a
+    change.
     """
     model = replace(cases.rig(), forces=("m2", "m1", "m2"))
     rig = Rig(
-        model, 4, np.arange(1), np.ones(1, dtype=bool), np.array([1, 2]), (), cases.PERIOD_S, "zero", cases.NOMINAL,
+        model, 4, np.arange(1), np.ones(1, dtype=bool), np.array([1, 2]), (), cases.PERIOD_S, "zero",
+        cases.NOMINAL,
         0.02 * cases.NOMINAL,
     )  # fmt: skip
     return EstimatorSettings(
-        rig=rig, plan=HopPlan(window, hop), longer=(), sigma=np.full(2, np.nan), sigma_spread=np.full(2, np.nan),
+        rig=rig, plan=HopPlan(window, hop), longer=(), sigma=np.full(2, np.nan),
+        sigma_spread=np.full(2, np.nan),
         floor=np.full(2, ROUNDING_M), enough_sd=0.033 * cases.NOMINAL, wanted_sd=0.01 * cases.NOMINAL,
     )  # fmt: skip

@@ -30,8 +30,8 @@ def paper(window: int | None = None, passes: int | None = None, plot: Path | Non
         passes: passes of the re-centred column, 16 where not given.
         plot: file of the picture; its suffix says the format.
 
-    Raises UsageError for a window that the 1000 samples of a segment cannot hold or that has too few readings, and
-    for a picture that cannot be written.
+    Raises UsageError for a window that the 1000 samples of a segment cannot hold or that has too few
+    readings, and for a picture that cannot be written.
     """
     window, passes = window or WINDOW, passes or PASSES
     if not 5 <= window <= cases.SEGMENT:
@@ -71,7 +71,9 @@ def _document(window: int, passes: int) -> dict[str, Any]:
         },
         "observer_poles": {"published": list(cases.OBSERVER_POLES), "computed": observer_poles()},
         "passes": passes,
-        "by_pass": [dict(zip(cases.PARAMETERS, row.tolist(), strict=True)) for row in first.trail - cases.NOMINAL],
+        "by_pass": [
+            dict(zip(cases.PARAMETERS, row.tolist(), strict=True)) for row in first.trail - cases.NOMINAL
+        ],
         "exact_model_on_euler_data": _exact_model_on_euler_data(changes[0], window),
         **_conditions(changes[0]),
     }
@@ -115,7 +117,11 @@ def _rows(combination: cases.Combination, fit: SeedFit, product: FloatArray) -> 
     return [
         {"parameter": parameter, "unit": unit}
         | {name: _number(column[i]) for name, column in zip(names, columns, strict=True)}
-        | {"percent": {name: _percent(c[i], combination.actual[i]) for name, c in zip(names, columns, strict=True)}}
+        | {
+            "percent": {
+                name: _percent(c[i], combination.actual[i]) for name, c in zip(names, columns, strict=True)
+            }
+        }
         for i, (parameter, unit) in enumerate(zip(cases.PARAMETERS, cases.UNITS, strict=True))
     ]
 
@@ -139,10 +145,12 @@ def _conditions(change: FloatArray) -> dict[str, Any]:
     eight = condition_8(nominal.A, cases.GAIN, nominal.C, changed.A - nominal.A, changed.C - nominal.C)
     return {
         "condition_3": {
-            "holds": three.holds, "radius_model": three.radius_model, "radius_observer": three.radius_observer,
+            "holds": three.holds, "radius_model": three.radius_model,
+            "radius_observer": three.radius_observer,
         },
         "condition_8": {
-            "delta": eight.delta, "h_infinity": eight.h_infinity, "perturbation_norm": eight.perturbation_norm,
+            "delta": eight.delta, "h_infinity": eight.h_infinity,
+            "perturbation_norm": eight.perturbation_norm,
             "holds": eight.holds,
         },
     }  # fmt: skip
@@ -184,7 +192,11 @@ def _remaining(rows: list[dict[str, Any]]) -> str:
     """Write the largest error that re-centring leaves of a stiffness and of a damping."""
     words = []
     for unit in dict.fromkeys(cases.UNITS):
-        errors = [abs(r["recentred"] - r["actual"]) for r in rows if r["unit"] == unit and r["recentred"] is not None]
+        errors = [
+            abs(r["recentred"] - r["actual"])
+            for r in rows
+            if r["unit"] == unit and r["recentred"] is not None
+        ]
         words.append(f"{max(errors):.1e} {unit}" if errors else f"no figure in {unit}")
     return " and ".join(words)
 

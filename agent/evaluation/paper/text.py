@@ -49,7 +49,9 @@ def _end_line(case: dict[str, Any]) -> str:
 
 
 def _poles_line(poles: dict[str, list[float]]) -> str:
-    computed, published = (", ".join(f"{pole:.4g}" for pole in poles[name]) for name in ("computed", "published"))
+    computed, published = (
+        ", ".join(f"{pole:.4g}" for pole in poles[name]) for name in ("computed", "published")
+    )
     return f"observer poles of the printed gain: {computed} 1/s (the paper: {published})"
 
 

@@ -1,8 +1,8 @@
 """Which sample is which: what reached the estimation, held against what the sensors read.
 
-A sample is spoilt where a reading that was used differs from what the sensor read by more than the wire's step. The
-agent's own numbers may be shifted against the device's (a first sample missed, a restart): each uninterrupted stretch
-is found again in what was played.
+A sample is spoilt where a reading that was used differs from what the sensor read by more than the wire's
+step. The agent's own numbers may be shifted against the device's (a first sample missed, a restart): each
+uninterrupted stretch is found again in what was played.
 """
 
 import json
@@ -101,7 +101,11 @@ def _differs(
 
 
 def _shift(
-    truth: Played, index: IntArray, values: FloatArray, absent: np.ndarray[Any, np.dtype[np.bool_]], guess: int
+    truth: Played,
+    index: IntArray,
+    values: FloatArray,
+    absent: np.ndarray[Any, np.dtype[np.bool_]],
+    guess: int,
 ) -> int:
     """Return device's number minus agent's number for a stretch; the guess where it is found nowhere."""
     whole = np.flatnonzero(~absent.any(axis=1))[:_SEARCHED]
@@ -109,5 +113,7 @@ def _shift(
         return guess
     near = (np.abs(truth.readings - values[whole[0]]) <= truth.room(truth.readings)).all(axis=1)
     shifts = np.flatnonzero(near) - index[whole[0]]
-    agreeing = [int(s) for s in shifts if not _differs(truth, index[whole] + s, values[whole], absent[whole]).any()]
+    agreeing = [
+        int(s) for s in shifts if not _differs(truth, index[whole] + s, values[whole], absent[whole]).any()
+    ]
     return min(agreeing, key=lambda s: abs(s - guess), default=guess)

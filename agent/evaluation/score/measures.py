@@ -93,7 +93,9 @@ class Assessment:
     def samples(self) -> dict[str, Any]:
         """Return where every sample went; `lost` are those played of which nothing was used."""
         health = self._outcome.health
-        balanced = all(h.received == h.used + sum(h.rejected.values()) + sum(h.dropped.values()) for h in health)
+        balanced = all(
+            h.received == h.used + sum(h.rejected.values()) + sum(h.dropped.values()) for h in health
+        )
         taken = int(self.truth.ledger["samples"])
         return {
             "played": taken,
@@ -181,7 +183,11 @@ class Assessment:
         numbers = self._raised_at(raised)
         met: set[int] = set()
         for found in excursions:
-            own = [k for k, (alarm, at) in enumerate(zip(raised, numbers, strict=True)) if _is_of(found, alarm, at)]
+            own = [
+                k
+                for k, (alarm, at) in enumerate(zip(raised, numbers, strict=True))
+                if _is_of(found, alarm, at)
+            ]
             met |= set(own)
             first = min((numbers[k] for k in own), default=None)
             found["delay_s"] = None if first is None else max(0, first - found["first"]) / self._rate
@@ -207,7 +213,10 @@ class Assessment:
         edges = np.flatnonzero(np.diff(beyond.astype(np.int8)))
         window = hop_plan(self._config).window
         room = 2 * window + round(((rule.on_delay_s or 0.0) + _GRACE_S) * self._rate)
-        return [{"parameter": parameter, "first": int(a), "end": int(b), "room": room} for a, b in edges.reshape(-1, 2)]
+        return [
+            {"parameter": parameter, "first": int(a), "end": int(b), "room": room}
+            for a, b in edges.reshape(-1, 2)
+        ]
 
     def faults(self) -> list[dict[str, Any]]:
         """Return how each fault was overcome: s from its end until samples came, and until every estimate was valid."""
@@ -215,7 +224,9 @@ class Assessment:
 
     def _overcome(self, source: str, name: str, first: int, end: int) -> dict[str, Any]:
         over = end / self._rate
-        arrivals = min((at for who, at, _ in self._outcome.arrivals if who == source and at >= over), default=None)
+        arrivals = min(
+            (at for who, at, _ in self._outcome.arrivals if who == source and at >= over), default=None
+        )
         valid = None
         if self.rows is not None:
             number = self._number_at(self.rows.index)
@@ -228,7 +239,9 @@ class Assessment:
 
 
 def _is_of(found: Mapping[str, Any], alarm: AlarmTransition, at: int) -> bool:
-    return bool(found["parameter"] == alarm.parameter and found["first"] <= at <= found["end"] + found["room"])
+    return bool(
+        found["parameter"] == alarm.parameter and found["first"] <= at <= found["end"] + found["room"]
+    )
 
 
 def _shown(found: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """One scenario from end to end on simulated time: the configured drivers on played lines, the agent's own pipeline.
 
-The simulator is a plug-in (entry-point group `deltak.simulators`): it plays each source's device, faults included, to
-the driver that the configuration names. No clock is read and no bus is opened, so two runs are alike.
+The simulator is a plug-in (entry-point group `deltak.simulators`): it plays each source's device, faults
+included, to the driver that the configuration names. No clock is read and no bus is opened, so two runs are
+alike.
 """
 
 import random
@@ -74,7 +75,9 @@ class _Reader:
         self.source = source
         self._bench = bench
         self._use = Use(config.rig.name, source.name, tuple(range(len(source.map))))
-        request = SourceRequest(source.name, source.settings, tuple(source.map.values()), source.counter, config.folder)
+        request = SourceRequest(
+            source.name, source.settings, tuple(source.map.values()), source.counter, config.folder
+        )
         with bench.at(source.name):
             self.driver: Driver = driver_class(source.driver)(request)
             self._link = ReconnectingDriver(self.driver, source.stale_s, rng=random.Random(1))  # noqa: S311 (jitter)
@@ -85,9 +88,13 @@ class _Reader:
             while self._bench.now_s(self.source.name) < then_s:
                 block, events = self._link.read(READ_S)
                 if len(block):
-                    outcome.arrivals.append((self.source.name, self._bench.now_s(self.source.name), len(block)))
+                    outcome.arrivals.append(
+                        (self.source.name, self._bench.now_s(self.source.name), len(block))
+                    )
                     whole = replace(block, wall_offset_ns=0)
-                    rig.take(self._use, Arrival(whole, self.driver.counts.copy(), self.driver.counter_modulus))
+                    rig.take(
+                        self._use, Arrival(whole, self.driver.counts.copy(), self.driver.counter_modulus)
+                    )
                     rig.compute()
                 for event in events:
                     rig.link(self.source.name, event)

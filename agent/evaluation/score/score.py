@@ -58,7 +58,13 @@ def _scored(name: str, faults: Sequence[str], report: Report) -> dict[str, Any]:
     assess = Assessment(play(bench, lambda share: report(name, share)), bench.strikes())
     measures = assess.document()
     failures = _failures(expect, measures)
-    return {"scenario": name, "seconds": bench.duration_s, "ok": not failures, "failures": failures, **measures}
+    return {
+        "scenario": name,
+        "seconds": bench.duration_s,
+        "ok": not failures,
+        "failures": failures,
+        **measures,
+    }
 
 
 def _expectation(name: str, content: Mapping[str, Any]) -> Expect:
@@ -66,7 +72,9 @@ def _expectation(name: str, content: Mapping[str, Any]) -> Expect:
         return Expect.model_validate(content)
     except ValidationError as error:
         keys = ", ".join(Expect.model_fields)
-        words = "; ".join(f"expect.{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
+        words = "; ".join(
+            f"expect.{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()
+        )
         raise UsageError.at(name, words, f"the keys of [expect] are {keys}") from error
 
 

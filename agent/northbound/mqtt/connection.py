@@ -39,7 +39,8 @@ class Connection:
     Args:
         consumer: its table of the configuration.
         place: the agent around it.
-        will: topic, payload, quality of service and retention of what the broker says when this connection is gone.
+        will: topic, payload, quality of service and retention of what the broker says when this connection is
+            gone.
         on_message: gets topic and payload of what arrives, in the library's thread.
     """
 
@@ -58,7 +59,10 @@ class Connection:
         self._acknowledged: dict[int, ReasonCode | None] = {}
         self._on_message = on_message
         self._client = Client(
-            CallbackAPIVersion.VERSION2, client_id_of(consumer, place), protocol=MQTTv5, reconnect_on_failure=False
+            CallbackAPIVersion.VERSION2,
+            client_id_of(consumer, place),
+            protocol=MQTTv5,
+            reconnect_on_failure=False,
         )
         self._client.will_set(*will)
         self._client.connect_timeout = consumer.timeout_s
@@ -112,8 +116,12 @@ class Connection:
 
         retained: whether what the broker holds of the topic is wanted.
         """
-        handling = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if retained else SubscribeOptions.RETAIN_DO_NOT_SEND
-        result, number = self._client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=handling))
+        handling = (
+            SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if retained else SubscribeOptions.RETAIN_DO_NOT_SEND
+        )
+        result, number = self._client.subscribe(
+            topic, options=SubscribeOptions(qos=1, retainHandling=handling)
+        )
         if result is not MQTTErrorCode.MQTT_ERR_SUCCESS or number is None:
             raise self._failure(f"subscribing failed ({result.name})")
         self.acknowledged({number})
@@ -161,10 +169,16 @@ class Connection:
         said = f" ({self._said})" if self._said else ""
         return PeerError("certificate" if "CERTIFICATE" in self._said.upper() else "lost", f"{words}{said}")
 
-    # --- called in the library's thread ------------------------------------------------------------------------
+    # --- called in the library's thread
+    # ------------------------------------------------------------------------
 
     def _connected(
-        self, client: Client, _data: Any, _flags: ConnectFlags, answer: ReasonCode, properties: Properties | None
+        self,
+        client: Client,
+        _data: Any,
+        _flags: ConnectFlags,
+        answer: ReasonCode,
+        properties: Properties | None,
     ) -> None:
         most = getattr(properties, "ReceiveMaximum", _IN_FLIGHT)
         client._max_inflight_messages = min(_IN_FLIGHT, most)  # noqa: SLF001 - known with the answer, no sooner
@@ -173,7 +187,12 @@ class Connection:
             self._changed.notify_all()
 
     def _disconnected(
-        self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, _properties: Properties | None
+        self,
+        _client: Client,
+        _data: Any,
+        _flags: DisconnectFlags,
+        reason: ReasonCode,
+        _properties: Properties | None,
     ) -> None:
         with self._changed:
             self._lost = f"the connection ended: {reason}"
@@ -188,7 +207,12 @@ class Connection:
             self._changed.notify_all()
 
     def _subscribed(
-        self, _client: Client, _data: Any, number: int, reasons: list[ReasonCode], _properties: Properties | None
+        self,
+        _client: Client,
+        _data: Any,
+        number: int,
+        reasons: list[ReasonCode],
+        _properties: Properties | None,
     ) -> None:
         self._published(_client, _data, number, reasons[0], _properties)
 
@@ -223,13 +247,17 @@ def client_id_of(consumer: North, place: Place) -> str:
 def tls_context(consumer: North, folder: Path) -> ssl.SSLContext:
     """Return what a certificate is looked at by, and the own one. Raises PeerError."""
     try:
-        context = ssl.create_default_context(cafile=None if consumer.ca is None else str(folder / consumer.ca))
+        context = ssl.create_default_context(
+            cafile=None if consumer.ca is None else str(folder / consumer.ca)
+        )
         if consumer.cert is not None and consumer.key is not None:
             refuse_expired(folder / consumer.cert)
             context.load_cert_chain(folder / consumer.cert, folder / consumer.key, password="")
         context.sslsocket_class = _TlsSocket
     except (OSError, ValueError) as error:  # of the latter kind are a UnicodeDecodeError and one of base64
-        files = ", ".join(str(file) for file in (consumer.ca, consumer.cert, consumer.key) if file is not None)
+        files = ", ".join(
+            str(file) for file in (consumer.ca, consumer.cert, consumer.key) if file is not None
+        )
         raise PeerError("certificate", f"{files}: {error}") from error
     return context
 

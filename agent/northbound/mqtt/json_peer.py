@@ -1,8 +1,8 @@
 """Rows as JSON: each on a topic that names its rig, kind and parameter or source; older rows on topics of their own.
 
-<prefix>/<rig>/<estimates or alarms>/<parameter> and <prefix>/<rig>/<events or health>/<source>; what is sent after
-newer rows on <prefix>/<rig>/backfill/... (but for alarms, whose order is kept); and <prefix>/status/<client id>, which
-is online or offline.
+<prefix>/<rig>/<estimates or alarms>/<parameter> and <prefix>/<rig>/<events or health>/<source>; what is sent
+after newer rows on <prefix>/<rig>/backfill/... (but for alarms, whose order is kept); and
+<prefix>/status/<client id>, which is online or offline.
 """
 
 import json
@@ -53,7 +53,9 @@ class JsonPeer:
         retain = batch.topic in _RETAINED and not is_aside
         for row in batch.rows:
             topic = self.topic_of(batch.topic, row, aside=is_aside)
-            waiting.add(self._connection.publish(topic, payload_of(row, backfill=batch.backfill), retain=retain))
+            waiting.add(
+                self._connection.publish(topic, payload_of(row, backfill=batch.backfill), retain=retain)
+            )
         self._connection.acknowledged(waiting)
 
     def check(self) -> None:

@@ -1,7 +1,7 @@
 """Rows into files of an archive: <folder>/<topic>/rig=<rig>/day=<day of UTC>/<number before the first row>.parquet.
 
-A file is written beside its name, synced and renamed; a batch that is delivered again has the same names, so that no
-row is there twice.
+A file is written beside its name, synced and renamed; a batch that is delivered again has the same names, so
+that no row is there twice.
 """
 
 import errno
@@ -19,7 +19,8 @@ from agent.northbound.interface.layout import COLUMNS, NAMES
 from agent.northbound.interface.peer import Batch, PeerError, Place, Row
 
 _TYPES: Final[Mapping[str, Any]] = {
-    "text": arrow.string(), "bigint": arrow.int64(), "double precision": arrow.float64(), "boolean": arrow.bool_(),
+    "text": arrow.string(), "bigint": arrow.int64(), "double precision": arrow.float64(),
+    "boolean": arrow.bool_(),
     "timestamptz": arrow.timestamp("ns", "UTC"),
 }  # fmt: skip
 _DAY_NS: Final = 86_400_000_000_000
@@ -59,7 +60,11 @@ class ParquetPeer:
 
 def table_of(topic: str, rows: Sequence[Row]) -> Any:
     """Return rows as a table; rig and backfill are left out: the folder says the one, and order the other."""
-    columns = {name: kind.split(" NOT")[0] for name, kind in COLUMNS[topic].items() if name not in {"rig", "backfill"}}
+    columns = {
+        name: kind.split(" NOT")[0]
+        for name, kind in COLUMNS[topic].items()
+        if name not in {"rig", "backfill"}
+    }
     arrays = [
         arrow.array([row["t_ns" if name == "time" else name] for row in rows], _TYPES[kind])
         for name, kind in columns.items()

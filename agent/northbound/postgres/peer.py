@@ -84,7 +84,8 @@ class PostgresPeer:
             with suppress(psycopg.Error):
                 connection.close()
 
-    # --- statements --------------------------------------------------------------------------------------------
+    # --- statements
+    # --------------------------------------------------------------------------------------------
 
     def _table(self, topic: str) -> sql.Identifier:
         schema, _, prefix = self._consumer.prefix.rpartition(".")
@@ -101,9 +102,12 @@ class PostgresPeer:
 
     def _create(self, connection: psycopg.Connection[Any], topic: str, text: str) -> None:
         columns = sql.SQL(", ").join(
-            sql.SQL("{} ").format(sql.Identifier(name)) + sql.SQL(kind) for name, kind in COLUMNS[topic].items()
+            sql.SQL("{} ").format(sql.Identifier(name)) + sql.SQL(kind)
+            for name, kind in COLUMNS[topic].items()
         )
-        is_timescale = connection.execute("SELECT 1 FROM pg_extension WHERE extname = 'timescaledb'").fetchone()
+        is_timescale = connection.execute(
+            "SELECT 1 FROM pg_extension WHERE extname = 'timescaledb'"
+        ).fetchone()
         key = sql.SQL("rig, seq, time" if is_timescale else "rig, seq")
         making = sql.SQL("CREATE TABLE {} ({}, PRIMARY KEY ({}))").format(self._table(topic), columns, key)
         connection.execute(making)
@@ -124,10 +128,13 @@ class PostgresPeer:
         found = cursor.execute(sql.SQL(words).format(_staged(topic), self._table(topic))).fetchone()
         if found is not None:
             table = ".".join(self._table(topic)._obj)  # noqa: SLF001 - its words
-            other = f"{table} has another row of rig {found[0]} and seq {found[1]}, which another database sent"
+            other = (
+                f"{table} has another row of rig {found[0]} and seq {found[1]}, which another database sent"
+            )
             raise PeerError("refused", f"{other}; name another prefix, or empty the table of that rig")
 
-    # --- failures ----------------------------------------------------------------------------------------------
+    # --- failures
+    # ----------------------------------------------------------------------------------------------
 
     @contextmanager
     def _bounded(self) -> Iterator[psycopg.Connection[Any]]:
@@ -177,6 +184,11 @@ def _cause_of(error: Exception, words: str) -> str:
     said = words.lower()
     if state in _CAUSES:
         return _CAUSES[state]
-    signs = {"certificate": "certificate", "password": "credentials", "timeout": "timeout", "refused": "refused"}
+    signs = {
+        "certificate": "certificate",
+        "password": "credentials",
+        "timeout": "timeout",
+        "refused": "refused",
+    }
     found = next((cause for sign, cause in signs.items() if sign in said), None)
     return found or ("lost" if isinstance(error, psycopg.OperationalError) else "refused")

@@ -9,8 +9,10 @@ from agent.northbound.sparkplug.payload import DOUBLE, INT64, STRING, Metric, Va
 
 _COLUMNS: Final[Mapping[str, Mapping[str, tuple[str, int]]]] = {
     "estimates": {
-        "value": ("value", DOUBLE), "sd": ("sd", DOUBLE), "lower": ("lower", DOUBLE), "upper": ("upper", DOUBLE),
-        "delta": ("delta", DOUBLE), "status": ("status", STRING), "reason": ("reason", STRING), "seq": ("seq", INT64),
+        "value": ("value", DOUBLE), "sd": ("sd", DOUBLE), "lower": ("lower", DOUBLE),
+        "upper": ("upper", DOUBLE),
+        "delta": ("delta", DOUBLE), "status": ("status", STRING), "reason": ("reason", STRING),
+        "seq": ("seq", INT64),
     },
     "alarms": {
         "state": ("to_state", STRING), "cause": ("cause", STRING), "priority": ("priority", STRING),
@@ -19,7 +21,8 @@ _COLUMNS: Final[Mapping[str, Mapping[str, tuple[str, int]]]] = {
     "events": {"cause": ("cause", STRING), "message": ("message", STRING), "seq": ("seq", INT64)},
     "health": {
         "received": ("received", INT64), "used": ("used", INT64), "rejected": ("rejected", INT64),
-        "dropped": ("dropped", INT64), "gaps": ("gaps", INT64), "lag_s": ("lag_s", DOUBLE), "seq": ("seq", INT64),
+        "dropped": ("dropped", INT64), "gaps": ("gaps", INT64), "lag_s": ("lag_s", DOUBLE),
+        "seq": ("seq", INT64),
     },
 }  # fmt: skip
 """By topic: the last part of a metric's name, the column that it is of, and its data type."""
@@ -43,7 +46,9 @@ def readings(topic: str, row: Row) -> Iterator[Reading]:
     for last, (column, datatype) in _COLUMNS[topic].items():
         has_unit = topic == "estimates" and last in _WITH_UNIT
         unit = str(row["unit"]) if has_unit else ""
-        yield Reading(f"{_FOLDER[topic]}{of}/{last}", datatype, _finite(row[column]), row["t_ns"] // 1_000_000, unit)
+        yield Reading(
+            f"{_FOLDER[topic]}{of}/{last}", datatype, _finite(row[column]), row["t_ns"] // 1_000_000, unit
+        )
 
 
 def _finite(value: Any) -> Any:

@@ -49,7 +49,9 @@ class Metric:
         out += b"" if self.alias is None else whole(_METRIC["alias"], self.alias)
         out += whole(_METRIC["timestamp"], self.t_ms) + whole(_METRIC["datatype"], self.datatype)
         out += whole(_METRIC["is_historical"], 1) if self.historical else b""
-        return out + self._value() + (block(_METRIC["properties"], _properties(self.unit)) if self.unit else b"")
+        return (
+            out + self._value() + (block(_METRIC["properties"], _properties(self.unit)) if self.unit else b"")
+        )
 
     def _value(self) -> bytes:
         if self.value is None:

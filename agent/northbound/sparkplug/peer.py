@@ -1,7 +1,7 @@
 """An edge node of Sparkplug B: births, data by alias, rebirth when a host asks for it, death by the broker.
 
-Data have quality of service 0, which no broker acknowledges. A subscription made after a batch is: the broker takes
-what one connection sends in order, so its answer says that it has the batch.
+Data have quality of service 0, which no broker acknowledges. A subscription made after a batch is: the broker
+takes what one connection sends in order, so its answer says that it has the batch.
 """
 
 import json
@@ -55,7 +55,9 @@ class SparkplugPeer:
         self._connection.open()
         if self._consumer.primary_host is not None:
             self._connection.subscribe(f"{_SPACE}/STATE/{self._consumer.primary_host}", retained=True)
-            self._connection.wait(lambda: self._host is not None and self._host[1], "the primary host is not online")
+            self._connection.wait(
+                lambda: self._host is not None and self._host[1], "the primary host is not online"
+            )
         self._connection.subscribe(self._topic("NCMD"))
         self._be_born()
         self._settle()
@@ -72,7 +74,9 @@ class SparkplugPeer:
                 self._birth_of(rig)
         for (rig, _), group in groupby(found, lambda one: (one[0], one[2])):
             device = self._devices[rig]
-            metrics = [device.data(reading, historical=historical) for _, heard, _ in group for reading in heard]
+            metrics = [
+                device.data(reading, historical=historical) for _, heard, _ in group for reading in heard
+            ]
             self._send("DDATA", metrics, rig)
         self._settle()
 

@@ -1,7 +1,7 @@
 """Protocol buffers on the wire: the few kinds of fields that Sparkplug's payload has, written and read.
 
-A field is its number and wire type (0 varint, 1 eight bytes, 2 length and bytes, 5 four bytes) and then its value.
-https://protobuf.dev/programming-guides/encoding
+A field is its number and wire type (0 varint, 1 eight bytes, 2 length and bytes, 5 four bytes) and then its
+value. https://protobuf.dev/programming-guides/encoding
 """
 
 import struct

@@ -1,9 +1,9 @@
 """How much may be computed beside the rows, counted in evaluations of the model on a window.
 
-One evaluation is one linearisation or one trial of a step; learning the noise counts as two. Solves that converge take
-three to ten of them, those that do not up to a hundred and fifty: what is bounded is the work and not the number of
-tries. N samples pay for BURST + FIRST + N / SAMPLES_AN_EVALUATION evaluations, and what was begun last for at most
-LONGEST beyond that.
+One evaluation is one linearisation or one trial of a step; learning the noise counts as two. Solves that
+converge take three to ten of them, those that do not up to a hundred and fifty: what is bounded is the work
+and not the number of tries. N samples pay for BURST + FIRST + N / SAMPLES_AN_EVALUATION evaluations, and what
+was begun last for at most LONGEST beyond that.
 """
 
 from agent.numerics.fitting.work import Budget

@@ -1,8 +1,8 @@
 """Readings of inputs that may be spikes: the window takes them for unknown, and the motion says what they were.
 
-A suspect reading u is replaced by the newest trusted one, h; what that is wrong by is an unknown of the window with
-prior N(0, (u − h)²). A blow that moved the rig comes out near u − h, a spike near 0. A confirmed blow is a reading like
-any other from then on.
+A suspect reading u is replaced by the newest trusted one, h; what that is wrong by is an unknown of the
+window with prior N(0, (u − h)²). A blow that moved the rig comes out near u − h, a spike near 0. A confirmed
+blow is a reading like any other from then on.
 """
 
 from collections.abc import Mapping
@@ -107,7 +107,8 @@ class Doubts:
         """Decide once on those due from what a window found of each.
 
         Returns:
-            how many samples are newly refused; the readings that are confirmed, and what each is above its replacement.
+            how many samples are newly refused; the readings that are confirmed, and what each is above its
+                replacement.
         """
         known = {p for p in due if p in found.places}
         confirmed = {p for run in _runs(known) if self._is_confirmed(run, found) for p in run}

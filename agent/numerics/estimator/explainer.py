@@ -231,7 +231,9 @@ class Explainer:
         """Take what was evaluated since it began, and `least` at the least, out of the budget."""
         self.learner.lineariser.most = np.inf
         done = self.learner.lineariser.evaluations
-        self.budget.spend(max(done - self._counted, least, 0) * samples_an_evaluation(self.settings.plan.window))
+        self.budget.spend(
+            max(done - self._counted, least, 0) * samples_an_evaluation(self.settings.plan.window)
+        )
         self._counted = done
 
     def _is_elsewhere(self, reading: Reading, i: int, posterior: Posterior) -> bool:
@@ -282,7 +284,9 @@ class Explainer:
         apart = np.abs(posterior.theta - self.posterior.theta)
         return bool(np.all(apart < tuning.AGREE_SD * np.hypot(posterior.sd_repeat, self.posterior.sd_repeat)))
 
-    def _is_a_channel(self, record: Record, window: Window, newest: int, theta: FloatArray, rests: bool) -> bool:
+    def _is_a_channel(
+        self, record: Record, window: Window, newest: int, theta: FloatArray, rests: bool
+    ) -> bool:
         """Whether a channel may be what is wrong with a window; asked where it is whole, or other parameters fit it."""
         onset, faults, known = self.disturbance.onset, self.faults, self.known
         whole = onset is not None and newest - onset >= WHOLE * self.settings.plan.window
@@ -333,7 +337,9 @@ class Explainer:
             return False
         return self._relearn(record, window, posterior, newest, jumps=posterior.changing)
 
-    def _relearn(self, record: Record, window: Window, posterior: Posterior, newest: int, *, jumps: bool) -> bool:
+    def _relearn(
+        self, record: Record, window: Window, posterior: Posterior, newest: int, *, jumps: bool
+    ) -> bool:
         """Take a change of the noise for what broke a window, unless one jump explains it better."""
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window

@@ -1,7 +1,8 @@
 """Channels that read wrongly: suspected, named as long as that is what explains the rows, and cleared when they hold.
 
-A suspicion is a window that a channel explains better than other parameters do. It becomes a fault once a window lies
-all but wholly behind its onset. Until rows agree with what held before nothing is learnt, and no parameter moves.
+A suspicion is a window that a channel explains better than other parameters do. It becomes a fault once a
+window lies all but wholly behind its onset. Until rows agree with what held before nothing is learnt, and no
+parameter moves.
 """
 
 from dataclasses import dataclass, field, replace
@@ -117,7 +118,9 @@ class Faults:
         """Name an input that stood at one value all through a first window whose motion asks for unknown forces."""
         self.over(newest)
         forces = np.array([source.kind == "force" for source in self.learner.sources], dtype=bool)
-        asked = noise.is_started and np.any((noise.intensity > tuning.ACTIVE_NODES * noise.nodes[:, 0]) & forces)
+        asked = noise.is_started and np.any(
+            (noise.intensity > tuning.ACTIVE_NODES * noise.nodes[:, 0]) & forces
+        )
         for fault in self._standing_inputs(record, newest, self.learner.window)[: int(asked)]:
             self._set(newest, fault)
 
@@ -126,9 +129,9 @@ class Faults:
     ) -> bool:
         """Whether one channel, and not what a first window is taken to say, explains it; that channel is named.
 
-        Asked where a parameter found is many times its nominal, or unknown forces are as large as those that are
-        measured. The contest is between the stated noise and nominal parameters with one channel wrong, and anything
-        else.
+        Asked where a parameter found is many times its nominal, or unknown forces are as large as those that
+        are measured. The contest is between the stated noise and nominal parameters with one channel wrong,
+        and anything else.
         """
         length = self.learner.window
         nominal = np.abs(self.learner.rig.nominal)
@@ -169,7 +172,8 @@ class Faults:
         return record.newest_input(index, fault.channel - p) == fault.size
 
     def contest(
-        self, record: Record, window: Window, newest: int, known: Knowledge, sd: FloatArray, solved: FloatArray,
+        self, record: Record, window: Window, newest: int, known: Knowledge, sd: FloatArray,
+        solved: FloatArray,
         first: bool = False,
     ) -> Contest:  # fmt: skip
         """Put the window that ends with sample `newest` to a contest of explanations; solved: its own best θ."""

@@ -16,7 +16,8 @@ class Ready:
     Attributes:
         y: (N, p) outputs.
         u: (N, m + s md) the m inputs, then the md driven ones at each of the rig's s shifts.
-        missing, suspect: (N, p+m) readings that were filled in and inputs that may be spikes; None where none was.
+        missing, suspect: (N, p+m) readings that were filled in and inputs that may be spikes; None where none
+            was.
     """
 
     index: int

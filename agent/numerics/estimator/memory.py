@@ -48,8 +48,10 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
     n, c, s = found["noise"], found["constants"], found["scatter"]
     array = np.array
     noise = Noise(
-        array(n["log_sigma"]), array(n["log_sigma_var"]), _dense(n["power"], fresh.power), _dense(n["dof"], fresh.dof),
-        array(n["nodes"]), array(n["log_weight"]), array(n["intensity"]), array(n["spread"]), n["windows"], n["turn"],
+        array(n["log_sigma"]), array(n["log_sigma_var"]), _dense(n["power"], fresh.power),
+        _dense(n["dof"], fresh.dof),
+        array(n["nodes"]), array(n["log_weight"]), array(n["intensity"]), array(n["spread"]), n["windows"],
+        n["turn"],
         n["walk"], n["counted"],
     )  # fmt: skip
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:

@@ -1,8 +1,8 @@
 """Where the bank works: the model with what is known of the constants, its noise, and what rows take from the learner.
 
-The constants enter rows through the few directions of their posterior that move the parameters: with P = L Lᵀ the
-covariance, Z = dθ/dη and s the parameters' own sds, the right singular vectors v of diag(1/s) Z L give columns
-L v of unit prior; the others change no sd by a hundredth.
+The constants enter rows through the few directions of their posterior that move the parameters: with P = L Lᵀ
+the covariance, Z = dθ/dη and s the parameters' own sds, the right singular vectors v of diag(1/s) Z L give
+columns L v of unit prior; the others change no sd by a hundredth.
 """
 
 from dataclasses import dataclass, replace
@@ -48,9 +48,11 @@ class OperatingPoint:
     """The model, its noise, and how rows are read.
 
     Attributes:
-        model: columns are the parameters (deviations in `unit`), then directions of the constants with unit priors.
+        model: columns are the parameters (deviations in `unit`), then directions of the constants with unit
+            priors.
         push, noise: unknown forces and noise of the bank.
-        theta, unit: (q,) point and size of a deviation of 1;  sharpest: (q,) sd of the windows that tell most, in it.
+        theta, unit: (q,) point and size of a deviation of 1;  sharpest: (q,) sd of the windows that tell
+            most, in it.
         wider: (q,) factor on the parameters' own variance: intensities not known, scatter beyond the model's.
         shape: how the constants' mixture differs from one Gaussian.
         unsure: variance of log σ that the misfit allows for.
@@ -72,7 +74,8 @@ class OperatingPoint:
 
 
 def operating_point(
-    rig: Rig, known: Knowledge, posterior: Posterior, sources: tuple[Source, ...], window: int, sharpest: FloatArray,
+    rig: Rig, known: Knowledge, posterior: Posterior, sources: tuple[Source, ...], window: int,
+    sharpest: FloatArray,
 ) -> OperatingPoint:  # fmt: skip
     """Return where the bank works, from what is known and what the newest window that was learnt from said.
 
@@ -197,7 +200,8 @@ def _shape(known: Knowledge, posterior: Posterior, wider: FloatArray) -> Shape:
     share = np.sqrt(np.maximum(half**2 - own**2, 0.0)) / size
     known_well = by_constants < 0.1 * own
     return Shape(
-        np.where(known_well, 0.0, (posterior.theta - posterior.linear) / size), np.where(known_well, 0.0, centre),
+        np.where(known_well, 0.0, (posterior.theta - posterior.linear) / size),
+        np.where(known_well, 0.0, centre),
         np.where(known_well, 1.0, share),
     )  # fmt: skip
 

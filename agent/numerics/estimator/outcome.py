@@ -75,7 +75,8 @@ class Outcome:
         status[~(reading.sd <= enough_sd)] = Status.UNEXCITED
         window = np.full(shape, reading.samples, dtype=np.int64)
         return cls(
-            reading.index, reading.theta.copy(), reading.sd.copy(), reading.lower.copy(), reading.upper.copy(),
+            reading.index, reading.theta.copy(), reading.sd.copy(), reading.lower.copy(),
+            reading.upper.copy(),
             reading.sd_repeat.copy(), status, np.zeros(shape, dtype=np.uint8), window,
             reading.dof.copy(),
         )  # fmt: skip
@@ -104,7 +105,12 @@ class Outcome:
         self.status[rows], self.reason[rows] = Status.INVALID, Reason.GAP
 
     def take(
-        self, rows: IntArray, wanted: NDArray[np.bool_], found: Reading, which: NDArray[np.bool_], enough: FloatArray
+        self,
+        rows: IntArray,
+        wanted: NDArray[np.bool_],
+        found: Reading,
+        which: NDArray[np.bool_],
+        enough: FloatArray,
     ) -> None:
         """Take estimates of rows (k,) from another window's reading, where `wanted` (k, q); which: its k windows."""
         for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
@@ -121,8 +127,12 @@ class Outcome:
         if len(pieces) == 1:
             return pieces[0]
         pieces = pieces or [cls.warming(np.zeros(0, dtype=np.int64), q)]
-        whole: dict[str, Any] = {n: np.concatenate([getattr(piece, n) for piece in pieces]) for n in _columns()}
-        whole |= {name: tuple(chain.from_iterable(getattr(piece, name) for piece in pieces)) for name in EVENTS}
+        whole: dict[str, Any] = {
+            n: np.concatenate([getattr(piece, n) for piece in pieces]) for n in _columns()
+        }
+        whole |= {
+            name: tuple(chain.from_iterable(getattr(piece, name) for piece in pieces)) for name in EVENTS
+        }
         count = max(len(piece.others) for piece in pieces)
         each = [[_other(piece, k, q) for piece in pieces] for k in range(count)]
         return replace(pieces[0], others=tuple(cls.joined(one, q) for one in each), **whole)

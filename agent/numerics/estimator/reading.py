@@ -63,7 +63,9 @@ class Reading:
 
     def broken(self, threshold: float) -> BoolArray:
         """(N,) windows that hold a change, or that nothing known explains."""
-        return np.asarray((self.jump > threshold) | (self.excess > MISMATCH_SD) | ~np.isfinite(self.sd).all(axis=1))
+        return np.asarray(
+            (self.jump > threshold) | (self.excess > MISMATCH_SD) | ~np.isfinite(self.sd).all(axis=1)
+        )
 
 
 def read(
@@ -71,8 +73,8 @@ def read(
 ) -> Reading:
     """Return what windows of a length say, constants and intensities as known at the operating point.
 
-    jump_before: the newest statistic of a jump before these rows, which stands until the next row that is scanned.
-    far_sd: sds from the point beyond which a window is linearised too far away.
+    jump_before: the newest statistic of a jump before these rows, which stands until the next row that is
+    scanned. far_sd: sds from the point beyond which a window is linearised too far away.
     """
     normal = windowed.normal
     q = len(point.theta)
@@ -85,7 +87,9 @@ def read(
     if c > q:
         own = np.diagonal(_inverse(M[:, :q, :q]), axis1=1, axis2=2)
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
-    by_constants = point.unit * np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0))
+    by_constants = point.unit * np.sqrt(
+        np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0)
+    )
     theta = point.theta + point.unit * d[:, :q]
     sharp = np.sqrt(own)
     # the point was found by sharper windows: a poor one moves it only by what chance never does
@@ -110,7 +114,8 @@ def read(
     even = np.abs(shape.centre - shape.mean) * by_constants < EVEN * width
     centre = np.where(even, theta + shape.mean * by_constants, centre)
     return Reading(
-        windowed.index, theta + shape.mean * by_constants, width, centre - half, centre + half, repeat, jump, excess,
+        windowed.index, theta + shape.mean * by_constants, width, centre - half, centre + half, repeat, jump,
+        excess,
         far.any(axis=1), dof, samples, windowed.unsolved, _found(windowed, d, covariance),
     )  # fmt: skip
 

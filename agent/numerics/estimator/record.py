@@ -26,7 +26,10 @@ class Record:
         self.doubts = doubts or Doubts()
         self._v = np.zeros((0, outputs + inputs))
         self._lost = np.zeros((0, outputs + inputs), dtype=bool)
-        self._holed, self._changed = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)  # samples, any reading or output
+        self._holed, self._changed = (
+            np.zeros(0, dtype=bool),
+            np.zeros(0, dtype=bool),
+        )  # samples, any reading or output
 
     @property
     def stop(self) -> int:
@@ -98,7 +101,8 @@ class Record:
     def quiet_in(self, index: IntArray, window: int, least: FloatArray) -> BoolArray:
         """(N,) windows that end at samples `index` and in which every output spreads by less than `least` (p,).
 
-        Two of a window's W samples that differ by d make its standard deviation d/√(2W) or more: most windows show so.
+        Two of a window's W samples that differ by d make its standard deviation d/√(2W) or more: most windows
+        show so.
         """
         newest = index - self.first
         places = np.maximum(newest - np.arange(PLACES)[:, None] * (window // PLACES), 0)
@@ -134,7 +138,9 @@ class Record:
         sizes = np.array([abs(self.doubts.size.get(place, 0.0)) for place in places])
         return np.maximum(bridge.sd, sizes), sizes > 0
 
-    def restore(self, sample: int, taps: Sequence[tuple[int, int, float]], channel: int, change: float) -> None:
+    def restore(
+        self, sample: int, taps: Sequence[tuple[int, int, float]], channel: int, change: float
+    ) -> None:
         """Take a reading for read: `change` more than it was filled with, wherever it enters."""
         at = sample - self.first
         self._lost[at, channel] = False

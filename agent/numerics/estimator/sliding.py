@@ -1,11 +1,12 @@
 """The product's estimator: samples in, one row of estimates a hop.
 
-    hop -> row          from the streaming bank, at the operating point
-    window -> learn     noise, constants and the point itself, on disjoint windows, ever more seldom
-    broken row -> solve about the window itself: the parameters changed, or the noise did, or the model does not hold
-    budget              what all of this may cost beside the rows
+    hop -> row          from the streaming bank, at the operating point window -> learn     noise, constants
+    and the point itself, on disjoint windows, ever more seldom broken row -> solve about the window itself:
+    the parameters changed, or the noise did, or the model does not hold budget              what all of this
+    may cost beside the rows
 
-The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one likelihood.
+The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one
+likelihood.
 """
 
 from dataclasses import dataclass, replace
@@ -106,8 +107,8 @@ class SlidingEstimator:
     ) -> Outcome:  # fmt: skip
         """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end.
 
-        missing (N, p+m): readings (outputs, then inputs) that were filled in. suspect (N, p+m): inputs that may be
-        spikes: they count as lost, and the motion says which of them were.
+        missing (N, p+m): readings (outputs, then inputs) that were filled in. suspect (N, p+m): inputs that
+        may be spikes: they count as lost, and the motion says which of them were.
         """
         u = self.explainer.doubts.replaced(index, u, suspect, y.shape[1])
         ready = self._ahead.step(index, y, u, missing, suspect)
@@ -168,7 +169,9 @@ class SlidingEstimator:
             self._jump = float(batch.reading.jump[stop - 1])
         return rows
 
-    def _batch(self, record: Record, windowed: Windowed, longer: list[Reading | None], point: OperatingPoint) -> _Batch:
+    def _batch(
+        self, record: Record, windowed: Windowed, longer: list[Reading | None], point: OperatingPoint
+    ) -> _Batch:
         """Read the windows that end at a batch of rows, and see what of them can be told at once."""
         faults, known = self.explainer.faults, self.explainer.known
         assert known is not None  # noqa: S101 - known since the first window
@@ -227,7 +230,9 @@ class SlidingEstimator:
         rests = np.asarray(record.changes_in(index, window) < min(tuning.LEAST_CHANGES, window // 8))
         if known is None or not known.noise.is_started or not len(index):
             return rests
-        chance = 1 + tuning.STANDSTILL_SD * np.sqrt(0.5 / window)  # of a standard deviation from so many samples
+        chance = 1 + tuning.STANDSTILL_SD * np.sqrt(
+            0.5 / window
+        )  # of a standard deviation from so many samples
         return rests | record.quiet_in(index, window, chance * self.explainer.learner.spread(known.noise))
 
     def _hollow(self, record: Record, index: IntArray) -> BoolArray:
@@ -292,7 +297,9 @@ class SlidingEstimator:
         index = reading.index
         sound = ~broken & ~mute
         due = self.explainer.due(reading) & sound
-        return np.asarray(due | ((broken | (reading.far & sound)) & (index >= self.explainer.disturbance.again)))
+        return np.asarray(
+            due | ((broken | (reading.far & sound)) & (index >= self.explainer.disturbance.again))
+        )
 
     def _meet(self, record: Record, batch: _Batch, i: int) -> bool:
         """Decide about spikes and solve, learn or explain at row i; return whether the bank moved or runs again."""

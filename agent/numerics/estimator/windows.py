@@ -25,7 +25,11 @@ def clean(found: Reading, index: IntArray, broken: BoolArray, ended: IntArray) -
 
 
 def chosen(
-    rows: Outcome, longer: list[Reading | None], broken: BoolArray, ended: IntArray, settings: EstimatorSettings
+    rows: Outcome,
+    longer: list[Reading | None],
+    broken: BoolArray,
+    ended: IntArray,
+    settings: EstimatorSettings,
 ) -> Outcome:
     """Take each estimate from the shortest window that is sharp enough, among those that hold no change.
 

@@ -4,8 +4,8 @@ A line of unit power at the frequency w adds, each sample, the information
 
     M(w) = Re sum over outputs of conj(S) S^T / sigma^2,    S = d G(w) / d theta,
 
-to that of the parameters (Mehra 1974, IEEE Trans. Automatic Control 19:753; Goodwin and Payne 1977, chapter 6). Powers
-that sum to one and make det of the sum greatest are found by the multiplicative algorithm
+to that of the parameters (Mehra 1974, IEEE Trans. Automatic Control 19:753; Goodwin and Payne 1977, chapter
+6). Powers that sum to one and make det of the sum greatest are found by the multiplicative algorithm
 
     p(w) <- p(w) d(w) / q,    d(w) = trace(M^-1 M(w))
 

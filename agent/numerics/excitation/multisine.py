@@ -1,8 +1,8 @@
 """Multisines: sums of cosines of given powers, their phases chosen so that the peak is small.
 
-Phases begin as Schroeder's (1970, IEEE Trans. Information Theory 16:85), which spread the energy evenly over time; then
-the signal is clipped and its lines' amplitudes are put back by turns (Van der Ouderaa, Schoukens and Renneboog 1988,
-IEEE Trans. Instrumentation and Measurement 37:145).
+Phases begin as Schroeder's (1970, IEEE Trans. Information Theory 16:85), which spread the energy evenly over
+time; then the signal is clipped and its lines' amplitudes are put back by turns (Van der Ouderaa, Schoukens
+and Renneboog 1988, IEEE Trans. Instrumentation and Measurement 37:145).
 """
 
 import numpy as np

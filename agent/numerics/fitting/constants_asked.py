@@ -36,8 +36,8 @@ SMALLEST = {"offset": 0.0, "scale": log(1.03), "delay": 0.25}
 class Asked(NamedTuple):
     """What a channel is asked to be wrong by.
 
-    kind, channel: which constant of which channel, inputs first; size: SI, factor, or s; share: (p,) of each output
-    that is left; theta: the model's own parameters.
+    kind, channel: which constant of which channel, inputs first; size: SI, factor, or s; share: (p,) of each
+    output that is left; theta: the model's own parameters.
     """
 
     kind: Kind
@@ -79,7 +79,9 @@ class ConstantsAsked:
             return np.nan, ()
         with np.errstate(all="ignore"):  # of a model far from its rig the first fit is no number
             try:
-                plain = self._fitted(self.model, self.scale, self.lower, self.model.nominal, y, self.complete(y, u))
+                plain = self._fitted(
+                    self.model, self.scale, self.lower, self.model.nominal, y, self.complete(y, u)
+                )
             except (ValueError, np.linalg.LinAlgError):
                 return np.nan, ()
         before = float(np.exp(np.mean(np.log(np.maximum(plain[0], 1e-12)))))
@@ -120,7 +122,8 @@ class ConstantsAsked:
         y = v[:, self.inputs :]
         group = Group((channel,), ()) if channel < self.inputs else Group((), (channel - self.inputs,))
         meter = SkewMeter(
-            self.model, (group,), self.inputs, self.period_s, self.hold, self.push, self._noise(y), self.scale,
+            self.model, (group,), self.inputs, self.period_s, self.hold, self.push, self._noise(y),
+            self.scale,
             self.scale_column, self.lower,
         )  # fmt: skip
         spline = CubicSpline(np.arange(len(v)), v[:, channel])
@@ -144,7 +147,9 @@ class ConstantsAsked:
         rms = np.sqrt(np.mean(y**2, axis=0))
         return np.asarray(np.maximum(sensor_noise(y), TINY * rms + 1e-300))
 
-    def _free(self, kind: Literal["bias", "gain"], v: FloatArray, channel: int) -> tuple[FloatArray, FloatArray]:
+    def _free(
+        self, kind: Literal["bias", "gain"], v: FloatArray, channel: int
+    ) -> tuple[FloatArray, FloatArray]:
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         side, number = ("input", channel) if channel < self.inputs else ("output", channel - self.inputs)
         inner = self.model.model if isinstance(self.model, SensedModel) else self.model
@@ -159,7 +164,13 @@ class ConstantsAsked:
         return self._fitted(model, scale, lower, model.nominal, y, u)
 
     def _fitted(
-        self, model: Model, scale: FloatArray, lower: FloatArray, start: FloatArray, y: FloatArray, u: FloatArray
+        self,
+        model: Model,
+        scale: FloatArray,
+        lower: FloatArray,
+        start: FloatArray,
+        y: FloatArray,
+        u: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the share (p,) left of each output, and the parameters there."""
         column = self.scale_column

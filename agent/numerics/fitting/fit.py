@@ -1,8 +1,8 @@
 """One window, fitted alone: Gauss-Newton by output error, begun with unknown forces that may explain everything.
 
-With forces on every mass the problem is nearly the equation error's, which is linear in springs and dampers, so that a
-start far away does no harm; without them it is the maximum likelihood under white sensor noise (Ljung, System
-Identification, 2nd ed. 1999, section 7.4). Nothing is carried from window to window.
+With forces on every mass the problem is nearly the equation error's, which is linear in springs and dampers,
+so that a start far away does no harm; without them it is the maximum likelihood under white sensor noise
+(Ljung, System Identification, 2nd ed. 1999, section 7.4). Nothing is carried from window to window.
 """
 
 from dataclasses import dataclass, replace

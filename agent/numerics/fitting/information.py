@@ -1,8 +1,8 @@
 """Fisher information of a window and the Cramér-Rao bound: the least sd that any unbiased estimate can have.
 
-White sensor noise of known standard deviation, an unknown initial state, known inputs (Ljung, System Identification,
-2nd ed. 1999, section 7.4). Constants of the rig enter with their data sheets as priors, which makes it the bound of
-van Trees (Detection, Estimation and Modulation Theory I, 1968, section 2.4.3).
+White sensor noise of known standard deviation, an unknown initial state, known inputs (Ljung, System
+Identification, 2nd ed. 1999, section 7.4). Constants of the rig enter with their data sheets as priors, which
+makes it the bound of van Trees (Detection, Estimation and Modulation Theory I, 1968, section 2.4.3).
 """
 
 from dataclasses import dataclass

@@ -1,13 +1,13 @@
 """How much later one group of channels is read than another, told by the model.
 
-Two devices number their samples by themselves, or stamp them after delays of their own. The motion cannot be late
-against the force that causes it, so a delay is one more parameter of the model, to first order
+Two devices number their samples by themselves, or stamp them after delays of their own. The motion cannot be
+late against the force that causes it, so a delay is one more parameter of the model, to first order
 
     y(t - d) = y - d y',   y' = C A x + C B u + D u'            u(t - d): u true = u + d u'
 
-and exact where it matters: the readings are resampled by what was found and the fit is repeated until nothing is
-left. Springs and dampers are fitted beside it, since a late reading looks like a damper (a delay of d on a spring k
-takes k d from its damping) as long as no mass tells them apart.
+and exact where it matters: the readings are resampled by what was found and the fit is repeated until nothing
+is left. Springs and dampers are fitted beside it, since a late reading looks like a damper (a delay of d on a
+spring k takes k d from its damping) as long as no mass tells them apart.
 """
 
 from collections.abc import Callable, Sequence
@@ -106,7 +106,8 @@ def _widened(s: StateSpace, groups: Sequence[Group], delays: FloatArray, rates: 
 class Delays(NamedTuple):
     """What one stretch of samples tells: delays (g,) and their sd, s, and the model's own parameters there.
 
-    sure: the fit found its maximum, and the stretch tells all delays. misfit: rms of what is left, in the noise's sd.
+    sure: the fit found its maximum, and the stretch tells all delays. misfit: rms of what is left, in the
+    noise's sd.
     """
 
     delay_s: FloatArray
@@ -137,8 +138,8 @@ class SkewMeter:
         period_s, hold: of the sampled model.
         push: (n, d) directions in which unknown forces push the state.
         sigma: (p,) sd of each output's noise, NaN where it is not known.
-        scale, lower: (q,) size and bound of each of the model's own parameters; an offset's size, NaN, is that of a
-            column of outputs and inputs, `scale_column` (q,).
+        scale, lower: (q,) size and bound of each of the model's own parameters; an offset's size, NaN, is
+            that of a column of outputs and inputs, `scale_column` (q,).
     """
 
     model: Model
@@ -152,11 +153,14 @@ class SkewMeter:
     scale_column: IntArray | None
     lower: FloatArray
 
-    def measure(self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, theta: FloatArray) -> Delays:
+    def measure(
+        self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, theta: FloatArray
+    ) -> Delays:
         """Find the delays of one stretch.
 
         Args:
-            resampled: delays (g,), s -> outputs and inputs (N, p + m), each group's readings taken that much later.
+            resampled: delays (g,), s -> outputs and inputs (N, p + m), each group's readings taken that much
+                later.
             start_s: (g,) where to begin.
             theta: (q,) the model's own parameters to begin with.
         """
@@ -179,16 +183,21 @@ class SkewMeter:
         rates = (u[2:, : self.signals] - u[:-2, : self.signals]) / (2 * self.period_s)
         columns = np.hstack([y[1:-1], u[1:-1], rates])
         problem = Problem(
-            DelayedModel(self.model, self.groups, self.signals), self.period_s, self.hold, self._noise(y), self.push,
+            DelayedModel(self.model, self.groups, self.signals), self.period_s, self.hold, self._noise(y),
+            self.push,
             np.concatenate([sized(self.scale, self.scale_column, columns), np.full(g, DELAY_SCALE_S)]),
             np.concatenate([self.lower, np.full(g, -np.inf)]),
         )  # fmt: skip
-        fit = fit_window(problem, window_of(columns[:, :p], columns[:, p:]), np.concatenate([theta, np.zeros(g)]))
+        fit = fit_window(
+            problem, window_of(columns[:, :p], columns[:, p:]), np.concatenate([theta, np.zeros(g)])
+        )
         unknowns = len(theta) + g + len(self.model.state_names)
         variance = fit.cost / max(columns[:, :p].size - unknowns, 1)
         told = np.diag(fit.covariance)[-g:] * variance
         sd = np.sqrt(np.where(told > 0, told, np.inf))
-        motion = float(np.sum(((columns[:, :p] - columns[:, :p].mean(axis=0)) / problem.sigma) ** 2)) - fit.cost
+        motion = (
+            float(np.sum(((columns[:, :p] - columns[:, :p].mean(axis=0)) / problem.sigma) ** 2)) - fit.cost
+        )
         moves = motion > MOTION_SEEN * unknowns * variance
         return _Turn(fit.theta[-g:], sd, fit.theta[:-g], fit.converged and moves, float(np.sqrt(variance)))
 
@@ -209,8 +218,8 @@ class Skew(NamedTuple):
 def combined(found: Sequence[Delays], floor_s: float) -> Skew | None:
     """Return what stretches say together; None with fewer than two that are sure.
 
-    Their scatter counts where it is more than they state; one that is far off (a structure that changed within it)
-    does not. floor_s is what no measurement is better than.
+    Their scatter counts where it is more than they state; one that is far off (a structure that changed
+    within it) does not. floor_s is what no measurement is better than.
     """
     sure = [one for one in found if one.sure]
     if len(sure) < 2:

@@ -1,8 +1,9 @@
 """Which channel is wired, signed or scaled wrongly, told by the model: what would explain the readings far better?
 
-Each hypothesis mends the readings (two channels exchanged, one turned round, one divided by a factor) and fits the
-model to them; what it leaves of each output is compared, as a share of that output, so that no unit matters. A
-healthy rig leaves noise, and nothing leaves much less; a wrong channel leaves most of the motion, and mending it noise.
+Each hypothesis mends the readings (two channels exchanged, one turned round, one divided by a factor) and
+fits the model to them; what it leaves of each output is compared, as a share of that output, so that no unit
+matters. A healthy rig leaves noise, and nothing leaves much less; a wrong channel leaves most of the motion,
+and mending it noise.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -105,8 +106,8 @@ class Examiner:
         period_s, hold: of the sampled model.
         push: (n, d) directions in which unknown forces push the state.
         sigma: (p,) sd of each output's noise, NaN where it is not known.
-        scale, lower: (q,) size and bound of each parameter; an offset's size, NaN, is that of a column of outputs and
-            inputs, `scale_column` (q,).
+        scale, lower: (q,) size and bound of each parameter; an offset's size, NaN, is that of a column of
+            outputs and inputs, `scale_column` (q,).
         elastic: (q,) which parameters are springs, dampers or the like, all in proportion to the force.
         complete: outputs and inputs -> all of the model's inputs.
         progress: called with how many of how many hypotheses are examined.
@@ -150,7 +151,11 @@ class Examiner:
         # one stretch shows which are worth all of them
         least = min((trial.left for trial in trials), default=np.inf)
         trials = [self._try(t.hypothesis, stretches) for t in trials if t.left <= WORTH * least]
-        good = [t for t in trials if t.left * BETTER < plain.left and t.share.max() < EXPLAINED and self._plausible(t)]
+        good = [
+            t
+            for t in trials
+            if t.left * BETTER < plain.left and t.share.max() < EXPLAINED and self._plausible(t)
+        ]
         if not good:
             return None
         best = min(good, key=lambda trial: trial.left)
@@ -225,7 +230,9 @@ class Examiner:
         u = self.complete(y, u)
         size = sized(self.scale, self.scale_column, np.hstack([y, u]))
         problem = Problem(self.model, self.period_s, self.hold, sigma, self.push, size, self.lower)
-        with np.errstate(all="ignore"):  # what a wrong hypothesis does to a fit is its own affair: it leaves everything
+        with np.errstate(
+            all="ignore"
+        ):  # what a wrong hypothesis does to a fit is its own affair: it leaves everything
             try:
                 fit = fit_window(problem, window_of(y, u), self.model.nominal, max_steps=8, tolerance=0.1)
             except (ValueError, np.linalg.LinAlgError):

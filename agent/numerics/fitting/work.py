@@ -23,8 +23,8 @@ WORK = Work()
 class Budget:
     """A token bucket: work that may be begun now, counted in samples, so that live and replay stay equal.
 
-    What is begun is finished, and may leave a debt that the samples to come pay first; so what N samples spend is at
-    most capital + once + rate N and what was begun last, whatever a rig asks for.
+    What is begun is finished, and may leave a debt that the samples to come pay first; so what N samples
+    spend is at most capital + once + rate N and what was begun last, whatever a rig asks for.
 
     Args:
         capital: what there is at first, and what may be saved up at most.

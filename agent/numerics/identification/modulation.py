@@ -6,8 +6,8 @@ The transforms of a signal y by the derivatives of ψ are sums of windowed Fouri
 
     S_j(y) = ∫ ψ^(j) y dt = Σ_a C(j, a) (-iω)^(j-a) ∫ w^(a) y exp(-iωt) dt
 
-Sums over samples are integrals here: the integrand vanishes at both ends with many derivatives (Shinbrot, Trans. ASME
-79 (1957) 547; Pearson & Lee, Automatica 21 (1985) 573).
+Sums over samples are integrals here: the integrand vanishes at both ends with many derivatives (Shinbrot,
+Trans. ASME 79 (1957) 547; Pearson & Lee, Automatica 21 (1985) 573).
 """
 
 from dataclasses import dataclass
@@ -48,7 +48,10 @@ class Modulation:
         omega = self.omega
         windowed = [np.fft.rfft(w[:, None] * signals, axis=0)[: len(omega)] for w in self._window()]
         turning = -1j * omega[:, None]
-        rows = [sum(comb(j, a) * turning ** (j - a) * windowed[a] for a in range(j + 1)) for j in range(self.order + 1)]
+        rows = [
+            sum(comb(j, a) * turning ** (j - a) * windowed[a] for a in range(j + 1))
+            for j in range(self.order + 1)
+        ]
         return np.asarray(self.period_s * np.array(rows), dtype=np.complex128)
 
     def _window(self) -> FloatArray:

@@ -4,8 +4,9 @@ Each window linearised at the same point says of deviations (δ, ξ) of paramete
 
     cost = (δ - a + Z ξ)ᵀ V⁻¹ (δ - a + Z ξ) + ξᵀ S ξ - 2 gᵀ ξ
 
-with its own initial state and noise eliminated. Costs add up; constants have the prior of their data sheets once, so
-what these leave open is averaged by no number of windows. Gauss-Newton: the point moves until the sum rests.
+with its own initial state and noise eliminated. Costs add up; constants have the prior of their data sheets
+once, so what these leave open is averaged by no number of windows. Gauss-Newton: the point moves until the
+sum rests.
 """
 
 from collections.abc import Callable, Sequence
@@ -83,7 +84,12 @@ class Pooled:
 
 
 def pooled(
-    rig: Rig, windows: Sequence[Window], sigma: FloatArray, spread: FloatArray, floor: FloatArray, progress: Progress
+    rig: Rig,
+    windows: Sequence[Window],
+    sigma: FloatArray,
+    spread: FloatArray,
+    floor: FloatArray,
+    progress: Progress,
 ) -> Pooled:
     """Estimate from disjoint windows of one length, begun at the rig's nominal; sigma, spread, floor (p,) of its noise.
 
@@ -104,7 +110,9 @@ def pooled(
         unit = np.abs(found.unit)
         moved = unit * found.step[: rig.q]
         eta = np.clip(known.eta + found.step[rig.q :], -farthest, farthest)
-        theta = np.maximum(known.theta + _bounded(moved, np.where(rig.nominal != 0, known.theta, 0.0)), rig.lower)
+        theta = np.maximum(
+            known.theta + _bounded(moved, np.where(rig.nominal != 0, known.theta, 0.0)), rig.lower
+        )
         known = replace(known, theta=theta, eta=eta)
         rests = bool(np.all(np.abs(moved) <= RESTS_SD * unit * np.sqrt(np.diag(found.covariance)[: rig.q])))
         if rests:
@@ -181,6 +189,7 @@ class _Sum:
         whole = self.covariance[:q, :q] + (self.scatter - 1.0) * self.given
         sd = np.sqrt(np.diag(whole))
         return Pooled(
-            known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)), whole / np.outer(sd, sd),
+            known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)),
+            whole / np.outer(sd, sd),
             known.eta, self.scatter, taught, converged, known,
         )  # fmt: skip

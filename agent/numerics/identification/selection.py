@@ -1,10 +1,11 @@
 """Which elements a rig has: dropped and proposed one by one, by what windows say and how much they differ.
 
-All elements that could be are estimated together. Each window's cost is a quadratic (see `pooled`), so the estimates
-of any choice of elements follow by linear algebra, the others held at 0. Samples within a window depend on one another
-and count for what the likelihood of the window says; windows count as many as there are: the variance of an estimate is
-that of the likelihood, or, where more, that of leaving out one window at a time (block jackknife; Kunsch, Ann. Statist.
-17 (1989) 1217), and a quantile of Student's t with as many degrees of freedom as windows less one decides.
+All elements that could be are estimated together. Each window's cost is a quadratic (see `pooled`), so the
+estimates of any choice of elements follow by linear algebra, the others held at 0. Samples within a window
+depend on one another and count for what the likelihood of the window says; windows count as many as there
+are: the variance of an estimate is that of the likelihood, or, where more, that of leaving out one window at
+a time (block jackknife; Kunsch, Ann. Statist. 17 (1989) 1217), and a quantile of Student's t with as many
+degrees of freedom as windows less one decides.
 """
 
 from dataclasses import dataclass
@@ -30,8 +31,8 @@ class Choice:
     Attributes:
         kept: (q,) the parameters that are free; the others are 0.
         theta, sd: (q,) estimates and their standard deviations, data sheets included.
-        score: log likelihood against that of everything free, counted once for dependent data, less what each element
-            costs.
+        score: log likelihood against that of everything free, counted once for dependent data, less what each
+            element costs.
     """
 
     kept: BoolArray

@@ -1,9 +1,10 @@
 """A start from nothing: the weak form solved by least squares, then by refined instruments.
 
-Bins are weighed by what the sensors' noise leaves of them, N = G Σ Gᴴ + unknown forces, G the dynamic stiffness at the
-estimate before. Noise in the columns biases least squares; what it adds to the normal equations is known and taken out.
-Where forces are measured, the columns of the motion that they cause, G⁻¹ F, are instruments: they know nothing of the
-noise, whatever it is (Young & Jakeman's refined instrumental variables, Int. J. Control 29 (1979) 1, bin by bin).
+Bins are weighed by what the sensors' noise leaves of them, N = G Σ Gᴴ + unknown forces, G the dynamic
+stiffness at the estimate before. Noise in the columns biases least squares; what it adds to the normal
+equations is known and taken out. Where forces are measured, the columns of the motion that they cause, G⁻¹ F,
+are instruments: they know nothing of the noise, whatever it is (Young & Jakeman's refined instrumental
+variables, Int. J. Control 29 (1979) 1, bin by bin).
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,7 +42,8 @@ def hidden(model: MassSpringDamper) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def start(
-    model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], period_s: float, sigma: FloatArray,
+    model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], period_s: float,
+    sigma: FloatArray,
     *, straight: bool, standing: bool,
 ) -> FloatArray:  # fmt: skip
     """Return the parameters (q,) of records (y (N, p), u (N, m), the signs of frictions last); sigma (p,): sensor sds.
@@ -56,7 +58,8 @@ def start(
 
 
 def _joined(
-    model: MassSpringDamper, sensing: Sensing, pieces: Sequence[tuple[FloatArray, FloatArray]], period_s: float,
+    model: MassSpringDamper, sensing: Sensing, pieces: Sequence[tuple[FloatArray, FloatArray]],
+    period_s: float,
     *, straight: bool,
 ) -> Spectra:  # fmt: skip
     # a motion that dies away is seen by short stretches near its beginning
@@ -204,7 +207,11 @@ class _Solver:
             x[:, node] = np.sqrt(noise[:, v])
             motion = np.array([x, iw[:, None] * x, iw[:, None] ** 2 * x])
             alone = replace(
-                s, motion=motion, force=np.zeros_like(s.force), slip=np.zeros_like(s.slip), standing=0 * s.standing
+                s,
+                motion=motion,
+                force=np.zeros_like(s.force),
+                slip=np.zeros_like(s.slip),
+                standing=0 * s.standing,
             )
             P, b = self.equations.regression(alone)
             dA += np.einsum("bnc,bnm,bmd->cd", P.conj(), W, P, optimize=True).real

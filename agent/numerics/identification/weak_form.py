@@ -86,7 +86,13 @@ class Spectra:
 
 
 def spectra(
-    model: MassSpringDamper, sensing: Sensing, y: FloatArray, u: FloatArray, period_s: float, *, straight: bool
+    model: MassSpringDamper,
+    sensing: Sensing,
+    y: FloatArray,
+    u: FloatArray,
+    period_s: float,
+    *,
+    straight: bool,
 ) -> Spectra:
     """Transform one stretch of outputs y (L, p) and inputs u (L, m), the frictions' signs last."""
     r = sensing.highest

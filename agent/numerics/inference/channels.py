@@ -1,13 +1,14 @@
 """A contest of explanations: did the parameters change, or does one channel read wrongly?
 
-All are put to one window by evidence (Schwarz, Ann. Stat. 6 (1978) 461), 2 log L − k log ν, under the noise known:
+All are put to one window by evidence (Schwarz, Ann. Stat. 6 (1978) 461), 2 log L − k log ν, under the noise
+known:
 
     structure    θ as it was, free, one of its elements free, or free with a jump inside the window
     channel      θ ~ N(as it was, sd²), and one channel mended by one number: offset, gain or delay
 
-At given θ the window is linear in the readings, so the column of an offset is a constant, that of a gain the reading
-itself; that of a delay is the change a sample. A number found so is mended in the readings and the window looked at
-again, until it rests: what counts is the evidence of the mended window.
+At given θ the window is linear in the readings, so the column of an offset is a constant, that of a gain the
+reading itself; that of a delay is the change a sample. A number found so is mended in the readings and the
+window looked at again, until it rests: what counts is the evidence of the mended window.
 """
 
 from collections.abc import Callable, Iterator
@@ -44,7 +45,8 @@ class Fault:
 
     Attributes:
         channel: outputs first, then inputs.
-        kind: what it does;  size, sd: how much: what is read too much (SI), a share, samples; the value it stood at.
+        kind: what it does;  size, sd: how much: what is read too much (SI), a share, samples; the value it
+            stood at.
     """
 
     channel: int
@@ -129,7 +131,13 @@ class ChannelTest:
         self._inputs = np.flatnonzero(learner.rig.driven).tolist()
 
     def contest(
-        self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray, late: Late, everything: bool = False
+        self,
+        window: Window,
+        known: Knowledge,
+        sd: FloatArray,
+        solved: FloatArray,
+        late: Late,
+        everything: bool = False,
     ) -> Contest:
         """Weigh a window; known: what held before, sd (q,) of its θ; solved (q,): θ where the window came to rest."""
         there = self._learner.at_point(window, replace(known, theta=solved), jumps=True)
@@ -139,7 +147,9 @@ class ChannelTest:
         first = list(self._looked(before, window, known, sd))
         least = min((value for _, value in first), default=0.0)
         worth = [
-            fault for fault, value in first if everything or value - least < 2 * tuning.WORTH_MENDING * _temper(known)
+            fault
+            for fault, value in first
+            if everything or value - least < 2 * tuning.WORTH_MENDING * _temper(known)
         ]
         found = [e for fault in worth if (e := self._mended(fault, known, sd, late)) is not None]
         contest = Contest(structure, _best_of_each(found))
@@ -178,7 +188,9 @@ class ChannelTest:
         for columns, precision, count in options:
             prior = self._prior(at, known, precision, len(columns) - nb)
             rss, _, _ = _fit(at.G[np.ix_([*columns, -1], [*columns, -1])], prior)
-            best = max(best, (-0.5 * rss / _temper(known) - 0.5 * count * np.log(dof), self._excess(rss, dof, known)))
+            best = max(
+                best, (-0.5 * rss / _temper(known) - 0.5 * count * np.log(dof), self._excess(rss, dof, known))
+            )
         return Explanation(None, best[0] - self._spread_of_noise(at), best[1])
 
     # ------------------------------------------------------------------ the channels
@@ -188,7 +200,9 @@ class ChannelTest:
         """Yield each fault at its linear size, with what it leaves."""
         p = self._learner.p
         kinds: tuple[Kind, ...] = ("offset", "gain", "delay")
-        faults = [(channel, kind) for channel in (*range(p), *(p + j for j in self._inputs)) for kind in kinds]
+        faults = [
+            (channel, kind) for channel in (*range(p), *(p + j for j in self._inputs)) for kind in kinds
+        ]
         columns = np.stack([self._column(at, window, known, *fault) for fault in faults], axis=2)
         for (channel, kind), found in zip(faults, self._with(at, known, sd, columns), strict=True):
             if found is not None:
@@ -199,7 +213,9 @@ class ChannelTest:
     ) -> Iterator[tuple[float, float, float] | None]:
         """Yield what is left with one of the columns (kept, p, f), its size and its sd; None where nothing shows it."""
         nb = at.regression.layout.base
-        G = at.cells.gram(at.Si, np.concatenate([at.regression.X[..., :nb], more, at.regression.X[..., -1:]], axis=2))
+        G = at.cells.gram(
+            at.Si, np.concatenate([at.regression.X[..., :nb], more, at.regression.X[..., -1:]], axis=2)
+        )
         G[-1, -1] = at.G[-1, -1]
         prior = self._prior(at, known, (at.unit / sd) ** 2, 1)
         for i in range(nb, len(G) - 1):
@@ -210,7 +226,9 @@ class ChannelTest:
             rss, fit, V = _fit(G[np.ix_(columns, columns)], prior)
             yield rss, float(fit[-1]), float(np.sqrt(V[-1, -1]))
 
-    def _column(self, at: Linearised, window: Window, known: Knowledge, channel: int, kind: Kind) -> ComplexArray:
+    def _column(
+        self, at: Linearised, window: Window, known: Knowledge, channel: int, kind: Kind
+    ) -> ComplexArray:
         """(kept, p) what the residual holds where a channel reads 1 too little, 1/2 of what it should, 1 late."""
         response, p = at.cells.response, self._learner.p
         kept = response.bins.kept
@@ -225,7 +243,9 @@ class ChannelTest:
         driven = [response.driven(int(j), U[:, i]) for i, j in enumerate(taps)]
         return np.asarray(np.sum(driven, axis=0) * regressor.output_gain)
 
-    def _signal(self, at: Linearised, regressor: Regressor, window: Window, kind: Kind, channel: int) -> ComplexArray:
+    def _signal(
+        self, at: Linearised, regressor: Regressor, window: Window, kind: Kind, channel: int
+    ) -> ComplexArray:
         """(kept,) what an output's own residual holds."""
         response = at.cells.response
         kept = response.bins.kept
@@ -253,7 +273,9 @@ class ChannelTest:
             fault = fault.moved(step)
         return None
 
-    def _left(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late) -> tuple[Window, float, float] | None:
+    def _left(
+        self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late
+    ) -> tuple[Window, float, float] | None:
         """Return a window put right by a fault's size, and how much of it is left with its sd; None where none is."""
         lag = fault.lag
         whole = late(fault.channel, lag) if 0 <= lag < self._learner.window // 4 else None
@@ -261,10 +283,14 @@ class ChannelTest:
             return None
         window = _put_right(whole, self._rig, fault)
         at = self._learner.at_point(window, known)
-        (found,) = self._with(at, known, sd, self._column(at, window, known, fault.channel, fault.kind)[..., None])
+        (found,) = self._with(
+            at, known, sd, self._column(at, window, known, fault.channel, fault.kind)[..., None]
+        )
         return None if found is None else (window, found[1], found[2])
 
-    def _explained(self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray) -> Explanation | None:
+    def _explained(
+        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray
+    ) -> Explanation | None:
         """A mended window's evidence: of a gain, its noise behind the gain or before it, whichever is likelier."""
         factor = abs(1 + fault.size) if fault.kind == "gain" else 1.0
         if factor < LEAST_FACTOR:
@@ -275,7 +301,9 @@ class ChannelTest:
         shifts = [behind, np.zeros_like(behind)] if abs(behind).max() > 0 else [behind]
         return max((self._under(fault, window, known, sd, s) for s in shifts), key=lambda e: e.evidence)
 
-    def _under(self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, shift: FloatArray) -> Explanation:
+    def _under(
+        self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, shift: FloatArray
+    ) -> Explanation:
         """The evidence of a mended window whose log σ is shifted (p,), as a density of the readings as they came."""
         noise = replace(known.noise, log_sigma=known.noise.log_sigma + shift)
         at = self._learner.at_point(window, replace(known, noise=noise))
@@ -311,15 +339,20 @@ class ChannelTest:
         S[:kept] += power[:, None, None] * h[:, :, None] * h[:, None, :].conj()
         unsure = replace(at, Si=np.asarray(np.linalg.inv(S), dtype=complex))
         nb = at.regression.layout.base
-        X = np.concatenate([at.regression.X[..., :nb], np.stack(more, axis=2), at.regression.X[..., -1:]], axis=2)
+        X = np.concatenate(
+            [at.regression.X[..., :nb], np.stack(more, axis=2), at.regression.X[..., -1:]], axis=2
+        )
         G = at.cells.gram(unsure.Si, X)
-        # above the kept bins only the start that a wrong input led to would show: they count as what is expected
+        # above the kept bins only the start that a wrong input led to would show: they count as what is
+        # expected
         G[-1, -1] += at.cells.weight[kept:].sum() * self._learner.p
         rss, _, _ = _fit(G, self._prior(at, known, (at.unit / sd) ** 2, len(more)))
         return replace(self._explanation(unsure, known, rss, 1 + len(more)), fault=fault)
 
     # ------------------------------------------------------------------ what all share
-    def _under_prior(self, at: Linearised, known: Knowledge, precision: FloatArray, count: int) -> Explanation:
+    def _under_prior(
+        self, at: Linearised, known: Knowledge, precision: FloatArray, count: int
+    ) -> Explanation:
         """The evidence of a window with θ ~ N(as known, 1/precision) and so many numbers found from it."""
         columns = [*range(at.regression.layout.base), -1]
         rss, _, _ = _fit(at.G[np.ix_(columns, columns)], self._prior(at, known, precision, 0))

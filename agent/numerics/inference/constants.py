@@ -1,8 +1,8 @@
 """What is known of the rig's constants: a Gaussian sum over hypotheses, carried from window to window.
 
-Hypotheses: every constant as configured; all within a common factor of their data sheets; one constant, or one group
-(all masses, all outputs, all inputs) off, or drifting. Each carries mean and covariance; the window's marginal
-likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
+Hypotheses: every constant as configured; all within a common factor of their data sheets; one constant, or
+one group (all masses, all outputs, all inputs) off, or drifting. Each carries mean and covariance; the
+window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,11 @@ from agent.numerics.inference.spectral.algebra import inverse, log_determinant, 
 from agent.numerics.model.uncertain import Constant, Kind
 from agent.types import FloatArray
 
-GROUPS: tuple[tuple[Kind, str], ...] = (("mass", "all masses"), ("output", "all outputs"), ("input", "all inputs"))
+GROUPS: tuple[tuple[Kind, str], ...] = (
+    ("mass", "all masses"),
+    ("output", "all outputs"),
+    ("input", "all inputs"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,11 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
     base = [("as configured", _within(sheet, shows, tuning.AS_CONFIGURED), quiet)]
     base += [
-        ("within data sheet", _within(sheet, shows, factor), np.diag((tuning.SHEET_WALK * factor * sheet) ** 2))
+        (
+            "within data sheet",
+            _within(sheet, shows, factor),
+            np.diag((tuning.SHEET_WALK * factor * sheet) ** 2),
+        )
         for factor in tuning.SHEET_FACTORS
     ]
     none = np.zeros(len(constants))
@@ -74,7 +82,11 @@ def _least(sheet: FloatArray) -> FloatArray:
 def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, bool, float, float]]:
     """(name, members, drifts, prior sd, walk) of everything that may be off."""
     out: list[tuple[str, FloatArray, bool, float, float]] = []
-    single = [(c.name, np.eye(len(constants))[i], c.kind) for i, c in enumerate(constants) if c.sheet > 0 and c.shows]
+    single = [
+        (c.name, np.eye(len(constants))[i], c.kind)
+        for i, c in enumerate(constants)
+        if c.sheet > 0 and c.shows
+    ]
     for kind, name in GROUPS:
         together = np.array([float(c.kind == kind and c.sheet > 0 and c.shows) for c in constants])
         if together.sum() > 1:
@@ -124,14 +136,16 @@ class Constants:
     def standing(self) -> tuple[FloatArray, FloatArray]:
         """Mean (c,) and covariance (c, c) of the hypotheses that stand: what is unlikely moves no estimate.
 
-        One Gaussian with the whole mixture's covariance would let the noise of a window pull the constants as far as an
-        explanation of 1 % weight allows.
+        One Gaussian with the whole mixture's covariance would let the noise of a window pull the constants as
+        far as an explanation of 1 % weight allows.
         """
         kept = self.weight >= tuning.STANDING_WEIGHT * self.weight.max()
         weight = self.weight[kept] / self.weight[kept].sum()
         mean = weight @ self.mean[kept]
         apart = self.mean[kept] - mean
-        return mean, np.einsum("h,hij->ij", weight, self.covariance[kept]) + (weight[:, None] * apart).T @ apart
+        return mean, np.einsum("h,hij->ij", weight, self.covariance[kept]) + (
+            weight[:, None] * apart
+        ).T @ apart
 
     def predicted(self, windows: float = 1.0) -> "Constants":
         """Return what is known so many windows later: constants walk, hypotheses switch."""
@@ -146,12 +160,16 @@ class Constants:
         """Return what is known after a window with information S (c, c) and score g (c,) about η = at (c,)."""
         deviation = self.mean - at
         score = g - deviation @ S
-        # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16 times larger
+        # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16
+        # times larger
         F = root(self.covariance)
         M = np.eye(len(S)) + F.swapaxes(1, 2) @ S @ F
         covariance = F @ inverse(M) @ F.swapaxes(1, 2)
         moved = np.einsum("hij,hj->hi", covariance, score)
-        evidence = 0.5 * ((score * moved).sum(axis=1) - log_determinant(M)) + ((g + score) * deviation).sum(axis=1) / 2
+        evidence = (
+            0.5 * ((score * moved).sum(axis=1) - log_determinant(M))
+            + ((g + score) * deviation).sum(axis=1) / 2
+        )
         log = np.log(np.maximum(self.weight, 1e-300)) + evidence
         weight = np.exp(log - log.max())
         return Constants(self.hypotheses, weight / weight.sum(), self.mean + moved, covariance)

@@ -1,7 +1,8 @@
 """Is there dry friction that the model has no term for? The score test of one more column a damper.
 
-The column is the response to a force of 1 N against the sign of the speed across a damper, from the window's own
-trajectory. Its likelihood ratio is weighed against what a column costs (Schwarz, Ann. Stat. 6 (1978) 461).
+The column is the response to a force of 1 N against the sign of the speed across a damper, from the window's
+own trajectory. Its likelihood ratio is weighed against what a column costs (Schwarz, Ann. Stat. 6 (1978)
+461).
 """
 
 from dataclasses import dataclass
@@ -33,7 +34,9 @@ class Friction:
     shift: FloatArray
 
 
-def column(response: Response, states: ComplexArray, rubbing: Rubbing, output_gain: FloatArray) -> ComplexArray:
+def column(
+    response: Response, states: ComplexArray, rubbing: Rubbing, output_gain: FloatArray
+) -> ComplexArray:
     """Return the response (kept, p) to a force of 1 against the speed across a damper; states (kept, n)."""
     kept, window = response.bins.kept, response.bins.window
     speed = np.fft.irfft(states @ rubbing.speed, window) * np.sqrt(window)
@@ -43,7 +46,9 @@ def column(response: Response, states: ComplexArray, rubbing: Rubbing, output_ga
     return np.asarray(np.sum(pushes, axis=0) * output_gain)
 
 
-def friction(gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: float, misfit: float) -> Friction:
+def friction(
+    gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: float, misfit: float
+) -> Friction:
     """Weigh the last column but one of a Gram (base + 2, base + 2), its last the residual; R, b: the base's prior."""
     nb = len(R)
     V = inverse(gram[:nb, :nb] + R)

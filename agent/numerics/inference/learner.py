@@ -54,8 +54,12 @@ class Learner:
         rig = self.rig
         c = len(self.rig.constants)
         total = self.window // 2 + 1
-        noise = Noise.prior(np.maximum(sigma, np.exp(self.log_floor)), spread, total, len(self.sources), rig.q)
-        return Knowledge(rig.nominal.copy(), np.zeros(c), noise, Constants.prior(self.hypotheses), Scatter.prior(rig.q))
+        noise = Noise.prior(
+            np.maximum(sigma, np.exp(self.log_floor)), spread, total, len(self.sources), rig.q
+        )
+        return Knowledge(
+            rig.nominal.copy(), np.zeros(c), noise, Constants.prior(self.hypotheses), Scatter.prior(rig.q)
+        )
 
     def spread(self, noise: Noise) -> FloatArray:
         """Return the sd (p,) of each output's readings where nothing moves: white and coloured noise of its sensor."""
@@ -78,7 +82,12 @@ class Learner:
 
     # ------------------------------------------------------------------ the way through one window
     def learn(
-        self, window: Window, known: Knowledge, shaken: bool = False, believe: bool = False, later: float = 1.0
+        self,
+        window: Window,
+        known: Knowledge,
+        shaken: bool = False,
+        believe: bool = False,
+        later: float = 1.0,
     ) -> tuple[Posterior, Knowledge]:
         """Return what a window says and what is known after it; a window that changes teaches nothing.
 
@@ -94,7 +103,10 @@ class Learner:
         for _ in range(tuning.ROUNDS):
             noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
             constants = self._constants_after(settled, predicted)
-            moved = np.abs(constants.expected - predicted.eta) > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
+            moved = (
+                np.abs(constants.expected - predicted.eta)
+                > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
+            )
             if not moved.any():
                 break
             # the constants are elsewhere: the model is made straight there before anything is believed
@@ -119,7 +131,9 @@ class Learner:
         for rubbing in self.rig.rubbings:
             more = column(at.cells.response, at.regression.states, rubbing, gain)[..., None]
             X = np.concatenate([at.regression.X[..., : layout.base], more, at.regression.X[..., -1:]], axis=2)
-            found = friction(at.cells.gram(at.Si, X), at.ridge.R, at.ridge.b, layout.psi, posterior.dof, misfit)
+            found = friction(
+                at.cells.gram(at.Si, X), at.ridge.R, at.ridge.b, layout.psi, posterior.dof, misfit
+            )
             moved = np.abs(at.unit * found.shift) > posterior.sd
             if found.evidence > tuning.FRICTION_EVIDENCE and moved.any():
                 return True
@@ -153,16 +167,22 @@ class Learner:
         unknown = spread > tuning.SIGMA_UNKNOWN
         return np.where(unknown, np.maximum(self.log_floor, noise.log_sigma - 2 * spread), noise.log_sigma)
 
-    def solve(self, window: Window, known: Knowledge, steps: int = tuning.STEPS) -> tuple[Posterior, FloatArray]:
+    def solve(
+        self, window: Window, known: Knowledge, steps: int = tuning.STEPS
+    ) -> tuple[Posterior, FloatArray]:
         """Return what a window says under what is known, and where it came to rest; nothing is learnt."""
         at = self.lineariser.linearised(window, known, jumps=known.noise.is_started, steps=steps)
         return self._posterior(at, known), at.theta
 
     def at_point(self, window: Window, known: Knowledge, jumps: bool = False) -> Linearised:
         """Return a window linearised at what is known, wherever its own best parameters are."""
-        return self.lineariser.point(window, known, known.theta, self.cuts if jumps else np.zeros(0, dtype=np.int64))
+        return self.lineariser.point(
+            window, known, known.theta, self.cuts if jumps else np.zeros(0, dtype=np.int64)
+        )
 
-    def lost_readings(self, window: Window, known: Knowledge, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def lost_readings(
+        self, window: Window, known: Knowledge, moved: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return what the filled-in readings of a window are wrong by (l,), and the covariance of that (l, l).
 
         moved (l,): what the window is filled with beyond the mean of the prior.
@@ -202,8 +222,12 @@ class Learner:
 
     def _open_minded(self, at: Linearised, known: Knowledge, ridge: Ridge) -> tuple[float, NoiseFit]:
         """Restricted log likelihood of a window under the noise known, and the fit of whatever noise explains it."""
-        before = NoiseFit(known.noise, at.cells, at.regression, self.sources, ridge).restricted_log_likelihood()
-        open_minded = replace(known.noise, log_weight=0.1 * known.noise.log_weight, windows=min(known.noise.windows, 1))
+        before = NoiseFit(
+            known.noise, at.cells, at.regression, self.sources, ridge
+        ).restricted_log_likelihood()
+        open_minded = replace(
+            known.noise, log_weight=0.1 * known.noise.log_weight, windows=min(known.noise.windows, 1)
+        )
         least = self._least(known.noise)
         _, fit = learn(open_minded, at.cells, at.regression, self.sources, ridge, None, least, shaken=True)
         return before, fit
@@ -264,8 +288,8 @@ class Learner:
     def line(self, window: Window, known: Knowledge) -> Line:
         """Return what a window says if its parameters move on and on through it.
 
-        The line of a parameter is taken as equal jumps at all cuts, which leaves a twenty-fifth of what a constant
-        leaves of it. `changing` says that one jump of all parameters explains the window better.
+        The line of a parameter is taken as equal jumps at all cuts, which leaves a twenty-fifth of what a
+        constant leaves of it. `changing` says that one jump of all parameters explains the window better.
         """
         at = self.lineariser.linearised(window, known, jumps=True)
         layout, q = at.regression.layout, self.rig.q
@@ -288,7 +312,9 @@ class Learner:
         end[:, nb:] = 0.5 * np.eye(q)
         theta, middle = at.theta + at.unit * (end @ fit), at.theta + at.unit * fit[layout.psi]
         left = max(float(G[-1, -1] - score @ fit), 1e-300)
-        plain = self._posterior(at, known, known.constants)  # a window of this kind says nothing of the constants
+        plain = self._posterior(
+            at, known, known.constants
+        )  # a window of this kind says nothing of the constants
         open_constants = plain.sd**2 - plain.sd_repeat**2
         misfit = known.scatter.factor * max(1.0, left / plain.dof)
         stair = fit[nb:] ** 2 / (12 * cuts**2)
@@ -296,7 +322,8 @@ class Learner:
         sd = np.sqrt(own**2 + np.maximum(open_constants, 0.0))
         excess = float(np.log(left / plain.dof) / chance(plain.dof, known.noise.unsure))
         said = replace(
-            plain, theta=theta, sd=sd, lower=theta - NORMAL_975 * sd, upper=theta + NORMAL_975 * sd, sd_repeat=own,
+            plain, theta=theta, sd=sd, lower=theta - NORMAL_975 * sd, upper=theta + NORMAL_975 * sd,
+            sd_repeat=own,
             excess=excess, changing=excess > plain.beyond_jump,
         )  # fmt: skip
         moves = bool(np.any(np.abs(fit[nb:]) > tuning.AGREE_SD * np.sqrt(np.diag(V)[nb:] * misfit)))
@@ -333,8 +360,9 @@ def _estimate(at: Linearised, eta: FloatArray) -> Estimate:
 def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:
     """Return a ridge with what the windows before say of the parameters, where this one agrees with them.
 
-    Forces and colours show where the parameters do: by the bins of one window alone, all but those that tell of the
-    parameters, most of their noise could be anything. What is known is θ at η as linearised, which θ and η share.
+    Forces and colours show where the parameters do: by the bins of one window alone, all but those that tell
+    of the parameters, most of their noise could be anything. What is known is θ at η as linearised, which θ
+    and η share.
     """
     found = _estimate(at, known.eta)
     before = known.scatter.steady(found)
@@ -354,9 +382,12 @@ def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:
 def _moved(theta: FloatArray, shift: FloatArray) -> FloatArray:
     """Parameters theta (q,) moved by shifts (h, q) that constants cause: as factors, since constants scale parameters.
 
-    All masses, springs, dampers and forces times c give the same motion: along that line the logarithms run straight.
+    All masses, springs, dampers and forces times c give the same motion: along that line the logarithms run
+    straight.
     """
     size = np.abs(theta)
     relative = shift / np.where(size > 0, size, 1.0)
     as_factor = (size > 0) & (np.abs(relative) < 1.0)
-    return np.where(as_factor, theta * np.exp(np.sign(theta) * np.where(as_factor, relative, 0.0)), theta + shift)
+    return np.where(
+        as_factor, theta * np.exp(np.sign(theta) * np.where(as_factor, relative, 0.0)), theta + shift
+    )

@@ -65,11 +65,14 @@ class Lineariser:
         cuts: (cuts,) samples at which jumps are tested.
 
     Attributes:
-        evaluations: of the model so far, or what costs as much: linearisations, trials of steps, passes over the noise.
+        evaluations: of the model so far, or what costs as much: linearisations, trials of steps, passes over
+            the noise.
         most: of them from which on no descent goes any further.
     """
 
-    def __init__(self, rig: Rig, window: int, outputs: int, sources: tuple[Source, ...], cuts: IntArray) -> None:
+    def __init__(
+        self, rig: Rig, window: int, outputs: int, sources: tuple[Source, ...], cuts: IntArray
+    ) -> None:
         self.rig, self.window, self.p, self.sources, self.cuts = rig, window, outputs, sources, cuts
         self._response: Response | None = None
         self._cells: tuple[FloatArray, Cells] | None = None
@@ -107,10 +110,15 @@ class Lineariser:
         if self._cells is None or not np.array_equal(self._cells[0], output_gain):
             spectra = np.array([source.spectrum(response.z) for source in self.sources])
             spectra = spectra.reshape(len(self.sources), len(response.z))
-            self._cells = (output_gain, Cells(response, directions(response, self.sources, output_gain), spectra))
+            self._cells = (
+                output_gain,
+                Cells(response, directions(response, self.sources, output_gain), spectra),
+            )
         return self._cells[1]
 
-    def linearised(self, window: Window, known: Knowledge, jumps: bool, steps: int = tuning.STEPS) -> Linearised:
+    def linearised(
+        self, window: Window, known: Knowledge, jumps: bool, steps: int = tuning.STEPS
+    ) -> Linearised:
         """Return a window at the end of Gauss-Newton; constants are given where estimated ones hide what is curved."""
         at = self._descended(window, known, jumps, steps, given=False)
         if at.converged or not len(self.rig.constants):
@@ -118,7 +126,9 @@ class Lineariser:
         again = self._descended(window, known, jumps, steps, given=True)
         return again if again.converged else at
 
-    def _descended(self, window: Window, known: Knowledge, jumps: bool, steps: int, given: bool) -> Linearised:
+    def _descended(
+        self, window: Window, known: Knowledge, jumps: bool, steps: int, given: bool
+    ) -> Linearised:
         """Gauss-Newton from θ_r: until the second-order term that is neglected is small against the sd."""
         no_cuts = np.zeros(0, dtype=np.int64)
         cuts = self.cuts if jumps else no_cuts
@@ -183,7 +193,9 @@ class Lineariser:
         G = cells.gram(Si, regression.X)
         G[-1, -1] += HighPower(response, regression.high, noise.levels).quadratic(Si)
         constants = known.constants
-        ridge = self.ridge(regression.layout, window, constants.total, constants.expected - known.eta, noise.intensity)
+        ridge = self.ridge(
+            regression.layout, window, constants.total, constants.expected - known.eta, noise.intensity
+        )
         return Linearised(theta, response.at.unit, regression, cells, G, Si, ridge, True)
 
     def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:
@@ -194,7 +206,9 @@ class Lineariser:
         for a, source in enumerate(self.sources):
             if source.kind == "force":
                 power = noise.intensity[a] ** 2 * cells.spectra[a, :kept]
-                out += (power[:, None] * RE[:, :, source.number])[:, :, None] * cells.D[:kept, :, a].conj()[:, None, :]
+                out += (power[:, None] * RE[:, :, source.number])[:, :, None] * cells.D[:kept, :, a].conj()[
+                    :, None, :
+                ]
         return out @ Si[:kept]
 
     def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, FloatArray]:
@@ -211,7 +225,8 @@ class Lineariser:
     def _anchored(self, at: Linearised, anchor: FloatArray) -> Linearised:
         """A window with the point's own prior on the parameters: what says little of one moves no point far.
 
-        N(anchor, (POINT_SD unit)²) steers where the model is linearised, and enters nothing that is said of the window.
+        N(anchor, (POINT_SD unit)²) steers where the model is linearised, and enters nothing that is said of
+        the window.
         """
         psi = at.regression.layout.psi
         spread = self._anchor_spread(anchor)
@@ -235,7 +250,12 @@ class Lineariser:
         return np.diag(np.where(known, sizes, 1e-6) ** 2) if sizes else np.zeros((0, 0))
 
     def ridge(
-        self, layout: Layout, window: Window, P: FloatArray, mean: FloatArray, intensity: FloatArray | None = None
+        self,
+        layout: Layout,
+        window: Window,
+        P: FloatArray,
+        mean: FloatArray,
+        intensity: FloatArray | None = None,
     ) -> Ridge:
         """Return the base columns' prior: constants N(mean, P), lost readings, end effects of given intensities."""
         R = np.diag(layout_free(layout))
@@ -291,7 +311,9 @@ class Lineariser:
         grams = self._running(at, ladder)
         most = (1 + tuning.INFORMATION_LOSS) * _sd_of(layout, grams[-1], priors)
         rungs = zip(ladder.tolist(), grams, strict=True)
-        enough = (kept for kept, gram in rungs if kept > least and np.all(_sd_of(layout, gram, priors) < most))
+        enough = (
+            kept for kept, gram in rungs if kept > least and np.all(_sd_of(layout, gram, priors) < most)
+        )
         best = next(enough, top)
         return total if best > 0.8 * total else best
 

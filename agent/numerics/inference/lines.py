@@ -1,7 +1,7 @@
 """Lines: bins that stand out from those about them, such as mains hum and its leakage.
 
-What is known of the levels of other bins says nothing of a line. Were its level learnt as slowly as theirs, noise of
-some colour would have to explain it, and that reaches the bins that tell of the parameters.
+What is known of the levels of other bins says nothing of a line. Were its level learnt as slowly as theirs,
+noise of some colour would have to explain it, and that reaches the bins that tell of the parameters.
 """
 
 from dataclasses import replace
@@ -39,7 +39,9 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
             if not len(found[0]):
                 break
             level[found[0], channel] *= found[1]
-        level[:, channel] = np.maximum(level[:, channel], _leakage(level[:, channel], power[:, channel], bin_of))
+        level[:, channel] = np.maximum(
+            level[:, channel], _leakage(level[:, channel], power[:, channel], bin_of)
+        )
     raised = noise.power.copy()
     raised[bin_of] = noise.dof[bin_of] * level
     return replace(noise, power=raised)
@@ -50,8 +52,8 @@ def _standing_out(
 ) -> tuple[IntArray, FloatArray]:
     """Return places of lines, and their power in that of the bins about them.
 
-    above (b,): power in units of what is known. A peak that the response to some force has too, the measured motion, or
-    what a parameter that is off would leave, is none: shapes (b, s).
+    above (b,): power in units of what is known. A peak that the response to some force has too, the measured
+    motion, or what a parameter that is off would leave, is none: shapes (b, s).
     """
     places: list[int] = []
     sizes: list[float] = []

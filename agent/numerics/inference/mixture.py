@@ -14,8 +14,9 @@ NORMAL_975 = 1.959963984540054
 def interval95(weight: FloatArray, mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return 95 % intervals (q,), (q,) of mixtures with weight (h,), mean and sd (h, q).
 
-    They are the 2.5 and 97.5 % quantiles, by bisection, widened to hold the own intervals of all components that stand:
-    where explanations tie, the true one may lie at the mixture's edge, and must be held as surely as the others.
+    They are the 2.5 and 97.5 % quantiles, by bisection, widened to hold the own intervals of all components
+    that stand: where explanations tie, the true one may lie at the mixture's edge, and must be held as surely
+    as the others.
     """
     kept = weight > LEAST_WEIGHT
     weight, mean, sd = weight[kept] / weight[kept].sum(), mean[kept], sd[kept]

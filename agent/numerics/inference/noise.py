@@ -1,7 +1,7 @@
 """How the noise of a rig is learnt: σ by REML with a prior, a level a bin, and an intensity a source on a grid.
 
-The likelihood is the restricted one: everything linear (initial state, parameters, constants under a wide prior) is
-eliminated, so forces never explain what a mass can (Harville, J. Am. Stat. Ass. 72 (1977) 320).
+The likelihood is the restricted one: everything linear (initial state, parameters, constants under a wide
+prior) is eliminated, so forces never explain what a mass can (Harville, J. Am. Stat. Ass. 72 (1977) 320).
 """
 
 from dataclasses import dataclass, replace
@@ -36,8 +36,10 @@ class Noise:
 
     Attributes:
         log_sigma, log_sigma_var: (p,) log of each sensor's sd and its variance.
-        power, dof: (K, p), (K, p) scaled inverse χ² of each bin's level: Σ normalised power, degrees of freedom.
-        nodes, log_weight: (a, G) intensities of each source and their log-weights; empty before the first window.
+        power, dof: (K, p), (K, p) scaled inverse χ² of each bin's level: Σ normalised power, degrees of
+            freedom.
+        nodes, log_weight: (a, G) intensities of each source and their log-weights; empty before the first
+            window.
         intensity: (a,) posterior mean of each.
         spread: (a, q) relative variance that the uncertainty of each intensity adds to each parameter.
         windows: windows learnt; turn: whose turn it is in the rotation.
@@ -64,7 +66,14 @@ class Noise:
         counted = np.full((bins, p), tuning.LEVEL_DOF)
         empty = np.zeros((sources, 0))
         return cls(
-            np.log(sigma), spread**2, counted, counted.copy(), empty, empty, np.zeros(sources), np.zeros((sources, q))
+            np.log(sigma),
+            spread**2,
+            counted,
+            counted.copy(),
+            empty,
+            empty,
+            np.zeros(sources),
+            np.zeros((sources, q)),
         )
 
     @property
@@ -82,7 +91,9 @@ class Noise:
         if not before.is_started:
             return True
         # what may as well be absent has a mean that moves by chance
-        there = (before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]) & (before.log_weight[:, 0] < -tuning.SURE)
+        there = (before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]) & (
+            before.log_weight[:, 0] < -tuning.SURE
+        )
         moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
         return bool((moved > tuning.UNSETTLED).any())
 
@@ -238,19 +249,25 @@ class NoiseFit:
         self.levels = (carried.power + self.seen_power) / (carried.dof + self.seen_dof)
 
     # ------------------------------------------------------------------ intensities of the sources
-    def scan(self, order: IntArray, carried: FloatArray, nodes: FloatArray, every: bool, pred: Ridge | None) -> "Scan":
+    def scan(
+        self, order: IntArray, carried: FloatArray, nodes: FloatArray, every: bool, pred: Ridge | None
+    ) -> "Scan":
         """Go over the intensities one after another (exact Gauss-Seidel); S⁻¹ and the Gram follow by rank one."""
         scan = Scan(self, carried, nodes, every, pred)
         for a in order:
             scan.axis(int(a))
         return scan
 
-    def joint(self, prior_mean: FloatArray, prior_var: FloatArray, nodes: FloatArray, steps: int = 25) -> None:
+    def joint(
+        self, prior_mean: FloatArray, prior_var: FloatArray, nodes: FloatArray, steps: int = 25
+    ) -> None:
         """Average-information REML in all log variances at once, for the first window (Gilmour et al. 1995)."""
         p = len(self.log_sigma)
         kept = self.cells.kept
         cells = self.cells
-        d = np.concatenate([np.broadcast_to(np.eye(p, dtype=complex), (len(cells.weight), p, p)), cells.D], axis=2)
+        d = np.concatenate(
+            [np.broadcast_to(np.eye(p, dtype=complex), (len(cells.weight), p, p)), cells.D], axis=2
+        )
         spectra = np.concatenate([cells.cell_levels(self.levels).T, cells.spectra])
         prior = np.concatenate([0.25 / prior_var, np.full(len(self.sources), 1e-2)])
         for _ in range(steps):
@@ -291,7 +308,11 @@ class NoiseFit:
         weighted = weight * spectra
         excess = power - np.einsum("kaa->ka", DD).real + leverage
         score = 0.5 * v * np.einsum("ak,ka->a", weighted, excess)
-        F = 0.5 * np.outer(v, v) * np.einsum("ak,kab,bk->ab", weighted, np.abs(DD) ** 2, spectra, optimize=True)
+        F = (
+            0.5
+            * np.outer(v, v)
+            * np.einsum("ak,kab,bk->ab", weighted, np.abs(DD) ** 2, spectra, optimize=True)
+        )
         return score, F
 
 
@@ -299,10 +320,13 @@ class Scan:
     """One pass over the intensities: on each node of a source's grid the likelihood, by a rank-one change of S.
 
     Attributes:
-        log_weight: posterior log-weights (G,) of each source scanned;  spread: relative variance (q,) that each adds.
+        log_weight: posterior log-weights (G,) of each source scanned;  spread: relative variance (q,) that
+            each adds.
     """
 
-    def __init__(self, fit: NoiseFit, carried: FloatArray, nodes: FloatArray, every: bool, pred: Ridge | None) -> None:
+    def __init__(
+        self, fit: NoiseFit, carried: FloatArray, nodes: FloatArray, every: bool, pred: Ridge | None
+    ) -> None:
         self.fit, self.carried, self.nodes, self.every, self.pred = fit, carried, nodes, every, pred
         self.ends = np.arange(fit.layout.ends.start, fit.layout.ends.stop)
         self.one = np.eye(fit.layout.base + 1)
@@ -324,7 +348,9 @@ class Scan:
         self.high = np.einsum("ka,kab,kb->k", high.conj(), fit.high.R, high).real
         lo, hi, logs, grams, ends = self._reach(a, shape)
         if not np.isfinite(logs).any():
-            self.log_weight[a] = self.carried[a].copy()  # no node has digits in this window: it says nothing of it
+            self.log_weight[a] = self.carried[
+                a
+            ].copy()  # no node has digits in this window: it says nothing of it
             return
         self.log_weight[a] = np.full(self.nodes.shape[1], tuning.LOWEST_LOG_WEIGHT)
         self.log_weight[a][lo:hi] = np.maximum(logs - logs.max(), tuning.LOWEST_LOG_WEIGHT)
@@ -350,7 +376,9 @@ class Scan:
                 return lo, hi, logs, grams, ends
             lo, hi = max(0, lo - 4 * below), min(count, hi + 4 * above)
 
-    def _nodes(self, a: int, lo: int, hi: int, shape: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _nodes(
+        self, a: int, lo: int, hi: int, shape: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Log posterior on nodes lo .. hi, their Grams, and the end effects' precisions there."""
         fit, nb = self.fit, self.fit.layout.base
         v = self.nodes[a, lo:hi]
@@ -389,7 +417,9 @@ class Scan:
         G[..., -1, -1] -= w[..., kept:] @ self.high
         return np.asarray(G)
 
-    def _spread(self, a: int, nodes: FloatArray, weight: FloatArray, grams: FloatArray, ends: FloatArray) -> FloatArray:
+    def _spread(
+        self, a: int, nodes: FloatArray, weight: FloatArray, grams: FloatArray, ends: FloatArray
+    ) -> FloatArray:
         """Relative variance (q,) that not knowing the intensity adds to each parameter."""
         fit, nb, psi, pred = self.fit, self.fit.layout.base, self.fit.layout.psi, self.pred
         assert pred is not None  # noqa: S101 - only called where there is one
@@ -397,7 +427,8 @@ class Scan:
         use = np.union1d(np.flatnonzero(weight > 2e-3), [near])
         M = grams[use][:, :nb, :nb] + pred.R
         at = self.ends
-        # put, not added and taken away: before the first window the precision is 1e300 and would leave no digit
+        # put, not added and taken away: before the first window the precision is 1e300 and would leave no
+        # digit
         M[:, at, at] = grams[use][:, at, at] + ends[use]
         V = inverse(M)
         delta = (V[:, psi] @ (grams[use][:, :nb, nb] + pred.b)[..., None])[..., 0]
@@ -431,7 +462,9 @@ def _log_pivots(M: FloatArray) -> FloatArray:
 
 def first_nodes(cells: Cells, log_sigma: FloatArray) -> FloatArray:
     """Return the grids (a, G): from a share of what equals the sensors' noise where a source is strongest."""
-    gain = np.sqrt((np.abs(cells.D) ** 2 * np.exp(-2 * log_sigma)[:, None]).sum(axis=1)) * np.sqrt(cells.spectra.T)
+    gain = np.sqrt((np.abs(cells.D) ** 2 * np.exp(-2 * log_sigma)[:, None]).sum(axis=1)) * np.sqrt(
+        cells.spectra.T
+    )
     gain = np.where(cells.weight[:, None] > 0, gain, 0.0)
     # the lowest bins of a free mass see any force without bound
     lowest = FREE_BINS if cells.response.is_free else 0
@@ -452,9 +485,9 @@ def learn(  # noqa: PLR0913, PLR0917
 ) -> tuple[Noise, NoiseFit]:
     """Return the noise after one window, and the fit with its Gram at the new noise.
 
-    wide: prior of the columns with the constants wide; pred: with the constants as known today, for the spread.
-    least: (p,) least that log σ may turn out to be: the grids of intensities begin where sources show beside it.
-    shaken: the window before was not explained: σ may have changed more than it usually does.
+    wide: prior of the columns with the constants wide; pred: with the constants as known today, for the
+    spread. least: (p,) least that log σ may turn out to be: the grids of intensities begin where sources show
+    beside it. shaken: the window before was not explained: σ may have changed more than it usually does.
     anew: sources are looked for as in a first window.
     """
     start = noise

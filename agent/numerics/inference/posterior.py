@@ -15,9 +15,11 @@ class Knowledge:
 
     Attributes:
         theta: (q,) where the model is linearised;  eta: (c,) likewise for the constants.
-        information: (q, q) what that point rests on, older windows counting ever less; None of a point that is given.
+        information: (q, q) what that point rests on, older windows counting ever less; None of a point that
+            is given.
         noise, constants, scatter: what has been learnt.
-        kept: bins kept with all columns; 0 until a window has shown how many are needed;  kept_for: the noise then.
+        kept: bins kept with all columns; 0 until a window has shown how many are needed;  kept_for: the noise
+            then.
         unexplained: the newest window was not explained by the noise known before.
     """
 
@@ -40,15 +42,18 @@ class Posterior:
         theta, lower, upper: (q,) mean and 95 % interval, the constants' uncertainty in it.
         sd: (q,) that of the Gaussian with as wide an interval: a hypothesis of 1 % weight does not double it.
         linear: (q,) mean of the one Gaussian that has mean and covariance of the hypotheses that stand.
-        sd_repeat: (q,) standard deviation against another window of the same rig: the constants taken as they are.
+        sd_repeat: (q,) standard deviation against another window of the same rig: the constants taken as they
+            are.
         sensitivity: (q, c) change of θ by a change of each constant.
         converged: Gauss-Newton came to rest.
-        jump: (cuts,) twice the log likelihood ratio of a jump at each cut; jump_raw: not divided by the misfit.
-        excess: predictive standard deviations by which the residual's power is too large;  beyond_jump: the same of
-            what the best jump leaves.
+        jump: (cuts,) twice the log likelihood ratio of a jump at each cut; jump_raw: not divided by the
+            misfit.
+        excess: predictive standard deviations by which the residual's power is too large;  beyond_jump: the
+            same of what the best jump leaves.
         changing: a jump fits beyond what chance allows.
         dof: degrees of freedom of the residual.
-        rubs: dry friction that the model has no term for is evident, and moves an estimate by more than its sd.
+        rubs: dry friction that the model has no term for is evident, and moves an estimate by more than its
+            sd.
     """
 
     theta: FloatArray

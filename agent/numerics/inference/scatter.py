@@ -5,10 +5,11 @@ d_j = M_−j⁻¹ g_−j − M⁻¹ g; under the model its covariance is
 
     E_j = (M_−j⁻¹ − M⁻¹) G_−j (M_−j⁻¹ − M⁻¹)ᵀ + M⁻¹ G_j M⁻¹
 
-so r = Σ diag d_j d_jᵀ / Σ diag E_j is 1 in expectation whatever leverage or prior a block has (Shao & Wu, Ann. Stat. 17
-(1989) 1176, gives the plain form). r is pooled over disjoint windows; the scatter between windows is judged by second
-differences, in which a slow change of the parameters cancels. Either is 1 by the model, or anything: a few windows say
-little of it, so its expectation weighs both (a spike at 1 and a scaled inverse χ² slab).
+so r = Σ diag d_j d_jᵀ / Σ diag E_j is 1 in expectation whatever leverage or prior a block has (Shao & Wu,
+Ann. Stat. 17 (1989) 1176, gives the plain form). r is pooled over disjoint windows; the scatter between
+windows is judged by second differences, in which a slow change of the parameters cancels. Either is 1 by the
+model, or anything: a few windows say little of it, so its expectation weighs both (a spike at 1 and a scaled
+inverse χ² slab).
 """
 
 from dataclasses import dataclass, replace
@@ -100,13 +101,17 @@ class Scatter:
         variance = np.diag(first.covariance + 4 * second.covariance) + np.diag(found.covariance) * within
         usual = np.maximum(self.between, 1.0)
         memory = min(self.compared + tuning.SCATTER_PRIOR_DOF, tuning.BETWEEN_DOF)
-        return np.asarray(self.between + (np.minimum(difference**2 / variance, 9 * usual) - self.between) / memory)
+        return np.asarray(
+            self.between + (np.minimum(difference**2 / variance, 9 * usual) - self.between) / memory
+        )
 
     @property
     def factor(self) -> FloatArray:
         """(q,) what the model's variance is multiplied by; never below 1: noise as small as the model's is no luck."""
         differences = min(self.compared, tuning.BETWEEN_DOF - tuning.SCATTER_PRIOR_DOF)
-        return expected(self.within, self.dof - tuning.SCATTER_PRIOR_DOF) * expected(self.between, differences)
+        return expected(self.within, self.dof - tuning.SCATTER_PRIOR_DOF) * expected(
+            self.between, differences
+        )
 
     def interrupted(self) -> "Scatter":
         """Return the belief after a change or a gap: the windows before it do not compare."""
@@ -116,8 +121,8 @@ class Scatter:
 def expected(pooled: FloatArray, seen: float) -> FloatArray:
     """Return the expectation (q,) of a factor on the variance: 1 by the model, or what was pooled.
 
-    pooled (q,): mean of `seen` ratios and of SCATTER_PRIOR_DOF ones. Neighbouring second differences, and leverages
-    that differ from block to block, leave half of them independent.
+    pooled (q,): mean of `seen` ratios and of SCATTER_PRIOR_DOF ones. Neighbouring second differences, and
+    leverages that differ from block to block, leave half of them independent.
     """
     prior = tuning.SCATTER_PRIOR_DOF
     half = 0.5 * seen
@@ -147,8 +152,8 @@ def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) ->
 def block_grams(whitened: ComplexArray, window: int, power_above: float) -> FloatArray:
     """Return Grams (J, c, c) of consecutive blocks from whitened columns (kept, p, c) on the lowest bins.
 
-    Back in time the columns of the lowest bins are sampled at 2·kept points or more; Parseval makes the blocks' sum
-    the window's Gram. power_above (residual on the high bins) is spread evenly.
+    Back in time the columns of the lowest bins are sampled at 2·kept points or more; Parseval makes the
+    blocks' sum the window's Gram. power_above (residual on the high bins) is spread evenly.
     """
     kept = len(whitened)
     length = window if kept == window // 2 + 1 else 2 * kept

@@ -1,7 +1,7 @@
 """Tuned numbers of the statistical model: one table, each with its unit, its source and what needs it.
 
-Every number is a prior or a numerical tolerance of the model in `agent.numerics.inference`; none is a limit on a
-verdict of its own. "Needed by" names the row of docs/statistics.md that fails without it.
+Every number is a prior or a numerical tolerance of the model in `agent.numerics.inference`; none is a limit
+on a verdict of its own. "Needed by" names the row of docs/statistics.md that fails without it.
 """
 
 SIGMA_SPREAD_UNSTATED = 5.0

@@ -44,7 +44,9 @@ def beliefs(constants: Constants, kinds: tuple[str, ...]) -> tuple[Belief, ...]:
     return tuple(found)
 
 
-def _belief(h: Hypothesis, weight: float, mean: FloatArray, covariance: FloatArray, kinds: tuple[str, ...]) -> Belief:
+def _belief(
+    h: Hypothesis, weight: float, mean: FloatArray, covariance: FloatArray, kinds: tuple[str, ...]
+) -> Belief:
     share = h.members / h.members.sum()
     kind = kinds[int(np.argmax(h.members))]
     log, sd = float(share @ mean), float(np.sqrt(share @ covariance @ share))

@@ -41,7 +41,8 @@ class Gains(Protocol):
 class AutomaticGains:
     """A Kalman start; then the matched gain where forces disturb the rig, none at all where nothing does.
 
-    With sensor noise alone any correction loses information; but a model that is not strictly stable needs one.
+    With sensor noise alone any correction loses information; but a model that is not strictly stable needs
+    one.
     """
 
     disturbance: FloatArray
@@ -105,8 +106,8 @@ class KalmanGains:
 class QuietGains:
     """No unknown force at all: a correction that finds its way at first, then none where the model allows it.
 
-    What such an observer leaves in its residual is whatever the model cannot do over the whole window (dry friction
-    where it is not in the model), in place of a force that explains it away sample by sample.
+    What such an observer leaves in its residual is whatever the model cannot do over the whole window (dry
+    friction where it is not in the model), in place of a force that explains it away sample by sample.
     """
 
     directions: FloatArray

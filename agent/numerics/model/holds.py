@@ -2,10 +2,10 @@
 
     x(k+1) = A x(k) + sum_o B_o u(k+o),   y(k) = C x(k) + D u(k),   o = -1..2 for a cubic, -2..3 for a quintic
 
-The Lagrange polynomial through u(k+o) is integrated exactly: its derivatives at the sample's start are a chain of
-integrators behind the input, and the blocks of one matrix exponential are what each of them leads to (Van Loan, IEEE
-Trans. Automatic Control 23 (1978) 395; a straight line is degree 1). Unlike `statespace.discretise`, the state here is
-the physical one.
+The Lagrange polynomial through u(k+o) is integrated exactly: its derivatives at the sample's start are a
+chain of integrators behind the input, and the blocks of one matrix exponential are what each of them leads to
+(Van Loan, IEEE Trans. Automatic Control 23 (1978) 395; a straight line is degree 1). Unlike
+`statespace.discretise`, the state here is the physical one.
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,10 @@
 """Whether parameters can be told apart at all, by the structure of a model and the places of its channels.
 
-The test looks at one experiment in the Laplace domain, y(s) = C R (x0 + B U) + D U with R = (sI - A)^-1, at points s
-on a ray between the axes (away from the poles), with inputs that differ at every point and an initial state that
-nobody knows. Its Jacobian by the parameters, the initial state projected out, has the rank of the Fisher information
-of a long window under rich excitation (Ljung, System Identification, 2nd ed. 1999, sections 4.5 and 13.4), and every
-model costs the same few milliseconds whatever its time constants are.
+The test looks at one experiment in the Laplace domain, y(s) = C R (x0 + B U) + D U with R = (sI - A)^-1, at
+points s on a ray between the axes (away from the poles), with inputs that differ at every point and an
+initial state that nobody knows. Its Jacobian by the parameters, the initial state projected out, has the rank
+of the Fisher information of a long window under rich excitation (Ljung, System Identification, 2nd ed. 1999,
+sections 4.5 and 13.4), and every model costs the same few milliseconds whatever its time constants are.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ class Identifiability:
 
     Attributes:
         silent: numbers of the parameters that leave no trace.
-        blends: (k, q) changes of several parameters that together leave no trace, in the parameters' units, each
-            scaled so that its largest share of `scale` is 1.
+        blends: (k, q) changes of several parameters that together leave no trace, in the parameters' units,
+            each scaled so that its largest share of `scale` is 1.
         smallest: the least singular value over the largest, silent parameters left out.
     """
 
@@ -90,7 +90,8 @@ def _balanced(model: StateSpace) -> StateSpace:
 def _points(model: StateSpace, count: int) -> ComplexArray:
     """Return s (count,) on the ray, from well below the slowest pole to well above the fastest.
 
-    Of a model in discrete time the points are z = exp(s), s in units of a sample and below half the sampling rate.
+    Of a model in discrete time the points are z = exp(s), s in units of a sample and below half the sampling
+    rate.
     """
     speeds = np.abs(modes(model, 1.0))
     if model.is_sampled:

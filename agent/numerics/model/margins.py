@@ -1,8 +1,9 @@
 """How much change of the sampled matrices the observer bears: the paper's conditions (3) and (8).
 
-Condition (8), the largest delta for which the LMI (7) has a solution, is the discrete bounded-real lemma, so delta is
-exactly 1 / ||(zI - A)^-1|| (the H-infinity norm) = the least singular value of zI - A on the unit circle, with
-A = diag(A0, A0 - L C0). No LMI is solved for it. A margin in the parameters' own units is in `margins_box`.
+Condition (8), the largest delta for which the LMI (7) has a solution, is the discrete bounded-real lemma, so
+delta is exactly 1 / ||(zI - A)^-1|| (the H-infinity norm) = the least singular value of zI - A on the unit
+circle, with A = diag(A0, A0 - L C0). No LMI is solved for it. A margin in the parameters' own units is in
+`margins_box`.
 """
 
 from dataclasses import dataclass
@@ -69,12 +70,13 @@ def perturbation_norm(gain: FloatArray, dA: FloatArray, dC: FloatArray) -> float
 def stability_margin(A: FloatArray) -> float:
     """Return min over |z| = 1 of the least singular value of zI - A (n, n); 0 unless A is stable.
 
-    delta is a singular value at z where (z I - A) v = delta w and (I/z - A') w = delta v, that is, where z is an
-    eigenvalue on the unit circle of the symplectic pencil z [[I, 0], [-delta I, -A']] - [[A, delta I], [0, -I]]
-    (Boyd & Balakrishnan, Systems & Control Letters 15 (1990) 1). Instead of halving an interval the level is lowered
-    to the least value at and half-way between the eigenvalues' angles, which converges quadratically (Bruinsma &
-    Steinbuch, ibid. 14 (1990) 287). All eigenvalues are tried, not those within some distance of the circle, so that
-    poles next to it cost no accuracy: each value is one that zI - A takes.
+    delta is a singular value at z where (z I - A) v = delta w and (I/z - A') w = delta v, that is, where z is
+    an eigenvalue on the unit circle of the symplectic pencil z [[I, 0], [-delta I, -A']] - [[A, delta I], [0,
+    -I]] (Boyd & Balakrishnan, Systems & Control Letters 15 (1990) 1). Instead of halving an interval the
+    level is lowered to the least value at and half-way between the eigenvalues' angles, which converges
+    quadratically (Bruinsma & Steinbuch, ibid. 14 (1990) 287). All eigenvalues are tried, not those within
+    some distance of the circle, so that poles next to it cost no accuracy: each value is one that zI - A
+    takes.
     """
     if not len(A) or _radius(A) >= 1.0:
         return 0.0 if len(A) else np.inf

@@ -1,7 +1,8 @@
 """The largest box of parameters about the nominal ones that one quadratic Lyapunov function serves.
 
-Condition (8) bounds a norm of sampled matrices and is very conservative; this margin is in N/m and N s/m. It needs a
-solver of linear matrix inequalities: cvxpy and Clarabel, the optional extra `design`, imported only when it is asked.
+Condition (8) bounds a norm of sampled matrices and is very conservative; this margin is in N/m and N s/m. It
+needs a solver of linear matrix inequalities: cvxpy and Clarabel, the optional extra `design`, imported only
+when it is asked.
 """
 
 import warnings
@@ -35,7 +36,8 @@ class PolytopicMargin:
     Attributes:
         share: the box is nominal -+ share * limit.
         reach: share * limit of each parameter, in its unit.
-        lyapunov: (n, n) P with A'P + P A < 0 at every vertex, checked by eigenvalues; None where there is none.
+        lyapunov: (n, n) P with A'P + P A < 0 at every vertex, checked by eigenvalues; None where there is
+            none.
     """
 
     share: float
@@ -57,13 +59,14 @@ def polytopic_margin(model: Model, limits: FloatArray, accuracy: float = 1e-3) -
         limits: (q,) half the sides of the box at s = 1, in the parameters' units; 0 leaves a parameter out.
         accuracy: relative accuracy of s.
 
-    A'P + P A < 0 is asked of the continuous-time matrices: these are affine, so the vertices answer for the whole box
-    and for any course in time inside it, also between samples, which sampled matrices would not. The observer adds
-    nothing to ask: in (4) its error is driven by the states but does not drive them, and a block triangular system
-    has a quadratic Lyapunov function whenever its diagonal blocks have. Of a model in discrete time A'P A - P < 0 is
-    asked, as [[P, A'P], [P A, P]] > 0, which is straight in A as well.
+    A'P + P A < 0 is asked of the continuous-time matrices: these are affine, so the vertices answer for the
+    whole box and for any course in time inside it, also between samples, which sampled matrices would not.
+    The observer adds nothing to ask: in (4) its error is driven by the states but does not drive them, and a
+    block triangular system has a quadratic Lyapunov function whenever its diagonal blocks have. Of a model in
+    discrete time A'P A - P < 0 is asked, as [[P, A'P], [P A, P]] > 0, which is straight in A as well.
 
-    Raises ValueError where the model is not affine or has too many parameters, DesignToolsMissingError without cvxpy.
+    Raises ValueError where the model is not affine or has too many parameters, DesignToolsMissingError
+    without cvxpy.
     """
     limits = np.asarray(limits, dtype=float)
     base, directions = _polytope(model, limits)
@@ -91,13 +94,17 @@ def _margin(model: Model, limits: FloatArray, share: float, P: FloatArray | None
 def _polytope(model: Model, limits: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return A at the nominal parameters (n, n) and how each vertex differs from it (V, n, n)."""
     if np.count_nonzero(limits) > MOST_PARAMETERS:
-        raise ValueError(f"{np.count_nonzero(limits)} parameters have a limit; at most {MOST_PARAMETERS} can be tried")
+        raise ValueError(
+            f"{np.count_nonzero(limits)} parameters have a limit; at most {MOST_PARAMETERS} can be tried"
+        )
     at_nominal = model.continuous(model.nominal)
     corners = vertices(model, limits)
     directions = np.array([model.continuous(corner).A - at_nominal.A for corner in corners])
     straight = np.array([np.tensordot(corner - model.nominal, at_nominal.dA, axes=1) for corner in corners])
     if not np.allclose(directions, straight, rtol=1e-9, atol=1e-9 * float(np.abs(at_nominal.A).max())):
-        raise ValueError("the model is not affine in these parameters: its vertices do not answer for the box")
+        raise ValueError(
+            "the model is not affine in these parameters: its vertices do not answer for the box"
+        )
     return at_nominal.A, directions
 
 

@@ -1,7 +1,8 @@
 """A graph of masses, springs, dampers and dry friction as a state-space model with exact derivatives.
 
-Nodes are masses (a mass of 0 is a massless node held by dampers) and `ground`. Elements act between two nodes. The
-states are the velocities of the nodes with mass, then the displacements of all nodes, the order of the paper's (20).
+Nodes are masses (a mass of 0 is a massless node held by dampers) and `ground`. Elements act between two
+nodes. The states are the velocities of the nodes with mass, then the displacements of all nodes, the order of
+the paper's (20).
 """
 
 from collections.abc import Sequence
@@ -59,8 +60,8 @@ class MassSpringDamper:
     Attributes:
         structure: its elements; what is not estimated keeps its nominal value.
         parameters: names of the estimated elements (masses, springs, dampers, friction), q of them.
-        forces: nodes that the model's force inputs act on, in order; frictions follow them as further inputs, each
-            the sign of the velocity difference of its two nodes.
+        forces: nodes that the model's force inputs act on, in order; frictions follow them as further inputs,
+            each the sign of the velocity difference of its two nodes.
         outputs: what is measured, in order.
     """
 
@@ -90,7 +91,9 @@ class MassSpringDamper:
 
     def _values(self) -> dict[str, float]:
         s = self.structure
-        return {m.name: m.value for m in s.masses} | {e.name: e.nominal for e in (*s.springs, *s.dampers, *s.frictions)}
+        return {m.name: m.value for m in s.masses} | {
+            e.name: e.nominal for e in (*s.springs, *s.dampers, *s.frictions)
+        }
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -101,7 +104,9 @@ class MassSpringDamper:
 
     def at(self, theta: FloatArray) -> Structure:
         """Return the structure with the estimated values put in."""
-        values = self._values() | dict(zip(self.parameters, np.asarray(theta, dtype=float).tolist(), strict=True))
+        values = self._values() | dict(
+            zip(self.parameters, np.asarray(theta, dtype=float).tolist(), strict=True)
+        )
 
         def moved(elements: tuple[Element, ...]) -> tuple[Element, ...]:
             return tuple(replace(e, nominal=values[e.name]) for e in elements)
@@ -130,8 +135,15 @@ class MassSpringDamper:
         for i in np.flatnonzero(self._is_mass).tolist():
             row = names.index(f"velocity of {self.parameters[i]}")
             mass = theta[i]
-            sensed = [o for o, output in enumerate(self.outputs) if self._accelerates(output, self.parameters[i])]
-            for matrix, slope, rows in ((at.A, dA, [row]), (at.B, dB, [row]), (at.C, dC, sensed), (at.D, dD, sensed)):
+            sensed = [
+                o for o, output in enumerate(self.outputs) if self._accelerates(output, self.parameters[i])
+            ]
+            for matrix, slope, rows in (
+                (at.A, dA, [row]),
+                (at.B, dB, [row]),
+                (at.C, dC, sensed),
+                (at.D, dD, sensed),
+            ):
                 matrix[rows] *= self.nominal[i] / mass
                 slope[:, rows] *= self.nominal[i] / mass
                 slope[i] = 0.0

@@ -52,7 +52,8 @@ class Noise:
 
     Attributes:
         sigma: (p,) standard deviation of each output's white noise.
-        process: (d,) standard deviation of the unknown force in each direction, constant over a sample, white.
+        process: (d,) standard deviation of the unknown force in each direction, constant over a sample,
+            white.
     """
 
     sigma: FloatArray
@@ -89,7 +90,9 @@ def matched_gain(discrete: Discrete, disturbance: FloatArray, noise: Noise) -> G
     """
     push = disturbance * noise.process * discrete.period_s
     C = discrete.model.C / noise.sigma[:, None]
-    with np.errstate(over="ignore", invalid="ignore"):  # a force beyond all numbers has no gain, which is said below
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # a force beyond all numbers has no gain, which is said below
         L, S = _unit_gain(discrete.model.A, C, push @ push.T)
     return Gain(L / noise.sigma, np.asarray(np.linalg.inv(np.linalg.cholesky(S)) / noise.sigma))
 
@@ -103,10 +106,9 @@ def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, w
         sigma: (p,) standard deviation of each output's noise.
         window: samples in the window.
 
-    The one free figure, the intensity of the disturbance, is the least that forgets so soon. Where none does (an
-    accelerometer's zeros are slow) it is the one that forgets soonest; where forces alone give no stable observer,
-    every state is pushed.
-    Raises ValueError when no intensity gives a stable observer.
+    The one free figure, the intensity of the disturbance, is the least that forgets so soon. Where none does
+    (an accelerometer's zeros are slow) it is the one that forgets soonest; where forces alone give no stable
+    observer, every state is pushed. Raises ValueError when no intensity gives a stable observer.
     """
     units = state_units(discrete.model.A, discrete.model.C / sigma[:, None])
     for pushes in (disturbance, np.diag(1.0 / units)):
@@ -151,10 +153,11 @@ def _tried(discrete: Discrete, pushes: FloatArray, noise: Noise) -> tuple[float,
 def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance: float = 1e-9) -> list[str]:
     """Return the names of states that the outputs do not show; empty when (A, C) is observable.
 
-    The hidden states are the largest subspace of the kernel of C that A does not leave, found by orthogonal steps: a
-    test at each eigenvalue would miss the double pole at zero of a free rig, which is computed to 1e-8 only. Time is
-    scaled so that the fastest mode is 1, states are balanced and rows of C scaled to 1, so that units do not decide. In
-    discrete time A - I takes the place of A: it hides the same states and tells slow modes from one another.
+    The hidden states are the largest subspace of the kernel of C that A does not leave, found by orthogonal
+    steps: a test at each eigenvalue would miss the double pole at zero of a free rig, which is computed to
+    1e-8 only. Time is scaled so that the fastest mode is 1, states are balanced and rows of C scaled to 1, so
+    that units do not decide. In discrete time A - I takes the place of A: it hides the same states and tells
+    slow modes from one another.
     """
     rates = continuous.A - np.eye(continuous.n) if continuous.is_sampled else continuous.A
     speed = max(float(np.max(np.abs(np.linalg.eigvals(rates)), initial=0.0)), 1e-300)

@@ -1,9 +1,9 @@
 """The worst point of a box of parameters: vertices first, then a search inside, where vertices do not suffice.
 
-Neither the spectral radius nor observability is convex in the parameters, so neither takes its worst value at a vertex
-of necessity. Every vertex is tried (of many parameters a part of them, each then improved one side at a time), and
-points inside that fill the box evenly; from the worst of both Powell's line searches go on (Computer J. 7 (1964) 155),
-which need no derivative: both measures have kinks.
+Neither the spectral radius nor observability is convex in the parameters, so neither takes its worst value at
+a vertex of necessity. Every vertex is tried (of many parameters a part of them, each then improved one side
+at a time), and points inside that fill the box evenly; from the worst of both Powell's line searches go on
+(Computer J. 7 (1964) 155), which need no derivative: both measures have kinks.
 """
 
 from collections.abc import Callable, Sequence
@@ -137,7 +137,11 @@ def _searched(at: Measure, start: FloatArray, rounds: int) -> tuple[float, Float
 
     bounds = [(-1.0, 1.0)] * len(start)
     found = minimize(
-        lowered, start, method="Powell", bounds=bounds, options={"maxiter": rounds, "xtol": 1e-7, "ftol": 1e-11}
+        lowered,
+        start,
+        method="Powell",
+        bounds=bounds,
+        options={"maxiter": rounds, "xtol": 1e-7, "ftol": 1e-11},
     )
     shares = np.clip(np.asarray(found.x, dtype=float), -1.0, 1.0)
     return at(shares), shares
@@ -185,8 +189,8 @@ def _sampled(at: StateSpace, period_s: float) -> FloatArray:
 def hidden_mode(model: Model) -> Measure:
     """Return how near a model is to hiding a mode: minus the least singular value of [A - s I; C] over its poles.
 
-    By Popov, Belevitch and Hautus it is 0 where (A, C) is not observable. States are balanced and time scaled so that
-    the fastest pole is 1, at nominal, and rows of C have length 1 there, so that units do not decide.
+    By Popov, Belevitch and Hautus it is 0 where (A, C) is not observable. States are balanced and time scaled
+    so that the fastest pole is 1, at nominal, and rows of C have length 1 there, so that units do not decide.
     """
     nominal = model.continuous(model.nominal)
     speed, scale = _units(nominal)

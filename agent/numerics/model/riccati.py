@@ -1,13 +1,13 @@
 """The steady state of a Kalman predictor by structured doubling: no Schur form to reorder, about 20 steps, always ends.
 
-x(k+1) = A x(k) + w(k), y(k) = C x(k) + v(k), cov (w, v) = [[Q, S], [S', R]]. With a = (A − S R⁻¹ C)', G = C' R⁻¹ C and
-H = Q − S R⁻¹ S' one step takes the covariance of a prediction over N samples to that over 2 N
+x(k+1) = A x(k) + w(k), y(k) = C x(k) + v(k), cov (w, v) = [[Q, S], [S', R]]. With a = (A − S R⁻¹ C)', G = C'
+R⁻¹ C and H = Q − S R⁻¹ S' one step takes the covariance of a prediction over N samples to that over 2 N
 
     a <- a (I + G H)⁻¹ a,   G <- G + a (I + G H)⁻¹ G a',   H <- H + a' H (I + G H)⁻¹ a
 
-and H tends to it (Anderson & Moore, Optimal Filtering, 1979, section 6.7; Chu, Fan & Lin, Int. J. Control 77 (2004)
-767). Poles next to the unit circle cost some steps more and no more than that, where a solver by invariant subspaces
-must tell eigenvalues inside it from those outside and gives up.
+and H tends to it (Anderson & Moore, Optimal Filtering, 1979, section 6.7; Chu, Fan & Lin, Int. J. Control 77
+(2004) 767). Poles next to the unit circle cost some steps more and no more than that, where a solver by
+invariant subspaces must tell eigenvalues inside it from those outside and gives up.
 
 States are taken in units of what the readings show of them, so that masses of different size weigh alike.
 """

@@ -3,8 +3,8 @@
     e = y - C x - D u,      x' = Phi x + (B - L D) u + L y,      Phi = A - L C
     s_i' = Phi s_i + (dA_i - L dC_i) x + (dB_i - L dD_i) u,      psi_i = C s_i + dC_i x + dD_i u
 
-psi_i is the derivative of the predicted output by parameter i at fixed gain L, so e ~ sum psi_i (theta - theta_r)_i +
-noise (Ljung, System Identification, 2nd ed. 1999, section 10.3: the gradient of the prediction).
+psi_i is the derivative of the predicted output by parameter i at fixed gain L, so e ~ sum psi_i (theta -
+theta_r)_i + noise (Ljung, System Identification, 2nd ed. 1999, section 10.3: the gradient of the prediction).
 """
 
 from dataclasses import dataclass

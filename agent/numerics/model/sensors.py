@@ -2,8 +2,8 @@
 
     y_r = gain_r (C_r x + D_r u) + bias_r            u_j true = gain_j (u_j measured - bias_j)
 
-Offsets act through one more input that is always 1 (the last one). All of it stays an exact parametric state space,
-so discretisation, observer and sensitivities need not know.
+Offsets act through one more input that is always 1 (the last one). All of it stays an exact parametric state
+space, so discretisation, observer and sensitivities need not know.
 """
 
 from collections.abc import Sequence
@@ -100,7 +100,9 @@ class _Constants:
     def inputs(self, B: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Let u true = gain (u - bias): columns of measured inputs, then the column of the constant 1."""
         return tuple(  # type: ignore[return-value]
-            np.concatenate([M * self.input_gain, -(M @ (self.input_gain * self.input_bias))[..., None]], axis=-1)
+            np.concatenate(
+                [M * self.input_gain, -(M @ (self.input_gain * self.input_bias))[..., None]], axis=-1
+            )
             for M in (B, D)
         )
 

@@ -1,7 +1,7 @@
 """State-space models with their derivatives by every parameter, and exact discretisation of both.
 
-A model is anything with `parameters`, `nominal` and `continuous(theta)`; `discretise` turns what it returns into the
-sampled model that observer and estimator use.
+A model is anything with `parameters`, `nominal` and `continuous(theta)`; `discretise` turns what it returns
+into the sampled model that observer and estimator use.
 """
 
 from collections.abc import Sequence
@@ -134,12 +134,13 @@ class AffineModel:
 def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") -> Discrete:
     """Sample a continuous model exactly, derivatives included.
 
-    Between samples the input is a straight line ("first", for a measured force), a constant ("zero", for a commanded
-    one); "euler" is the first-order approximation I + T A of the paper's (23), kept for its reproduction.
+    Between samples the input is a straight line ("first", for a measured force), a constant ("zero", for a
+    commanded one); "euler" is the first-order approximation I + T A of the paper's (23), kept for its
+    reproduction.
 
-    With a straight line x(k+1) = A x(k) + B0 u(k) + B1 u(k+1); the shifted state xs = x - B1 u makes that causal:
-    B = A B1 + B0, D = D_c + C B1. The matrices are blocks of one matrix exponential and their derivatives blocks of
-    its Frechet derivative (Van Loan, IEEE Trans. Automatic Control 23 (1978) 395).
+    With a straight line x(k+1) = A x(k) + B0 u(k) + B1 u(k+1); the shifted state xs = x - B1 u makes that
+    causal: B = A B1 + B0, D = D_c + C B1. The matrices are blocks of one matrix exponential and their
+    derivatives blocks of its Frechet derivative (Van Loan, IEEE Trans. Automatic Control 23 (1978) 395).
 
     Raises ValueError for polynomials through more readings, which no shift makes causal (see `holds.sample`).
     """
@@ -174,7 +175,9 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     return Discrete(model, B1, dB1, period_s)
 
 
-def exponential_with_derivatives(generator: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def exponential_with_derivatives(
+    generator: FloatArray, directions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return exp(X), (s, s), and its derivatives along each direction, (q, s, s), by exp([[X, E], [0, X]])."""
     size = len(generator)
     if not len(directions):
@@ -189,7 +192,8 @@ def exponential_with_derivatives(generator: FloatArray, directions: FloatArray) 
 
 def _euler(continuous: StateSpace, period_s: float) -> Discrete:
     model = StateSpace(
-        A=np.eye(continuous.n) + period_s * continuous.A, B=period_s * continuous.B, C=continuous.C, D=continuous.D,
+        A=np.eye(continuous.n) + period_s * continuous.A, B=period_s * continuous.B, C=continuous.C,
+        D=continuous.D,
         dA=period_s * continuous.dA, dB=period_s * continuous.dB, dC=continuous.dC, dD=continuous.dD,
     )  # fmt: skip
     shape = (continuous.n, continuous.m)
@@ -204,7 +208,8 @@ def _as_given(sampled: StateSpace, period_s: float) -> Discrete:
 def modes(model: StateSpace, period_s: float) -> ComplexArray:
     """Return the continuous-time poles (n,), 1/s: of a model in discrete time those that sampling maps to its own.
 
-    A mode that is gone after one sample (a pole at 0) decays as fast as can be written; one at -1 is at half the rate.
+    A mode that is gone after one sample (a pole at 0) decays as fast as can be written; one at -1 is at half
+    the rate.
     """
     poles = np.linalg.eigvals(model.A).astype(np.complex128)
     if not model.is_sampled:

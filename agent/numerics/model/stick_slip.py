@@ -1,17 +1,18 @@
 """Dry friction as an input of the model: how much of it acted in each sample, from an observer that slides and sticks.
 
-The sign of a velocity is not enough. A reversal falls between two samples, and to have the whole friction wrong for a
-part of one sample is far more than a good displacement sensor's noise; and a mass that sticks is held by whatever
-balances it. So a Kalman filter of the nominal model runs beside the estimator, with the nominal friction in it and one
-slowly varying unknown force along each friction element, which takes what nominal values get wrong (without it the
-velocity lags, and a reversal is seen samples too late). Over a sample it lets each element slide, reverse where the
-straight line of its velocity crosses zero, or stick where the friction can hold it, and gives the mean of that: 1 or
--1 while it slides, between them in a sample with a reversal, the share of the friction that holds it while it sticks.
+The sign of a velocity is not enough. A reversal falls between two samples, and to have the whole friction
+wrong for a part of one sample is far more than a good displacement sensor's noise; and a mass that sticks is
+held by whatever balances it. So a Kalman filter of the nominal model runs beside the estimator, with the
+nominal friction in it and one slowly varying unknown force along each friction element, which takes what
+nominal values get wrong (without it the velocity lags, and a reversal is seen samples too late). Over a
+sample it lets each element slide, reverse where the straight line of its velocity crosses zero, or stick
+where the friction can hold it, and gives the mean of that: 1 or -1 while it slides, between them in a sample
+with a reversal, the share of the friction that holds it while it sticks.
 
-It is causal, and the nominal values matter only where it sticks: there the share is what they would need. Windows that
-hold much sticking tell little and are said to (`Sticking`). The means are put into the model's inputs so that their
-integral is right under the model's hold. (Karnopp, ASME J. Dyn. Sys. 107 (1985) 100, for sticking as a state of its
-own; Armstrong-Helouvry et al., Automatica 30 (1994) 1083.)
+It is causal, and the nominal values matter only where it sticks: there the share is what they would need.
+Windows that hold much sticking tell little and are said to (`Sticking`). The means are put into the model's
+inputs so that their integral is right under the model's hold. (Karnopp, ASME J. Dyn. Sys. 107 (1985) 100, for
+sticking as a state of its own; Armstrong-Helouvry et al., Automatica 30 (1994) 1083.)
 """
 
 from collections.abc import Sequence
@@ -40,7 +41,8 @@ class FrictionObserver:
     """A sample of the observer: free motion z' = M (z, w, y, u, u'), and z' + G w' with the friction.
 
     Attributes:
-        M: (n, n + r + p + 2 m) of the state, of friction and readings before, and of the forces before and now.
+        M: (n, n + r + p + 2 m) of the state, of friction and readings before, and of the forces before and
+            now.
         W: (r, n + m) relative velocities of the state and of the forces now.
         G: (n, r) what the whole friction of each element does in a sample.
         first: (n, p + m) the state to begin with from the first sample.
@@ -63,7 +65,9 @@ class FrictionObserver:
         return np.asarray(-np.einsum("rn,nr->r", self.W[:, : len(self.G)], self.G))
 
 
-def friction_observer(model: MassSpringDamper, period_s: float, hold: Hold, sigma: FloatArray) -> FrictionObserver:
+def friction_observer(
+    model: MassSpringDamper, period_s: float, hold: Hold, sigma: FloatArray
+) -> FrictionObserver:
     """Build the observer of a rig with dry friction from its nominal values.
 
     sigma (p,) is the standard deviation of each output's noise, NaN where it is not known.
@@ -88,7 +92,9 @@ def friction_observer(model: MassSpringDamper, period_s: float, hold: Hold, sigm
     first[:held] = np.hstack([seen, -seen @ D[:, :m]])
     known = np.where(np.isfinite(sigma), sigma, 0.0)
     noise = _noise(d.A - L @ d.C, L * known, W[:, : d.n])
-    return FrictionObserver(M, W, (B0 + B1)[:, m:], first, hold == "first", noise, round(REST / (SPEED * period_s)))
+    return FrictionObserver(
+        M, W, (B0 + B1)[:, m:], first, hold == "first", noise, round(REST / (SPEED * period_s))
+    )
 
 
 def _differences(model: MassSpringDamper, pairs: Sequence[tuple[str, str]]) -> FloatArray:

@@ -21,7 +21,8 @@ class Constant:
         kind: a mass, an output's or an input's gain, or the delay of all measured inputs.
         number: which mass (of the model's parameters after θ), output or input it belongs to.
         sheet: standard deviation of its logarithm; of the delay: samples.
-        shows: whether data can tell that it is off: no gain can be told where all masses are estimated or absent.
+        shows: whether data can tell that it is off: no gain can be told where all masses are estimated or
+            absent.
     """
 
     name: str
@@ -109,13 +110,15 @@ class Rig:
 class Sampled:
     """The sampled model at a point, x(k+1) = A x + B u + E f, y = C x + D u + F f (shifted state, see `discretise`).
 
-    With a polynomial hold u is stacked: the m inputs at sample k, then the driven ones at k + o for each of the rig's
-    shifts; the state is then the physical one as to the driven inputs, and shifted as to the others and f.
+    With a polynomial hold u is stacked: the m inputs at sample k, then the driven ones at k + o for each of
+    the rig's shifts; the state is then the physical one as to the driven inputs, and shifted as to the others
+    and f.
 
     Attributes:
         A, B, C, D: (n, n), (n, m), (p, n), (p, m).
         E, F: (n, d), (p, d) for unknown forces f.
-        dA, dB, dC, dD: the derivatives of A, B, C, D by θ_i in units of `unit`, then by each mass's logarithm.
+        dA, dB, dC, dD: the derivatives of A, B, C, D by θ_i in units of `unit`, then by each mass's
+            logarithm.
         theta, log_mass: the point.
         unit: (q,) what a deviation of 1 means for each parameter.
     """

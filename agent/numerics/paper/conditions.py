@@ -7,7 +7,12 @@ from agent.types import FloatArray, WindowConditions
 
 
 def window_conditions(
-    states: Batch, outputs: Batch, last: tuple[Descent, ...], trail: FloatArray, nominal: FloatArray, scale: FloatArray
+    states: Batch,
+    outputs: Batch,
+    last: tuple[Descent, ...],
+    trail: FloatArray,
+    nominal: FloatArray,
+    scale: FloatArray,
 ) -> WindowConditions:
     """Evaluate (11), (12) and the special case (14), (15) on the batches of a window's last pass.
 

@@ -1,15 +1,16 @@
 """Where re-centred passes of the paper's estimator go: whether the right parameters attract them.
 
-A pass solves, over a window, min over d of the sum of |L e - sum_i phi_i d_i|^2: by (2) the regressand of (10) is the
-observer's correction L e, and phi_i = dA_i x + dB_i u. Near the right parameters the innovation is e = - sum_j psi_j
-(theta - theta*)_j, psi_j its sensitivity, so that a pass takes the error to M times the error with
+A pass solves, over a window, min over d of the sum of |L e - sum_i phi_i d_i|^2: by (2) the regressand of
+(10) is the observer's correction L e, and phi_i = dA_i x + dB_i u. Near the right parameters the innovation
+is e = - sum_j psi_j (theta - theta*)_j, psi_j its sensitivity, so that a pass takes the error to M times the
+error with
 
     M = I - G^-1 H,      G_ij = sum phi_i' phi_j,      H_ij = sum phi_i' L psi_j
 
-The right parameters are always a fixed point. They attract when every eigenvalue of M lies within the unit circle; the
-largest is the ratio of successive steps. H knows the window by phi_i' L alone, which are the q combinations
-L' [dA_i dB_i] of the p (n + m) products of innovations and regressors: are these combinations dependent, H is singular,
-M has the eigenvalue 1, and fixed points form a curve through the right one.
+The right parameters are always a fixed point. They attract when every eigenvalue of M lies within the unit
+circle; the largest is the ratio of successive steps. H knows the window by phi_i' L alone, which are the q
+combinations L' [dA_i dB_i] of the p (n + m) products of innovations and regressors: are these combinations
+dependent, H is singular, M has the eigenvalue 1, and fixed points form a curve through the right one.
 """
 
 from dataclasses import dataclass
@@ -87,7 +88,9 @@ def _readings(model: StateSpace, u: FloatArray, x0: FloatArray) -> FloatArray:
     return np.asarray(states @ model.C.T + u @ model.D.T)
 
 
-def _sensitivities(model: StateSpace, gain: FloatArray, y: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
+def _sensitivities(
+    model: StateSpace, gain: FloatArray, y: FloatArray, u: FloatArray, x0: FloatArray
+) -> FloatArray:
     """Return d y_predicted by each parameter (N, p, q), the observer's gain held."""
     system = sensitivity_filter(model, gain, np.eye(model.p))
     z = np.concatenate([x0, np.zeros(len(system.F) - model.n)])

@@ -1,18 +1,20 @@
 """The estimator of the paper that this product grew from: observer first, then uncertainty matrices by descent.
 
-Numbers in brackets are the paper's ("Observer Based Parameter Estimation For Linear Uncertain Discrete-Time Systems").
-The observer (2) gives states x(k); dA x(k) = b(k) with b(k) = x(k+1) - A0 x(k) - B u(k) is (10), and dC x(k) = y(k) -
-C0 x(k) likewise. Both are here one matrix equation M r(k) = t(k) over a batch of samples.
+Numbers in brackets are the paper's ("Observer Based Parameter Estimation For Linear Uncertain Discrete-Time
+Systems"). The observer (2) gives states x(k); dA x(k) = b(k) with b(k) = x(k+1) - A0 x(k) - B u(k) is (10),
+and dC x(k) = y(k) - C0 x(k) likewise. Both are here one matrix equation M r(k) = t(k) over a batch of
+samples.
 
-How Z enters. (13) is written for one sample, (16) sums over a batch: were the M(Z) of (16) taken anew at every sample
-the cost would be zero for every Z. Taken here: the pseudo-inverse of (13) is that of the batch, cut to `rank` of its
-directions (1 is the paper's "Rank(x) = 1"; a batch of one sample is (13) to the letter), and descent on (16) fills
-the others. The cut directions are those of the batch's singular vectors, so the cost separates and its minimum over Z
-is the least-squares M for every rank; Z is determined up to what the projector removes. With the full rank the
-projector is zero and (14) on the batch is the answer at once.
+How Z enters. (13) is written for one sample, (16) sums over a batch: were the M(Z) of (16) taken anew at
+every sample the cost would be zero for every Z. Taken here: the pseudo-inverse of (13) is that of the batch,
+cut to `rank` of its directions (1 is the paper's "Rank(x) = 1"; a batch of one sample is (13) to the letter),
+and descent on (16) fills the others. The cut directions are those of the batch's singular vectors, so the
+cost separates and its minimum over Z is the least-squares M for every rank; Z is determined up to what the
+projector removes. With the full rank the projector is zero and (14) on the batch is the answer at once.
 
-By (2) b(k) is L (y(k) - C0 x(k)): the regressand is the observer's own correction, so M lies in the range of L and is
-biased until the observer runs on the right parameters; hence `passes`, see `agent.numerics.paper.seed_window`.
+By (2) b(k) is L (y(k) - C0 x(k)): the regressand is the observer's own correction, so M lies in the range of
+L and is biased until the observer runs on the right parameters; hence `passes`, see
+`agent.numerics.paper.seed_window`.
 """
 
 from dataclasses import dataclass
@@ -183,8 +185,9 @@ def cost(batch: Batch, M: FloatArray) -> float:
 def descend(batch: Batch, solution: GeneralSolution, stopping: Stopping | None = None) -> Descent:
     """Minimise (16) over Z from Z = 0 by gradient descent with the steps (17).
 
-    The first step, which the paper leaves open, is the reciprocal of the cost's largest curvature. (17) is the second
-    of the steps in Barzilai & Borwein, IMA J. Numer. Anal. 8 (1988) 141; the cost need not fall at each of them.
+    The first step, which the paper leaves open, is the reciprocal of the cost's largest curvature. (17) is
+    the second of the steps in Barzilai & Borwein, IMA J. Numer. Anal. 8 (1988) 141; the cost need not fall at
+    each of them.
     """
     rule = stopping or Stopping()
     Z = np.zeros_like(solution.base)

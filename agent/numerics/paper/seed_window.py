@@ -1,9 +1,9 @@
 """The paper's estimator over a sliding window and over a stream (method = "seed").
 
-One pass is the method as printed: the observer runs on the nominal parameters, the window's last W states give dA.
-Each further pass puts the observer on the parameters of the pass before, with the physical structure imposed, and runs
-it again over the window and the samples before it that it needs to settle. The fixed point is the exact answer, since
-there the observer has nothing left to correct.
+One pass is the method as printed: the observer runs on the nominal parameters, the window's last W states
+give dA. Each further pass puts the observer on the parameters of the pass before, with the physical structure
+imposed, and runs it again over the window and the samples before it that it needs to settle. The fixed point
+is the exact answer, since there the observer has nothing left to correct.
 
 The printed method has no test of whether a window straddles a change; its rows are never called changing.
 """
@@ -53,9 +53,11 @@ class SeedSettings:
         hold: how the input runs between samples; "euler" is the paper's (23).
         gain: (n, p) the observer's K_e, kept in every pass.
         passes: 1 is the method as printed.
-        rank: directions solved in closed form before descent (`agent.numerics.paper.seed`); None: nothing is left.
+        rank: directions solved in closed form before descent (`agent.numerics.paper.seed`); None: nothing is
+            left.
         stopping: the rules that end descent.
-        read: how parameters are read from the matrix of a pass; None is structured least squares over the batch.
+        read: how parameters are read from the matrix of a pass; None is structured least squares over the
+            batch.
         scale: (q,) size of each parameter: an estimate further away than a hundred times this has diverged.
         settled: share of the observer's first error that is left when it counts as settled.
     """
@@ -82,7 +84,8 @@ class SeedFit:
         dof: degrees of freedom of that residual.
         descents: those of Z, one a pass; each followed by that of W where gains of sensors are estimated.
         trail: (passes, q) parameters after each pass.
-        settled: further passes would not move it by more than its sd says; only the stream (`SeedWindow`) asks.
+        settled: further passes would not move it by more than its sd says; only the stream (`SeedWindow`)
+            asks.
         conditions: of the window, by its last pass; only of the stream, too.
     """
 
@@ -102,15 +105,17 @@ def settling(model: StateSpace, gain: FloatArray, share: float) -> int:
     """
     radius = float(np.max(np.abs(np.linalg.eigvals(model.A - gain @ model.C))))
     if not radius < 1.0:
-        raise ValueError(f"the observer is not stable: its poles reach {radius:.6g}, (3) asks for less than 1")
+        raise ValueError(
+            f"the observer is not stable: its poles reach {radius:.6g}, (3) asks for less than 1"
+        )
     return int(np.ceil(np.log(share) / np.log(max(radius, 1e-9))))
 
 
 def regression(model: StateSpace, states: FloatArray, u: FloatArray) -> tuple[Batch, FloatArray]:
     """Return the batch of a window and the derivatives (q, n, r) of its matrix.
 
-    Where the sampled input matrix depends on the parameters (every exact hold, not the paper's Euler model) the input
-    joins the regressors, so that the matrix is (dA, dB).
+    Where the sampled input matrix depends on the parameters (every exact hold, not the paper's Euler model)
+    the input joins the regressors, so that the matrix is (dA, dB).
     """
     moved = states[1:] - states[:-1] @ model.A.T - u @ model.B.T
     if not model.dB.any():
@@ -118,7 +123,9 @@ def regression(model: StateSpace, states: FloatArray, u: FloatArray) -> tuple[Ba
     return Batch(np.hstack([states[:-1], u]), moved), np.concatenate([model.dA, model.dB], axis=2)
 
 
-def output_regression(model: StateSpace, states: FloatArray, y: FloatArray, u: FloatArray) -> tuple[Batch, FloatArray]:
+def output_regression(
+    model: StateSpace, states: FloatArray, y: FloatArray, u: FloatArray
+) -> tuple[Batch, FloatArray]:
     """Return the batch of dC over a window and the derivatives (q, p, r) of its matrix; inputs join where dD is any."""
     left = y - states[:-1] @ model.C.T - u @ model.D.T
     if not model.dD.any():
@@ -131,8 +138,8 @@ def one_pass(
 ) -> tuple[tuple[Descent, ...], Structured]:
     """Estimate from the observer's states (W+1, n) over a window and its readings y (W, p) and inputs u (W, m).
 
-    Descent over Z gives what acts in the states' equation; descent over W gives what shows in the readings alone, the
-    gains of sensors, where there are such.
+    Descent over Z gives what acts in the states' equation; descent over W gives what shows in the readings
+    alone, the gains of sensors, where there are such.
     """
     batch, derivatives = regression(model, states, u)
     moves = np.asarray(derivatives.any(axis=(1, 2)), dtype=bool)
@@ -202,9 +209,9 @@ def remaining(
 ) -> FloatArray:
     """Return (q,) how far the passes have still to go, by two looks; inf where they do not come nearer.
 
-    The innovation at the last point: what of it other parameters explain. The passes' steps: those to come are a
-    geometric series of the ratio of the last two. A small last step alone says nothing: an observer that corrects
-    little takes small steps wherever it is.
+    The innovation at the last point: what of it other parameters explain. The passes' steps: those to come
+    are a geometric series of the ratio of the last two. A small last step alone says nothing: an observer
+    that corrects little takes small steps wherever it is.
     """
     sampled = discretise(model.continuous(fit.theta), settings.period_s, settings.hold).model
     with np.errstate(all="ignore"):  # an observer that is not stable there is no number, which is looked at
@@ -222,7 +229,8 @@ def innovation_step(
 ) -> FloatArray:
     """Return (q,) the change of parameters that best explains the innovations of the last window; NaN without one.
 
-    model: sampled where the passes ended. y (N, p), u (N, m), x0 (n,): the samples that the observer settles in, too.
+    model: sampled where the passes ended. y (N, p), u (N, m), x0 (n,): the samples that the observer settles
+    in, too.
     """
     system = sensitivity_filter(model, settings.gain, np.eye(model.p))
     v = np.hstack([y, u])
@@ -246,8 +254,8 @@ def innovation_step(
 class SeedWindow:
     """The seed's estimator over a stream of samples; the same calls as `agent.numerics.estimator.sliding`.
 
-    The observer's first pass runs once over the stream from state zero, as printed. A row counts as full when a whole
-    window lies after the observer has settled.
+    The observer's first pass runs once over the stream from state zero, as printed. A row counts as full when
+    a whole window lies after the observer has settled.
     """
 
     def __init__(self, model: Model, settings: SeedSettings) -> None:
@@ -323,7 +331,9 @@ class SeedWindow:
         settled = np.all(left <= np.maximum(ENOUGH * self.settings.scale, DEVIATIONS * fit.sd))
         return replace(fit, sd=np.hypot(fit.sd, left), settled=bool(settled))
 
-    def _conditions(self, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray) -> WindowConditions | None:
+    def _conditions(
+        self, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray
+    ) -> WindowConditions | None:
         """Return what the conditions say of the window, by the observer on the nominal model as the paper's is."""
         if not fit.descents:
             return None

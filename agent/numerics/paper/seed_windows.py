@@ -44,7 +44,9 @@ class SeedWindows:
         rows = each[0].copy()
         for other in each[1:]:
             # a longer window speaks where no shorter one is valid, and as soon as it is full
-            better = ~np.all(rows.status == Status.VALID, axis=1) & np.any(other.status != Status.WARMING, axis=1)
+            better = ~np.all(rows.status == Status.VALID, axis=1) & np.any(
+                other.status != Status.WARMING, axis=1
+            )
             for name in _CHOSEN:
                 getattr(rows, name)[better] = getattr(other, name)[better]
         conditions = sorted(chain.from_iterable(one.conditions for one in each), key=lambda found: found[0])

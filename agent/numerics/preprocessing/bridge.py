@@ -1,9 +1,10 @@
 """Readings that a window lacks, as unknowns of its estimate.
 
-A missing reading is filled with its cubic interpolant, and what the interpolant misses is one more unknown d. A missing
-output says nothing at all (d is free). A missing input lies near its interpolant, as near as interpolants of such gaps
-lie to the readings elsewhere in the window, which gives d a prior (Ljung, System Identification, 2nd ed. 1999, section
-14.2). To believe an interpolated force would make intervals far too narrow.
+A missing reading is filled with its cubic interpolant, and what the interpolant misses is one more unknown d.
+A missing output says nothing at all (d is free). A missing input lies near its interpolant, as near as
+interpolants of such gaps lie to the readings elsewhere in the window, which gives d a prior (Ljung, System
+Identification, 2nd ed. 1999, section 14.2). To believe an interpolated force would make intervals far too
+narrow.
 """
 
 from dataclasses import dataclass

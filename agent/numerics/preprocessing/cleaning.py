@@ -1,9 +1,10 @@
 """Readings that are missing or cannot be true, told from motion by their neighbours and filled for the estimator.
 
-A spike is an isolated excursion of at most three readings: what comes before and what comes after it fit each other
-and it fits neither. A longer run of large values is a change, a kink or a step is motion. Judged by second differences
-in units of what they usually are, so that a random force or an impact is no spike. Decisions need a few readings
-beyond the doubtful one: only where one is in doubt does the stream wait for them, and never on how it was cut.
+A spike is an isolated excursion of at most three readings: what comes before and what comes after it fit each
+other and it fits neither. A longer run of large values is a change, a kink or a step is motion. Judged by
+second differences in units of what they usually are, so that a random force or an impact is no spike.
+Decisions need a few readings beyond the doubtful one: only where one is in doubt does the stream wait for
+them, and never on how it was cut.
 """
 
 from dataclasses import dataclass
@@ -41,7 +42,8 @@ CROWDED = 12
 """... no more second differences than two spikes leave may be in doubt: where more are, that is how the signal is."""
 WILD = 1e5
 """An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever the
-motion says: no sensor resolves that much, and sums of its square would leave no digit for those that come after."""
+motion says: no sensor resolves that much, and sums of its square would leave no digit for those that come
+after."""
 CONTEXT = 64
 """Samples that are kept as they came, to judge the next ones by."""
 STEPS = 4.0
@@ -76,7 +78,8 @@ class Cleaner:
     """Cleans one uninterrupted stretch of samples after the other.
 
     Args:
-        inputs: (c,) which channels are inputs; those may jump (a hammer's blow), so their spikes are only suspected.
+        inputs: (c,) which channels are inputs; those may jump (a hammer's blow), so their spikes are only
+            suspected.
         step: (c,) the wire's smallest step of each channel, SI; 0 where it has none or is not known.
     """
 
@@ -96,7 +99,9 @@ class Cleaner:
         self._spike = np.zeros((0, c), dtype=bool)
         self._suspect = np.zeros((0, c), dtype=bool)
         self._decided = 0
-        self._block: FloatArray = np.zeros((0, c))  # the block that is not whole yet, with two samples before it
+        self._block: FloatArray = np.zeros(
+            (0, c)
+        )  # the block that is not whole yet, with two samples before it
         self._limits: FloatArray = np.zeros((0, c))  # of the samples in _raw
 
     def take(self, v: FloatArray, *, end: bool = False) -> Clean:
@@ -127,7 +132,9 @@ class Cleaner:
         first, second, third = (stream[place : place + whole * BLOCK : THIN] for place in range(3))
         sizes = np.abs((third - second) - (second - first)).reshape(whole, BLOCK // THIN, v.shape[1])
         known = np.concatenate([self._usual, _medians(sizes)])
-        usual = np.lib.stride_tricks.sliding_window_view(known, MEMORY, axis=0).max(axis=2)  # one more than blocks
+        usual = np.lib.stride_tricks.sliding_window_view(known, MEMORY, axis=0).max(
+            axis=2
+        )  # one more than blocks
         self._usual, self._block = known[-MEMORY:], stream[whole * BLOCK :]
         block = np.clip((np.arange(len(v)) + before - 2) // BLOCK, 0, whole)
         excess = np.where(self._inputs, EXCESS_OF_INPUTS, EXCESS)
@@ -202,7 +209,9 @@ class Cleaner:
             if len(before) < 2 or len(after) < 2 or behind[length - 1] != place + length - 1:
                 return 0
             clear = DOUBTFUL if self._inputs[channel] else CLEAR
-            if _stands_out(x, before, range(place, place + length), after, (limit, clear), smooth=clear == CLEAR):
+            if _stands_out(
+                x, before, range(place, place + length), after, (limit, clear), smooth=clear == CLEAR
+            ):
                 return length
         return 0
 
@@ -214,7 +223,9 @@ class Cleaner:
             known = self._decided if not end else len(clean)
             clean[:known, channel] = filled(clean[:known, channel], self._marked[:known, channel])
         out = slice(self._context, stop)
-        self._most = np.maximum(self._most, largest_in(np.where(self._marked[out], 0.0, np.abs(self._raw[out]))))
+        self._most = np.maximum(
+            self._most, largest_in(np.where(self._marked[out], 0.0, np.abs(self._raw[out])))
+        )
         released = Clean(clean[out], self._marked[out], self._spike[out], self._suspect[out])
         self._forget(max(0, stop - CONTEXT), stop)
         return released
@@ -243,13 +254,14 @@ def _medians(sizes: FloatArray) -> FloatArray:
 
 
 def _stands_out(
-    x: FloatArray, before: NDArray[np.int64], spike: range, after: NDArray[np.int64], least: tuple[float, float],
+    x: FloatArray, before: NDArray[np.int64], spike: range, after: NDArray[np.int64],
+    least: tuple[float, float],
     *, smooth: bool,
 ) -> bool:  # fmt: skip
     """Tell whether readings are far from what both sides agree on.
 
-    least: how far they must be at either end, and how many times as far as the two sides are from each other; of a
-    signal that is not smooth, each side's mean may stand for where it goes on.
+    least: how far they must be at either end, and how many times as far as the two sides are from each other;
+    of a signal that is not smooth, each side's mean may stand for where it goes on.
     """
     first = spike[0]
     places = (*(before - first).tolist(), *(after - first).tolist())

@@ -1,9 +1,9 @@
 """How fast a device's clock runs against the gateway's, from when its samples arrive.
 
-A sample never arrives before it was taken, so arrival times lie above the straight line of the two clocks by a delay
-that is never negative: the line is the lower envelope of the arrivals. Of all lines below every arrival the one that
-leaves least above it is an edge of the lower convex hull, the one over the mean time (Moon, Skelly, Towsley, IEEE
-INFOCOM 1999, 227, who solve it as a linear programme).
+A sample never arrives before it was taken, so arrival times lie above the straight line of the two clocks by
+a delay that is never negative: the line is the lower envelope of the arrivals. Of all lines below every
+arrival the one that leaves least above it is an edge of the lower convex hull, the one over the mean time
+(Moon, Skelly, Towsley, IEEE INFOCOM 1999, 227, who solve it as a linear programme).
 """
 
 from dataclasses import dataclass, field
@@ -95,7 +95,11 @@ class ClockFit:
     @property
     def span_s(self) -> float:
         """Device time from the first arrival kept to the newest."""
-        return max(p[0] for p in self._bins.values()) - min(p[0] for p in self._bins.values()) if self._bins else 0.0
+        return (
+            max(p[0] for p in self._bins.values()) - min(p[0] for p in self._bins.values())
+            if self._bins
+            else 0.0
+        )
 
     def line(self, trusted_s: float = 0.0) -> Line:
         """Return the two clocks; with arrivals over less than trusted_s the device is taken to keep its rate."""

@@ -1,13 +1,13 @@
 """Channels at the end of their range: flat tops that readings run into faster than a rounded peak could.
 
-A machine that moves somewhere and dwells there brakes before: its readings slow down over the last few samples as much
-as they still go. Only speed that such braking does not explain runs into an end.
+A machine that moves somewhere and dwells there brakes before: its readings slow down over the last few
+samples as much as they still go. Only speed that such braking does not explain runs into an end.
 
-At the extreme of all readings one such top of an output is enough where it is long for the speed at which it was
-entered: under a force that changes from sample to sample a channel may halt for a few of them. Shorter, or below the
-extreme, the same value must stop it twice, with nothing beyond in between. A force may rest at an end of its range
-between blows, which it also runs into: an input is named the second time only, and never where it rests, which is at 0
-or where it is most of the time.
+At the extreme of all readings one such top of an output is enough where it is long for the speed at which it
+was entered: under a force that changes from sample to sample a channel may halt for a few of them. Shorter,
+or below the extreme, the same value must stop it twice, with nothing beyond in between. A force may rest at
+an end of its range between blows, which it also runs into: an input is named the second time only, and never
+where it rests, which is at 0 or where it is most of the time.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,8 @@ BRAKED_OVER = 3
 """Samples before the last whole step into a top over which its braking is told."""
 BRAKING = 3.5
 """Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more. Constant
-braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its steps are ..."""
+braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its steps are
+..."""
 CREEP = 3.0
 """... those of the wire, of which it then makes no more than so many a sample."""
 ENTRY = PLATEAU + BRAKED_OVER + 1
@@ -52,7 +53,10 @@ class Rails:
         self._inputs = inputs
         self._value = np.full((2, c), np.nan)
         self._times = np.zeros((2, c), dtype=np.int64)
-        self._there, self._since = np.zeros((2, c)), np.zeros((2, c))  # readings at the rail, and all since it is one
+        self._there, self._since = (
+            np.zeros((2, c)),
+            np.zeros((2, c)),
+        )  # readings at the rail, and all since it is one
 
     def known(self) -> bool:
         """Tell whether some channel was stopped twice at one value."""

@@ -1,7 +1,8 @@
 """Readings between samples: cubic interpolation of a stream that may have gaps.
 
-Displacement is smooth on the scale of a sample (a force moves it only through two integrations), so four readings are
-enough: halfway between samples what is left of a white force of 5 N on 3 kg at 1 kHz is 0.1 micrometre.
+Displacement is smooth on the scale of a sample (a force moves it only through two integrations), so four
+readings are enough: halfway between samples what is left of a white force of 5 N on 3 kg at 1 kHz is 0.1
+micrometre.
 """
 
 import numpy as np

@@ -1,8 +1,9 @@
 """Channels that stopped telling: stuck at one value while others move, or clipped at the end of their range.
 
-Judged block by block (counted from the stretch's first sample, so that results do not depend on how the stream was
-cut), by what a channel usually does: a coarse channel that often stays on one step may do so longer than a fine one.
-Where nothing moves nothing is stuck: standstill is no fault. What is judged is in `standing` and `rails`.
+Judged block by block (counted from the stretch's first sample, so that results do not depend on how the
+stream was cut), by what a channel usually does: a coarse channel that often stays on one step may do so
+longer than a fine one. Where nothing moves nothing is stuck: standstill is no fault. What is judged is in
+`standing` and `rails`.
 """
 
 from dataclasses import dataclass
@@ -52,7 +53,8 @@ class SensorWatch:
         step: (c,) the wire's smallest step of each channel, SI; 0 where it has none or nobody states it.
         window: samples of the estimator's window.
         kinds: (c,) number of the quantity that each channel shows; each another where it is not given.
-        commanded: (c,) inputs that are what was commanded: they stay where they are put and know no end of a range.
+        commanded: (c,) inputs that are what was commanded: they stay where they are put and know no end of a
+            range.
     """
 
     def __init__(
@@ -153,8 +155,8 @@ class SensorWatch:
     ) -> tuple[BoolArray, FloatArray]:
         """Return in which blocks (N, c) equal readings follow each other, and how fast such a row was entered.
 
-        The last step into it is left out: where readings rested, as a force that is held does between two steps, they
-        went not at all.
+        The last step into it is left out: where readings rested, as a force that is held does between two
+        steps, they went not at all.
         """
         equal = same.copy()
         for back in range(1, PLATEAU - 1):
@@ -173,8 +175,8 @@ class SensorWatch:
     def _steps(self, change: FloatArray, same: BoolArray, whole: int) -> FloatArray:
         """Return the wire's step (N, c) as it is known behind each block: as stated, else the least single change seen.
 
-        change, same (c, samples). A change between readings that rest before and behind it is a step; where a channel
-        stops or is clipped it has moved all the time before.
+        change, same (c, samples). A change between readings that rest before and behind it is a step; where a
+        channel stops or is clipped it has moved all the time before.
         """
         c = len(self._stated)
         if self._stated.all():
@@ -196,7 +198,8 @@ class SensorWatch:
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
         clipped = self._clipped(blocks, b)
         kinds: list[Kind | None] = [
-            "saturated" if c else "stuck" if s else None for s, c in zip(stuck.tolist(), clipped.tolist(), strict=True)
+            "saturated" if c else "stuck" if s else None
+            for s, c in zip(stuck.tolist(), clipped.tolist(), strict=True)
         ]
         pairs = enumerate(zip(kinds, self._kinds, strict=True))
         changed = [Finding(self._done, channel, now) for channel, (now, was) in pairs if now != was]

@@ -1,9 +1,9 @@
 """Outputs that stand still while others move: stuck, at a turning point, or too coarse for how little they move.
 
-What a channel would have shown is told by the others: how far they went since it stopped, as a share of how far they
-went before, against how many steps of its own it made then. A sine within two of its steps S goes on elsewhere for
-2.8 / sqrt(S) of the way from end to end, in the worst phase. With few steps that share is no less than one, and such a
-channel is never called stuck.
+What a channel would have shown is told by the others: how far they went since it stopped, as a share of how
+far they went before, against how many steps of its own it made then. A sine within two of its steps S goes on
+elsewhere for 2.8 / sqrt(S) of the way from end to end, in the worst phase. With few steps that share is no
+less than one, and such a channel is never called stuck.
 """
 
 import numpy as np
@@ -57,8 +57,13 @@ class Standing:
         self._others = shown_by & ~np.eye(c, dtype=bool)
         self._usual, self._longest, self._speed = np.zeros(c), np.zeros(c), np.zeros(c)
         self._called = np.zeros(c, dtype=bool)
-        self._low, self._high = np.full(c, np.inf), np.full(c, -np.inf)  # of the standstill, else of the newest block
-        self._chunks = np.stack([np.full((2, c), np.inf), np.full((2, c), -np.inf)])  # lowest, highest; older, newer
+        self._low, self._high = (
+            np.full(c, np.inf),
+            np.full(c, -np.inf),
+        )  # of the standstill, else of the newest block
+        self._chunks = np.stack(
+            [np.full((2, c), np.inf), np.full((2, c), -np.inf)]
+        )  # lowest, highest; older, newer
         self._blocks = 0
         self._way = np.zeros((c, c))  # what the others used to go when each channel stopped
         self._steps = np.zeros(c)  # and how many steps it made itself then
@@ -149,7 +154,9 @@ class Standing:
         further = range_ > MORE * self._course
         self._trips[further], self._course[further] = 0, range_[further]
         gone |= further
-        self._leg[:, gone] = np.stack([np.broadcast_to(low, gone.shape)[gone], np.broadcast_to(high, gone.shape)[gone]])
+        self._leg[:, gone] = np.stack(
+            [np.broadcast_to(low, gone.shape)[gone], np.broadcast_to(high, gone.shape)[gone]]
+        )
 
     def _least(self, step: FloatArray, known: BoolArray) -> FloatArray:
         """(c,) samples of standstill that are too many, others having moved."""
@@ -164,7 +171,8 @@ class Standing:
         by_range = (share[:, None] <= WIDE) & (range_ >= share[:, None] * self._way)
         often = self._trips >= TRIPS
         by_trips = often & (self._steps[:, None] >= FEWEST)
-        # where nothing is known of a channel, one of its kind must have gone far in its steps; without, back and forth
+        # where nothing is known of a channel, one of its kind must have gone far in its steps; without, back
+        # and forth
         counted = self._alike & (step > 0)[:, None]
         never = (self._steps <= 1.01)[:, None] & np.where(counted, range_ >= APART * step[:, None], often)
         went = never | ((by_range | by_trips) & (self._way > 0))

@@ -1,11 +1,12 @@
 """Limits that a healthy machine seldom crosses, and the smallest change that they find.
 
-A healthy change is x + e: x slow, of sd s and correlation time tau, e the noise of windows, of sd e. An alarm with
-on-delay D needs every row of D beyond limit + t e, t the quantile of its confidence; so it is raised no more often than
-the mean of D lies beyond that, whose sd is S = sqrt(s^2 + e^2 w/(w + D)), w the window. Departures of a stationary
-Gaussian process beyond z sd come z phi(z)/tau times a second (the Ornstein-Uhlenbeck process, Leadbetter, Lindgren and
-Rootzen 1983, theorem 12.3.5), tau that of the mix; z follows from how many false alarms are allowed, and
-limit = z S - t e. Spread that rests on few independent hours is taken at the upper end of its 95 % interval.
+A healthy change is x + e: x slow, of sd s and correlation time tau, e the noise of windows, of sd e. An alarm
+with on-delay D needs every row of D beyond limit + t e, t the quantile of its confidence; so it is raised no
+more often than the mean of D lies beyond that, whose sd is S = sqrt(s^2 + e^2 w/(w + D)), w the window.
+Departures of a stationary Gaussian process beyond z sd come z phi(z)/tau times a second (the
+Ornstein-Uhlenbeck process, Leadbetter, Lindgren and Rootzen 1983, theorem 12.3.5), tau that of the mix; z
+follows from how many false alarms are allowed, and limit = z S - t e. Spread that rests on few independent
+hours is taken at the upper end of its 95 % interval.
 """
 
 from dataclasses import dataclass

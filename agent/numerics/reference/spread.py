@@ -1,9 +1,10 @@
 """Robust location and spread of a slow series: means of equal periods, their autocorrelation counted.
 
-A parameter's rows scatter within an hour by what windows tell, and their means from hour to hour by what the machine
-and its surroundings do. The location is Huber's (1964) of the period means; the spread their winsorised deviation from
-it. Means that depend on one another are fewer than they look: n_effective = n / (1 + 2 sum of autocorrelations), the
-sum cut where pairs of them turn negative (Geyer 1992, Statistical Science 7, section 3.3).
+A parameter's rows scatter within an hour by what windows tell, and their means from hour to hour by what the
+machine and its surroundings do. The location is Huber's (1964) of the period means; the spread their
+winsorised deviation from it. Means that depend on one another are fewer than they look: n_effective = n / (1
++ 2 sum of autocorrelations), the sum cut where pairs of them turn negative (Geyer 1992, Statistical Science
+7, section 3.3).
 """
 
 from dataclasses import dataclass
@@ -91,7 +92,9 @@ def _sound(value: FloatArray, first: IntArray) -> tuple[BoolArray, float]:
 
 
 def _means(x: FloatArray, kept: BoolArray, first: IntArray) -> FloatArray:
-    return np.asarray(np.add.reduceat(np.where(kept, x, 0.0), first) / np.maximum(np.add.reduceat(kept, first), 1))
+    return np.asarray(
+        np.add.reduceat(np.where(kept, x, 0.0), first) / np.maximum(np.add.reduceat(kept, first), 1)
+    )
 
 
 def _of_means(mean: FloatArray, number: IntArray, t_s: FloatArray, within: float, period_s: float) -> Spread:

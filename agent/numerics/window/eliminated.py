@@ -4,8 +4,9 @@ With everything as in `solve`, and the columns h of the lost readings beside it,
 
     min over d of |e* − ψ* δ + h d|² + Σ d²/sd²
 
-leaves H − T_ψ' P T_ψ, g − T_ψ' P T_e, rss − T_e' P T_e, T = h'[e* ψ*], P = (h'h + diag 1/sd²)⁻¹ (Schur). What the
-readings are at δ = 0 is put in before, so that the window's best initial state, where ψ* stands, is that without them.
+leaves H − T_ψ' P T_ψ, g − T_ψ' P T_e, rss − T_e' P T_e, T = h'[e* ψ*], P = (h'h + diag 1/sd²)⁻¹ (Schur). What
+the readings are at δ = 0 is put in before, so that the window's best initial state, where ψ* stands, is that
+without them.
 """
 
 from collections.abc import Sequence
@@ -103,7 +104,9 @@ class Eliminated:
         weighed = self.covariance @ self.cross
         return self.value - weighed[:, 0], weighed[:, 1:]
 
-    def right_of(self, operators: Operators, right: int, hop: int, summary: Summary) -> tuple[LostRight, Summary]:
+    def right_of(
+        self, operators: Operators, right: int, hop: int, summary: Summary
+    ) -> tuple[LostRight, Summary]:
         """Return what the readings do on the right of a boundary, and that part's summary as filled."""
         events = self.columns.events
         member = self.columns.membership
@@ -127,7 +130,9 @@ def _moved_by(columns: FloatArray, matrices: FloatArray) -> FloatArray:
     return np.asarray((matrices @ columns[:, :, None])[:, :, 0])
 
 
-def eliminated(solver: WindowSolver, summary: Summary, starts: Starts, columns: LostColumnsOfWindow) -> Eliminated:
+def eliminated(
+    solver: WindowSolver, summary: Summary, starts: Starts, columns: LostColumnsOfWindow
+) -> Eliminated:
     """Solve one window whose readings in `columns` are unknown."""
     precision = 1.0 / columns.lost.sd**2
     components = columns.U @ solver.directions
@@ -211,7 +216,12 @@ class Solving:
         row = slice(i, i + 1)
         found = eliminated(solver, self.summary.part(row), self.starts.part(row), columns)
         normal = self.solved.normal
-        normal.H[i], normal.g[i], normal.rss[i], normal.x0[i] = found.H, found.g, found.rss, found.solved.normal.x0[0]
+        normal.H[i], normal.g[i], normal.rss[i], normal.x0[i] = (
+            found.H,
+            found.g,
+            found.rss,
+            found.solved.normal.x0[0],
+        )
         self.lost[i] = int(np.isinf(columns.lost.sd).sum())
         if self.scanning is not None:
             self._scan(self.scanning, found, i, hop)
@@ -236,7 +246,13 @@ class Solving:
         lost[list(self.lost)] = list(self.lost.values())
         jumps = None if self.scanning is None else self.scanning.jumps
         return Windowed(
-            self.index, self.solved.normal, self.starts, jumps, np.maximum(lost, 0), lost == UNSOLVED, tuple(self.asked)
+            self.index,
+            self.solved.normal,
+            self.starts,
+            jumps,
+            np.maximum(lost, 0),
+            lost == UNSOLVED,
+            tuple(self.asked),
         )
 
 

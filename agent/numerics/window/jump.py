@@ -1,10 +1,11 @@
 """Generalised likelihood ratio of one jump of the parameters at a boundary inside a window.
 
-A jump of δᵢ at b has the column Jᵢ = ψᵢ restarted with tᵢ(b) = 0, zero before b. On the right part, whose summary is
-the shorter window that ends at the same row, Jᵢ = ψᵢ + U (D_i (r*(b) − r(b)) − Γ tᵢ(b)) in balanced coordinates, so
-the window's and the right part's summaries give X'J and J'J for X = [e* ψ*], and
+A jump of δᵢ at b has the column Jᵢ = ψᵢ restarted with tᵢ(b) = 0, zero before b. On the right part, whose
+summary is the shorter window that ends at the same row, Jᵢ = ψᵢ + U (D_i (r*(b) − r(b)) − Γ tᵢ(b)) in
+balanced coordinates, so the window's and the right part's summaries give X'J and J'J for X = [e* ψ*], and
 
-    2 log GLR = g_J' H_J⁻¹ g_J,   g_J = J'(e* − ψ* d̂),   H_J = J'J − J'ψ* cov ψ*'J      (Γ projected out everywhere)
+    2 log GLR = g_J' H_J⁻¹ g_J,   g_J = J'(e* − ψ* d̂),   H_J = J'J − J'ψ* cov ψ*'J      (Γ projected out
+    everywhere)
 """
 
 from dataclasses import dataclass
@@ -49,7 +50,9 @@ class Jumps:
         score = self.cross[:, :, 0] - np.einsum("nc,nbcq->nbq", d, shown)
         information = self.own - shown.transpose(0, 1, 3, 2) @ (covariance[:, None] @ shown)
         left, whole = np.einsum("nbii->nbi", information), np.einsum("nbii->nbi", self.own)
-        seen = left > np.maximum(SINGULAR * whole, 1e-300)  # the rest is rounding: of such a jump nothing is known
+        seen = left > np.maximum(
+            SINGULAR * whole, 1e-300
+        )  # the rest is rounding: of such a jump nothing is known
         unit = np.where(seen, 1 / np.sqrt(np.where(seen, left, 1.0)), 0.0)
         scaled = information * unit[..., :, None] * unit[..., None, :] + SINGULAR * np.eye(score.shape[-1])
         score = score * unit
@@ -65,8 +68,8 @@ def boundaries(fulls: int) -> tuple[int, ...]:
 def scanned_rows(fulls: int) -> int:
     """Return of how many rows one is scanned, at most a group of hops: they move a window by a fifth at the most.
 
-    Boundaries are a quarter of a window apart, so that wherever it is a jump passes near one of them several times.
-    Where each of the whole hops begins with one, two of its places are enough.
+    Boundaries are a quarter of a window apart, so that wherever it is a jump passes near one of them several
+    times. Where each of the whole hops begins with one, two of its places are enough.
     """
     times = 0.5 * SCANS if len(boundaries(fulls)) == fulls else SCANS
     return max(every for every in (1, 2, 4, GROUP) if every == 1 or times * every <= fulls + 1)
@@ -93,7 +96,9 @@ class LostRight:
 class JumpScan:
     """Constants of the columns of a jump `right` whole hops and a head before a window's end."""
 
-    def __init__(self, basis: Basis, solver: WindowSolver, model: StateSpace, fulls: int, right: int, q: int) -> None:
+    def __init__(
+        self, basis: Basis, solver: WindowSolver, model: StateSpace, fulls: int, right: int, q: int
+    ) -> None:
         before = fulls - right
         self.q = q
         factor = basis.factor(right)
@@ -105,7 +110,9 @@ class JumpScan:
         )
         self._gamma = basis.gamma[:, : solver.a].T.copy()
         over = basis.over(before)  # coordinates at the window's start -> at the boundary
-        along = over @ solver.directions  # what is seen on the right -> components along the window's initial states
+        along = (
+            over @ solver.directions
+        )  # what is seen on the right -> components along the window's initial states
         outside = over.T - solver.reach.T @ along.T
         self._along = along
         self._moved = np.vstack([outside, 2 * along.T])
@@ -115,7 +122,8 @@ class JumpScan:
     ) -> tuple[FloatArray, FloatArray]:
         """Return cross (N, 1+c, q) and own (N, q, q) for N windows; `at` holds the filters at the boundary.
 
-        lost: readings of the (one) window that are unknown; `right` is as filled by what they were found to be.
+        lost: readings of the (one) window that are unknown; `right` is as filled by what they were found to
+        be.
         """
         q = self.q
         count = len(right)
@@ -137,6 +145,8 @@ class JumpScan:
         cross, own = gram + both[:, :width], gram[:, 1 : 1 + q] + half + half.transpose(0, 2, 1)
         if lost is None:
             return cross, own
-        shown = lost.psi[:, :q] + lost.U @ j[0].T - lost.components @ along[0].T  # (l, q) h'J, Γ projected out
+        shown = (
+            lost.psi[:, :q] + lost.U @ j[0].T - lost.components @ along[0].T
+        )  # (l, q) h'J, Γ projected out
         weighed = lost.covariance @ shown
         return cross - lost.cross.T @ weighed, own - shown.T @ weighed

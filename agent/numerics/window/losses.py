@@ -45,7 +45,9 @@ class Losses:
         newest: the hops before these (None where the bank begins) and the heads of these.
         """
         completed, heads = newest
-        near = self._lost.between((hop - 1) * self._plan.hop - self._reach, (hop + len(heads)) * self._plan.hop)
+        near = self._lost.between(
+            (hop - 1) * self._plan.hop - self._reach, (hop + len(heads)) * self._plan.hop
+        )
         if self._columns.is_idle(hop) and not len(near):
             return
         solved = [one for one in solving if one is not None]

@@ -1,13 +1,14 @@
 """Lost readings as unknowns of every window that holds them: their columns beside e and ψ.
 
-A reading that was filled in is wrong by d ~ N(0, sd²), sd = ∞ where nothing is known: e of the true readings is e + h d
-(intervention: Box & Tiao, J. Am. Stat. Assoc. 70 (1975) 70). Inside a hop h is an impulse response of the whitening
-filter; from the hop's end on it is a free response, h = U α with
+A reading that was filled in is wrong by d ~ N(0, sd²), sd = ∞ where nothing is known: e of the true readings
+is e + h d (intervention: Box & Tiao, J. Am. Stat. Assoc. 70 (1975) 70). Inside a hop h is an impulse response
+of the whitening filter; from the hop's end on it is a free response, h = U α with
 
     α(b+1) = −Γ ẑ,    α(k+1) = Π α(k),    h'[e ψ] = local + Σ α'(moment),    h_i'h_j = local + Σ α_i' U'U α_j
 
-so that what is kept of it does not grow with the window. One reading may touch several samples (taps of a hold, a
-slope) and so two hops: what it does through each is an event, and a reading's column is the sum of its events'.
+so that what is kept of it does not grow with the window. One reading may touch several samples (taps of a
+hold, a slope) and so two hops: what it does through each is an event, and a reading's column is the sum of
+its events'.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,8 @@ class Lost:
     """Readings that were filled in, by their samples.
 
     Attributes:
-        sample, channel: (l,) number of the sample, which does not fall; column among the channels that Taps lists.
+        sample, channel: (l,) number of the sample, which does not fall; column among the channels that Taps
+            lists.
         sd: (l,) prior sd of what the fill-in is wrong by; inf where nothing is known.
         asked: (l,) whether the window's answer is wanted.
     """

@@ -35,7 +35,13 @@ class Operators:
     """
 
     def __init__(
-        self, model: StateSpace, push: Push, noise: NoiseModel, plan: HopPlan, longer: Sequence[int], interest: int
+        self,
+        model: StateSpace,
+        push: Push,
+        noise: NoiseModel,
+        plan: HopPlan,
+        longer: Sequence[int],
+        interest: int,
     ) -> None:
         self.plan = plan
         self.lengths = (plan.fulls, *longer)
@@ -45,7 +51,9 @@ class Operators:
         self.size = system.size
         self.filters = Filters(system, plan)
         self.basis = balanced_basis(system, self.real, self.predictor, plan, self.longest)
-        self.solvers = tuple(WindowSolver(self.basis, self.real, self.predictor, fulls) for fulls in self.lengths)
+        self.solvers = tuple(
+            WindowSolver(self.basis, self.real, self.predictor, fulls) for fulls in self.lengths
+        )
         self.rights = boundaries(plan.fulls)
         self.over = {count: self.basis.over(count) for count in (*self.lengths, *self.rights)}
         self.scans = tuple(
@@ -66,7 +74,9 @@ class Operators:
         after = np.empty_like(z)
         for start in range(0, count, step):
             part = slice(start, start + step)
-            columns, after[part] = self.filters.outputs(lengths, v[part], z[part], [one[part] for one in forced])
+            columns, after[part] = self.filters.outputs(
+                lengths, v[part], z[part], [one[part] for one in forced]
+            )
             np.matmul(columns, columns.transpose(0, 2, 1), out=gram[part])
             moment[part] = row_products(columns, U)
         return Summary(gram, moment), after
@@ -102,6 +112,7 @@ class Operators:
     ) -> tuple[FloatArray, FloatArray]:
         """Return cross and own (see `Jumps`) of N windows of the first length, at each boundary."""
         each = [
-            scan.columns(solved, right, starts, at) for scan, right, at in zip(self.scans, rights, ats, strict=True)
+            scan.columns(solved, right, starts, at)
+            for scan, right, at in zip(self.scans, rights, ats, strict=True)
         ]
         return np.stack([e[0] for e in each], 1), np.stack([e[1] for e in each], 1)

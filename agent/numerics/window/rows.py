@@ -39,10 +39,12 @@ class Windowed:
         index: (N,) newest sample of each window, counted from the run's first.
         normal: normal equations.
         starts: filter states at each window's first sample.
-        jumps: columns of one jump inside; None for all but the first length, and where windows have no hop inside.
-        lost: (N,) readings of which nothing is known, for which the normal equations stand as if they had never been.
-        unsolved: (N,) windows that lost more readings than can be eliminated: their normal equations count them as
-            filled.
+        jumps: columns of one jump inside; None for all but the first length, and where windows have no hop
+            inside.
+        lost: (N,) readings of which nothing is known, for which the normal equations stand as if they had
+            never been.
+        unsolved: (N,) windows that lost more readings than can be eliminated: their normal equations count
+            them as filled.
         asked: of the first length, what windows say of the readings that they were asked about.
     """
 
@@ -88,9 +90,12 @@ def _windowed(pieces: Sequence[Windowed]) -> Windowed | None:
         cat([n.H for n in normals]), cat([n.g for n in normals]), cat([n.rss for n in normals]),
         normals[-1].log_det, cat([n.x0 for n in normals]),
     )  # fmt: skip
-    first = Starts(cat([s.predicted for s in starts]), cat([s.mean for s in starts]), cat([s.tangents for s in starts]))
+    first = Starts(
+        cat([s.predicted for s in starts]), cat([s.mean for s in starts]), cat([s.tangents for s in starts])
+    )
     return Windowed(
-        cat([piece.index for piece in pieces]), normal, first, _jumps(jumps), cat([piece.lost for piece in pieces]),
+        cat([piece.index for piece in pieces]), normal, first, _jumps(jumps),
+        cat([piece.lost for piece in pieces]),
         cat([piece.unsolved for piece in pieces]), tuple(one for piece in pieces for one in piece.asked),
     )  # fmt: skip
 

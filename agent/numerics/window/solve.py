@@ -1,13 +1,16 @@
 """What a window says of the parameters once its initial state is eliminated: exact generalised least squares.
 
-With a steady-state predictor z(k0) = ẑ(k0) + ξ + ζ, where ζ ~ N(0, P) makes the innovations exactly white, and
+With a steady-state predictor z(k0) = ẑ(k0) + ξ + ζ, where ζ ~ N(0, P) makes the innovations exactly white,
+and
 
-    e = Γ ξ + Ψ δ + white,    ξ flat for physical states and lines,    ξ_f ~ N(−ẑ_f(k0), V),   V = prior − P_ff
+    e = Γ ξ + Ψ δ + white,    ξ flat for physical states and lines,    ξ_f ~ N(−ẑ_f(k0), V),   V = prior −
+    P_ff
 
-for coloured noise states f. This is the likelihood of the readings in the window alone, whatever came before. With
-V = L L' and ξ_f = −ẑ_f + L s, s ~ N(0, I), everything becomes least squares of [e + Γ_f ẑ_f, Ψ − Γ_f t_f(k0)] on
-B = [Γ_x, Γ_l, Γ_f L] with the rows J = diag(0, 0, I) below. The sensitivities are those of the mean that starts at the
-window's own best state (the exact point of variable projection: Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413):
+for coloured noise states f. This is the likelihood of the readings in the window alone, whatever came before.
+With V = L L' and ξ_f = −ẑ_f + L s, s ~ N(0, I), everything becomes least squares of [e + Γ_f ẑ_f, Ψ − Γ_f
+t_f(k0)] on B = [Γ_x, Γ_l, Γ_f L] with the rows J = diag(0, 0, I) below. The sensitivities are those of the
+mean that starts at the window's own best state (the exact point of variable projection: Golub & Pereyra, SIAM
+J. Numer. Anal. 10 (1973) 413):
 
     x0* = x̂ + ξ_x + P_xf Γ_f' residual,    ψᵢ <- ψᵢ + D_i (x0* − r(k0))
 
@@ -57,7 +60,8 @@ class Starts:
 class Normal:
     """Normal equations of N windows in d = (δ, η), parameters of interest and constants of the rig.
 
-    With a prior N(m, P) on η the posterior has covariance (H + diag(0, P⁻¹))⁻¹ and mean covariance (g + (0, P⁻¹ m)).
+    With a prior N(m, P) on η the posterior has covariance (H + diag(0, P⁻¹))⁻¹ and mean covariance (g + (0,
+    P⁻¹ m)).
 
     Attributes:
         H, g: (N, c, c), (N, c).
@@ -82,8 +86,8 @@ class Solved:
 
     Attributes:
         normal: normal equations.
-        moved: (N, 1+c, r+k) what was added to [e ψ], in balanced coordinates, and −½ of the components of [e ψ] along
-            the initial states.
+        moved: (N, 1+c, r+k) what was added to [e ψ], in balanced coordinates, and −½ of the components of [e
+            ψ] along the initial states.
     """
 
     normal: Normal
@@ -112,7 +116,9 @@ class WindowSolver:
         factor = basis.factor(fulls)
         root, orthonormal, log_det = _orthonormal(np.vstack([factor @ span, penalty]))
         self.log_det = float(log_det + self.samples * np.linalg.slogdet(predictor.S)[1])
-        self.directions = span @ root  # (r, k): an orthonormal basis of the initial states' reach is U times it
+        self.directions = (
+            span @ root
+        )  # (r, k): an orthonormal basis of the initial states' reach is U times it
         UU = factor.T @ factor
         self.reach = self.directions.T @ UU  # (k, r)
         padded = np.vstack([factor, np.zeros((a - n, factor.shape[1]))])

@@ -24,16 +24,17 @@ from agent.types import FloatArray, IntArray
 class Stream:
     """Rows of windows over samples that arrive in any portions, the same to the last bit for every portioning.
 
-    The mean of a free mass runs away from what is measured. It is started anew now and then, at the best state of the
-    newest longest window: that window's samples are run again, after which everything is as if the stream had begun
-    there. This needs nothing but what a change of operators needs, and no window has two parts.
+    The mean of a free mass runs away from what is measured. It is started anew now and then, at the best
+    state of the newest longest window: that window's samples are run again, after which everything is as if
+    the stream had begun there. This needs nothing but what a change of operators needs, and no window has two
+    parts.
 
     Args:
         model, push, noise: see `Operators`.
         plan: hop and window.
         longer: whole hops before the head in each further, longer window.
-        interest: number of the model's first parameters that are of interest (the others are constants of the rig);
-            all of them if None.
+        interest: number of the model's first parameters that are of interest (the others are constants of the
+            rig); all of them if None.
         taps: where a lost reading of each channel enters; each of its own column if None.
     """
 
@@ -97,7 +98,9 @@ class Stream:
         """
         hop = -(-at // self.plan.hop)
         if not self._states.first <= hop <= self._states.stop:
-            raise ValueError(f"sample {at} is not kept: the oldest that operators can start at is {self.oldest}")
+            raise ValueError(
+                f"sample {at} is not kept: the oldest that operators can start at is {self.oldest}"
+            )
         operators = Operators(model, push, noise, self.plan, self._longer, self._interest)
         state = self._mean_from_predictor(hop, operators)
         self.operators = operators
@@ -203,7 +206,9 @@ class Stream:
     def _scanned(self, count: int) -> slice:
         """Return which of the newest `count` rows are scanned for a jump."""
         every = self.operators.every
-        hops = self._states.stop - self._began - (1 if self.plan.rest else 0)  # that the windows have slid over
+        hops = (
+            self._states.stop - self._began - (1 if self.plan.rest else 0)
+        )  # that the windows have slid over
         return slice((every - 1 - (hops - count)) % every, None, every)
 
     def _solving(self, index: IntArray, windows: dict[Kind, Summary]) -> list[Solving | None]:
@@ -277,7 +282,10 @@ class Stream:
 def _sliding(operators: Operators) -> Sliding:
     """Return the windows of whole hops that rows and the scan for a jump need."""
     kinds = sorted(
-        {*((fulls, 1) for fulls in operators.lengths), *((right, operators.every) for right in operators.rights)}
+        {
+            *((fulls, 1) for fulls in operators.lengths),
+            *((right, operators.every) for right in operators.rights),
+        }
     )
     if not operators.plan.rest:
         return Sliding([(fulls + 1, every) for fulls, every in kinds], operators.basis.steps[2])
@@ -288,7 +296,9 @@ def _row(solving: Solving | None) -> Windowed | None:
     return None if solving is None else solving.windowed()
 
 
-def _completed(before: Summary | None, heads: Summary, rests: Summary | None, operators: Operators) -> Summary | None:
+def _completed(
+    before: Summary | None, heads: Summary, rests: Summary | None, operators: Operators
+) -> Summary | None:
     """Return the hop before each of the newest heads; None before the first."""
     if before is None:
         return None

@@ -111,12 +111,15 @@ def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatAr
     meter = skew_meter(config, groups, resolution)
     reference = reference_source(config)
     return SkewWatch(
-        meter, groups, "" if reference is None else reference.name, len(channels_of(config)), len(config.inputs),
+        meter, groups, "" if reference is None else reference.name, len(channels_of(config)),
+        len(config.inputs),
         *stretch_samples(config), config.rig.sample_rate_hz, complete_inputs(config, resolution),
     )  # fmt: skip
 
 
-def complete_inputs(config: RigConfig, resolution: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
+def complete_inputs(
+    config: RigConfig, resolution: FloatArray
+) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return what makes all of the model's inputs of outputs and measured inputs: signs of dry friction, the 1."""
     model = rig_model(config).model
     return _Complete(friction_inputs(config, resolution), model.continuous(model.nominal).m)
@@ -145,7 +148,10 @@ def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: Flo
     physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
     lower = np.where(physical & (nominal != 0), 0.0, -np.inf)
     late = tuple(
-        Group(tuple(c for c in group.channels if c < inputs), tuple(c - inputs for c in group.channels if c >= inputs))
+        Group(
+            tuple(c for c in group.channels if c < inputs),
+            tuple(c - inputs for c in group.channels if c >= inputs),
+        )
         for group in groups
     )
     return SkewMeter(
@@ -162,4 +168,6 @@ def stretch_samples(config: RigConfig) -> tuple[int, int]:
     unknowns = len(model.state_names) + len(model.parameters) + 1
     least = max(hop_plan(config).window, 20 * unknowns // max(len(config.outputs), 1))
     longest = round(float(np.clip(pi / max(slowest, 1e-9), SHORTEST_STRETCH_S, LONGEST_STRETCH_S)) * rate)
-    return min(least, MOST_STRETCH_SAMPLES), max(min(longest, MOST_STRETCH_SAMPLES), min(least, MOST_STRETCH_SAMPLES))
+    return min(least, MOST_STRETCH_SAMPLES), max(
+        min(longest, MOST_STRETCH_SAMPLES), min(least, MOST_STRETCH_SAMPLES)
+    )

@@ -25,7 +25,8 @@ from agent.types import FloatArray
 def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
     """Build the estimation block of a rig; resolution (p,) is the wire's smallest step of each output, SI.
 
-    Raises ModelError where a window has fewer readings than unknowns, or the channels cannot tell what is asked.
+    Raises ModelError where a window has fewer readings than unknowns, or the channels cannot tell what is
+    asked.
     """
     rig = rig_model(config)
     require_observable(config, rig)

@@ -46,7 +46,9 @@ def hidden_states(model: Model) -> list[str]:
 def _hidden_fault(hidden: list[str], rig: RigModel) -> Fault:
     places = [name.removeprefix("displacement of ") for name in hidden if name.startswith("displacement of ")]
     advice = (
-        f"measure the displacement of {_listed(places)}" if places else "measure where these move, or leave them out"
+        f"measure the displacement of {_listed(places)}"
+        if places
+        else "measure where these move, or leave them out"
     )
     advice = _measuring(rig, lambda model: not hidden_states(model)) or advice
     return Fault("model", f"no channel shows the {_listed(hidden)}", advice)
@@ -61,7 +63,9 @@ def _parameter_faults(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
         what = f'"{name}" leaves no trace: however it changes, the channels read the same'
         yield Fault(ESTIMATE, what, _silent_advice(rig, measured, number))
     for blend in found.blends:
-        what = f"{blend_named(rig, blend)} cannot be told apart: {blend_in_words(rig, blend)} changes no reading"
+        what = (
+            f"{blend_named(rig, blend)} cannot be told apart: {blend_in_words(rig, blend)} changes no reading"
+        )
         yield Fault(ESTIMATE, what, _blend_advice(config, rig, blend, found))
 
 
@@ -81,7 +85,9 @@ def blend_in_words(rig: RigModel, blend: FloatArray) -> str:
     if not any(sized):
         blend = blend / blend[np.flatnonzero(blend)[0]]
     pairs = zip(rig.parameters, blend.tolist(), strict=True)
-    return " with ".join(_change(parameter, change, share=any(sized)) for parameter, change in pairs if change)
+    return " with ".join(
+        _change(parameter, change, share=any(sized)) for parameter, change in pairs if change
+    )
 
 
 def _change(parameter: Parameter, change: float, *, share: bool) -> str:
@@ -151,12 +157,17 @@ def further_outputs(rig: RigModel) -> list[tuple[str, Model]]:
         return [(name, _put(rig.model, _reading(inner, i))) for i, name in states if not _is_read(inner, i)]
     if isinstance(inner, DescriptorModel):
         states = enumerate(inner.state_names)
-        return [(name, _put(rig.model, with_reading(inner, i))) for i, name in states if not is_read(inner, i)]
+        return [
+            (name, _put(rig.model, with_reading(inner, i))) for i, name in states if not is_read(inner, i)
+        ]
     if not isinstance(inner, MassSpringDamper):
         return []
     known = {output.at for output in inner.outputs if output.quantity == "displacement"}
     nodes = [m.name for m in inner.structure.masses if m.name not in known]
-    return [(n, _put(rig.model, replace(inner, outputs=(*inner.outputs, Output("displacement", n))))) for n in nodes]
+    return [
+        (n, _put(rig.model, replace(inner, outputs=(*inner.outputs, Output("displacement", n)))))
+        for n in nodes
+    ]
 
 
 def _is_read(model: AffineModel, state: int) -> bool:

@@ -24,7 +24,9 @@ def attempted(work: Callable[[], T], what: str, path: str, failed: list[Fault]) 
         with np.errstate(all="ignore"):  # what is no number shows in the results
             return work()
     except FAILED as error:
-        failed.append(Fault(path, f"{what} cannot be computed: {error}", "look at units and sizes of the values"))
+        failed.append(
+            Fault(path, f"{what} cannot be computed: {error}", "look at units and sizes of the values")
+        )
         return None
 
 
@@ -33,7 +35,9 @@ def number_faults(config: RigConfig, rig: RigModel) -> list[Fault]:
     faults: list[Fault] = []
     model = attempted(lambda: rig.model.continuous(rig.model.nominal), "the nominal model", "model", faults)
     if model is None or not _finite(model):
-        return faults or [Fault("model", "its matrices leave the numbers", "look at units and sizes of the values")]
+        return faults or [
+            Fault("model", "its matrices leave the numbers", "look at units and sizes of the values")
+        ]
     return [*faults, *_window_faults(config, rig)]
 
 

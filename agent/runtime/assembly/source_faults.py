@@ -12,14 +12,18 @@ from drivers.port import DriverConfigError, SourceRequest
 def source_error(configs: Sequence[RigConfig], error: DriverConfigError) -> ConfigError:
     """Return a driver's error with the key paths of all sources that cannot work, led by the file where several are."""
     led = [(f"{config.file}: " if len(configs) > 1 else "", config) for config in configs]
-    faults = [Fault(lead + fault.path, fault.message, fault.advice) for lead, c in led for fault in source_faults(c)]
+    faults = [
+        Fault(lead + fault.path, fault.message, fault.advice) for lead, c in led for fault in source_faults(c)
+    ]
     return ConfigError(faults or [_fault("source", str(error))])
 
 
 def source_faults(config: RigConfig) -> list[Fault]:
     """Return what the drivers of a rig's sources say against their keys."""
     sources = (*config.source, *config.covariate_source)
-    return [fault for number, source in enumerate(sources) for fault in _Asked(config, number, source).faults()]
+    return [
+        fault for number, source in enumerate(sources) for fault in _Asked(config, number, source).faults()
+    ]
 
 
 def _fault(path: str, words: str) -> Fault:
@@ -58,7 +62,9 @@ class _Asked:
         of_all = len(words) == len(alone) > 1 and len(set(words)) == 1
         if of_all or any(self._keyed(said) for said in words):
             return []
-        return [_fault(f"{self._path}.map.{channel}", said) for channel, said in alone.items() if said is not None]
+        return [
+            _fault(f"{self._path}.map.{channel}", said) for channel, said in alone.items() if said is not None
+        ]
 
     def _places(self) -> list[tuple[str, str]]:
         return [*self._source.map.items(), *self._source.covariates.items()]

@@ -34,7 +34,9 @@ def compensated(db: Path, points: Points) -> Compensated:
     Rows at which a covariate is not known are less well known. Raises StoreError.
     """
     standing = baselines.standing(db, points.rig) if len(points.t_ns) else ()
-    one = next((one for one in standing if one.parameter == points.parameter and one.unit == points.unit), None)
+    one = next(
+        (one for one in standing if one.parameter == points.parameter and one.unit == points.unit), None
+    )
     found = dependences(one) if one is not None else ()
     if one is None or not found:
         return Compensated(points)
@@ -42,7 +44,9 @@ def compensated(db: Path, points: Points) -> Compensated:
     return _without(points, one, found, covariates.means(db, points.rig, first - BEFORE_NS, last + 1))
 
 
-def _without(points: Points, one: Baseline, found: Sequence[Dependence], means: Mapping[str, Means]) -> Compensated:
+def _without(
+    points: Points, one: Baseline, found: Sequence[Dependence], means: Mapping[str, Means]
+) -> Compensated:
     moved = np.zeros(len(points.t_ns))
     variance = np.zeros(len(points.t_ns))
     known = np.ones(len(points.t_ns))
@@ -54,7 +58,8 @@ def _without(points: Points, one: Baseline, found: Sequence[Dependence], means: 
     names = tuple(dependence.name for dependence in found)
     wider = replace(
         points, value=points.value - moved, sd=np.sqrt(points.sd**2 + variance),
-        sd_repeat=np.sqrt(points.sd_repeat**2 + variance), reference=one.reference, references=(one.reference,),
+        sd_repeat=np.sqrt(points.sd_repeat**2 + variance), reference=one.reference,
+        references=(one.reference,),
     )  # fmt: skip
     return Compensated(wider, names, int((known < 0.5).sum()))
 

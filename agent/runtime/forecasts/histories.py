@@ -86,7 +86,9 @@ def write_prior(learnt: Learnt, path: Path) -> None:
     try:
         path.write_text(json.dumps({"kind": PRIOR, **asdict(learnt)}, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
-        raise UsageError.at("--to", f"cannot write {path}: {error}", "name a file in a folder there is") from error
+        raise UsageError.at(
+            "--to", f"cannot write {path}: {error}", "name a file in a folder there is"
+        ) from error
 
 
 def read_prior(path: Path) -> Learnt:

@@ -68,7 +68,8 @@ class Forecaster:
         try:
             made = self._made(cause, parameter, until_ns)
         except Exception as error:
-            # a forecast is never worth a rig: whatever fails is reported once and tried again when the next is due
+            # a forecast is never worth a rig: whatever fails is reported once and tried again when the next
+            # is due
             words = f"no forecast of {parameter}: {error}"
             log.debug("%s: %s", self.rig, words, exc_info=not isinstance(error, AgentError))
             return self._failed(parameter, words, until_ns)
@@ -80,12 +81,16 @@ class Forecaster:
             return Made()
         self._reported[parameter] = words
         log.warning("%s: %s", self.rig, words)
-        return Made((HealthEvent(self.rig, SOURCE, wall_ns() if until_ns is None else until_ns, FAILURE, words),))
+        return Made(
+            (HealthEvent(self.rig, SOURCE, wall_ns() if until_ns is None else until_ns, FAILURE, words),)
+        )
 
     def _made(self, cause: str, parameter: str, until_ns: int | None) -> Made:
         if parameter not in queries.parameters(self._db, self.rig):
             return Made()  # no row yet
-        points = queries.points(self._db, self.rig, parameter, until=None if until_ns is None else iso_time(until_ns))
+        points = queries.points(
+            self._db, self.rig, parameter, until=None if until_ns is None else iso_time(until_ns)
+        )
         if not len(points.t_ns):
             return Made()
         points = compensated(self._db, points).points
@@ -182,9 +187,14 @@ def _record(cause: str, seen: _Seen, made: Forecast, limit: float) -> ForecastRe
     def instant(days: float | None) -> int | None:
         return None if days is None else min(newest + round(days * DAY_NS), _LAST_NS)
 
-    draws = [float(f"{days * 86_400.0:.6g}") for days in representative(made.passages, FARTHEST * seen.history.span)]
+    draws = [
+        float(f"{days * 86_400.0:.6g}")
+        for days in representative(made.passages, FARTHEST * seen.history.span)
+    ]
     return ForecastRecord(
-        points.rig, points.parameter, newest, seen.level, limit, made.status, instant(made.p10), instant(made.p50),
+        points.rig, points.parameter, newest, seen.level, limit, made.status, instant(made.p10),
+        instant(made.p50),
         instant(made.p90), made.chance, made.horizon * 86_400.0,
-        json.dumps({name: round(weight, 4) for name, weight in made.family.items()}), json.dumps(draws), cause,
+        json.dumps({name: round(weight, 4) for name, weight in made.family.items()}), json.dumps(draws),
+        cause,
     )  # fmt: skip

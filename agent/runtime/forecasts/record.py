@@ -11,9 +11,10 @@ Row = Mapping[str, Any]
 def record_of(rows: Sequence[Row]) -> dict[str, Any]:
     """Return what became of stored forecasts, rows of v_forecast, oldest first.
 
-    made: those with a band whose time has come; held: of these, whose passage came in it; crps: mean, s; waiting: those
-    whose time is to come; bias_s: mean of P50 less the passage; alpha_lambda: share of medians within a fifth of what
-    remained; horizon_s: what remained at the newest passage when medians had become so good to stay.
+    made: those with a band whose time has come; held: of these, whose passage came in it; crps: mean, s;
+    waiting: those whose time is to come; bias_s: mean of P50 less the passage; alpha_lambda: share of medians
+    within a fifth of what remained; horizon_s: what remained at the newest passage when medians had become so
+    good to stay.
     """
     scored = [row for row in rows if row["scored_ns"] is not None]
     banded = [row for row in scored if row["held"] is not None]

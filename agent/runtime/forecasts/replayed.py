@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class ReplayedForecasts:
     """Follows the records of a replay and makes the forecasts that are due.
 
-    config: the rig's. db: the database of the replay, which is only read. stored: waits until all records so far are
-    in it.
+    config: the rig's. db: the database of the replay, which is only read. stored: waits until all records so
+    far are in it.
     """
 
     def __init__(self, config: RigConfig, db: Path, stored: Callable[[], object]) -> None:

@@ -38,7 +38,9 @@ class Schedule:
     def at_alarms(self, records: Iterable[Record], now_ns: int | None = None) -> list[tuple[int, str]]:
         """Return when level alarms changed, and of which parameters; not those that changed a moment ago as well."""
         found = []
-        steps = [record for record in records if isinstance(record, AlarmTransition) and record.kind == "level"]
+        steps = [
+            record for record in records if isinstance(record, AlarmTransition) and record.kind == "level"
+        ]
         for step in steps:
             at = step.t_ns if now_ns is None else now_ns
             before = self._alarmed.get(step.parameter)

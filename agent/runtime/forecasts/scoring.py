@@ -18,7 +18,8 @@ LONG = 2.0
 def scores_of(waiting: Sequence[Row], t_ns: IntArray, value: FloatArray) -> list[ForecastScore]:
     """Return the scores that are due.
 
-    waiting: rows of one parameter that are not scored. t_ns, value (n,): its history until now, in order of time.
+    waiting: rows of one parameter that are not scored. t_ns, value (n,): its history until now, in order of
+    time.
     """
     if not len(t_ns):
         return []

@@ -1,7 +1,7 @@
 """A thread of its own for forecasts, of low priority: the agent asks, and fetches what was made later.
 
-It reads the databases through connections that can only read, and hands nothing to the store by itself. Whoever ends
-the agent need not wait for it: what it is at is thrown away.
+It reads the databases through connections that can only read, and hands nothing to the store by itself.
+Whoever ends the agent need not wait for it: what it is at is thrown away.
 """
 
 import os
@@ -24,7 +24,9 @@ _MOST_WAITING = 64
 class ForecastThread:
     """Makes what is asked for, one parameter after the other; asking again for what waits changes nothing."""
 
-    def __init__(self, forecasters: Mapping[str, Forecaster] | None = None, settle_s: float = SETTLE_S) -> None:
+    def __init__(
+        self, forecasters: Mapping[str, Forecaster] | None = None, settle_s: float = SETTLE_S
+    ) -> None:
         self._forecasters = dict(forecasters or {})
         self._settle_s = settle_s
         self._condition = threading.Condition()

@@ -11,7 +11,8 @@ class Thread(NamedTuple):
     Attributes:
         name: what status, metrics and the log call it.
         progress: grows with every turn of the thread.
-        alive: whether it runs; one that has ended is seen elsewhere (an alarm of its source, an exit of the agent).
+        alive: whether it runs; one that has ended is seen elsewhere (an alarm of its source, an exit of the
+            agent).
         patience: for how many watchdog intervals it may be silent.
     """
 
@@ -40,8 +41,9 @@ class Beat:
 class Heartbeats:
     """The threads of an agent, looked at once a period.
 
-    Silence is the sum of the periods in which a thread made no progress, each counted as two periods at most: where
-    the machine leaves the whole agent without processor time, whoever looks is late too, and no thread is at fault.
+    Silence is the sum of the periods in which a thread made no progress, each counted as two periods at most:
+    where the machine leaves the whole agent without processor time, whoever looks is late too, and no thread
+    is at fault.
 
     Args:
         threads: the threads that there are now.

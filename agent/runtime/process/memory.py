@@ -13,7 +13,11 @@ def keep_heap_small() -> None:
     """Have glibc share one heap among all threads and give large arrays back; elsewhere it does nothing."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
-        for parameter, value in ((ARENA_MAX, 1), (MMAP_THRESHOLD, LARGE_BYTES), (TRIM_THRESHOLD, LARGE_BYTES)):
+        for parameter, value in (
+            (ARENA_MAX, 1),
+            (MMAP_THRESHOLD, LARGE_BYTES),
+            (TRIM_THRESHOLD, LARGE_BYTES),
+        ):
             mallopt(parameter, value)
 
 

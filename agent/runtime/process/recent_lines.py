@@ -21,7 +21,9 @@ class RecentLines(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a record as one line."""
-        self._lines.append(f"{iso_time(wall_ns())} {record.levelname.lower()} {printable(record.getMessage())}")
+        self._lines.append(
+            f"{iso_time(wall_ns())} {record.levelname.lower()} {printable(record.getMessage())}"
+        )
 
     @contextmanager
     def kept(self) -> Iterator[None]:

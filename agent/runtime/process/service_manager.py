@@ -13,7 +13,8 @@ class ServiceManager:
     """Whoever started the agent and wants to know how it is; without one, nothing is said to nobody.
 
     Args:
-        environment: holds NOTIFY_SOCKET (a path, or @name in the abstract namespace), WATCHDOG_USEC and WATCHDOG_PID.
+        environment: holds NOTIFY_SOCKET (a path, or @name in the abstract namespace), WATCHDOG_USEC and
+            WATCHDOG_PID.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
@@ -27,7 +28,10 @@ class ServiceManager:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         lines = (f"{name}={' '.join(str(value).split())}" for name, value in fields.items())
-        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as peer:
+        with (
+            suppress(OSError),
+            socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as peer,
+        ):
             peer.settimeout(1.0)
             peer.connect(address)
             peer.sendall("\n".join(lines).encode())

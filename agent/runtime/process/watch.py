@@ -58,7 +58,9 @@ class Watch:
         for name in stalled:
             if name not in self._stalled:
                 silent_s = self.heartbeats.beats[name].silent_s
-                log.error("%s: the thread makes no progress since %.1f s; the watchdog is not fed", name, silent_s)
+                log.error(
+                    "%s: the thread makes no progress since %.1f s; the watchdog is not fed", name, silent_s
+                )
         self._stalled = stalled
         if stalled:
             self.manager.say(STATUS=f"no progress: {', '.join(stalled)}")

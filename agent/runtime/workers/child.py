@@ -70,7 +70,9 @@ class Forwarded(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Send a record with its format and arguments, by which the agent knows what repeats."""
         args = record.args if isinstance(record.args, tuple) else ()
-        is_plain = all(isinstance(arg, str | int | float) for arg in args) and not isinstance(record.args, dict)
+        is_plain = all(isinstance(arg, str | int | float) for arg in args) and not isinstance(
+            record.args, dict
+        )
         words = (str(record.msg), args) if is_plain else (record.getMessage(), ())
         if record.exc_info and logging.getLogger().isEnabledFor(logging.DEBUG):
             traceback = logging.Formatter().formatException(record.exc_info)

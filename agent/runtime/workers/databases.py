@@ -120,7 +120,9 @@ class WorkersDatabases:
         """Make a writer, with runs for those of some configurations that name its file."""
         members = [config for config in configs if path_of(config, self._rigs.db) == path]
         route = self._rigs.targets.route if self._rigs.kind == "live" else nobody
-        writer = writer_of(path, runs_of(members, self._rigs.kind), self._members(path), self._rigs.handlers, route)
+        writer = writer_of(
+            path, runs_of(members, self._rigs.kind), self._members(path), self._rigs.handlers, route
+        )
         writer.on_alarm = self._on_alarm
         return writer
 

@@ -117,14 +117,17 @@ class Link:
     def drain(self, timeout_s: float) -> bool:
         """Wait until all is sent; False where that takes longer."""
         with self._condition:
-            return self._condition.wait_for(lambda: self._ended or not (self._waiting or self._sending), timeout_s)
+            return self._condition.wait_for(
+                lambda: self._ended or not (self._waiting or self._sending), timeout_s
+            )
 
     def close(self) -> None:
         """Close this end; the other one sees it, and so does the thread that receives here."""
         with suppress(OSError), socket.socket(fileno=os.dup(self._connection.fileno())) as peer:
             peer.shutdown(socket.SHUT_RDWR)
 
-    # --- the sending thread ------------------------------------------------------------------------------------
+    # --- the sending thread
+    # ------------------------------------------------------------------------------------
 
     def _send_all(self) -> None:
         while (make := self._next()) is not None:
@@ -146,7 +149,8 @@ class Link:
             self._sending = True
             return self._waiting.popleft()
 
-    # --- the receiving thread ----------------------------------------------------------------------------------
+    # --- the receiving thread
+    # ----------------------------------------------------------------------------------
 
     def _receive_all(self) -> None:
         try:

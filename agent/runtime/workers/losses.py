@@ -39,7 +39,9 @@ class Losses:
         if since is None:
             return []
         gone = _between(config, since, batch)
-        words = f"{rig}: {gone} samples, {gone / config.rig.sample_rate_hz:.3f} s, were lost as its worker ended"
+        words = (
+            f"{rig}: {gone} samples, {gone / config.rig.sample_rate_hz:.3f} s, were lost as its worker ended"
+        )
         return [HealthEvent(rig, WORKER, int(batch.t_ns[0]), LOST, words)]
 
 

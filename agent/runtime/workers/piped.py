@@ -94,7 +94,12 @@ class PipedWriter:
             self._link.post(self._taken)
 
     def exchange(
-        self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention, commit_s: float
+        self,
+        leaving: Collection[str],
+        entering: Sequence[RunInfo],
+        every_s: float,
+        keep: Retention,
+        commit_s: float,
     ) -> None:
         """Have runs ended and others begun; what the rigs of other workers ask of the file is the agent's to know."""
         del every_s, keep, commit_s

@@ -73,11 +73,15 @@ def _handled(service: Service) -> Iterator[None]:
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:
     missing = [rig for rig in rigs if not rig.source]
-    faults = [Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in missing]
+    faults = [
+        Fault("source", f"{rig.file} has no [[source]]", "name the bus to listen to") for rig in missing
+    ]
     for rig in rigs:
         for i, source in enumerate((*rig.source, *rig.covariate_source)):
             if driver_class(source.driver).finite:
-                faults.append(Fault(f"source[{i}].driver", f'"{source.driver}" is a recording', "use deltak replay"))
+                faults.append(
+                    Fault(f"source[{i}].driver", f'"{source.driver}" is a recording', "use deltak replay")
+                )
     if faults:
         raise ConfigError(faults)
 

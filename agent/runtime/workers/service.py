@@ -34,7 +34,12 @@ class SpreadService(Service):
     """
 
     def __init__(
-        self, configs: Sequence[RigConfig], db: Path | None, kind: RunKind, most: int, reread: Reread | None = None
+        self,
+        configs: Sequence[RigConfig],
+        db: Path | None,
+        kind: RunKind,
+        most: int,
+        reread: Reread | None = None,
     ) -> None:
         super().__init__([], db, kind, reread)
         self._most = most
@@ -54,7 +59,10 @@ class SpreadService(Service):
         """Have every rig made by its worker. Raises what is wrong with the configurations."""
         self._places = spread(configs, self._most, {})
         try:
-            made = [self._begin(number, self._own(configs, number)) for number in sorted(set(self._places.values()))]
+            made = [
+                self._begin(number, self._own(configs, number))
+                for number in sorted(set(self._places.values()))
+            ]
             for answer in made:
                 answer.result(RELOAD_S)
         except BaseException:
@@ -74,12 +82,14 @@ class SpreadService(Service):
     def _own(self, configs: Sequence[RigConfig], number: int) -> list[RigConfig]:
         return [config for config in configs if self._places[config.rig.name] == number]
 
-    # --- beginning and ending ----------------------------------------------------------------------------------
+    # --- beginning and ending
+    # ----------------------------------------------------------------------------------
 
     def _begin(self, number: int, configs: Sequence[RigConfig]) -> "Future[Any]":
         """Start the process of a worker, which makes its rigs and waits."""
         acts: dict[str, Callable[[Any], Any]] = {
-            RECORDS: self._databases.publish, BEGIN: self._databases.begin_runs, LEFT: self._databases.end_runs,
+            RECORDS: self._databases.publish, BEGIN: self._databases.begin_runs,
+            LEFT: self._databases.end_runs,
         }  # fmt: skip
         worker = self._workers.setdefault(number, Worker(number, acts, self._wake.set))
         watchdog_s = self._watch.manager.watchdog_s
@@ -97,7 +107,9 @@ class SpreadService(Service):
     def documents(self, seconds: float) -> list[dict[str, Any]]:
         """Return what each rig's run found, after it took so long."""
         found = {s.config.rig.name: s for worker in self._all() for s in worker.summaries or ()}
-        return [self._document(config, found.get(name), seconds) for name, config in self.rig_set.configs.items()]
+        return [
+            self._document(config, found.get(name), seconds) for name, config in self.rig_set.configs.items()
+        ]
 
     def _document(self, config: RigConfig, summary: RunSummary | None, seconds: float) -> dict[str, Any]:
         """Return the document of one rig; of one whose worker failed at the end it holds nothing."""
@@ -119,7 +131,8 @@ class SpreadService(Service):
             worker.kill("it did not end in time")
         super()._finish()
 
-    # --- what is said to workers -------------------------------------------------------------------------------
+    # --- what is said to workers
+    # -------------------------------------------------------------------------------
 
     def _commanded(self, step: AlarmTransition) -> None:
         number = self._places.get(step.rig)
@@ -133,7 +146,8 @@ class SpreadService(Service):
                     self._databases.baselines[rig] = known
                     self._workers[self._places[rig]].tell(BASELINES, (path, {rig: known}))
 
-    # --- watching workers --------------------------------------------------------------------------------------
+    # --- watching workers
+    # --------------------------------------------------------------------------------------
 
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Look after the workers, once."""
@@ -185,7 +199,8 @@ class SpreadService(Service):
         else:
             worker.kill(f"its rigs cannot be made ({made.exception()})")
 
-    # --- reloading ---------------------------------------------------------------------------------------------
+    # --- reloading
+    # ---------------------------------------------------------------------------------------------
 
     def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
         before = dict(self.rig_set.configs)

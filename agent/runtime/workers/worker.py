@@ -140,7 +140,10 @@ class Worker:
         if self._beat is None:
             return []
         age_s = (monotonic_ns() - self._beat_ns) / 1e9
-        return [{**rig, "lag_s": None if rig["lag_s"] is None else rig["lag_s"] + age_s} for rig in self._beat.rigs]
+        return [
+            {**rig, "lag_s": None if rig["lag_s"] is None else rig["lag_s"] + age_s}
+            for rig in self._beat.rigs
+        ]
 
     def document(self) -> dict[str, Any]:
         """Return what the status says of it."""

@@ -65,4 +65,6 @@ def _thin_run(connection: sqlite3.Connection, take: Take, run_id: int, before: i
     for (name, unit, t_ns), (total, n) in hours.items():
         cells = (take("covariates"), run_id, HOUR, t_ns, name, unit, total / n, n)
         connection.execute(insert_sql("covariates"), (*cells, row_crc(cells)))
-    connection.execute(f"DELETE FROM covariates WHERE run_id = ? AND span = {MINUTE} AND t_ns < ?", (run_id, before))
+    connection.execute(
+        f"DELETE FROM covariates WHERE run_id = ? AND span = {MINUTE} AND t_ns < ?", (run_id, before)
+    )

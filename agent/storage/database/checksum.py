@@ -1,7 +1,8 @@
 """Row checksums: CRC-32 (the one of zlib), so that a flipped bit in a stored row is seen.
 
-SQLite's own checks look at the structure of a page, not at what the rows say; most single-bit faults of flash pass
-them. Every table of the store therefore carries a column `crc`, the last one, made of the columns before it.
+SQLite's own checks look at the structure of a page, not at what the rows say; most single-bit faults of flash
+pass them. Every table of the store therefore carries a column `crc`, the last one, made of the columns before
+it.
 """
 
 import zlib
@@ -29,7 +30,8 @@ def _byte_table() -> NDArray[np.uint32]:
 def _position_tables(width: int) -> tuple[NDArray[np.uint32], int]:
     """Return one table a byte position and the checksum of `width` zero bytes.
 
-    A CRC is affine over GF(2): the checksum of a row is that of a row of zeros, xor what each byte does alone.
+    A CRC is affine over GF(2): the checksum of a row is that of a row of zeros, xor what each byte does
+    alone.
     """
     step = _byte_table()
     tables = np.empty((width, 256), dtype=np.uint32)
@@ -45,8 +47,8 @@ def column_crc(*columns: NDArray[np.int64] | NDArray[np.float64], later: int = 0
 
     Args:
         columns: (n,) int64 or float64 each; NULL is float NaN (any NaN counts as the same one).
-        later: how many of the last columns, float64, came with a later version: a row in which they are NULL has the
-            checksum that it had before, so that no row is written again for their sake.
+        later: how many of the last columns, float64, came with a later version: a row in which they are NULL
+            has the checksum that it had before, so that no row is written again for their sake.
 
     Returns:
         (n,) the checksum as a signed 32-bit number, which SQLite keeps in four bytes.
@@ -88,7 +90,8 @@ def _bits(column: NDArray[np.int64] | NDArray[np.float64]) -> NDArray[np.int64]:
 def row_crc(cells: Iterable[Cell]) -> int:
     """Return the checksum of one row of mixed types, as a signed 32-bit number.
 
-    Integers in decimal, floats in hexadecimal notation, texts as they are, NULL as a zero byte; joined by 0x1f.
+    Integers in decimal, floats in hexadecimal notation, texts as they are, NULL as a zero byte; joined by
+    0x1f.
     """
     number = zlib.crc32("\x1f".join(_text(cell) for cell in cells).encode("utf-8", "surrogatepass"))
     return number - (1 << 32) if number >= 1 << 31 else number

@@ -1,6 +1,7 @@
 """Compaction: a file without free pages is made beside the database and copied back in one transaction.
 
-SQLite's own VACUUM does the same, but its copying back cannot be broken off, and takes seconds for a hundred megabytes.
+SQLite's own VACUUM does the same, but its copying back cannot be broken off, and takes seconds for a hundred
+megabytes.
 """
 
 import sqlite3

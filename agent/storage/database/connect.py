@@ -60,8 +60,14 @@ def damaged(words: str) -> sqlite3.DatabaseError:
 def cause_of(error: BaseException) -> str:
     """Return why a write failed, as a few words."""
     code = code_of(error)
-    no_index = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_IOERR_SHMSIZE  # no room for the log's index
-    if code == sqlite3.SQLITE_FULL or no_index or getattr(error, "errno", None) in {errno.ENOSPC, errno.EDQUOT}:
+    no_index = (
+        getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_IOERR_SHMSIZE
+    )  # no room for the log's index
+    if (
+        code == sqlite3.SQLITE_FULL
+        or no_index
+        or getattr(error, "errno", None) in {errno.ENOSPC, errno.EDQUOT}
+    ):
         return "disk full"
     if code == sqlite3.SQLITE_READONLY or getattr(error, "errno", None) == errno.EROFS:
         return "read only"
@@ -124,8 +130,9 @@ def connect_writer(path: Path) -> sqlite3.Connection:
 def _log_kept(path: Path) -> Iterator[None]:
     """See that a connection that fails to open does not take the write-ahead log with it.
 
-    Where the log's index cannot be opened, and at the closing only for reading, SQLite (3.40) takes the log for empty
-    and deletes it. It does not while another connection is there; one that only reads deletes nothing.
+    Where the log's index cannot be opened, and at the closing only for reading, SQLite (3.40) takes the log
+    for empty and deletes it. It does not while another connection is there; one that only reads deletes
+    nothing.
     """
     log = beside(path, "-wal")
     if not log.exists() or not log.stat().st_size:
@@ -176,11 +183,11 @@ class Reader(sqlite3.Connection):
 def connect_reader(path: Path, *, any_schema: bool = False) -> Reader:
     """Open a database for reading only; usable while an agent writes to it.
 
-    any_schema: also one whose schema is not this program's own text, for looking at its damage; its views are then not
-    to be asked, since they may say and do anything.
+    any_schema: also one whose schema is not this program's own text, for looking at its damage; its views are
+    then not to be asked, since they may say and do anything.
 
-    A file system that cannot be written to has no place for the shared index of the write-ahead log; there the file
-    is read as it is (immutable), which leaves out what only the log holds.
+    A file system that cannot be written to has no place for the shared index of the write-ahead log; there
+    the file is read as it is (immutable), which leaves out what only the log holds.
 
     Raises:
         StoreError: missing, not ours, damaged, or of another version.
@@ -194,7 +201,9 @@ def connect_reader(path: Path, *, any_schema: bool = False) -> Reader:
         raise StoreError.at(str(path), "the database is damaged", "run `deltak db repair`")
     refuse(path, kind)
     for mode in ("mode=ro", "mode=ro&immutable=1"):
-        connection = sqlite3.connect(_uri(path, mode), uri=True, isolation_level=None, timeout=5.0, factory=Reader)
+        connection = sqlite3.connect(
+            _uri(path, mode), uri=True, isolation_level=None, timeout=5.0, factory=Reader
+        )
         try:
             version = version_of(connection)
             strange = strange_schema(connection)

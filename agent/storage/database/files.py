@@ -16,7 +16,11 @@ BALLAST_BYTES = 3 * 1024 * 1024
 """Freed when the disk is full: SQLite needs room even to delete, and for what the log holds already."""
 _MAGIC = b"SQLite format 3\0"
 _OURS_WRITTEN = b"CREATE VIEW v_estimates_windows"
-_FIXED = ((16, PAGE_SIZE.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))), (44, b"\0\0\0\4"), (56, b"\0\0\0\1"))
+_FIXED = (
+    (16, PAGE_SIZE.to_bytes(2, "big") + bytes((2, 2, 0, 64, 32, 32))),
+    (44, b"\0\0\0\4"),
+    (56, b"\0\0\0\1"),
+)
 """Header bytes that every file of ours has; SQLite takes some of them, when wrong, for a file it may not write to."""
 _HEAD = 256 * 1024
 _BLOCK = 1024 * 1024
@@ -89,8 +93,9 @@ def sync_folder(folder: Path) -> None:
 def renew(path: Path) -> None:
     """Write a file's content once more, as it is, and sync it; nothing where there is none.
 
-    A sync that failed leaves the file's cache clean: it reads well, a later sync succeeds, and yet part of it is not on
-    the disk. So a process that did not see that sync (its predecessor did, and was killed) trusts no log that it finds.
+    A sync that failed leaves the file's cache clean: it reads well, a later sync succeeds, and yet part of it
+    is not on the disk. So a process that did not see that sync (its predecessor did, and was killed) trusts
+    no log that it finds.
     """
     try:
         handle = opened(path, os.O_RDWR)
@@ -150,7 +155,9 @@ def _was_ours(path: Path, head: bytes) -> bool:
 def refuse(path: Path, kind: Kind) -> None:
     """Raise StoreError for files that this version must not touch."""
     if kind is Kind.FOREIGN:
-        raise StoreError.at(str(path), "this file is not a deltak database", "give another path; it was not changed")
+        raise StoreError.at(
+            str(path), "this file is not a deltak database", "give another path; it was not changed"
+        )
     if kind is Kind.NEWER:
         advice = f"this program reads up to version {SCHEMA_VERSION}: update it; the file was not changed"
         raise StoreError.at(str(path), "the database was written by a newer version of deltak", advice)
@@ -187,8 +194,8 @@ class Lock:
     """The right to change a database: flock on DB.lock, freed by the kernel when its holder dies.
 
     Its descriptor, `handle`, is -1 once it is released. Raises StoreHeldError when another process holds it.
-    The file stays: removing it would let two processes lock two different files of one name. Nobody but its owner may
-    open it, since a lock can be held through a descriptor that may only read.
+    The file stays: removing it would let two processes lock two different files of one name. Nobody but its
+    owner may open it, since a lock can be held through a descriptor that may only read.
 
     Attributes:
         private: nobody else could have written to the file before.
@@ -214,7 +221,9 @@ class Lock:
         try:
             handle = opened(self._file, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK, 0o600)
         except PermissionError as error:
-            raise StoreError.at(str(self._file), "permission denied", "run as the owner of the folder") from error
+            raise StoreError.at(
+                str(self._file), "permission denied", "run as the owner of the folder"
+            ) from error
         except OSError as error:
             if error.errno != errno.ELOOP:
                 raise

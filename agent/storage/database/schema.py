@@ -1,9 +1,9 @@
 """The tables of the store and how a file of an earlier version becomes one of this version.
 
-Tables are the product's own and may change; the views (agent.storage.database.views) are what outsiders query. A row of
-an estimate is spread over three tables so that a year fits a small flash: `hops` says which run and when, `estimates`
-holds one row a parameter (its seq is the hop's seq times 1024 plus its column), and what seldom changes (series,
-fits, verdicts) is named by number.
+Tables are the product's own and may change; the views (agent.storage.database.views) are what outsiders
+query. A row of an estimate is spread over three tables so that a year fits a small flash: `hops` says which
+run and when, `estimates` holds one row a parameter (its seq is the hop's seq times 1024 plus its column), and
+what seldom changes (series, fits, verdicts) is named by number.
 """
 
 import sqlite3
@@ -103,7 +103,8 @@ TABLES: dict[str, str] = {
 ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
 _SINCE = {
-    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7, "annotations": 7,
+    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7,
+    "annotations": 7,
     "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7, "covariates": 8, "conditions": 8,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
@@ -128,10 +129,17 @@ _INDEXES = (
 
 def columns_of(table: str) -> list[str]:
     """Return the columns of a table in order, with seq and crc."""
-    return ["seq", *(part.strip().split()[0] for part in TABLES[table].split(",")), *ADDED.get(table, ()), "crc"]
+    return [
+        "seq",
+        *(part.strip().split()[0] for part in TABLES[table].split(",")),
+        *ADDED.get(table, ()),
+        "crc",
+    ]
 
 
-def numbers_crc(table: str, columns: "Sequence[NDArray[np.int64] | NDArray[np.float64]]") -> "NDArray[np.int32]":
+def numbers_crc(
+    table: str, columns: "Sequence[NDArray[np.int64] | NDArray[np.float64]]"
+) -> "NDArray[np.int32]":
     """Return the checksums of rows of a table of numbers, given as the columns before crc."""
     return column_crc(*columns, later=len(ADDED.get(table, ())))
 
@@ -163,7 +171,9 @@ def _tables_views_and_marks(db: "Database") -> None:
             _create(db.conn, table)
     for statement in (_CONSUMERS, *_INDEXES, *VIEWS):
         db.conn.execute(statement)
-    for number, (key, value) in enumerate((("schema_version", "1"), ("created_by", f"deltak {__version__}")), 1):
+    for number, (key, value) in enumerate(
+        (("schema_version", "1"), ("created_by", f"deltak {__version__}")), 1
+    ):
         db.conn.execute(insert_sql("meta"), (number, key, value, row_crc((number, key, value))))
     _mark(db.conn, 1)
 
@@ -258,7 +268,9 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
 
 def _create(connection: sqlite3.Connection, table: str) -> None:
     columns = TABLES[table]
-    connection.execute(f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT")
+    connection.execute(
+        f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT"
+    )
 
 
 def _mark(connection: sqlite3.Connection, version: int) -> None:

@@ -79,7 +79,11 @@ def problems(connection: sqlite3.Connection) -> list[str]:
         try:
             found += check(connection)
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-            if isinstance(error, sqlite3.OperationalError) and not is_damage(error) and "no such" not in str(error):
+            if (
+                isinstance(error, sqlite3.OperationalError)
+                and not is_damage(error)
+                and "no such" not in str(error)
+            ):
                 raise
             found.append(str(error))
     return found

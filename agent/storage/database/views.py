@@ -1,10 +1,11 @@
 # ruff: noqa: S608 - these statements are put together from this module's own texts only
 """The views that outsiders query; their columns are promised, the tables behind them are not.
 
-Every view shows, for each instant, the newest run of a rig that covers it: a replay of a week replaces what was
-shown of that week. Aggregates show only where the finer rows are gone, so no period is shown twice.
+Every view shows, for each instant, the newest run of a rig that covers it: a replay of a week replaces what
+was shown of that week. Aggregates show only where the finer rows are gone, so no period is shown twice.
 
-What a view says belongs to the version that brought it: a text is not changed, a later version makes the view anew.
+What a view says belongs to the version that brought it: a text is not changed, a later version makes the view
+anew.
 """
 
 
@@ -20,7 +21,9 @@ def time_text(column: str) -> str:
 
 def covered(run: str, t_ns: str) -> str:
     """Return SQL that holds when a newer run of the rig covers that instant."""
-    return f"EXISTS (SELECT 1 FROM overlaps o WHERE o.run_id = {run} AND {t_ns} BETWEEN o.from_ns AND o.to_ns)"
+    return (
+        f"EXISTS (SELECT 1 FROM overlaps o WHERE o.run_id = {run} AND {t_ns} BETWEEN o.from_ns AND o.to_ns)"
+    )
 
 
 # estimates.repeat: sd_repeat in ten-thousandths of sd, NULL where they are the same
@@ -39,7 +42,8 @@ def estimate_columns(run: str) -> str:
 
 _ESTIMATE_COLUMNS = estimate_columns("r.seq")
 
-# CROSS JOIN keeps SQLite to this order: rig, run, time, rows, names. Left to itself it may begin with the names.
+# CROSS JOIN keeps SQLite to this order: rig, run, time, rows, names. Left to itself it may begin with the
+# names.
 ESTIMATE_JOINS = """CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN series s ON s.seq = e.series_id
  CROSS JOIN fits f ON f.seq = e.fit_id
@@ -56,7 +60,8 @@ _ESTIMATES = f"""SELECT {_ESTIMATE_COLUMNS}
  FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq CROSS JOIN hops h ON h.run_id = r.seq {ESTIMATE_JOINS}
  WHERE {TIER_SHOWN} AND f.chosen = 1 AND NOT {covered("h.run_id", "h.t_ns")}"""
 
-# The run whose last row is the newest is never covered by a newer one at that row, so this needs no look at overlaps.
+# The run whose last row is the newest is never covered by a newer one at that row, so this needs no look at
+# overlaps.
 NEWEST_OF_RUN = """SELECT m.seq FROM hops m WHERE m.run_id = x.seq AND m.span = 0
    AND EXISTS (SELECT 1 FROM estimates c CROSS JOIN series y ON y.seq = c.series_id
      CROSS JOIN fits d ON d.seq = c.fit_id

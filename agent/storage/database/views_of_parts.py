@@ -35,8 +35,8 @@ def _newest_hop(kind: str, order: str) -> str:
    ORDER BY {order} LIMIT 1)"""
 
 
-# Live rows follow one another as they were stored, whatever the wall clock said; a replay is of the time of its stamps.
-# The newest is never covered by a newer run, so this needs no look at overlaps.
+# Live rows follow one another as they were stored, whatever the wall clock said; a replay is of the time of
+# its stamps. The newest is never covered by a newer run, so this needs no look at overlaps.
 _LATEST_HOPS = f"""SELECT q.rig_id AS rig_id, q.parameter AS parameter,
  (SELECT hop FROM ({_newest_hop("=", "k.seq DESC")} UNION ALL {_newest_hop("<>", "k.t_ns DESC, x.seq DESC")})
    ORDER BY t_ns DESC, run DESC LIMIT 1) AS hop
@@ -60,10 +60,13 @@ _RUNS = f"""SELECT r.seq AS run_id, g.name AS rig, r.kind AS kind, {time_text("r
  WHERE NOT EXISTS (SELECT 1 FROM clocks c WHERE c.run_id = r.seq AND c.part_of <> r.seq)"""
 
 _VIEWS = {
-    "v_estimates": _ESTIMATES, "v_estimates_windows": _WINDOWS, "v_latest": _LATEST, "v_tiers": _TIERS, "v_runs": _RUNS,
+    "v_estimates": _ESTIMATES, "v_estimates_windows": _WINDOWS, "v_latest": _LATEST, "v_tiers": _TIERS,
+    "v_runs": _RUNS,
 }  # fmt: skip
 STEPS: tuple[str, ...] = tuple(
-    statement for view, text in _VIEWS.items() for statement in (f"DROP VIEW {view}", f"CREATE VIEW {view} AS {text}")
+    statement
+    for view, text in _VIEWS.items()
+    for statement in (f"DROP VIEW {view}", f"CREATE VIEW {view} AS {text}")
 )
 
 _VERDICTS = f"""SELECT g.name AS rig, coalesce(c.part_of, y.run_id) AS run_id, y.t_ns AS t_ns,

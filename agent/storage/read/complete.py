@@ -1,7 +1,8 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Answers proved to be whole: a row that damage hides is counted, and no older one passes for the newest.
 
-Each row of `hops` has an estimate of every parameter of its run; where an answer has fewer, the others were lost.
+Each row of `hops` has an estimate of every parameter of its run; where an answer has fewer, the others were
+lost.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -43,7 +44,10 @@ def prove_count(
         parameter: the only one asked for; None for all.
     """
     part, _, first, last = stretch
-    known = {name for (name,) in reader.execute("SELECT parameter FROM series NOT INDEXED WHERE run_id = ?", (part,))}
+    known = {
+        name
+        for (name,) in reader.execute("SELECT parameter FROM series NOT INDEXED WHERE run_id = ?", (part,))
+    }
     width = len(known) if parameter is None else int(parameter in known)
     hops = reader.execute(_COUNT, (part, 0, first, last)).fetchone()[0]
     reader.refuse(max(0, width * hops - sum(row["span_s"] == 0 for row in rows) - refused))

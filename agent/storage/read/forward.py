@@ -1,9 +1,9 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Rows stored after a cursor, by their growing numbers, for consumers beyond the gateway; read-only.
 
-The columns are those of the views (CONTRACT section 7) with `seq` behind them, the number by which a consumer knows a
-row again. Rows that a view does not show (covered by a newer run, aggregates, wrong checksums) move the cursor all the
-same.
+The columns are those of the views (CONTRACT section 7) with `seq` behind them, the number by which a consumer
+knows a row again. Rows that a view does not show (covered by a newer run, aggregates, wrong checksums) move
+the cursor all the same.
 """
 
 import sqlite3
@@ -131,7 +131,9 @@ def _estimates(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
     found = [
         row
         for run, times in stamps.items()
-        for row in _rows(reader, "v_estimates", condition, (run, min(times), max(times), first, last), "e", first)
+        for row in _rows(
+            reader, "v_estimates", condition, (run, min(times), max(times), first, last), "e", first
+        )
     ]
     return Chunk(sorted(found, key=_seq), last << COLUMN_BITS | _LAST_COLUMN, len(hops) == most)
 
@@ -147,7 +149,9 @@ def _alarms(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
     last, more = _numbered(reader, "alarms", cursor, until, most)
     steps = _rows(reader, "v_alarm_events", "id > ? AND id <= ? ORDER BY id", (cursor, last), "n")
     numbers = ",".join(str(row["alarm_id"]) for row in steps)
-    known = {row["id"]: row for row in _rows(reader, "v_alarms", f"id IN ({numbers})", (), "a")} if steps else {}
+    known = (
+        {row["id"]: row for row in _rows(reader, "v_alarms", f"id IN ({numbers})", (), "a")} if steps else {}
+    )
     rows = [_step(row, known[row["alarm_id"]]) for row in steps if row["alarm_id"] in known]
     return Chunk(rows, last, more)
 

@@ -1,8 +1,8 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Rows proved before they are shown: a view's row counts if every table row that it is made of has its checksum.
 
-A view is asked with the numbers of those rows beside its own columns, and with what it read of them from an index,
-which has no checksum: the rows are then read once more by their numbers, and must say the same.
+A view is asked with the numbers of those rows beside its own columns, and with what it read of them from an
+index, which has no checksum: the rows are then read once more by their numbers, and must say the same.
 """
 
 import json
@@ -35,7 +35,13 @@ _FIRST, _LAST = -(2**63), 2**63 - 1
 
 
 def proven(
-    reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST, *, numbered: str = ""
+    reader: Reader,
+    view: str,
+    condition: str,
+    values: Sequence[object],
+    first_hop: int = _FIRST,
+    *,
+    numbered: str = "",
 ) -> tuple[list[str], Iterator[Cells]]:
     """Return the columns of a view and those of its rows under a condition that prove themselves.
 
@@ -52,7 +58,9 @@ def proven(
     more = f", {row_of(numbered)} AS seq" if numbered else ""
     cursor = reader.execute(f"SELECT *{more} FROM ({query}) WHERE {condition}", tuple(values))
     once = "json_each" not in query  # a row of a table may make several of those
-    return [column[0] for column in cursor.description][width:], _sound(reader, cursor, parts, width, once=once)
+    return [column[0] for column in cursor.description][width:], _sound(
+        reader, cursor, parts, width, once=once
+    )
 
 
 def row_of(alias: str) -> str:
@@ -71,8 +79,8 @@ def prove_whole(reader: Reader, table: str) -> None:
 def prove_listed(reader: Reader, table: str, first: int = _FIRST) -> None:
     """See that the indexes of a table list its rows from a number on, once; raises sqlite3.DatabaseError.
 
-    A row that none lists would not be shown, and an older one in its place. So would a row that an index lists and
-    its page does not hold any more, which is looked for where all rows are asked for.
+    A row that none lists would not be shown, and an older one in its place. So would a row that an index
+    lists and its page does not hold any more, which is looked for where all rows are asked for.
     """
     if first >= reader.listed.get(table, _LAST):
         return
@@ -96,8 +104,8 @@ _NOT_HELD = """SELECT 1 FROM {0} i INDEXED BY {1} WHERE NOT EXISTS (
 def prove_names(reader: Reader) -> None:
     """See that every rig and run is there and as it was written, and every series there.
 
-    A run that is gone, or not live any more, would leave the newest row of an older one to be shown as the newest.
-    Counts the rows that are wrong; raises sqlite3.DatabaseError where one is gone.
+    A run that is gone, or not live any more, would leave the newest row of an older one to be shown as the
+    newest. Counts the rows that are wrong; raises sqlite3.DatabaseError where one is gone.
     """
     for table in ("rigs", "runs"):
         prove_whole(reader, table)
@@ -107,7 +115,9 @@ def prove_names(reader: Reader) -> None:
 @cache
 def _indexes(table: str) -> list[tuple[str, list[str]]]:
     """Return the indexes of a table by name, each with its columns."""
-    texts = [str(text) for (kind, _), (of, text) in own_schema().items() if (kind, of) == ("index", table) and text]
+    texts = [
+        str(text) for (kind, _), (of, text) in own_schema().items() if (kind, of) == ("index", table) and text
+    ]
     named = [re.fullmatch(rf"CREATE INDEX (\w+) ON {table} \((.*)\)", text) for text in texts]
     unique = re.match(r"(\w+) TEXT NOT NULL UNIQUE", TABLES[table])
     own = [(f"sqlite_autoindex_{table}_1", [unique[1]])] if unique else []
@@ -138,10 +148,14 @@ def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:
     prove_listed(reader, "hops", max((cells[0] for cells in edges), default=_FIRST))
 
 
-_EDGE = "SELECT seq, run_id, span, t_ns FROM hops WHERE run_id = ? AND span IN (0, 60, 3600) AND t_ns = ? LIMIT 1"
+_EDGE = (
+    "SELECT seq, run_id, span, t_ns FROM hops WHERE run_id = ? AND span IN (0, 60, 3600) AND t_ns = ? LIMIT 1"
+)
 
 
-def _sound(reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int, *, once: bool) -> Iterator[Cells]:
+def _sound(
+    reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int, *, once: bool
+) -> Iterator[Cells]:
     before = set[Cells]()
     while rows := cursor.fetchmany(_AT_ONCE):
         heads = [row[:width] for row in rows]
@@ -194,7 +208,9 @@ class Found(NamedTuple):
 
     def at(self, rows: "NDArray[np.bool_] | NDArray[np.intp]") -> "Found":
         """Return the rows that a mask or an array of places names."""
-        return Found(self.t_ns[rows], self.value[rows], self.sd[rows], self.sd_repeat[rows], self.series[rows])
+        return Found(
+            self.t_ns[rows], self.value[rows], self.sd[rows], self.sd_repeat[rows], self.series[rows]
+        )
 
 
 def joined(parts: Sequence[Found]) -> Found:
@@ -206,7 +222,9 @@ def joined(parts: Sequence[Found]) -> Found:
     return Found(t_ns, value, sd, repeat, series)
 
 
-NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
+NOTHING = Found(
+    np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
+)
 _VALID = int(Status.VALID) << 8
 _SAID = [name for name in columns_of("estimates") if name != "verdict_id"]
 _POINTS = f"""SELECT h.seq, h.t_ns, h.crc, {", ".join(f"e.{name}" for name in _SAID)} FROM hops h
@@ -219,7 +237,9 @@ _POINTS = f"""SELECT h.seq, h.t_ns, h.crc, {", ".join(f"e.{name}" for name in _S
 def series_of(reader: Reader, parameter: str) -> dict[int, list[int]]:
     """Return the numbers of a parameter's series by run; no index is asked, which may leave one out."""
     found: dict[int, list[int]] = {}
-    for seq, run in reader.execute("SELECT seq, run_id FROM series NOT INDEXED WHERE parameter = ?", (parameter,)):
+    for seq, run in reader.execute(
+        "SELECT seq, run_id FROM series NOT INDEXED WHERE parameter = ?", (parameter,)
+    ):
         found.setdefault(run, []).append(seq)
     return found
 
@@ -308,7 +328,9 @@ def _traced(view: str) -> tuple[str, tuple[str, ...]]:
     rest = columns
     while "(" in rest:
         rest = re.sub(r"\([^()]*\)", "", rest)
-    parts = [(t, alias) for t, alias in re.findall(r"\b(?<!LEFT )(?:FROM|JOIN) (\w+) (\w)\b", rest) if t in TABLES]
+    parts = [
+        (t, alias) for t, alias in re.findall(r"\b(?<!LEFT )(?:FROM|JOIN) (\w+) (\w)\b", rest) if t in TABLES
+    ]
     traced = (
         f'{alias}.{name} AS "proof {alias} {name}"'
         for table, alias in parts

@@ -158,7 +158,9 @@ def _check_count(connection: sqlite3.Connection, stretches: Sequence[_Stretch], 
     query = f"SELECT count(*) FROM (SELECT 1 {rows})"
     asked = ((part, first, last, most + 1) for part, _, first, last in stretches)
     if sum(connection.execute(query, cells).fetchone()[0] for cells in asked) > most:
-        raise UsageError.at("since", f"there are more than {most} instants in that time", "ask for less of it")
+        raise UsageError.at(
+            "since", f"there are more than {most} instants in that time", "ask for less of it"
+        )
 
 
 def latest(db: Path | str, rig: str | None = None) -> Rows:
@@ -235,7 +237,9 @@ def conditions(db: Path | str, rig: str | None = None) -> Rows:
         return _rows(connection, "v_conditions", f"{condition} ORDER BY id", values)
 
 
-def forecasts(db: Path | str, rig: str | None = None, parameter: str | None = None, *, waiting: bool = False) -> Rows:
+def forecasts(
+    db: Path | str, rig: str | None = None, parameter: str | None = None, *, waiting: bool = False
+) -> Rows:
     """Return rows of v_forecast, oldest first; waiting: only those that are not scored yet."""
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
@@ -280,11 +284,12 @@ def points(
 ) -> Points:  # fmt: skip
     """Return the valid estimates of one parameter as arrays.
 
-    Stretches of more than `most` rows are read from the hourly or minutely rows, so that a year takes milliseconds;
-    where there are too many hours, every second, third ... is.
+    Stretches of more than `most` rows are read from the hourly or minutely rows, so that a year takes
+    milliseconds; where there are too many hours, every second, third ... is.
 
     Raises:
-        StoreError: the file; UsageError: an unknown rig or parameter, a rig needed because there are several, no time.
+        StoreError: the file; UsageError: an unknown rig or parameter, a rig needed because there are several,
+            no time.
     """
     with reading(db) as connection:
         name = _one_rig(connection, rig)
@@ -337,7 +342,10 @@ def _tiered(
     connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], most: int
 ) -> tuple[Found, IntArray]:
     """Return rows from the finest tier that is not too long, then finer ones, and what each covers, s."""
-    bounds = {span: _bounds(connection, stretches, span, most if span < 3600 else _UNCOUNTED) for span in (0, 60, 3600)}
+    bounds = {
+        span: _bounds(connection, stretches, span, most if span < 3600 else _UNCOUNTED)
+        for span in (0, 60, 3600)
+    }
     start = _first_tier(bounds, most)
     tiers: list[Found] = []
     spans = sorted((s for s in bounds if s <= start), reverse=True)
@@ -372,7 +380,11 @@ def _bounds(
 
 
 def _tier_points(
-    connection: Reader, stretches: Sequence[_Stretch], series: Mapping[int, Sequence[int]], span: int, each: int
+    connection: Reader,
+    stretches: Sequence[_Stretch],
+    series: Mapping[int, Sequence[int]],
+    span: int,
+    each: int,
 ) -> Found:
     """Return the points of a tier in the order of true time."""
     found = [NOTHING]
@@ -409,7 +421,9 @@ def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:
     return " AND ".join(["1 = 1", *(f"{name} = ?" for name in known)]), tuple(known.values())
 
 
-def _rows(connection: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST) -> Rows:
+def _rows(
+    connection: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST
+) -> Rows:
     names, rows = proven(connection, view, condition, values, first_hop)
     found = Rows(dict(zip(names, cells, strict=True)) for cells in rows)
     found.refused = connection.refused
@@ -442,7 +456,9 @@ def _one_rig(connection: sqlite3.Connection, rig: str | None) -> str:
     known = _chosen_rigs(connection, rig)
     if len(known) != 1:
         what = "the database has several rigs" if known else "the database has no rows yet"
-        raise UsageError([Fault("--rig", what, f"name one of {_list(known)}" if known else "let the agent run first")])
+        raise UsageError(
+            [Fault("--rig", what, f"name one of {_list(known)}" if known else "let the agent run first")]
+        )
     return known[0]
 
 
@@ -450,7 +466,13 @@ def _check_parameter(connection: sqlite3.Connection, rig: str | None, parameter:
     known = _parameters(connection, rig)
     if parameter is not None and parameter not in known:
         raise UsageError(
-            [Fault("parameter", f'the database has no parameter "{parameter}"', f"parameters are {_list(known)}")]
+            [
+                Fault(
+                    "parameter",
+                    f'the database has no parameter "{parameter}"',
+                    f"parameters are {_list(known)}",
+                )
+            ]
         )
 
 
@@ -458,7 +480,9 @@ def _list(names: Sequence[str]) -> str:
     return ", ".join(names) or "none yet"
 
 
-def _stretches(connection: Reader, rig: str, since: str | None, until: str | None) -> tuple[list[_Stretch], int, int]:
+def _stretches(
+    connection: Reader, rig: str, since: str | None, until: str | None
+) -> tuple[list[_Stretch], int, int]:
     """Return what was asked for, by part of a run, and its first and last instant (ns); open ends reach far enough.
 
     An age counts in true time back from the newest row, a date is compared with the stamps as they are.

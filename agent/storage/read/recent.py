@@ -54,8 +54,9 @@ def newest(db: Path | str) -> Cursor:
 def changes(db: Path | str, after: Cursor, most: int = 200) -> tuple[list[Change], Cursor]:
     """Return what was committed after a cursor, oldest first of each kind, and the cursor after it.
 
-    At most `most` steps of alarms and as many instants: the rest is asked for with the cursor that comes back. Rows
-    that are not shown (covered by a newer run, thinned, of a wrong checksum) move the cursor all the same.
+    At most `most` steps of alarms and as many instants: the rest is asked for with the cursor that comes
+    back. Rows that are not shown (covered by a newer run, thinned, of a wrong checksum) move the cursor all
+    the same.
 
     Raises:
         StoreError: the file.
@@ -142,14 +143,20 @@ def _instants(reader: Reader, after: Cursor, most: int) -> tuple[list[Change], i
         if span == 0:
             by_run.setdefault(run, {})[t_ns] = seq
     found = [
-        Change("estimates", after._replace(hops=seq), {"rig": rows[0]["rig"], "t_ns": rows[0]["t_ns"], "rows": rows})
+        Change(
+            "estimates",
+            after._replace(hops=seq),
+            {"rig": rows[0]["rig"], "t_ns": rows[0]["t_ns"], "rows": rows},
+        )
         for run, instants in by_run.items()
         for seq, rows in _rows_of_run(reader, run, instants, after.hops + 1)
     ]
     return sorted(found, key=lambda change: change.cursor.hops), hops[-1][0] if hops else after.hops
 
 
-def _rows_of_run(reader: Reader, run: int, instants: Mapping[int, int], first: int) -> list[tuple[int, list[Row]]]:
+def _rows_of_run(
+    reader: Reader, run: int, instants: Mapping[int, int], first: int
+) -> list[tuple[int, list[Row]]]:
     """Return rows of v_estimates by the number of their instant; instants: those numbers by stamp."""
     condition = f"{row_of('r')} = ? AND span_s = 0 AND t_ns BETWEEN ? AND ?"
     bounds = (run, min(instants), max(instants))
@@ -160,7 +167,9 @@ def _rows_of_run(reader: Reader, run: int, instants: Mapping[int, int], first: i
     return list(found.items())
 
 
-def _rows(reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST) -> list[Row]:
+def _rows(
+    reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST
+) -> list[Row]:
     names, rows = proven(reader, view, condition, values, first_hop)
     return [dict(zip(names, cells, strict=True)) for cells in rows]
 
@@ -171,5 +180,7 @@ def _highest(reader: Reader, table: str) -> int:
 
 def _reached(reader: Reader, table: str, after: int, most: int) -> int:
     """Return the number of the row that lies so many rows after another; of the last one where there are fewer."""
-    query = f"SELECT coalesce(max(seq), ?1) FROM (SELECT seq FROM {table} WHERE seq > ?1 ORDER BY seq LIMIT ?2)"
+    query = (
+        f"SELECT coalesce(max(seq), ?1) FROM (SELECT seq FROM {table} WHERE seq > ?1 ORDER BY seq LIMIT ?2)"
+    )
     return int(reader.execute(query, (after, most)).fetchone()[0])

@@ -30,8 +30,8 @@ def table_points(
 ) -> tuple[Points, int]:
     """Return the history in a table in order of time, and how many rows stood before an earlier one.
 
-    parameter: the one meant, where the table has a column of that name. Rows without a number are left out, and those
-    whose status, where there is such a column, is not valid.
+    parameter: the one meant, where the table has a column of that name. Rows without a number are left out,
+    and those whose status, where there is such a column, is not valid.
 
     Raises UsageError for a file that cannot be read or is no history.
     """
@@ -39,7 +39,9 @@ def table_points(
     clock = next(filter(columns.__contains__, _TIMES), None)
     if clock is None or "value" not in columns:
         raise UsageError.at(str(path), f"has the columns {', '.join(columns) or 'none'}", _ADVICE)
-    t_ns = np.array([_instant(path, row, cell, clock) for row, cell in enumerate(columns[clock], 2)], dtype=np.int64)
+    t_ns = np.array(
+        [_instant(path, row, cell, clock) for row, cell in enumerate(columns[clock], 2)], dtype=np.int64
+    )
     value = _numbers(path, "value", columns["value"])
     sd = _numbers(path, "sd", columns["sd"]) if "sd" in columns else np.zeros(len(value))
     keep = np.isfinite(value)
@@ -57,7 +59,9 @@ def table_points(
     return found, backward
 
 
-def _meant(path: Path, columns: Mapping[str, Sequence[Any]], parameter: str | None) -> Mapping[str, Sequence[Any]]:
+def _meant(
+    path: Path, columns: Mapping[str, Sequence[Any]], parameter: str | None
+) -> Mapping[str, Sequence[Any]]:
     """Return the rows of one parameter of one rig that are valid, of a table that says of which they are."""
     wanted = {"rig": _only(path, "rig", columns), "status": "valid"}
     wanted["parameter"] = _only(path, "parameter", columns) if parameter is None else parameter
@@ -71,7 +75,9 @@ def _only(path: Path, name: str, columns: Mapping[str, Sequence[Any]]) -> Any:
     """Return what a column holds throughout. Raises UsageError where that differs."""
     there = sorted({str(cell) for cell in columns.get(name, ())})
     if len(there) > 1:
-        raise UsageError.at(str(path), f"holds several of {name}: {', '.join(there[:20])}", f"name the {name}")
+        raise UsageError.at(
+            str(path), f"holds several of {name}: {', '.join(there[:20])}", f"name the {name}"
+        )
     return there[0] if there else None
 
 
@@ -84,7 +90,9 @@ def _columns(path: Path) -> Mapping[str, Sequence[Any]]:
     try:
         return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UsageError.at(str(path), f"cannot be read: {error}", "name a CSV or Parquet file there is") from error
+        raise UsageError.at(
+            str(path), f"cannot be read: {error}", "name a CSV or Parquet file there is"
+        ) from error
 
 
 def _csv(path: Path) -> dict[str, list[str]]:
@@ -144,4 +152,6 @@ def _numbers(path: Path, name: str, cells: Sequence[Any]) -> "np.ndarray[Any, np
     try:
         return np.array([math.nan if cell in {None, ""} else float(cell) for cell in cells])
     except (TypeError, ValueError) as error:
-        raise UsageError.at(str(path), f"the column {name} holds what is no number: {error}", _ADVICE) from error
+        raise UsageError.at(
+            str(path), f"the column {name} holds what is no number: {error}", _ADVICE
+        ) from error

@@ -24,7 +24,8 @@ def parse_time(text: str, newest_ns: int | None) -> int:
     """Return nanoseconds since the epoch.
 
     Args:
-        text: ISO 8601 (UTC unless it says otherwise; up to nine decimals) or an age counted back from `newest_ns`.
+        text: ISO 8601 (UTC unless it says otherwise; up to nine decimals) or an age counted back from
+            `newest_ns`.
         newest_ns: the newest row there is; None when there is none (an age then reaches back from time zero).
 
     Raises:

@@ -1,9 +1,9 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """How many rows a damaged file has lost, as far as that can be known.
 
-What is known of rows that are gone: those that were read and were wrong, those that an index still lists, those that
-were acknowledged (see `Watermarks`), and the estimates that a saved instant lacks. Pages that cannot be read may
-have held more.
+What is known of rows that are gone: those that were read and were wrong, those that an index still lists,
+those that were acknowledged (see `Watermarks`), and the estimates that a saved instant lacks. Pages that
+cannot be read may have held more.
 """
 
 import sqlite3
@@ -66,7 +66,9 @@ class LossEstimate:
         """Return how many rows are known to be lost, with those that were saved in target."""
         given = dict(target.execute("SELECT name, high FROM sequences"))
         tables = {*self.seen, *highs}
-        gone = {table: self._gone(target, table, highs.get(table, 0), given.get(table, 0)) for table in tables}
+        gone = {
+            table: self._gone(target, table, highs.get(table, 0), given.get(table, 0)) for table in tables
+        }
         fewest = "SELECT min(n) FROM (SELECT count(DISTINCT parameter) AS n FROM series GROUP BY run_id)"
         width = int(target.execute(fewest).fetchone()[0] or 1)
         missing = int(target.execute(_MISSING).fetchone()[0]) + width * gone.pop("hops", 0)

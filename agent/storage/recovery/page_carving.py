@@ -1,7 +1,8 @@
 """Rows read straight from the pages of a file, without its trees: for files whose trees are torn.
 
-Format: https://www.sqlite.org/fileformat2.html, sections 1.6 (leaf pages) and 2.1 (records). Nothing read here is
-believed: each row must pass its checksum, and a page that was freed long ago may still hold rows that were purged.
+Format: https://www.sqlite.org/fileformat2.html, sections 1.6 (leaf pages) and 2.1 (records). Nothing read
+here is believed: each row must pass its checksum, and a page that was freed long ago may still hold rows that
+were purged.
 """
 
 import struct
@@ -16,7 +17,8 @@ from agent.storage.tables.rows import Row
 _LEAF = 0x0D
 _WAL_HEADER, _FRAME_HEADER = 32, 24
 _SCANNED = (
-    "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health", "events",
+    "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health",
+    "events",
     "event_records", "learnt", "hypotheses", "shelves", "annotations", "sites",
     "graphs", "baselines", "forecasts", "covariates", "conditions",
 )  # fmt: skip
@@ -79,7 +81,9 @@ def _proven(table: str, rows: list[Row]) -> list[Row]:
 def _table_of(cells: list[object]) -> str | None:
     """Return the table that a row may be of; None for none."""
     alike = _BY_SHAPE.get((len(cells), any(isinstance(c, str) for c in cells)), ())
-    return next((table for table in alike if all(isinstance(cells[place], str) for place in _TEXTS[table])), None)
+    return next(
+        (table for table in alike if all(isinstance(cells[place], str) for place in _TEXTS[table])), None
+    )
 
 
 def _ordered(table: str, cells: list[object]) -> list[object]:

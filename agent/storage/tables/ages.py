@@ -1,9 +1,10 @@
 """How old rows are: the order of runs, elapsed monotonic time, and a wall clock as far as it can be believed.
 
-A part of a run is what was stamped by one setting of the wall clock; within it, and between the parts of a run, stamps
-tell monotonic time. From one run to the next only the wall clock knows how long nothing ran. It is believed in runs
-whose stamps follow one another; which ones those are is the heaviest increasing subsequence (by time that ran) among
-all that end with the newest run. A run that was a year ahead, or in 1995, is none of them and moves no other.
+A part of a run is what was stamped by one setting of the wall clock; within it, and between the parts of a
+run, stamps tell monotonic time. From one run to the next only the wall clock knows how long nothing ran. It
+is believed in runs whose stamps follow one another; which ones those are is the heaviest increasing
+subsequence (by time that ran) among all that end with the newest run. A run that was a year ahead, or in
+1995, is none of them and moves no other.
 """
 
 import sqlite3
@@ -93,13 +94,13 @@ def parts_of(connection: sqlite3.Connection, rig: str) -> list[Part]:
 def shifts(parts: Sequence[Part], *, confirmed: bool = False) -> dict[int, int]:
     """Return what is added to the stamps of each part (by seq) so that they count in true time.
 
-    The stamps of the part with the newest live row stay as they are. Another kind of run has a time of its own, that of
-    its newest part.
+    The stamps of the part with the newest live row stay as they are. Another kind of run has a time of its
+    own, that of its newest part.
 
     Args:
         parts: of one rig, in the order of runs.
-        confirmed: count time between runs only where the wall clock is confirmed on both sides, so that no row appears
-            older than it is; otherwise wherever stamps follow one another.
+        confirmed: count time between runs only where the wall clock is confirmed on both sides, so that no
+            row appears older than it is; otherwise wherever stamps follow one another.
     """
     found: dict[int, int] = {}
     live: dict[int, list[Part]] = {}
@@ -130,7 +131,9 @@ def _pauses(runs: Sequence[_Run], confirmed: bool) -> list[int]:
     pauses = [0] * len(runs)
     for chain in _chains(runs):
         lengths = [runs[i].length for i in chain]
-        first, last = (_needed(lengths), len(chain) - _needed(lengths[::-1])) if confirmed else (1, len(chain) - 1)
+        first, last = (
+            (_needed(lengths), len(chain) - _needed(lengths[::-1])) if confirmed else (1, len(chain) - 1)
+        )
         for place, (one, other) in enumerate(pairwise(chain), 1):
             if first <= place <= last:
                 between = sum(run.length for run in runs[one + 1 : other])
@@ -173,7 +176,9 @@ def _chains(runs: Sequence[_Run]) -> list[list[int]]:
 
 def _followed(runs: Sequence[_Run]) -> dict[int, int]:
     """Return for each run the one before it in the heaviest sequence that ends with it; -1 for none."""
-    best: list[tuple[int, int, int]] = []  # (wall clock at the end, weight, place): the first two increase together
+    best: list[
+        tuple[int, int, int]
+    ] = []  # (wall clock at the end, weight, place): the first two increase together
     before: dict[int, int] = {}
     for place, run in enumerate(runs):
         if run.known:

@@ -57,7 +57,8 @@ class AlarmRows:
     def apply(self, plan: Plan, step: AlarmTransition, numbers: Numbers) -> None:
         """Add the event, and the alarm row as it is after it, to a plan.
 
-        What the detector took for the alarm's state may be older than what an operator did since: the row's own counts.
+        What the detector took for the alarm's state may be older than what an operator did since: the row's
+        own counts.
         """
         row = self._open.get((step.kind, step.parameter))
         cause = cause_of(step.from_state, step.to_state)
@@ -91,7 +92,8 @@ class AlarmRows:
 
     def _raised(self, step: AlarmTransition, numbers: Numbers) -> AlarmRow:
         return AlarmRow(
-            numbers.take("alarms"), self._run_id, step.kind, step.parameter, step.priority, step.to_state, step.t_ns,
+            numbers.take("alarms"), self._run_id, step.kind, step.parameter, step.priority, step.to_state,
+            step.t_ns,
             None, None, None, None, *_figures(step), step.message,
         )  # fmt: skip
 

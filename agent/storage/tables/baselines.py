@@ -18,7 +18,15 @@ def plan_of(baselines: Sequence[Baseline], names: Names, numbers: Numbers) -> tu
     plan = Plan()
     numbered = [replace(one, baseline_id=numbers.take("baselines")) for one in baselines]
     for one in numbered:
-        figures = (one.reference, one.sd, one.spread_sd, one.within_sd, one.days_sd, one.correlation_s, one.n_effective)
+        figures = (
+            one.reference,
+            one.sd,
+            one.spread_sd,
+            one.within_sd,
+            one.days_sd,
+            one.correlation_s,
+            one.n_effective,
+        )
         plan.sealed(
             "baselines", one.baseline_id, names.rig(one.rig), one.parameter, one.unit, one.graph, *figures,
             one.covariates, one.from_ns, one.until_ns, one.n,

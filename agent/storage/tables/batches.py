@@ -26,7 +26,9 @@ def join(batches: Sequence[EstimateBatch]) -> EstimateBatch:
 
 def header_of(batch: EstimateBatch) -> tuple[object, ...]:
     """Return what is the same for every row of a batch, as something that can be compared."""
-    plain = tuple(getattr(batch, f.name) for f in fields(batch) if f.name not in (*PER_HOP, "reference", "others"))
+    plain = tuple(
+        getattr(batch, f.name) for f in fields(batch) if f.name not in (*PER_HOP, "reference", "others")
+    )
     return (*plain, len(batch.others), np.asarray(batch.reference, dtype=np.float64).tobytes())
 
 

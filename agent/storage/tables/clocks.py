@@ -1,6 +1,7 @@
 """The settings of the wall clock that the rows of one run were stamped by: each has a row of its own in `runs`.
 
-So stamps of one such part never go back, and a tier, a purge or a replay that covers one of them touches no other.
+So stamps of one such part never go back, and a tier, a purge or a replay that covers one of them touches no
+other.
 """
 
 from collections.abc import Iterator

@@ -8,8 +8,8 @@ from agent.storage.tables.rows import Numbers, Plan
 class Coverage:
     """The stretch that one part of a run covers (a run is one part until its clock is stepped), as it is written.
 
-    Live runs follow one another and hide nothing of each other, whatever the wall clock said; a replay of a time that
-    the file holds already hides the older rows.
+    Live runs follow one another and hide nothing of each other, whatever the wall clock said; a replay of a
+    time that the file holds already hides the older rows.
     """
 
     def __init__(self, connection: sqlite3.Connection, run_id: int, part: int, rig: str) -> None:

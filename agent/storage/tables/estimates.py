@@ -26,7 +26,9 @@ def add_estimates(plan: Plan, batch: EstimateBatch, run_id: int, names: Names, n
         _add_rows(plan, other, hops, run_id, names, place)
 
 
-def _add_rows(plan: Plan, batch: EstimateBatch, hops: IntArray, run_id: int, names: Names, place: int | None) -> None:
+def _add_rows(
+    plan: Plan, batch: EstimateBatch, hops: IntArray, run_id: int, names: Names, place: int | None
+) -> None:
     """Add the estimates of the window that was chosen, or those that another one, its place known, has."""
     width = len(batch.parameters)
     first = width * (place or 0)
@@ -44,13 +46,16 @@ def _add_rows(plan: Plan, batch: EstimateBatch, hops: IntArray, run_id: int, nam
     if place is not None:
         reported = np.isfinite(value.ravel())
         columns = tuple(column[reported] for column in columns)
-    plan.add("estimates", *zip(*(c.tolist() for c in (*columns, numbers_crc("estimates", columns))), strict=True))
+    plan.add(
+        "estimates", *zip(*(c.tolist() for c in (*columns, numbers_crc("estimates", columns))), strict=True)
+    )
 
 
 def repeat_cells(sd: FloatArray, sd_repeat: FloatArray) -> FloatArray:
     """Return sd_repeat in ten-thousandths of sd; NaN where they are the same, or one is none.
 
-    Whole ones from a hundredth of sd on, which SQLite keeps in two bytes: a rig-year grows by 5 %, with eight by 15 %.
+    Whole ones from a hundredth of sd on, which SQLite keeps in two bytes: a rig-year grows by 5 %, with eight
+    by 15 %.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         share = 1e4 * sd_repeat / sd
@@ -73,8 +78,9 @@ def _finite(numbers: FloatArray) -> FloatArray:
 def _few_digits(dof: FloatArray) -> FloatArray:
     """Return whole degrees of freedom as they are, others (N,) to two digits.
 
-    White noise leaves whole ones, the same over the years. Coloured noise leaves a new fraction each window; a row in
-    `fits` for each would outgrow the estimates. Intervals are not made of what is lost: they stand in the row itself.
+    White noise leaves whole ones, the same over the years. Coloured noise leaves a new fraction each window;
+    a row in `fits` for each would outgrow the estimates. Intervals are not made of what is lost: they stand
+    in the row itself.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         step = 10.0 ** (np.floor(np.log10(dof)) - 1)

@@ -22,7 +22,9 @@ class LearntRows:
         """Add what a run knows now to a plan."""
         if run_id not in self._rows:
             self._rows[run_id] = numbers.take("learnt")
-        plan.sealed("learnt", self._rows[run_id], run_id, record.t_ns, record.learnt.key, record.learnt.content)
+        plan.sealed(
+            "learnt", self._rows[run_id], run_id, record.t_ns, record.learnt.key, record.learnt.content
+        )
 
 
 def newest_learnt(connection: sqlite3.Connection, rig: str, kind: str, key: str) -> str | None:

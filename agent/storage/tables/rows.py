@@ -88,7 +88,9 @@ class Names:
         self._rigs.update({name: seq for seq, name in connection.execute("SELECT seq, name FROM rigs")})
         self._verdicts.update(seq for (seq,) in connection.execute("SELECT seq FROM verdicts"))
         columns = "seq, window_s, n_used, n_missing, dof, t95 IS NOT NULL, chosen"
-        newest = connection.execute(f"SELECT {columns} FROM fits ORDER BY seq DESC LIMIT ?", (MOST_FITS,)).fetchall()
+        newest = connection.execute(
+            f"SELECT {columns} FROM fits ORDER BY seq DESC LIMIT ?", (MOST_FITS,)
+        ).fetchall()
         for seq, window, used, missing, dof, symmetric, chosen in reversed(newest):
             self._remember((window, used, missing, dof, bool(symmetric), chosen), seq)
 
@@ -120,7 +122,9 @@ class Names:
         if seq is None:
             window, used, missing, dof, symmetric, chosen = key
             seq = self._numbers.take("fits")
-            self.fresh.sealed("fits", seq, window, used, missing, dof, student_95(dof) if symmetric else None, chosen)
+            self.fresh.sealed(
+                "fits", seq, window, used, missing, dof, student_95(dof) if symmetric else None, chosen
+            )
         self._remember(key, seq)
         return seq
 

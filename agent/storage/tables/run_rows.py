@@ -130,7 +130,9 @@ class RunRows:
         for part, rows in clock.split(batch, self._names, self._numbers):
             add_estimates(plan, rows, part, self._names, self._numbers)
             t_ns = rows.t_ns
-            self._covered(run_id, part, batch.rig).extend(plan, int(np.min(t_ns)), int(np.max(t_ns)), self._numbers)
+            self._covered(run_id, part, batch.rig).extend(
+                plan, int(np.min(t_ns)), int(np.max(t_ns)), self._numbers
+            )
         return plan
 
     def _covered(self, run_id: int, part: int, rig: str) -> Coverage:
@@ -177,5 +179,7 @@ def _pieces(records: Sequence[Record]) -> list[EstimateBatch]:
         if len(batch) <= hops:
             pieces.append(batch)
             continue
-        pieces.extend(take(batch, np.arange(i, min(i + hops, len(batch)))) for i in range(0, len(batch), hops))
+        pieces.extend(
+            take(batch, np.arange(i, min(i + hops, len(batch)))) for i in range(0, len(batch), hops)
+        )
     return pieces

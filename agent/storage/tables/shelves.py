@@ -1,7 +1,7 @@
 """Shelved alarms: for how long, by elapsed time. A step of the wall clock neither ends a shelf nor prolongs it.
 
-Within a boot the monotonic clock tells, whether the agent ran or not. Over a boot time passes as it does for the ages
-of rows (`ages`): what ran counts, and what lay between as far as the wall clock is believed.
+Within a boot the monotonic clock tells, whether the agent ran or not. Over a boot time passes as it does for
+the ages of rows (`ages`): what ran counts, and what lay between as far as the wall clock is believed.
 """
 
 import sqlite3
@@ -52,7 +52,9 @@ class Shelf:
 
 def shelf_of(connection: sqlite3.Connection, alarm_id: int) -> Shelf | None:
     """Return the newest shelf of an alarm; None without one whose checksum is right."""
-    query = f"SELECT {', '.join(columns_of('shelves'))} FROM shelves WHERE alarm_id = ? ORDER BY seq DESC LIMIT 1"  # noqa: S608 - own names
+    query = (
+        f"SELECT {', '.join(columns_of('shelves'))} FROM shelves WHERE alarm_id = ? ORDER BY seq DESC LIMIT 1"  # noqa: S608 - own names
+    )
     row = connection.execute(query, (alarm_id,)).fetchone()
     if row is None or row_crc(row[:-1]) != row[-1]:
         return None

@@ -12,8 +12,8 @@ from agent.types import ConditionsRecord, CovariateMean, Health, HealthEvent, So
 class HealthRows:
     """Which row each source's ledger has at its newest instant.
 
-    There is one row an instant and source, and the last one told counts: while no sample comes the instant stays, and
-    what else was counted changes that row instead of adding more of them.
+    There is one row an instant and source, and the last one told counts: while no sample comes the instant
+    stays, and what else was counted changes that row instead of adding more of them.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,13 @@ class HealthRows:
 
     def apply(self, plan: Plan, record: Health, run_id: int, numbers: Numbers) -> None:
         """Add a ledger's row to a plan; the reasons travel in it as JSON, which the view takes apart."""
-        sums = (record.received, record.used, sum(record.rejected.values()), sum(record.dropped.values()), record.gaps)
+        sums = (
+            record.received,
+            record.used,
+            sum(record.rejected.values()),
+            sum(record.dropped.values()),
+            record.gaps,
+        )
         lag = None if record.lag_s is None or record.lag_s - record.lag_s != 0 else float(record.lag_s)
         cells = (record.source, record.t_ns, *(int(n) for n in sums), lag, _reasons(record))
         plan.sealed("health", self._seq(record, run_id, numbers), run_id, *cells)
@@ -36,7 +42,8 @@ class HealthRows:
 
 def _reasons(record: Health) -> str | None:
     kinds = {
-        "rejected": _counted(record.rejected), "dropped": _counted(record.dropped), "faults": _counted(record.faults),
+        "rejected": _counted(record.rejected), "dropped": _counted(record.dropped),
+        "faults": _counted(record.faults),
         "clock": _figures(record.clock),
     }  # fmt: skip
     known = {kind: reasons for kind, reasons in kinds.items() if reasons}
@@ -45,7 +52,9 @@ def _reasons(record: Health) -> str | None:
 
 def _figures(clock: SourceClock | None) -> dict[str, float]:
     """What is known of a source's time; v_health takes it out again."""
-    return {} if clock is None else {name: value for name, value in asdict(clock).items() if value is not None}
+    return (
+        {} if clock is None else {name: value for name, value in asdict(clock).items() if value is not None}
+    )
 
 
 def _counted(reasons: Mapping[str, int]) -> dict[str, int]:
@@ -54,7 +63,9 @@ def _counted(reasons: Mapping[str, int]) -> dict[str, int]:
 
 def add_event(plan: Plan, record: HealthEvent, run_id: int, numbers: Numbers) -> None:
     """Add something that happened once."""
-    plan.sealed("events", numbers.take("events"), run_id, record.source, record.t_ns, record.cause, record.message)
+    plan.sealed(
+        "events", numbers.take("events"), run_id, record.source, record.t_ns, record.cause, record.message
+    )
 
 
 def add_verdict(plan: Plan, record: Verdict, run_id: int, numbers: Numbers) -> None:
@@ -86,4 +97,6 @@ def _number(value: float) -> float | None:
 def add_mean(plan: Plan, mean: CovariateMean, run_id: int, numbers: Numbers) -> None:
     """Add the mean of a covariate over a period to a plan."""
     number = numbers.take("covariates")
-    plan.sealed("covariates", number, run_id, mean.span_s, mean.t_ns, mean.name, mean.unit, mean.value, mean.n)
+    plan.sealed(
+        "covariates", number, run_id, mean.span_s, mean.t_ns, mean.name, mean.unit, mean.value, mean.n
+    )

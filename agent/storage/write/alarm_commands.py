@@ -21,7 +21,8 @@ LONGEST_SHELF_NS: Final = 7 * 86_400 * 10**9
 MOST_TEXT: Final = 1000
 MOST_ALARMS: Final = 1000
 _DONE: Final[Mapping[Cause, str]] = {
-    "acknowledge": "acknowledged", "shelve": "shelved", "unshelve": "unshelved", "out of service": "out of service",
+    "acknowledge": "acknowledged", "shelve": "shelved", "unshelve": "unshelved",
+    "out of service": "out of service",
     "return": "returned to service", "expire": "no longer shelved, its time is over",
     "re-alarm": "acknowledged for long and not over",
 }  # fmt: skip
@@ -65,7 +66,10 @@ class Request:
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with it by itself."""
-        texts: dict[str, object] = {"--by": self.by, "--comment": "" if self.comment is None else self.comment}
+        texts: dict[str, object] = {
+            "--by": self.by,
+            "--comment": "" if self.comment is None else self.comment,
+        }
         for path, text in texts.items():
             if not isinstance(text, str) or len(text) > MOST_TEXT or not _is_unicode(text):
                 yield Fault(path, f"is no text of at most {MOST_TEXT} characters", "shorten it")
@@ -91,7 +95,9 @@ def _is_unicode(text: str) -> bool:
 
 
 def _length_faults(length_ns: object) -> Iterator[Fault]:
-    advice = "give a time such as --for 8h; what is to be silent for longer is taken out of service: deltak oos"
+    advice = (
+        "give a time such as --for 8h; what is to be silent for longer is taken out of service: deltak oos"
+    )
     if type(length_ns) is not int:
         yield Fault("--for", "an alarm is not shelved for ever", advice)
     elif not 0 < length_ns <= LONGEST_SHELF_NS:
@@ -131,7 +137,8 @@ class Taken:
         return {
             "id": self.row.seq, "rig": step.rig, "kind": step.kind, "parameter": step.parameter,
             "from_state": step.from_state, "to_state": step.to_state, "cause": step.cause, "by": step.by,
-            "comment": step.comment, "t_ns": step.t_ns, "shelved_until": None if until is None else iso_time(until),
+            "comment": step.comment, "t_ns": step.t_ns,
+            "shelved_until": None if until is None else iso_time(until),
             "message": self.row.message,
         }  # fmt: skip
 
@@ -147,7 +154,9 @@ def carry_out(store: Store, request: Request, now: Moment) -> list[Taken]:
     for seq in request.ids:
         found = find(store, seq)
         if found is None:
-            faults.append(Fault(f"alarm {seq}", "there is no such alarm", f"deltak alarms {store.path} lists them"))
+            faults.append(
+                Fault(f"alarm {seq}", "there is no such alarm", f"deltak alarms {store.path} lists them")
+            )
             continue
         ended = _expired(store, found, now)
         if ended is not None:
@@ -176,7 +185,9 @@ def find(store: Store, seq: int) -> Found | None:
     """Return an alarm by its number: as open runs have it, else as the file has it; None where there is none."""
     if not 0 < seq < 2**63:
         return None
-    row = next((row for row in store.open_runs.standing() if row.seq == seq), None) or _stored(store.connection, seq)
+    row = next((row for row in store.open_runs.standing() if row.seq == seq), None) or _stored(
+        store.connection, seq
+    )
     if row is None:
         return None
     whose = store.connection.execute(_RIG, (row.run_id,)).fetchone()
@@ -245,7 +256,8 @@ def _taken(store: Store, found: Found, request: Request, now: Moment) -> Taken |
         return Fault(f"alarm {row.seq}", *_refusal(row, cause))
     shelf = _shelf(store, found, request.length_ns, now) if request.length_ns is not None else None
     step = AlarmTransition(
-        found.rig, kind_of(row), row.parameter, row.priority, now.wall_ns, found.alarm.state, alarm.state, cause,
+        found.rig, kind_of(row), row.parameter, row.priority, now.wall_ns, found.alarm.state, alarm.state,
+        cause,
         f"{row.parameter}: {_DONE[cause]}", by=request.by, comment=request.comment,
     )  # fmt: skip
     return Taken(found, _row_after(row, step, shelf), step, shelf)
@@ -266,7 +278,10 @@ def _refusal(row: AlarmRow, cause: Cause) -> tuple[str, str]:
     advice = f"it is {row.state}; deltak alarms --states says what each state allows"
     known = row.acked_ns is not None
     if cause == "acknowledge" and known and row.state in {"ACKED", "NORM"}:
-        return f"{row.parameter} was acknowledged already, by {row.acked_by} at {iso_time(row.acked_ns or 0)}", advice
+        return (
+            f"{row.parameter} was acknowledged already, by {row.acked_by} at {iso_time(row.acked_ns or 0)}",
+            advice,
+        )
     if row.state == "SHLVD" and row.shelved_until_ns is not None:
         until = iso_time(row.shelved_until_ns)
         return f"{row.parameter} is shelved until {until}", "unshelve it first: deltak unshelve"

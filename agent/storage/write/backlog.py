@@ -69,7 +69,11 @@ class Backlog:
     def _drop(self, place: int, record: Record, reason: str) -> None:
         """Drop a record, but of estimates no more instants than are too many: joined ones may be all that waits."""
         gone = cells_of(record)
-        many = 0 if not isinstance(record, EstimateBatch) else ceil((self._cells - self._most) * len(record) / gone)
+        many = (
+            0
+            if not isinstance(record, EstimateBatch)
+            else ceil((self._cells - self._most) * len(record) / gone)
+        )
         if isinstance(record, EstimateBatch) and many < len(record):
             self._records[place] = take(record, np.arange(many, len(record)))
             gone -= cells_of(self._records[place])

@@ -3,9 +3,9 @@
     {"command": "compact", ...}  ->  {"ok": true, ...} when it is committed
                                      {"ok": false, "error": "what; what to do"} when it is refused
 
-An empty line a second says that a long command is being done. The socket lies beside the database and may be used by
-the agent's own user, and by the group deltak-command where there is one that the agent belongs to: who may read the
-database may not therefore command (see deploy/systemd).
+An empty line a second says that a long command is being done. The socket lies beside the database and may be
+used by the agent's own user, and by the group deltak-command where there is one that the agent belongs to:
+who may read the database may not therefore command (see deploy/systemd).
 """
 
 import grp
@@ -57,12 +57,13 @@ class _Caller:
 class CommandServer:
     """Answers commands while the agent runs; made by whoever holds the database's lock.
 
-    One thread listens to all callers at once, so that one who dribbles keeps nobody waiting; each has 5 s for its line.
+    One thread listens to all callers at once, so that one who dribbles keeps nobody waiting; each has 5 s for
+    its line.
 
     Args:
         path: the database.
-        handlers: by command; each gets the asked object and returns what to answer besides "ok". It runs in a thread
-            of its own, and what it raises is told to the asker.
+        handlers: by command; each gets the asked object and returns what to answer besides "ok". It runs in a
+            thread of its own, and what it raises is told to the asker.
     """
 
     def __init__(self, path: Path, handlers: Mapping[str, Handler]) -> None:
@@ -136,7 +137,9 @@ class CommandServer:
     def _converse(self, caller: _Caller) -> None:
         """Answer one line; while the answer is being found the asker hears that the agent lives."""
         answers: list[Mapping[str, Any]] = []
-        worker = threading.Thread(target=lambda: answers.append(self._answer(caller.line)), name="command", daemon=True)
+        worker = threading.Thread(
+            target=lambda: answers.append(self._answer(caller.line)), name="command", daemon=True
+        )
         worker.start()
         worker.join(_LIFE_SIGN_S)
         with caller.peer, suppress(OSError):
@@ -155,7 +158,11 @@ class CommandServer:
         try:
             return {"ok": True, **handler(asked)}
         except AgentError as error:
-            return {"ok": False, "error": str(error), "faults": [[f.path, f.message, f.advice] for f in error.faults]}
+            return {
+                "ok": False,
+                "error": str(error),
+                "faults": [[f.path, f.message, f.advice] for f in error.faults],
+            }
         except Exception as error:  # noqa: BLE001 - the asker is told; the agent goes on
             return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
@@ -208,7 +215,13 @@ def access_list(group: int) -> bytes:
     """Return a POSIX access control list as acl(5) and the kernel have it: the owner and one group, nobody else."""
     nobody = 0xFFFFFFFF
     owner, own_group, named_group, mask, others = 0x01, 0x04, 0x08, 0x10, 0x20
-    rows = [(owner, 6, nobody), (own_group, 0, nobody), (named_group, 6, group), (mask, 6, nobody), (others, 0, nobody)]
+    rows = [
+        (owner, 6, nobody),
+        (own_group, 0, nobody),
+        (named_group, 6, group),
+        (mask, 6, nobody),
+        (others, 0, nobody),
+    ]
     return struct.pack("<I", 2) + b"".join(struct.pack("<HHI", *row) for row in rows)
 
 

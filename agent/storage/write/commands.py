@@ -82,7 +82,9 @@ def _repair(store: Store) -> Mapping[str, Any]:
     store.recover(found[0])
     recovery = store.recovery
     assert isinstance(recovery, Recovery)  # noqa: S101 - recover left it
-    return {"repaired": [str(recovery.aside), recovery.cause, recovery.saved, recovery.refused, recovery.unread]}
+    return {
+        "repaired": [str(recovery.aside), recovery.cause, recovery.saved, recovery.refused, recovery.unread]
+    }
 
 
 def _store_baselines(
@@ -92,7 +94,9 @@ def _store_baselines(
     try:
         found = [Baseline(**fields) for fields in asked]
     except TypeError as error:
-        raise StoreError.at(str(store.path), f"no baseline was given ({error})", "use deltak baseline") from error
+        raise StoreError.at(
+            str(store.path), f"no baseline was given ({error})", "use deltak baseline"
+        ) from error
     numbered = store.add_baselines(found)
     on_baselines(store)
     return {"baseline_ids": [one.baseline_id for one in numbered]}

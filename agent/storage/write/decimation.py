@@ -15,9 +15,9 @@ AFTER_S = 60.0
 class Thinner:
     """Thins the records of one rig; a pure function of what it was fed, in nanoseconds of the rows' own time.
 
-    Rows are held back for `BEFORE_S` so that those before an alarm can still be kept; a kept row is passed on as soon
-    as it is known to be kept, each once. Feed the records of one pipeline step together: what is kept then does not
-    depend on how the stream was cut into steps.
+    Rows are held back for `BEFORE_S` so that those before an alarm can still be kept; a kept row is passed on
+    as soon as it is known to be kept, each once. Feed the records of one pipeline step together: what is kept
+    then does not depend on how the stream was cut into steps.
 
     Args:
         every_s: length of a period; 0 keeps everything.

@@ -8,7 +8,8 @@ KEPT = 100_000
 
 _OLD = "seq <= (SELECT seq FROM {table} ORDER BY seq DESC LIMIT 1 OFFSET ?)"
 _OVER = {"events": "", "hypotheses": "", "forecasts": "", "conditions": "", "notifications": "",
-         "alarms": " AND cleared_ns IS NOT NULL", "event_records": " AND state IN ('purged', 'failed')"}  # fmt: skip
+         "alarms": " AND cleared_ns IS NOT NULL",
+         "event_records": " AND state IN ('purged', 'failed')"}  # fmt: skip
 """What of a table may go: an alarm that stands and a record whose file is there stay, however old."""
 
 

@@ -41,7 +41,10 @@ def due(store: Store, target: str, most: int) -> list[Due]:
         cursor = store.connection.execute(_FACTS, (row.alarm_event_id,))
         cells = cursor.fetchone()
         if cells is None:
-            _keep(store, [replace(row, state="dead", last_error="the step of the alarm is not in the file any more")])
+            _keep(
+                store,
+                [replace(row, state="dead", last_error="the step of the alarm is not in the file any more")],
+            )
             continue
         found.append(Due(row, dict(zip((column[0] for column in cursor.description), cells, strict=True))))
     return found
@@ -52,7 +55,9 @@ def catch_up(store: Store, target: str, wanted: Callable[[AlarmTransition], bool
 
     Whoever has no notification yet begins with what happens from now on.
     """
-    newest = store.connection.execute("SELECT max(alarm_event_id) FROM notifications WHERE target = ?", (target,))
+    newest = store.connection.execute(
+        "SELECT max(alarm_event_id) FROM notifications WHERE target = ?", (target,)
+    )
     (after,) = newest.fetchone()
     plan = Plan()
     for event_id, step in _commanded_after(store, after, target) if after is not None else ():
@@ -85,7 +90,10 @@ def note_failure(store: Store, row: NotificationRow, error: str, most_attempts: 
     """Note why an attempt failed; tell whether it was the last one."""
     attempts = row.attempts + 1
     over = attempts >= most_attempts
-    _keep(store, [replace(row, state="dead" if over else "pending", attempts=attempts, last_error=error[:MOST_ERROR])])
+    _keep(
+        store,
+        [replace(row, state="dead" if over else "pending", attempts=attempts, last_error=error[:MOST_ERROR])],
+    )
     return over
 
 
@@ -95,7 +103,9 @@ def resend(store: Store, ids: object) -> list[dict[str, Any]]:
     Raises StoreError.
     """
     if not _are_numbers(ids):
-        raise StoreError.at("notification", "is no list of numbers", f"name 1 to {MOST} of deltak notify list --dead")
+        raise StoreError.at(
+            "notification", "is no list of numbers", f"name 1 to {MOST} of deltak notify list --dead"
+        )
     asked = {seq: notification(store.connection, seq) if 0 < seq < 2**63 else None
              for seq in dict.fromkeys(ids)}  # type: ignore[call-overload]  # checked just now  # fmt: skip
     dead = [row for row in asked.values() if row is not None and row.state == "dead"]

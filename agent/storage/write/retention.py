@@ -1,6 +1,7 @@
 """How long rows are kept: making minutes and hours, purging by age and by size.
 
-A row's age is what `agent.storage.tables.ages` is sure of: where a wall clock is wrong rows stay longer, never shorter.
+A row's age is what `agent.storage.tables.ages` is sure of: where a wall clock is wrong rows stay longer,
+never shorter.
 """
 
 import sqlite3
@@ -54,12 +55,18 @@ def bytes_per_rig_year(
         covariates: a row each a minute, an hour of what is old.
     """
     period = max(every_s, hop_s)
-    rows = [min(keep.full_s, _YEAR_S) / period, min(keep.minute_s, _YEAR_S) / MINUTE, min(keep.hour_s, _YEAR_S) / HOUR]
+    rows = [
+        min(keep.full_s, _YEAR_S) / period,
+        min(keep.minute_s, _YEAR_S) / MINUTE,
+        min(keep.hour_s, _YEAR_S) / HOUR,
+    ]
     coarse = _HOP_BYTES + parameters * (_CELL_BYTES + _SPREAD_BYTES)
     sizes = [_HOP_BYTES + parameters * windows * _CELL_BYTES, coarse, coarse]
     health = sources * (min(keep.full_s, _YEAR_S) / 10 + _YEAR_S / HOUR) * _HEALTH_BYTES
     beside = covariates * (rows[1] + rows[2]) * _COVARIATE_BYTES
-    return ceil(min(keep.max_bytes, health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True))))
+    return ceil(
+        min(keep.max_bytes, health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True)))
+    )
 
 
 @dataclass(slots=True)
@@ -89,8 +96,9 @@ class Database(Protocol):
 class TierKeeper:
     """Keeps the tiers of a store; called between commits, does a little each time.
 
-    Purging never takes a row that a consumer (northbound) has not taken yet, but that the size of the file wins; such
-    rows are counted in `counters` as "purged unsent", and for each consumer as "purged unsent: <its name>".
+    Purging never takes a row that a consumer (northbound) has not taken yet, but that the size of the file
+    wins; such rows are counted in `counters` as "purged unsent", and for each consumer as "purged unsent:
+    <its name>".
     """
 
     def __init__(self, store: Database, keep: Retention) -> None:
@@ -132,7 +140,8 @@ class TierKeeper:
         self._purge_hourly()
         self._purge_size()
 
-    # --- aggregating -------------------------------------------------------------------------------------------
+    # --- aggregating
+    # -------------------------------------------------------------------------------------------
 
     def _progress(self, run_id: int, *, growing: bool = False) -> _Progress:
         minute, hour = (self._newest(run_id, span) for span in (MINUTE, HOUR))
@@ -152,7 +161,9 @@ class TierKeeper:
         if newest is None:
             return
         if progress.minute_ns == 0:  # the run's first rows came after it was taken up
-            progress.minute_ns = progress.hour_ns = ((self._oldest(run_id, 0) or 0) // _STRETCH_NS) * _STRETCH_NS
+            progress.minute_ns = progress.hour_ns = (
+                (self._oldest(run_id, 0) or 0) // _STRETCH_NS
+            ) * _STRETCH_NS
         over = newest + 1 + MINUTE * SECOND if finish else newest - _LATE_NS
         progress.minute_ns = self._fill(run_id, MINUTE, progress.minute_ns, over)
         over = progress.minute_ns + (HOUR * SECOND if finish else 0)
@@ -183,7 +194,8 @@ class TierKeeper:
         found = self._store.connection.execute(query, (run_id, source, first)).fetchone()
         return end if found is None else min(end, (found[0] // (span * SECOND)) * span * SECOND)
 
-    # --- purging -----------------------------------------------------------------------------------------------
+    # --- purging
+    # -----------------------------------------------------------------------------------------------
 
     def _purge_hourly(self) -> None:
         """Purge by age once an hour of the rows' own time; looking at every run each second would cost too much."""
@@ -248,7 +260,8 @@ class TierKeeper:
     def used_bytes(self) -> int:
         """Return what the rows take: the pages of the file that are not free."""
         pages, free = (
-            self._store.connection.execute(f"PRAGMA {p}").fetchone()[0] for p in ("page_count", "freelist_count")
+            self._store.connection.execute(f"PRAGMA {p}").fetchone()[0]
+            for p in ("page_count", "freelist_count")
         )
         return int(pages - free) * PAGE_SIZE
 
@@ -269,9 +282,7 @@ class TierKeeper:
 
     def _purge(self, run_id: int, span: int, before: int, sent: int) -> bool:
         """Delete rows of a run's tier older than `before`, but for hops after `sent`; True when there are more."""
-        query = (
-            "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? ORDER BY t_ns LIMIT ?"
-        )
+        query = "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? ORDER BY t_ns LIMIT ?"
         parts = (run_id, span, before, sent, _HOPS_A_PURGE)
         found = self._store.connection.execute(query, parts).fetchall()
         if not found:
@@ -301,11 +312,14 @@ class TierKeeper:
             column = "full_from_ns" if span == 0 else "minute_from_ns"
             connection.execute(f"UPDATE runs SET {column} = ? WHERE seq = ?", (reached, run_id))  # noqa: S608 - own
             names = columns_of("runs")[:-1]
-            cells = connection.execute(f"SELECT {', '.join(names)} FROM runs WHERE seq = ?", (run_id,)).fetchone()  # noqa: S608
+            row_of_run = f"SELECT {', '.join(names)} FROM runs WHERE seq = ?"  # noqa: S608 - own names
+            cells = connection.execute(row_of_run, (run_id,)).fetchone()
             connection.execute("UPDATE runs SET crc = ? WHERE seq = ?", (row_crc(cells), run_id))
         for table in ("hops", "health"):
             cells = (list(TABLES).index(table) + 1, table, self._store.numbers.high(table))
-            connection.execute("INSERT OR REPLACE INTO sequences VALUES (?, ?, ?, ?)", (*cells, row_crc(cells)))
+            connection.execute(
+                "INSERT OR REPLACE INTO sequences VALUES (?, ?, ?, ?)", (*cells, row_crc(cells))
+            )
 
 
 def _edge(connection: sqlite3.Connection, run_id: int, span: int, order: str) -> int | None:

@@ -1,9 +1,9 @@
 """Minutes and hours: what is kept of estimates when the single rows are gone.
 
-An aggregate is the information-weighted mean of the valid rows of a period. Windows that overlap share samples, so a
-row counts for no more than the share of its window that is new since the row before; the mean's standard deviation
-then is that of independent windows however densely rows were kept. What the rig's constants leave open (sd beyond
-sd_repeat) is common to all rows: it is not averaged away.
+An aggregate is the information-weighted mean of the valid rows of a period. Windows that overlap share
+samples, so a row counts for no more than the share of its window that is new since the row before; the mean's
+standard deviation then is that of independent windows however densely rows were kept. What the rig's
+constants leave open (sd beyond sd_repeat) is common to all rows: it is not averaged away.
 """
 
 import sqlite3
@@ -44,7 +44,9 @@ _FULL = np.dtype([
     ("t_ns", "i8"), ("series", "i8"), ("verdict", "i8"), ("value", "f8"), ("sd", "f8"), ("window_s", "f8"),
     ("n_used", "i8"), ("n_missing", "i8"), ("sd_repeat", "f8"),
 ])  # fmt: skip
-_MINUTES = np.dtype([*_FULL.descr, ("n", "i8"), ("n_valid", "i8"), ("low", "f8"), ("high", "f8"), ("worst", "i8")])
+_MINUTES = np.dtype(
+    [*_FULL.descr, ("n", "i8"), ("n_valid", "i8"), ("low", "f8"), ("high", "f8"), ("worst", "i8")]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,9 @@ class Groups:
     n_missing: IntArray
 
 
-def aggregate(connection: sqlite3.Connection, run_id: int, span: int, first_ns: int, end_ns: int) -> Groups | None:
+def aggregate(
+    connection: sqlite3.Connection, run_id: int, span: int, first_ns: int, end_ns: int
+) -> Groups | None:
     """Return the aggregates of a run's rows with first_ns <= t < end_ns; minutes from rows, hours from minutes."""
     query, source = (_FULL_ROWS, 0) if span == MINUTE else (_MINUTE_ROWS, MINUTE)
     found = connection.execute(query, (run_id, source, first_ns, end_ns))
@@ -86,13 +90,16 @@ def aggregate(connection: sqlite3.Connection, run_id: int, span: int, first_ns: 
 def grouped(columns: Sequence[ArrayLike], span: int, source: int) -> Groups:
     """Aggregate rows to periods.
 
-    columns: t_ns, series, verdict, value, sd, window_s, n_used, n_missing, sd_repeat, n, n_valid, low, high, worst.
-    The rows are in order of series, then time. span, source: lengths of the new periods and of the rows' own, s.
+    columns: t_ns, series, verdict, value, sd, window_s, n_used, n_missing, sd_repeat, n, n_valid, low, high,
+    worst. The rows are in order of series, then time. span, source: lengths of the new periods and of the
+    rows' own, s.
     """
     t_ns, series, verdict = (np.array(c, dtype=np.int64) for c in columns[:3])
     value, sd, window = (np.array(c, dtype=np.float64) for c in columns[3:6])
     sd_repeat, low, high = (np.array(columns[place], dtype=np.float64) for place in (8, 11, 12))
-    used, missing, n, n_valid, worst = (np.array(columns[place], dtype=np.int64) for place in (6, 7, 9, 10, 13))
+    used, missing, n, n_valid, worst = (
+        np.array(columns[place], dtype=np.int64) for place in (6, 7, 9, 10, 13)
+    )
     period = (t_ns // (span * SECOND)) * (span * SECOND)
     starts = np.flatnonzero(np.r_[True, (series[1:] != series[:-1]) | (period[1:] != period[:-1])])
     valid = (verdict == _VALID) & np.isfinite(value) & np.isfinite(sd)
@@ -103,7 +110,8 @@ def grouped(columns: Sequence[ArrayLike], span: int, source: int) -> Groups:
     mean_sd = np.hypot(mean_repeat, _weighted(common, sd_repeat, share, valid, starts)[0])
     return Groups(
         period[starts], series[starts], mean, mean_sd, mean_repeat,
-        _least(np.where(valid, low, np.nan), starts, np.fmin), _least(np.where(valid, high, np.nan), starts, np.fmax),
+        _least(np.where(valid, low, np.nan), starts, np.fmin),
+        _least(np.where(valid, high, np.nan), starts, np.fmax),
         np.add.reduceat(n, starts), np.add.reduceat(n_valid, starts),
         np.maximum.reduceat(_ranked(worst), starts) & 0xFFFF,
         np.maximum.reduceat(window, starts), np.add.reduceat(used, starts), np.add.reduceat(missing, starts),
@@ -128,7 +136,9 @@ def _weighted(
     weight = np.where(valid, share / np.maximum(np.where(valid, sd, 1.0), _LEAST_SD) ** 2, 0.0)
     total = np.add.reduceat(weight, starts)
     # Deviations from the group's first valid value are averaged: weights may differ by many powers of ten.
-    anchor = np.repeat(_least(np.where(valid, value, np.nan), starts, np.fmin), np.diff(np.r_[starts, len(value)]))
+    anchor = np.repeat(
+        _least(np.where(valid, value, np.nan), starts, np.fmin), np.diff(np.r_[starts, len(value)])
+    )
     offset = np.where(valid, value - anchor, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = anchor[starts] + np.add.reduceat(weight * offset, starts) / total
@@ -162,11 +172,15 @@ def add_groups(plan: Plan, groups: Groups, run_id: int, span: int, names: Names,
     verdict = np.where(valid > 0, _VALID, worst)
     names.verdicts(set(np.unique(np.r_[verdict, worst]).tolist()))
     fits = zip(*(a[order].tolist() for a in (groups.window_s, groups.n_used, groups.n_missing)), strict=True)
-    fit = np.array([names.fit((window or None, used, lost, _NORMAL_DOF, True, 1)) for window, used, lost in fits])
+    fit = np.array(
+        [names.fit((window or None, used, lost, _NORMAL_DOF, True, 1)) for window, used, lost in fits]
+    )
     none = np.full(len(seq), np.nan)
     value, sd = groups.value[order], groups.sd[order]
     repeat = repeat_cells(sd, groups.sd_repeat[order])
-    _seal(plan, "estimates", seq, groups.series[order], fit, verdict, value, sd, none, none, none, none, repeat)
+    _seal(
+        plan, "estimates", seq, groups.series[order], fit, verdict, value, sd, none, none, none, none, repeat
+    )
     _seal(plan, "spreads", seq, groups.n[order], valid, worst, groups.low[order], groups.high[order])
 
 

@@ -1,8 +1,9 @@
 """A side file for rows while a reader that never ends keeps the write-ahead log from being emptied.
 
-SQLite cannot reuse the log past what its oldest reader still looks at, and no process can end another's reading. So
-that neither the log grows without bound nor a row waits unacknowledged, rows then go to a second database of the same
-tables, DB.spill, and into the first when the reader has gone, or at the next start. Until then views do not show them.
+SQLite cannot reuse the log past what its oldest reader still looks at, and no process can end another's
+reading. So that neither the log grows without bound nor a row waits unacknowledged, rows then go to a second
+database of the same tables, DB.spill, and into the first when the reader has gone, or at the next start.
+Until then views do not show them.
 """
 
 import sqlite3
@@ -32,7 +33,9 @@ def open_spill(path: Path) -> sqlite3.Connection:
         fresh.rename(side)
     connection = connect_writer(side)
     try:
-        connection.execute("SELECT count(*) FROM meta").fetchone()  # makes its log, whose name must last as well
+        connection.execute(
+            "SELECT count(*) FROM meta"
+        ).fetchone()  # makes its log, whose name must last as well
         sync_folder(path.parent)
     except BaseException:
         connection.close()

@@ -49,7 +49,16 @@ from agent.storage.tables.shelves import Shelf
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
-from agent.types import AlarmTransition, Baseline, ClockRecord, CovariateMean, HealthEvent, Learnt, Record, RunInfo
+from agent.types import (
+    AlarmTransition,
+    Baseline,
+    ClockRecord,
+    CovariateMean,
+    HealthEvent,
+    Learnt,
+    Record,
+    RunInfo,
+)
 
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000
@@ -61,8 +70,8 @@ _FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
 class Store:
     """One open database, owned by this process through its lock file; one thread at a time uses it.
 
-    Made by `Store.open`. Writing raises sqlite3.Error (or OSError) when the disk refuses; nothing of that call is then
-    acknowledged, and the same plans may be committed again after `reopen`.
+    Made by `Store.open`. Writing raises sqlite3.Error (or OSError) when the disk refuses; nothing of that
+    call is then acknowledged, and the same plans may be committed again after `reopen`.
     """
 
     def __init__(self, path: Path, lock: Lock, keep: Retention, route: Route = nobody) -> None:
@@ -99,7 +108,8 @@ class Store:
         route: names the targets that a step of an alarm is for.
 
         Raises:
-            StoreError: a directory, no folder, no permission, not ours, newer, or another process writes to it.
+            StoreError: a directory, no folder, no permission, not ours, newer, or another process writes to
+                it.
             sqlite3.Error, OSError: the disk refuses; trying again later may help (see `connect.may_pass`).
         """
         path = Path(path)
@@ -193,7 +203,8 @@ class Store:
     def _replace(self, damage: str) -> None:
         """Go on in a new file with the rows that could be saved; runs must be begun again.
 
-        The recovery counts what is lost; what the damaged file itself seemed to lack is not reported beside it.
+        The recovery counts what is lost; what the damaged file itself seemed to lack is not reported beside
+        it.
         """
         self._disconnect()
         self._missing = None
@@ -203,7 +214,9 @@ class Store:
         self._run_rows = self._new_run_rows(self._run_rows.settings())
         problem = self._connect()
         if problem is not None:
-            raise StoreError.at(str(self.path), f"the database cannot be repaired ({problem})", "replace its disk")
+            raise StoreError.at(
+                str(self.path), f"the database cannot be repaired ({problem})", "replace its disk"
+            )
 
     def recover(self, cause: str) -> None:
         """Replace the file because damage was met while it was open; runs must be begun again."""
@@ -224,7 +237,14 @@ class Store:
             standing = [one.baseline_id for one in self.baselines(run.rig) if one.baseline_id is not None]
             run = replace(run, baseline_id=max(standing, default=run.baseline_id))
             plan = Plan()
-            facts = (run.kind, run.started_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
+            facts = (
+                run.kind,
+                run.started_ns,
+                run.code_version,
+                run.config_sha256,
+                run.baseline_id,
+                run.boot_id,
+            )
             plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
             if run.site or run.labels:
                 labels = json.dumps(dict(run.labels), ensure_ascii=False) if run.labels else None
@@ -244,7 +264,9 @@ class Store:
             return
         reported = str(self.recovery)
         t_ns = run.started_ns
-        raised = AlarmTransition(run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", reported)
+        raised = AlarmTransition(
+            run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", reported
+        )
         over = replace(raised, from_state="UNACK", to_state="RTNUN", cause="replaced")
         self.write(run_id, [HealthEvent(run.rig, "store", t_ns, "damaged", reported), raised, over])
         self.recovery = None
@@ -311,7 +333,9 @@ class Store:
     def encode(self, run_id: int, records: Sequence[Record]) -> list[Plan]:
         """Turn records into the rows of one or several transactions; nothing is written yet."""
         if run_id not in self._run_rows:
-            raise StoreError.at(str(self.path), f"there is no run {run_id} open for writing", "begin a run first")
+            raise StoreError.at(
+                str(self.path), f"there is no run {run_id} open for writing", "begin a run first"
+            )
         return self._run_rows.plans(run_id, records)
 
     def commit(self, plans: Sequence[Plan]) -> None:
@@ -380,7 +404,9 @@ class Store:
     def count(self, name: str, more: int) -> None:
         """Add to a counter that the file keeps (rows purged before they were sent ...)."""
         with self._mutex:
-            known = self.connection.execute("SELECT seq, count FROM counters WHERE name = ?", (name,)).fetchone()
+            known = self.connection.execute(
+                "SELECT seq, count FROM counters WHERE name = ?", (name,)
+            ).fetchone()
             seq, total = known or (self.numbers.take("counters"), 0)
             plan = Plan()
             plan.add("counters", (seq, name, total + more, row_crc((seq, name, total + more))))
@@ -395,8 +421,9 @@ class Store:
     def revive(self, error: BaseException, *, pressed: bool = False) -> None:
         """Do what can be done after a failed write, then open the file anew.
 
-        A full disk is waited for. Only when `pressed` (what waits in memory would soon be lost) the ballast is dropped,
-        which gives the room to delete the oldest hour of rows, whose place the new ones then take.
+        A full disk is waited for. Only when `pressed` (what waits in memory would soon be lost) the ballast
+        is dropped, which gives the room to delete the oldest hour of rows, whose place the new ones then
+        take.
         """
         with self._mutex:
             if cause_of(error) != "disk full":

@@ -1,10 +1,12 @@
 """How far rows were acknowledged, noted in DB.lock after each commit: tells a log that lost its end from a short one.
 
-SQLite takes a write-ahead log up to its first wrong frame, so a flipped bit or a cut in it silently takes away what
-what came after. The note is not synced: it may be older than the truth after a power cut, never newer.
+SQLite takes a write-ahead log up to its first wrong frame, so a flipped bit or a cut in it silently takes
+away what what came after. The note is not synced: it may be older than the truth after a power cut, never
+newer.
 
-A note alone is no damage: it counts where the log itself holds rows that SQLite does not reach. Otherwise nothing could
-be saved by replacing the file, and whoever forged a note would have it replaced; it is told and put right.
+A note alone is no damage: it counts where the log itself holds rows that SQLite does not reach. Otherwise
+nothing could be saved by replacing the file, and whoever forged a note would have it replaced; it is told and
+put right.
 """
 
 import os
@@ -28,7 +30,8 @@ class Watermarks:
 
     Args:
         handle: descriptor of the lock file.
-        private: nobody but the file's owner could have written to it; what others may have written is not read.
+        private: nobody but the file's owner could have written to it; what others may have written is not
+            read.
     """
 
     def __init__(self, handle: int, *, private: bool) -> None:
@@ -39,7 +42,9 @@ class Watermarks:
         """Note rows that are on the disk now; without a place for the note things go on without it."""
         news = {table: rows[table][-1][0] for table in _TABLES if rows.get(table)}
         if news:
-            self._write({table: max(self.highs.get(table, 0), high) for table, high in (self.highs | news).items()})
+            self._write(
+                {table: max(self.highs.get(table, 0), high) for table, high in (self.highs | news).items()}
+            )
 
     def forget(self) -> None:
         """Begin anew, with a new file."""
@@ -49,15 +54,17 @@ class Watermarks:
     def missing(self, path: Path) -> tuple[str | None, bool]:
         """Return in words what was acknowledged and neither the database nor its side file holds, and if it is torn.
 
-        None for nothing. Torn: a log holds rows that cannot be reached, so the file should be replaced by what can be
-        saved. Reads only, so that a log whose end is damaged stays as it is.
+        None for nothing. Torn: a log holds rows that cannot be reached, so the file should be replaced by
+        what can be saved. Reads only, so that a log whose end is damaged stays as it is.
         """
         if not self.highs or not path.exists():
             return None, False
         files = [file for file in (path, beside(path, ".spill")) if file.exists()]
         found = [_highs(file) for file in files]
         reached = {t: max((f.get(t, high) for f in found), default=high) for t, high in self.highs.items()}
-        ahead = {t: high - reached[t] for t, high in self.highs.items() if 0 < high - reached[t] <= _MOST_AHEAD}
+        ahead = {
+            t: high - reached[t] for t, high in self.highs.items() if 0 < high - reached[t] <= _MOST_AHEAD
+        }
         self.highs |= {t: reached[t] for t in self.highs if t not in ahead}
         if not ahead:
             return None, False
@@ -93,7 +100,9 @@ def _highs(path: Path) -> dict[str, int]:
     found: dict[str, int] = {}
     with (
         suppress(sqlite3.Error, UnicodeDecodeError, TypeError),
-        closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)) as file,
+        closing(
+            sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
+        ) as file,
     ):
         given = dict(file.execute("SELECT name, high FROM sequences"))
         for table in _TABLES:

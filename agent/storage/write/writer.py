@@ -45,17 +45,19 @@ log = logging.getLogger(__name__)
 class StoreWriter:
     """Writes the records of one or several rigs, a batch a second and alarm transitions at once.
 
-    A disk that fails costs no sample: rows wait in memory (bounded; what falls out is counted in `dropped`), the file
-    is opened again with growing pauses, and an event says so once it is over.
+    A disk that fails costs no sample: rows wait in memory (bounded; what falls out is counted in `dropped`),
+    the file is opened again with growing pauses, and an event says so once it is over.
 
     Args:
         opener: opens the store; called again when it could not be opened or was lost.
         runs: one for each rig whose records will come.
         every_s: the thinning of CONTRACT's [store] table; 0 keeps all.
-        lossless: for replays: `publish` waits for the disk instead of dropping, and a failing disk is an error.
+        lossless: for replays: `publish` waits for the disk instead of dropping, and a failing disk is an
+            error.
         most_cells: rows that wait in memory at most, a rig.
         on_event: told of every HealthEvent that the writer makes itself (in the writer's thread).
-        served: others may ask for what changes the file, through the socket beside it, and for these; None: no socket.
+        served: others may ask for what changes the file, through the socket beside it, and for these; None:
+            no socket.
     """
 
     def __init__(
@@ -119,7 +121,8 @@ class StoreWriter:
         """From the newest sample of each commit to the disk, by rig."""
         self._admit(runs)
 
-    # --- the pipeline's side -----------------------------------------------------------------------------------
+    # --- the pipeline's side
+    # -----------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Open the store and begin the runs; StoreError when it can never work, otherwise failures are retried."""
@@ -147,12 +150,17 @@ class StoreWriter:
                 self._condition.notify_all()
 
     def exchange(
-        self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float, keep: Retention, commit_s: float
+        self,
+        leaving: Collection[str],
+        entering: Sequence[RunInfo],
+        every_s: float,
+        keep: Retention,
+        commit_s: float,
     ) -> None:
         """End the runs of some rigs, all of whose records were published, and begin others, in the writer's thread.
 
-        every_s, keep and commit_s (the period of batches) hold from now on; a rig that leaves may have no run. Raises
-        StoreError where the store cannot be written at present; nothing is changed then.
+        every_s, keep and commit_s (the period of batches) hold from now on; a rig that leaves may have no
+        run. Raises StoreError where the store cannot be written at present; nothing is changed then.
         """
 
         def act(store: Store) -> None:
@@ -186,7 +194,8 @@ class StoreWriter:
     def stop(self, timeout_s: float = 10.0) -> None:
         """Write what is left, close the store and end the thread; what a failing disk still refuses is dropped.
 
-        A thread that takes longer is left to itself, and rows that it had not written yet are lost with the process.
+        A thread that takes longer is left to itself, and rows that it had not written yet are lost with the
+        process.
         """
         with self._condition:
             self._stopping = True
@@ -194,7 +203,9 @@ class StoreWriter:
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
             if self.is_alive():
-                words = "%s: is busy for longer than the end may take; rows since its last commit are not stored"
+                words = (
+                    "%s: is busy for longer than the end may take; rows since its last commit are not stored"
+                )
                 log.warning(words, self._place())
         else:
             self._end()
@@ -242,7 +253,8 @@ class StoreWriter:
     def _place(self) -> str:
         return "the store" if self._store is None else str(self._store.path)
 
-    # --- the thread's side -------------------------------------------------------------------------------------
+    # --- the thread's side
+    # -------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         try:
@@ -272,7 +284,9 @@ class StoreWriter:
     def _wait(self) -> tuple[int, bool]:
         with self._condition:
             self._condition.wait_for(
-                lambda: self._urgent or self._stopping or (self._asked > self._answered and not self._pause.cause),
+                lambda: (
+                    self._urgent or self._stopping or (self._asked > self._answered and not self._pause.cause)
+                ),
                 self._wait_s(),
             )
             self._urgent = False
@@ -347,7 +361,9 @@ class StoreWriter:
         if not self._flight:
             self._flight = {rig: records for rig, b in self._backlogs.items() if (records := b.take())}
         if not self._plans:
-            self._plans = [p for rig, records in self._flight.items() for p in store.encode(self.run_ids[rig], records)]
+            self._plans = [
+                p for rig, records in self._flight.items() for p in store.encode(self.run_ids[rig], records)
+            ]
         store.commit(self._plans)
         self._note_latency()
         if any("notifications" in plan.rows for plan in self._plans):
@@ -426,7 +442,9 @@ class StoreWriter:
         """Note a failure and try to be able to go on next time."""
         if self._pause.cause is None:
             self._failed_at = dict(self._newest)
-            log.warning("%s: cannot be written (%s: %s); rows wait in memory", self._place(), cause_of(error), error)
+            log.warning(
+                "%s: cannot be written (%s: %s); rows wait in memory", self._place(), cause_of(error), error
+            )
         self._pause.failed(cause_of(error))
         self._failure = error
         if self._store is None:
@@ -459,7 +477,9 @@ class StoreWriter:
             return
         self._spilling = spilling
         began = "a reader of the database does not end: new rows go to a side file and are not shown until it does"
-        cause, message = ("reader", began) if spilling else ("reader ended", "the rows of the side file were taken in")
+        cause, message = (
+            ("reader", began) if spilling else ("reader ended", "the rows of the side file were taken in")
+        )
         for rig in self._runs:
             event = HealthEvent(rig, "store", self._newest[rig], cause, message)
             self._backlogs[rig].add([event], _FULL)
@@ -476,7 +496,9 @@ class StoreWriter:
             raised = AlarmTransition(
                 rig, "source", "store", "high", self._failed_at[rig], "NORM", "UNACK", cause, message
             )
-            over = replace(raised, t_ns=self._newest[rig], from_state="UNACK", to_state="RTNUN", cause="recovered")
+            over = replace(
+                raised, t_ns=self._newest[rig], from_state="UNACK", to_state="RTNUN", cause="recovered"
+            )
             self._backlogs[rig].add([event, raised, over], cause)
             self._on_event(event)
         log.warning("%s: can be written again after %.1f s", self._place(), since)

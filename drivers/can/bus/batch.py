@@ -1,7 +1,7 @@
 """Many CAN frames by one system call: the kernel writes them where numpy reads them.
 
-recvmmsg fills a table of frames in place, with the time stamp and the count of lost frames beside each. A frame costs
-a few numbers moved, and no Python object.
+recvmmsg fills a table of frames in place, with the time stamp and the count of lost frames beside each. A
+frame costs a few numbers moved, and no Python object.
 """
 
 import ctypes

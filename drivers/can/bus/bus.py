@@ -135,7 +135,9 @@ class PythonCanBus(CanBus):
         try:
             self._bus: can.BusABC = can.Bus(keys.channel, keys.interface, **extra)
         except can.CanInterfaceNotImplementedError as error:
-            raise DriverConfigError(f'python-can has no interface "{keys.interface}" here: {error}') from error
+            raise DriverConfigError(
+                f'python-can has no interface "{keys.interface}" here: {error}'
+            ) from error
         except self._errors as error:
             raise DriverIOError(f"{self._name}: {error}") from error
 
@@ -160,7 +162,11 @@ class PythonCanBus(CanBus):
 
 def message_row(message: "can.Message") -> bytes:
     """Return a message of python-can as a row of a frame table."""
-    bits = (EXTENDED, message.is_extended_id), (REMOTE, message.is_remote_frame), (ERROR, message.is_error_frame)
+    bits = (
+        (EXTENDED, message.is_extended_id),
+        (REMOTE, message.is_remote_frame),
+        (ERROR, message.is_error_frame),
+    )
     number = message.arbitration_id | sum(bit for bit, is_set in bits if is_set)
     data = b"" if message.is_remote_frame else bytes(message.data[:64])
     return pack_frame(number & 0xFFFFFFFF, data, FD_FLAG if message.is_fd else 0, min(message.dlc, 64))

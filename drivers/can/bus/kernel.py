@@ -43,7 +43,9 @@ class KernelBus(CanBus):
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except (AttributeError, OSError) as error:
-            raise DriverIOError(f"{self._name}: this kernel has no CAN; try a socketcand elsewhere") from error
+            raise DriverIOError(
+                f"{self._name}: this kernel has no CAN; try a socketcand elsewhere"
+            ) from error
         try:
             self._set_up(keys, filters)
         except OSError as error:

@@ -1,6 +1,7 @@
 """A serial adapter that writes frames as text (slcan), read by a parser of our own.
 
-Nothing is written to it, unless open_adapter asks for it; then it is opened listen-only and closed at the end.
+Nothing is written to it, unless open_adapter asks for it; then it is opened listen-only and closed at the
+end.
 """
 
 import re
@@ -27,12 +28,13 @@ class SlcanBus(CanBus):
     """An open adapter.
 
     Args:
-        keys: `channel` is the serial line, `baudrate` its speed; `bitrate` is the bus's, set with open_adapter.
+        keys: `channel` is the serial line, `baudrate` its speed; `bitrate` is the bus's, set with
+            open_adapter.
         folder: relative lines start there.
         counts: told of lines that are no frame.
 
-    Raises DriverIOError where there is no such line, or the adapter refuses to listen only; DriverConfigError for a bit
-    rate that the protocol has no letter for.
+    Raises DriverIOError where there is no such line, or the adapter refuses to listen only; DriverConfigError
+    for a bit rate that the protocol has no letter for.
     """
 
     def __init__(self, keys: BusKeys, folder: Path, counts: Counts) -> None:

@@ -1,7 +1,8 @@
 """Frames as serial adapters write them (slcan): lines of ASCII, read so that no byte on the line can do harm. Pure.
 
-Understood are the letters of Lawicel's protocol, CANable's for FD frames, and the state and error lines that the
-kernel's driver understands too. A line ends with a carriage return, or with the bell of an adapter that refuses.
+Understood are the letters of Lawicel's protocol, CANable's for FD frames, and the state and error lines that
+the kernel's driver understands too. A line ends with a carriage return, or with the bell of an adapter that
+refuses.
 """
 
 import re
@@ -57,8 +58,8 @@ class SlcanText:
         counts: told of lines that are no frame (received and rejected "text"), and of refusals (faults).
         fd: whether the letters of FD frames are known.
 
-    Of a line one cannot tell whether its beginning is missing, but by its first letter. The letters of FD frames are
-    digits too: such a line does not count where it may be the end of the broken one before it.
+    Of a line one cannot tell whether its beginning is missing, but by its first letter. The letters of FD
+    frames are digits too: such a line does not count where it may be the end of the broken one before it.
     """
 
     def __init__(self, counts: Counts, *, fd: bool = True) -> None:

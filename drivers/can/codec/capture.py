@@ -1,14 +1,15 @@
 """What a CAN bus carried, kept for recording: the text of `candump -L`, and beside it what that text cannot carry.
 
-A line has microseconds, the identifier, the data, and of a CAN FD frame the flags for its bit rate and error state.
-Beside it stand (each only where there is something to say)
+A line has microseconds, the identifier, the data, and of a CAN FD frame the flags for its bit rate and error
+state. Beside it stand (each only where there is something to say)
 
     finer      what of each time stamp is finer than a microsecond, ns: base64 of u16, little-endian
     dropped    frames that the bus lost before they could be read since the piece before, by reason
     text       messages of a daemon or adapter that were no frame, since the piece before
     reopened   the bus was closed and opened anew before these frames
 
-Not kept are frames that the bus's filter holds back, and the length codes 9 to 15 of classic frames of eight bytes.
+Not kept are frames that the bus's filter holds back, and the length codes 9 to 15 of classic frames of eight
+bytes.
 """
 
 import base64
@@ -94,7 +95,9 @@ class Keeper:
 
     def add(self, frames: Frames, dropped: Counter[str], text: int, reopened: int) -> None:
         """Take frames, and what became of the counts since the last ones."""
-        lost = {reason: n - self._dropped[reason] for reason, n in dropped.items() if n > self._dropped[reason]}
+        lost = {
+            reason: n - self._dropped[reason] for reason, n in dropped.items() if n > self._dropped[reason]
+        }
         since = {"dropped": lost, "text": text - self._text, "reopened": reopened - self._reopened}
         self._dropped = Counter(dropped)
         self._text = text

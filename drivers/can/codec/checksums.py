@@ -40,7 +40,9 @@ class FrameCheck:
         wanted = {XOR: 8, SUM: self._width}.get(self._method) or crc.by_name(self._method).width
         if self._width != wanted:
             name = self._signal.name
-            raise DriverConfigError(f'the checksum "{name}" has {self._width} bits; {self._method} makes {wanted}')
+            raise DriverConfigError(
+                f'the checksum "{name}" has {self._width} bits; {self._method} makes {wanted}'
+            )
 
     def holds(self, table: FrameTable) -> NDArray[np.bool_]:
         """Tell of each frame whether its checksum is right."""

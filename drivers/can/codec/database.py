@@ -28,7 +28,8 @@ class MessageCodec:
 
     Attributes:
         name: the message's name.
-        number, mask: a frame belongs to it when its identifier, flag bits included, equals number within mask.
+        number, mask: a frame belongs to it when its identifier, flag bits included, equals number within
+            mask.
         lengths: data lengths that are right.
         samples: the signals asked for, of each sample that a frame carries.
         pages: the columns that come together: one page, or one for each choice of the multiplexers.
@@ -131,9 +132,13 @@ def message_codecs(
         message, signal = _split(field)
         wanted.setdefault(message, []).append((column, signal))
     if counter is None and len(wanted) > 1:
-        raise DriverConfigError(f"fields come from {len(wanted)} messages; a counter in each is needed to join them")
+        raise DriverConfigError(
+            f"fields come from {len(wanted)} messages; a counter in each is needed to join them"
+        )
     if keys.samples_per_frame > 1 and len(wanted) > 1:
-        raise DriverConfigError(f"samples_per_frame is for fields of one message; these come from {len(wanted)}")
+        raise DriverConfigError(
+            f"samples_per_frame is for fields of one message; these come from {len(wanted)}"
+        )
     counting = None if counter is None else _counter_signal(database, counter, wanted)
     return tuple(_codec(_message(database, name), asked, counting, keys) for name, asked in wanted.items())
 
@@ -169,7 +174,9 @@ def _signal(message: "Message", name: str) -> "Signal":
     raise DriverConfigError(f'message "{message.name}" has no signal "{name}"; signals are {names}')
 
 
-def _codec(message: "Message", asked: list[tuple[int, str]], counting: str | None, keys: FrameKeys) -> MessageCodec:
+def _codec(
+    message: "Message", asked: list[tuple[int, str]], counting: str | None, keys: FrameKeys
+) -> MessageCodec:
     samples = tuple(
         tuple(_select(message, column, _signal(message, next_name(name, place))) for column, name in asked)
         for place in range(keys.samples_per_frame)
@@ -189,7 +196,9 @@ def next_name(name: str, place: int) -> str:
         return name
     match = re.fullmatch(r"(.*?)(\d+)", name)
     if match is None:
-        raise DriverConfigError(f'"{name}" ends in no number; samples_per_frame needs such as "{name}_0", "{name}_1"')
+        raise DriverConfigError(
+            f'"{name}" ends in no number; samples_per_frame needs such as "{name}_0", "{name}_1"'
+        )
     return f"{match[1]}{int(match[2]) + place:0{len(match[2])}d}"
 
 
@@ -198,13 +207,20 @@ def _check(message: "Message", keys: FrameKeys) -> FrameCheck | None:
         return None
     signal = _signal(message, keys.checksum.signal)
     if signal.multiplexer_ids:
-        raise DriverConfigError(f'the checksum "{message.name}.{signal.name}" must be in every frame of its message')
+        raise DriverConfigError(
+            f'the checksum "{message.name}.{signal.name}" must be in every frame of its message'
+        )
     return FrameCheck(keys.checksum, SignalCodec(signal), message.length)
 
 
-def _switches(message: "Message", selected: tuple[Selected, ...]) -> tuple[tuple[SignalCodec, tuple[int, ...]], ...]:
+def _switches(
+    message: "Message", selected: tuple[Selected, ...]
+) -> tuple[tuple[SignalCodec, tuple[int, ...]], ...]:
     names = {switch.name for signal in selected for switch, _ in signal.switches}
-    known = {name: [s.multiplexer_ids or () for s in message.signals if s.multiplexer_signal == name] for name in names}
+    known = {
+        name: [s.multiplexer_ids or () for s in message.signals if s.multiplexer_signal == name]
+        for name in names
+    }
     return tuple(
         (SignalCodec(_signal(message, name)), tuple(number for ids in lists for number in ids))
         for name, lists in known.items()
@@ -214,10 +230,14 @@ def _switches(message: "Message", selected: tuple[Selected, ...]) -> tuple[tuple
 def _counter(message: "Message", name: str, keys: FrameKeys) -> FrameCounter:
     signal = _signal(message, name)
     if signal.is_float or signal.multiplexer_ids:
-        raise DriverConfigError(f'the counter "{message.name}.{name}" must be an integer in every frame of its message')
+        raise DriverConfigError(
+            f'the counter "{message.name}.{name}" must be an integer in every frame of its message'
+        )
     modulus = keys.counter_modulus or 1 << signal.length
     if modulus > 1 << signal.length:
-        raise DriverConfigError(f'counter_modulus {modulus}: "{message.name}.{name}" has {signal.length} bits only')
+        raise DriverConfigError(
+            f'counter_modulus {modulus}: "{message.name}.{name}" has {signal.length} bits only'
+        )
     return FrameCounter(SignalCodec(signal), modulus, keys.samples_per_frame, keys.counter_counts == "frames")
 
 

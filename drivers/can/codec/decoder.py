@@ -18,7 +18,8 @@ class FrameDecoder:
     Args:
         messages: the messages that carry the fields.
         columns: number of fields.
-        counts: told of every sample received and rejected ("dlc", "remote frame", "checksum", "counter", "mux").
+        counts: told of every sample received and rejected ("dlc", "remote frame", "checksum", "counter",
+            "mux").
         note: told what happened, in words.
         errors: shown the error frames; by default they are counted among the faults, and nobody is told.
     """
@@ -111,7 +112,11 @@ class FrameDecoder:
         values = message.values(sound.table, self._columns)
         if message.switches:
             # a frame of other signals is nobody's sample; one whose multiplexer makes no sense is a bad one
-            bare = np.logical_and.reduce(np.isnan(values), axis=1).reshape(len(sound), len(message.samples)).all(axis=1)
+            bare = (
+                np.logical_and.reduce(np.isnan(values), axis=1)
+                .reshape(len(sound), len(message.samples))
+                .all(axis=1)
+            )
             strange = bare & ~message.knows(sound.table)
             self._reject("mux", int(strange.sum()), len(message.samples))
             self._show_bad("mux", sound.table[strange])
@@ -155,5 +160,7 @@ def _common_modulus(messages: tuple[MessageCodec, ...]) -> int | None:
     """Return after how many samples the messages' counters wrap; None without counters. Raises DriverConfigError."""
     moduli = {message.counter.sample_modulus for message in messages if message.counter}
     if len(moduli) > 1:
-        raise DriverConfigError("the counters of the messages to join wrap after different numbers of samples")
+        raise DriverConfigError(
+            "the counters of the messages to join wrap after different numbers of samples"
+        )
     return moduli.pop() if moduli else None

@@ -1,6 +1,7 @@
 """What the controller says about the bus itself: the kernel's error frames, by name. Pure: no I/O.
 
-Classes and bits as in linux/can/error.h. An error frame is no sample: it is counted among the faults of the line.
+Classes and bits as in linux/can/error.h. An error frame is no sample: it is counted among the faults of the
+line.
 """
 
 from collections.abc import Callable
@@ -46,7 +47,9 @@ def names_of(identifier: int, controller: int) -> list[str]:
     """Return what an error frame of this identifier and this second data byte tells."""
     found = [name for bit, name in _CLASSES.items() if identifier & bit]
     if identifier & _CONTROLLER:
-        found += [name for bits, name in _CONTROLLER_BITS.items() if controller & bits] or ["controller fault"]
+        found += [name for bits, name in _CONTROLLER_BITS.items() if controller & bits] or [
+            "controller fault"
+        ]
     return found or [PLAIN]
 
 
@@ -56,8 +59,9 @@ class ErrorWatch:
     Args:
         bus: its name, for messages.
         counts: `faults` is told of every error frame.
-        report: told of what an operator should know: (name, words). A state once, when it begins; any other fault when
-            it has not been seen for a minute. Not told of error frames without a class, which are only counted.
+        report: told of what an operator should know: (name, words). A state once, when it begins; any other
+            fault when it has not been seen for a minute. Not told of error frames without a class, which are
+            only counted.
     """
 
     def __init__(self, bus: str, counts: Counts, report: Callable[[str, str], None]) -> None:

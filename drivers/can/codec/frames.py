@@ -20,7 +20,9 @@ MOST_SECONDS = 9_000_000_000
 """A time stamp beyond does not fit into 64 bits of nanoseconds."""
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
-FRAME = np.dtype([("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "u1", (72,))])
+FRAME = np.dtype(
+    [("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "u1", (72,))]
+)
 """One frame: identifier with the flag bits above, data padded by eight bytes so that a 64-bit number can be read
 from any byte of it."""
 

@@ -73,11 +73,14 @@ class Pending:
 class Joiner:
     """Puts samples together from the parts that carry the same counter.
 
-    Each message comes in order, so a sample is final once every message has come with its counter or a newer one; a
-    part that never came leaves NaN. Parts of a sample that has gone out already are late and counted so.
+    Each message comes in order, so a sample is final once every message has come with its counter or a newer
+    one; a part that never came leaves NaN. Parts of a sample that has gone out already are late and counted
+    so.
     """
 
-    def __init__(self, parts: int, columns: int, modulus: int, counts: Counts, note: Callable[[str], None]) -> None:
+    def __init__(
+        self, parts: int, columns: int, modulus: int, counts: Counts, note: Callable[[str], None]
+    ) -> None:
         self._columns = columns
         self._parts = parts
         self._modulus = modulus
@@ -165,7 +168,9 @@ class Joiner:
 
     def _release(self, whole: int) -> Decoded:
         if whole <= 0:
-            return Decoded(np.empty((0, self._columns)), np.empty(0, np.int64), np.empty(0, np.int64), self._epoch)
+            return Decoded(
+                np.empty((0, self._columns)), np.empty(0, np.int64), np.empty(0, np.int64), self._epoch
+            )
         done, self._pending = self._pending.cut(whole)
         self._emitted = self._near = int(done.keys[-1])
         self._counts.received += whole

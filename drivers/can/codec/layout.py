@@ -47,14 +47,15 @@ class FrameKeys(DriverSettings):
     """The DBC file, and what it does not say.
 
     Attributes:
-        j1939: "auto": messages that the DBC file calls J1939 are known by their parameter group, whatever priority,
-            source and destination; "group": all extended ones are; "exact": none.
+        j1939: "auto": messages that the DBC file calls J1939 are known by their parameter group, whatever
+            priority, source and destination; "group": all extended ones are; "exact": none.
         source_address: of those known by their group only the frames of this sender.
-        samples_per_frame: a frame carries so many samples: the mapped signals are the first one's and end in a number
-            ("Force_0"), the next ones' end in the numbers that follow.
+        samples_per_frame: a frame carries so many samples: the mapped signals are the first one's and end in
+            a number ("Force_0"), the next ones' end in the numbers that follow.
         counter_counts: whether the counter is the number of a frame's first sample or the frame's own.
         counter_modulus: the counter begins anew after so many; by default after 2 to the power of its bits.
-        sample_period_s: between the samples of a frame, for their time stamps; the frame's own is the last one's.
+        sample_period_s: between the samples of a frame, for their time stamps; the frame's own is the last
+            one's.
     """
 
     dbc: Path
@@ -68,6 +69,8 @@ class FrameKeys(DriverSettings):
 
     @model_validator(mode="after")
     def _several_have_their_keys(self) -> Self:
-        if self.samples_per_frame == 1 and (self.counter_counts == "frames" or self.sample_period_s is not None):
+        if self.samples_per_frame == 1 and (
+            self.counter_counts == "frames" or self.sample_period_s is not None
+        ):
             raise ValueError("counter_counts and sample_period_s are for samples_per_frame above 1")
         return self

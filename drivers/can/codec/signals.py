@@ -95,7 +95,9 @@ class SignalCodec:
         if self._scale == 1 and self._offset == 0:
             return raw.astype(np.float64)
         if self._float or not isinstance(self._scale, int):
-            with np.errstate(invalid="ignore", over="ignore"):  # any bits may be a float: NaN and inf are judged later
+            with np.errstate(
+                invalid="ignore", over="ignore"
+            ):  # any bits may be a float: NaN and inf are judged later
                 values: FloatArray = np.multiply(raw, float(self._scale), dtype=np.float64)
                 if self._may_add_nothing:
                     return values

@@ -1,8 +1,9 @@
 """Which channel's frames to read of a log that numbers its channels: ASC, BLF, TRC and MF4. Pure: no I/O.
 
-Channels are named here as the tools that write such logs show them. Python-can counts from 0 what ASC and BLF files
-from 1. The `canN`, `vcanN` and `slcanN` of a source is the channel N + 1 of ASC, BLF and TRC logs, where the loggers
-of python-can put it. MF4 logs have no such custom: python-can's begin with 0, those of vehicle loggers with 1.
+Channels are named here as the tools that write such logs show them. Python-can counts from 0 what ASC and BLF
+files from 1. The `canN`, `vcanN` and `slcanN` of a source is the channel N + 1 of ASC, BLF and TRC logs,
+where the loggers of python-can put it. MF4 logs have no such custom: python-can's begin with 0, those of
+vehicle loggers with 1.
 """
 
 import re
@@ -58,4 +59,8 @@ def channel_of(found: Iterable[str], wanted: str, interface: str, kind: str) -> 
 
 def _advice(is_name: bool) -> str:
     words = 'name one of them as the source\'s channel, e.g. channel = "1"'
-    return words if is_name else f'{words}, with interface = "socketcan": other interfaces number theirs otherwise'
+    return (
+        words
+        if is_name
+        else f'{words}, with interface = "socketcan": other interfaces number theirs otherwise'
+    )

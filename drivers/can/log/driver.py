@@ -44,9 +44,9 @@ class CanLogSettings(FrameKeys):
 class CanLogDriver(DbcDriver):
     """Plays a CAN log; `read` raises EOFError at its end. Times are the log's own, in ns.
 
-    A log that cannot be read from its beginning raises DriverConfigError; one that is damaged further on ends there,
-    which is noted and counted (faults "log"). Lines of text that are no frame are noted and counted (faults "text").
-    Of a log in which no frame is one of those looked for, what it holds is noted at its end.
+    A log that cannot be read from its beginning raises DriverConfigError; one that is damaged further on ends
+    there, which is noted and counted (faults "log"). Lines of text that are no frame are noted and counted
+    (faults "text"). Of a log in which no frame is one of those looked for, what it holds is noted at its end.
     """
 
     settings_model: ClassVar[type[DriverSettings]] = CanLogSettings
@@ -85,7 +85,9 @@ class CanLogDriver(DbcDriver):
     def _end(self) -> None:
         """Note what a log holds that has nothing of what is looked for, before all other remarks."""
         if not self.counts.received:
-            words = f"{self.request.folder / self.request.settings.path}: {self._unmatched.words(self._messages)}"
+            words = (
+                f"{self.request.folder / self.request.settings.path}: {self._unmatched.words(self._messages)}"
+            )
             self._notes = [words, *(note for note in self._notes if note != words)]
 
     def close(self) -> None:

@@ -28,7 +28,9 @@ def wire_of(pieces: Iterable[bytes], wanted: str) -> bytes | None:
     if len(found) < 2:
         return None
     names = ", ".join(sorted(name.decode("latin-1") for name in found))
-    raise DriverConfigError(f"holds frames of {names} and none of {wanted}; name one of them as the source's channel")
+    raise DriverConfigError(
+        f"holds frames of {names} and none of {wanted}; name one of them as the source's channel"
+    )
 
 
 def _wire_in(line: bytes) -> bytes:
@@ -43,7 +45,9 @@ def _of_wire(text: bytes, name: bytes) -> bool:
     close = np.flatnonzero(characters == ord(")"))
     if len(close) != text.count(b"\n") + (not text.endswith(b"\n")) or close[-1] + len(name) + 2 >= len(text):
         return False
-    return all(bool((characters[close + place] == octet).all()) for place, octet in enumerate(b" " + name + b" ", 1))
+    return all(
+        bool((characters[close + place] == octet).all()) for place, octet in enumerate(b" " + name + b" ", 1)
+    )
 
 
 def _first(text: bytes) -> bytes:

@@ -1,6 +1,7 @@
 """The text of `candump -L`, many lines at once: those of one shape are one table of characters. Pure: no I/O.
 
-A line of a shape that is not known here, and one that turns out to be wrong, is read by `can_frames.candump_row`.
+A line of a shape that is not known here, and one that turns out to be wrong, is read by
+`can_frames.candump_row`.
 """
 
 from dataclasses import dataclass
@@ -46,7 +47,9 @@ class _Lines:
     def shapes(self) -> IntArray:
         """Return a number for each line that is equal for lines of one shape; −1 where it cannot be a frame's."""
         length, close, sign = self.end - self.start, self.close - self.start, self.sign - self.start
-        possible = (close > 3) & (close < 32) & (sign > close + 6) & (sign < 64) & (length > sign) & (length < 256)
+        possible = (
+            (close > 3) & (close < 32) & (sign > close + 6) & (sign < 64) & (length > sign) & (length < 256)
+        )
         return np.where(possible, (length << 16) | (sign << 8) | close, -1)
 
     def cells(self, rows: IntArray | None, size: int) -> ByteArray:
@@ -92,7 +95,9 @@ def _named(lines: _Lines, wire: bytes) -> NDArray[np.bool_]:
     return same
 
 
-def _read_alone(text: bytes, lines: "_Lines", into: tuple[FrameTable, IntArray, NDArray[np.bool_]]) -> list[int]:
+def _read_alone(
+    text: bytes, lines: "_Lines", into: tuple[FrameTable, IntArray, NDArray[np.bool_]]
+) -> list[int]:
     """Read one by one the lines whose shape is seldom; return the places of those that are no frame."""
     table, t_ns, read = into
     bad = []
@@ -148,7 +153,12 @@ class _Shape:
     def possible(self) -> bool:
         """Tell whether frames can be written so."""
         whole = (self.end - self.data) % 2 == 0 and self.size in _LENGTHS[self.fd]
-        return whole and 1 < self.point <= 13 and 1 < self.close - self.point <= 10 and self.name_end > self.close + 2
+        return (
+            whole
+            and 1 < self.point <= 13
+            and 1 < self.close - self.point <= 10
+            and self.name_end > self.close + 2
+        )
 
     def marked(self, cells: ByteArray) -> NDArray[np.bool_]:
         """Tell of each line whether brackets, point, spaces and signs stand where the first line has them."""
@@ -159,7 +169,9 @@ class _Shape:
         if self.fd:
             right &= cells[:, self.sign + 1] == _HASH
         if self.end < cells.shape[1]:
-            right &= (cells[:, self.end] == _SPACE) & ((cells[:, -1] == ord("R")) | (cells[:, -1] == ord("T")))
+            right &= (cells[:, self.end] == _SPACE) & (
+                (cells[:, -1] == ord("R")) | (cells[:, -1] == ord("T"))
+            )
         return right
 
     def in_digits(self, digits: ByteArray) -> NDArray[np.bool_]:

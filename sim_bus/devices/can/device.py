@@ -36,7 +36,9 @@ class KernelDevice(Device):
 
     def start(self) -> None:
         if self.clock.fast:
-            raise SimUsageError(f'source "{self._stream.source}": --fast needs a bus whose reader can hold it back')
+            raise SimUsageError(
+                f'source "{self._stream.source}": --fast needs a bus whose reader can hold it back'
+            )
         self._outlet.open()
         self._thread.start()
 
@@ -74,7 +76,9 @@ def make_stream(bench: Bench, number: int) -> Stream:
 
 def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
     if keys.counter_modulus is not None:
-        raise SimUsageError(f"source[{number}].counter_modulus: a counter that ends early cannot be simulated")
+        raise SimUsageError(
+            f"source[{number}].counter_modulus: a counter that ends early cannot be simulated"
+        )
     database = load_database(bench.rig.folder / keys.dbc, f"source[{number}].dbc")
     return Packing(database, bench.source(number), fd=keys.fd, keys=keys)
 

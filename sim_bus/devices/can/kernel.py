@@ -59,7 +59,9 @@ class KernelOutlet(Outlet):
             self._socket = self._opened()
         except (AttributeError, OSError) as error:
             words = "this kernel has no CAN" if _no_can(error) else f"cannot be opened: {error}"
-            raise SimBusError(f"{self._channel}: {words}; a socketcand on 127.0.0.1 can be played anywhere") from error
+            raise SimBusError(
+                f"{self._channel}: {words}; a socketcand on 127.0.0.1 can be played anywhere"
+            ) from error
 
     def _opened(self) -> socket.socket:
         opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)

@@ -66,14 +66,18 @@ class Packing:
         keys: how samples lie in frames beyond what the DBC file says.
     """
 
-    def __init__(self, database: "Database", source: Source, *, fd: bool, keys: FrameKeys | None = None) -> None:
+    def __init__(
+        self, database: "Database", source: Source, *, fd: bool, keys: FrameKeys | None = None
+    ) -> None:
         self._keys = keys or FrameKeys(dbc=Path())
         fields = [*source.map.values(), *([source.counter] if source.counter else [])]
         names = dict.fromkeys(field.partition(".")[0] for field in fields)
         self._messages = [_message(database, name, source.name) for name in names]
         self.kinds = tuple(_kind(message, fd=fd) for message in self._messages)
         self._places = {
-            f"{message.name}.{signal.name}": _places(signal) for message in self._messages for signal in message.signals
+            f"{message.name}.{signal.name}": _places(signal)
+            for message in self._messages
+            for signal in message.signals
         }
         self._check(fields, source.name)
         self._later = self._later_signals(fields, source)
@@ -96,7 +100,9 @@ class Packing:
             raise SimUsageError(f'source "{source}": no signal is called {", ".join(lost)} in its DBC file')
         switched = [field for field in fields if signals[field].multiplexer_ids]
         if switched:
-            raise SimUsageError(f'source "{source}": {", ".join(switched)}: multiplexed signals cannot be simulated')
+            raise SimUsageError(
+                f'source "{source}": {", ".join(switched)}: multiplexed signals cannot be simulated'
+            )
 
     @property
     def numbers(self) -> list[WireNumber]:
@@ -156,7 +162,9 @@ def _kind(message: "Message", *, fd: bool) -> FrameKind:
     if fd and size > 8:
         size = min(length for length in FD_LENGTHS if length >= size)
     if size > (64 if fd else 8):
-        raise SimUsageError(f'message "{message.name}" has {size} bytes; classic frames carry 8, set fd = true for 64')
+        raise SimUsageError(
+            f'message "{message.name}" has {size} bytes; classic frames carry 8, set fd = true for 64'
+        )
     return FrameKind(message.name, message.frame_id, message.is_extended_frame, fd, size)
 
 
@@ -172,8 +180,9 @@ def _number(message: "Message", signal: "Signal") -> WireNumber:
 def _places(signal: "Signal") -> list[int]:
     """Return where each bit of a signal lies in the frame, most significant first, counted along the wire.
 
-    A DBC file numbers bits from the least significant of byte 0. Little-endian signals are given by their lowest bit
-    and grow upwards; big-endian ones by their highest, going down to bit 0 of a byte and on at bit 7 of the next.
+    A DBC file numbers bits from the least significant of byte 0. Little-endian signals are given by their
+    lowest bit and grow upwards; big-endian ones by their highest, going down to bit 0 of a byte and on at bit
+    7 of the next.
     """
     if signal.byte_order == "little_endian":
         numbers = [signal.start + k for k in reversed(range(signal.length))]

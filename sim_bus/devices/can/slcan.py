@@ -57,7 +57,12 @@ class SlcanText:
             return state if name == "bus-off" else state + text
         if name == "dlc":
             head, size = self._heads[0]
-            return head[:-1] + b"%X" % (_SIZES.index(size) - 1) + text[len(head) : len(head) + 2 * (size - 1)] + b"\r"
+            return (
+                head[:-1]
+                + b"%X" % (_SIZES.index(size) - 1)
+                + text[len(head) : len(head) + 2 * (size - 1)]
+                + b"\r"
+            )
         return self._beside(name) + text
 
     def _beside(self, name: str) -> bytes:

@@ -35,7 +35,12 @@ def _sim_device(unit: Unit) -> SimDevice:
     """Return the library's view of a unit; every access that is not a read of registers is refused."""
 
     async def action(
-        function: int, start: int, address: int, count: int, memory: list[int], values: list[int] | list[bool] | None
+        function: int,
+        start: int,
+        address: int,
+        count: int,
+        memory: list[int],
+        values: list[int] | list[bool] | None,
     ) -> ExcCodes | None:
         unit.asked()
         if function not in _READ or values is not None:
@@ -89,7 +94,9 @@ class ModbusDevice(Device):
             opened.result(_STOP_S)
         except (OSError, RuntimeError) as error:
             self.stop()
-            raise SimBusError(f'source "{self.units[0].source}": {self.address} cannot be served: {error}') from error
+            raise SimBusError(
+                f'source "{self.units[0].source}": {self.address} cannot be served: {error}'
+            ) from error
 
     async def _serve(self) -> None:
         self._server = await ModbusDevice._plug(self)
@@ -263,7 +270,9 @@ class ModbusRtuDevice(ModbusDevice):
     def _make_server(self, devices: list[SimDevice], custom: list[type[ModbusPDU]]) -> ModbusBaseServer:
         baudrate = self.units[0].settings.baudrate
         port = str(self._inner.path)
-        return SerialServer(self, devices, framer=FramerType.RTU, port=port, baudrate=baudrate, custom_pdu=custom)
+        return SerialServer(
+            self, devices, framer=FramerType.RTU, port=port, baudrate=baudrate, custom_pdu=custom
+        )
 
     async def _unplug(self, server: ModbusBaseServer) -> None:
         self._line.close()

@@ -46,7 +46,9 @@ class Unit(ABC):
         faults: what goes wrong with it.
     """
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
+    def __init__(
+        self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults
+    ) -> None:
         self.source = source
         self.faults = faults
         self.settings = settings
@@ -122,7 +124,9 @@ class Unit(ABC):
 class RingUnit(Unit):
     """mode "ring": an index, and the newest samples in slots."""
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
+    def __init__(
+        self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults
+    ) -> None:
         super().__init__(source, settings, feed, clock, faults)
         if settings.ring is None or settings.index is None:
             raise SimUsageError(f'source "{source}": mode "ring" needs index and ring')
@@ -162,7 +166,9 @@ class RingUnit(Unit):
             memory[place : place + size] = registers(row)
         count = np.array([(head - origin) % self._ring.modulus], dtype=self._index.fields[0].dtype)
         place = self._index_address - start
-        memory[place : place + self._index.size // 2] = registers(self._index.pack({"index": count}).tobytes())
+        memory[place : place + self._index.size // 2] = registers(
+            self._index.pack({"index": count}).tobytes()
+        )
         self._written = head
 
     def _note_taken(self, address: int, count: int) -> None:
@@ -187,7 +193,9 @@ class RingUnit(Unit):
 class PollUnit(Unit):
     """mode "poll": each field at an address of its own; a request sees the newest sample."""
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
+    def __init__(
+        self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults
+    ) -> None:
         super().__init__(source, settings, feed, clock, faults)
         self._fields = settings.fields
         self._lowest = min(field.address or 0 for field in settings.fields)
@@ -219,7 +227,9 @@ class PollUnit(Unit):
 class FifoUnit(Unit):
     """mode "fifo": function 24 takes whole samples from a queue, as many as 31 registers hold."""
 
-    def __init__(self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults) -> None:
+    def __init__(
+        self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults
+    ) -> None:
         super().__init__(source, settings, feed, clock, faults)
         self._batch = FIFO_REGISTERS // (slot_layout(settings.fields, settings.orders).size // 2)
         self._next = 0
@@ -249,7 +259,15 @@ class FifoUnit(Unit):
 
 UNREPRESENTABLE = {
     "tcp": ("corrupt",),
-    "rtu": ("wrong-transaction", "wrong-protocol", "half-open", "black-hole", "reset", "hang-up", "accept-close"),
+    "rtu": (
+        "wrong-transaction",
+        "wrong-protocol",
+        "half-open",
+        "black-hole",
+        "reset",
+        "hang-up",
+        "accept-close",
+    ),
 }
 """Faults that a transport cannot have: TCP mends wrong bits, a serial line has no connections."""
 UNITS: dict[str, type[Unit]] = {"ring": RingUnit, "poll": PollUnit, "fifo": FifoUnit}
@@ -258,9 +276,13 @@ UNITS: dict[str, type[Unit]] = {"ring": RingUnit, "poll": PollUnit, "fifo": Fifo
 def make_unit(bench: Bench, number: int, settings: ModbusSettings) -> Unit:
     """Return the device of one Modbus source; SimUsageError when the map names fields that there are not."""
     source = bench.source(number)
-    numbers = [WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields]
+    numbers = [
+        WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields
+    ]
     faults = bench.faults(number)
-    faults.refuse(UNREPRESENTABLE[settings.transport], f"cannot be caused on Modbus {settings.transport.upper()}")
+    faults.refuse(
+        UNREPRESENTABLE[settings.transport], f"cannot be caused on Modbus {settings.transport.upper()}"
+    )
     if settings.mode != "ring":
         faults.refuse(("restart",), "only a ring begins anew")
     feed = Feed(bench.trajectory_of(number), bench.rig, source, numbers, _packer(settings), faults.strikes)

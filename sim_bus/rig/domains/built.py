@@ -39,7 +39,8 @@ class Built:
 class Network:
     """Stores joined by losses and exchanges of power: S x' = (X - sum of g a a') x + b u, X skew.
 
-    A loss g sees the difference a' x and acts back along a; an exchange gives one store what another one loses.
+    A loss g sees the difference a' x and acts back along a; an exchange gives one store what another one
+    loses.
     """
 
     stores: dict[str, float] = field(default_factory=dict)
@@ -76,7 +77,9 @@ class Network:
             power[i, j] -= value
         by = 1.0 / np.array(list(self.stores.values()))
         reads = {place: _vector(names, at) for place, at in self.readings.items()}
-        return Built(tuple(names), by[:, None] * power, {p: by * column for p, column in pushed.items()}, reads)
+        return Built(
+            tuple(names), by[:, None] * power, {p: by * column for p, column in pushed.items()}, reads
+        )
 
 
 def _vector(names: list[str], shares: Mapping[str, float]) -> FloatArray:
@@ -94,4 +97,8 @@ def swinging(
     f = len(mass)
     moved = [[-inverse @ damping, -inverse @ stiffness], [np.eye(f), np.zeros((f, f))]]
     F = np.asarray(np.block(moved), dtype=np.float64)  # noqa: N806 - a letter of the books
-    return F, inverse, (*(f"velocity of {name}" for name in names), *(f"displacement of {name}" for name in names))
+    return (
+        F,
+        inverse,
+        (*(f"velocity of {name}" for name in names), *(f"displacement of {name}" for name in names)),
+    )

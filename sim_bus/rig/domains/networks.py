@@ -8,7 +8,9 @@ GRAVITY = 9.80665
 
 def ladder_values(raw: Raw) -> dict[str, float]:
     """Return R1, L1, C1, R2 ... and load."""
-    values = {f"{key}{i}": stage[key] for i, stage in enumerate(raw["stage"], 1) for key in "RLC" if key in stage}
+    values = {
+        f"{key}{i}": stage[key] for i, stage in enumerate(raw["stage"], 1) for key in "RLC" if key in stage
+    }
     return values | ({"load": raw["load"]} if "load" in raw else {})
 
 

@@ -12,7 +12,9 @@ GAUSS = np.polynomial.legendre.leggauss(4)
 
 def torsional_values(raw: Raw) -> dict[str, float]:
     """Return inertias, shafts and bearings."""
-    return {row["name"]: row["nominal"] for key in ("inertia", "shaft", "bearing") for row in raw.get(key, ())}
+    return {
+        row["name"]: row["nominal"] for key in ("inertia", "shaft", "bearing") for row in raw.get(key, ())
+    }
 
 
 def torsional(raw: Raw, values: Values) -> Built:
@@ -91,9 +93,9 @@ def _beam(one: int, other: int, at: FloatArray, size: int) -> tuple[FloatArray, 
         straight = (1 - x) * along[0] + x * along[1]
         bent = (1 - 3 * x**2 + 2 * x**3) * across[0] + (3 * x**2 - 2 * x**3) * across[1]
         bent = bent + length * ((x - 2 * x**2 + x**3) * turn[0] + (x**3 - x**2) * turn[1])
-        curve = ((12 * x - 6) * (across[0] - across[1]) + length * ((6 * x - 4) * turn[0] + (6 * x - 2) * turn[1])) / (
-            length**2
-        )
+        curve = (
+            (12 * x - 6) * (across[0] - across[1]) + length * ((6 * x - 4) * turn[0] + (6 * x - 2) * turn[1])
+        ) / (length**2)
         mass += weight * length / 2 * (np.outer(straight, straight) + np.outer(bent, bent))
         stiffness += weight * length / 2 * np.outer(curve, curve)
     return along[1] - along[0], mass, stiffness

@@ -45,7 +45,10 @@ class DomainTable(BaseModel):
     @property
     def nominal(self) -> dict[str, float]:
         """Every element by name."""
-        return {name: float(value) for name, value in self._tried(lambda: KINDS[self.kind].values(self.raw)).items()}
+        return {
+            name: float(value)
+            for name, value in self._tried(lambda: KINDS[self.kind].values(self.raw)).items()
+        }
 
     def built(self, values: Values) -> Built:
         """Return the motion for one set of elements."""
@@ -55,7 +58,14 @@ class DomainTable(BaseModel):
     def _tried(self, make: Callable[[], Any]) -> Any:
         try:
             return make()
-        except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError, np.linalg.LinAlgError) as error:
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            ZeroDivisionError,
+            np.linalg.LinAlgError,
+        ) as error:
             what = f"model: no {self.kind} stands there ({error}); deltak check says what to do"
             raise SimUsageError(what) from error
 

@@ -1,4 +1,5 @@
-"""A year of a machine whose spring follows the hall's temperature by -0.3 %/K with a lag of 2 h: alarms of 3 %."""
+"""A year of a machine whose spring follows the hall's temperature by -0.3 %/K with a lag of 2 h: alarms of 3
+%."""
 
 import json
 from dataclasses import replace
@@ -53,7 +54,8 @@ def part_of(played: Year, first_day: float, last_day: float) -> Year:
 
 
 def check(known: Learnt, seed: int, every: int) -> None:
-    """See that compensated alarms of a year are none, others are many, and that a true loss is found within 2 days."""
+    """See that compensated alarms of a year are none, others are many, and that a true loss is found within 2
+    days."""
     (dependence,) = json.loads(known.baseline.covariates)
     assert abs(dependence["coefficient"] - K * PER_KELVIN) < 4 * dependence["sd"]
     assert dependence["sd"] < 0.03 * K * abs(PER_KELVIN)
@@ -66,7 +68,9 @@ def check(known: Learnt, seed: int, every: int) -> None:
         assert day <= found[0] <= day + 2.0
 
 
-def test_a_year_raises_nothing_where_temperature_is_taken_out_and_a_loss_is_found_in_two_days(known: Learnt) -> None:
+def test_a_year_raises_nothing_where_temperature_is_taken_out_and_a_loss_is_found_in_two_days(
+    known: Learnt,
+) -> None:
     check(known, 0, EVERY)
 
 
@@ -79,7 +83,9 @@ def test_years_of_rows_each_10_min_raise_nothing_and_losses_are_found(tmp_path: 
         check(learnt(folder, seed, 1), seed, 1)
 
 
-def test_limits_from_the_compensated_spread_raise_at_most_once_in_30_days_of_other_seeds(known: Learnt) -> None:
+def test_limits_from_the_compensated_spread_raise_at_most_once_in_30_days_of_other_seeds(
+    known: Learnt,
+) -> None:
     found = limits(known.db, None)["parameters"]["k1"]
     assert found["compensated"] == ["temperature"]
     assert found["limit"] < LIMIT * K  # with the temperature's part in it a limit would have to be wider

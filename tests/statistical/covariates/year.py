@@ -1,4 +1,5 @@
-"""A year of a machine whose spring follows the temperature of its hall: a row each 10 min, with gaps and restarts."""
+"""A year of a machine whose spring follows the temperature of its hall: a row each 10 min, with gaps and
+restarts."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,15 @@ from agent.blocks.level_alarms import LevelAlarms
 from agent.config import Alarm
 from agent.config.covariates.tables import Covariate
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition, Baseline, BoolArray, CovariateMean, EstimateBatch, FloatArray, IntArray
+from agent.types import (
+    AlarmTransition,
+    Baseline,
+    BoolArray,
+    CovariateMean,
+    EstimateBatch,
+    FloatArray,
+    IntArray,
+)
 from tests.storage.rows import START, batch, run_info
 
 K, PER_KELVIN, LAG_S = 25.0, -0.003, 7200.0
@@ -49,7 +58,9 @@ def first_order(x: FloatArray, steps: float) -> FloatArray:
     return out
 
 
-def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None = None, every: int = 1) -> Year:
+def year(
+    seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None = None, every: int = 1
+) -> Year:
     """Play a machine that loses 5 % of its spring on a day; a tenth of the rows and two stretches are absent.
 
     every: only each so many of the rows are kept.
@@ -67,7 +78,9 @@ def year(seed: int, days: int = 365, phase: float = 0.0, lost_from: float | None
     rows[round(0.45 * len(k)) : round(0.45 * len(k)) + 5 * DAY] = False
     read = np.ones(len(k), dtype=bool)
     read[round(0.7 * len(k)) : round(0.7 * len(k)) + 3 * DAY] = False  # the thermometer's cable
-    return Year(t_ns[rows], k[rows], t_ns[read] + 17 * 10**9, hall[read] + 0.1 * rng.standard_normal(read.sum()))
+    return Year(
+        t_ns[rows], k[rows], t_ns[read] + 17 * 10**9, hall[read] + 0.1 * rng.standard_normal(read.sum())
+    )
 
 
 def rows_of(played: Year, part: BoolArray | slice = slice(None), first_ns: int = START) -> EstimateBatch:
@@ -96,8 +109,11 @@ def stored(path: Path, played: Year, days: int) -> Path:
     return path
 
 
-def alarms(played: Year, baseline: Baseline, limit: float, on_delay_s: float, pieces: int = 9) -> list[AlarmTransition]:
-    """Return the steps of an alarm over rows that come piece by piece, the agent started anew between some of them."""
+def alarms(
+    played: Year, baseline: Baseline, limit: float, on_delay_s: float, pieces: int = 9
+) -> list[AlarmTransition]:
+    """Return the steps of an alarm over rows that come piece by piece, the agent started anew between some of
+    them."""
     rule = Alarm(parameter="k1", limit=limit * K, on_delay_s=on_delay_s)
     found: list[AlarmTransition] = []
     levels = LevelAlarms("press-7", [rule], 1.0)
@@ -119,4 +135,6 @@ def alarms(played: Year, baseline: Baseline, limit: float, on_delay_s: float, pi
 def counted(rows: EstimateBatch, baseline: Baseline) -> EstimateBatch:
     """Return rows that count from a baseline where its covariates are at their centres."""
     own = baseline.baseline_id
-    return replace(rows, reference=np.array([baseline.reference]), baseline_id=(own,), reference_sd=(baseline.sd,))
+    return replace(
+        rows, reference=np.array([baseline.reference]), baseline_id=(own,), reference_sd=(baseline.sd,)
+    )

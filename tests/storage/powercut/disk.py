@@ -1,8 +1,9 @@
 """A disk made of a log of operations: what of it is left when the power goes at any moment.
 
-What was synced stays. Of what was not, any part may be there: nothing, a prefix, any subset, in any order, writes torn
-at multiples of 512 bytes. Names (created, renamed, deleted) are there up to some point after the folder's last sync.
-After a sync that failed nothing of what it was to write ever arrives, though processes still read it, as on Linux.
+What was synced stays. Of what was not, any part may be there: nothing, a prefix, any subset, in any order,
+writes torn at multiples of 512 bytes. Names (created, renamed, deleted) are there up to some point after the
+folder's last sync. After a sync that failed nothing of what it was to write ever arrives, though processes
+still read it, as on Linux.
 """
 
 import struct
@@ -59,7 +60,9 @@ class Disk:
             for write in file.pending:
                 _write(file.synced, write)
             file.pending.clear()
-        elif kind == "F":  # what a failed sync was to write is clean in the cache from then on, and nowhere else
+        elif (
+            kind == "F"
+        ):  # what a failed sync was to write is clean in the cache from then on, and nowhere else
             file = self.files[operation.file]
             file.pending = [change for change in file.pending if change.kind == "T"]
         elif kind in "OUR":

@@ -1,4 +1,5 @@
-"""Starts writing processes quickly: everything is imported once, each line "DB PROFILE" on stdin forks one of them.
+"""Starts writing processes quickly: everything is imported once, each line "DB PROFILE" on stdin forks one of
+them.
 
 On stdout: "pid N", then what that process tells, then "dead" once it has ended.
 """

@@ -1,7 +1,8 @@
-"""Starts processes on a failing disk: each JSON line on stdin forks one, in which chosen operations fail (oplog.c).
+"""Starts processes on a failing disk: each JSON line on stdin forks one, in which chosen operations fail
+(oplog.c).
 
-Tells on stdout: each "n" that write n is acknowledged, "failed KIND PATH", "seen KIND N ...", "end DROPPED" and
-"dead CODE".
+Tells on stdout: each "n" that write n is acknowledged, "failed KIND PATH", "seen KIND N ...", "end DROPPED"
+and "dead CODE".
 """
 
 import ctypes
@@ -39,7 +40,15 @@ def shim() -> Any:
 
 
 def life(  # noqa: PLR0917 - the arguments are what a line of JSON says
-    path: str, kind: str, error: int, first: int, count: int, writes: int, number: int, stop: bool, patience_s: float
+    path: str,
+    kind: str,
+    error: int,
+    first: int,
+    count: int,
+    writes: int,
+    number: int,
+    stop: bool,
+    patience_s: float,
 ) -> None:
     """Write as the agent does: through the writer's thread, which must live on whatever the disk does."""
     library, profile = shim(), PROFILES["live"]

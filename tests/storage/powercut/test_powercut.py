@@ -55,7 +55,12 @@ def record(
 def laid_before(path: Path, inode: int, content: bytes) -> list[Operation]:
     """Return the operations that put a file there before the recording began."""
     start = Operation("O", inode, 0, str(path).encode())
-    return [start, Operation("W", inode, 0, content), Operation("S", inode, 0, b""), Operation("D", 0, 0, b"")]
+    return [
+        start,
+        Operation("W", inode, 0, content),
+        Operation("S", inode, 0, b""),
+        Operation("D", 0, 0, b""),
+    ]
 
 
 def lay(files: dict[str, bytes], folder: Path) -> Path:
@@ -88,7 +93,8 @@ class Found:
 
 
 class Starts:
-    """Starts on disks after cuts, as the agent does it; a disk that was started on before need not be tried again."""
+    """Starts on disks after cuts, as the agent does it; a disk that was started on before need not be tried
+    again."""
 
     def __init__(self, folder: Path, profile: str) -> None:
         self._folder, self._profile = folder, PROFILES[profile]
@@ -152,7 +158,9 @@ def _digest(files: dict[str, bytes]) -> tuple[bytes, dict[str, int]]:
 
 
 @pytest.mark.parametrize("profile", WRITES)
-@pytest.mark.parametrize("count", [667, pytest.param(16_667, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])])
+@pytest.mark.parametrize(
+    "count", [667, pytest.param(16_667, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+)
 def test_power_cut_at_any_moment_loses_nothing_acknowledged(
     shim: Path, memory: Path, rng: np.random.Generator, profile: str, count: int
 ) -> None:
@@ -160,10 +168,14 @@ def test_power_cut_at_any_moment_loses_nothing_acknowledged(
     for moment, files, acknowledged in cuts(record(shim, memory, profile), count, rng):
         assert starts.lost(files, acknowledged) == 0, f"cut at operation {moment}"
         assert not starts.found(files).damaged, f"the cut at operation {moment} left what needs a repair"
-    figure(f"power cuts, {profile}: {starts.cuts} ({starts.different} different disks), nothing acknowledged lost")
+    figure(
+        f"power cuts, {profile}: {starts.cuts} ({starts.different} different disks), nothing acknowledged lost"
+    )
 
 
-def test_power_cuts_with_synchronous_normal_lose_rows(shim: Path, memory: Path, rng: np.random.Generator) -> None:
+def test_power_cuts_with_synchronous_normal_lose_rows(
+    shim: Path, memory: Path, rng: np.random.Generator
+) -> None:
     """The red twin: were the store set to NORMAL, this suite would see it."""
     starts, operations = Starts(memory / "cut", "live"), record(shim, memory, "live", "NORMAL")
     lost = [starts.lost(files, reported) for _, files, reported in cuts(operations, 200, rng)]

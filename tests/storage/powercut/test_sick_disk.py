@@ -1,4 +1,5 @@
-"""Every operation on files fails once, several times, or until the disk is mended: the writer goes on and says so."""
+"""Every operation on files fails once, several times, or until the disk is mended: the writer goes on and
+says so."""
 
 import errno
 import json
@@ -29,7 +30,8 @@ WRITES = 8
 EXPENDABLE = re.compile(r"|.*\.(ballast|lock)|U .*\.new-(wal|journal|shm)|O .*/trial")
 """What may fail without anybody being told.
 
-Room in reserve, who holds the lock, what is deleted before it is made, SQLite's own sync of the folder (ours is told).
+Room in reserve, who holds the lock, what is deleted before it is made, SQLite's own sync of the folder (ours
+is told).
 """
 
 
@@ -50,7 +52,8 @@ class Ward:
         self.folder, self.log = folder / "work", folder / "log"
         self.folder.mkdir()
         environment = {
-            **os.environ, "LD_PRELOAD": str(shim), "DELTAK_OPLOG_ROOT": str(self.folder), "DELTAK_OPLOG": str(self.log),
+            **os.environ, "LD_PRELOAD": str(shim), "DELTAK_OPLOG_ROOT": str(self.folder),
+            "DELTAK_OPLOG": str(self.log),
         }  # fmt: skip
         command = [sys.executable, "-m", "tests.storage.powercut.sick"]
         self._process = subprocess.Popen(
@@ -115,7 +118,8 @@ def whole(path: Path, acknowledged: list[int]) -> tuple[int, set[str], set[str]]
 
 
 def plan(seen: dict[str, int], every: int) -> Iterator[tuple[str, int, int, int]]:
-    """Yield kind, error, first and count: every `every`-th write, each fourth of that of the others, each opening.
+    """Yield kind, error, first and count: every `every`-th write, each fourth of that of the others, each
+    opening.
 
     The errors take turns, and so do failing once, three times and for long; with `every` 1 each meets each.
     """
@@ -132,7 +136,9 @@ def plan(seen: dict[str, int], every: int) -> Iterator[tuple[str, int, int, int]
 
 @pytest.mark.parametrize("start", ["first", "later"])
 @pytest.mark.parametrize("every", [40, pytest.param(1, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
-def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(ward: Ward, start: str, every: int) -> None:
+def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(
+    ward: Ward, start: str, every: int
+) -> None:
     before, number = ward.fresh("before"), 0
     if start == "later":
         ward.live(before, "-", 0, 0, 0, stop=False)
@@ -156,7 +162,9 @@ def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(ward: Ward,
         retried = kind == "O" and count == 1  # by SQLite itself, or for reading only
         assert events or retried or EXPENDABLE.fullmatch(life.failed), f"nothing was told of it: {case}"
         reported.update(events or ["nothing failed" if not life.failed else "expendable"])
-    figure(f"a disk that fails, {start} start: {sum(reported.values())} operations, nothing lost; {dict(reported)}")
+    figure(
+        f"a disk that fails, {start} start: {sum(reported.values())} operations, nothing lost; {dict(reported)}"
+    )
 
 
 @pytest.mark.parametrize(("kind", "mended"), [("S", True), ("S", False), ("D", True), ("D", False)])
@@ -166,7 +174,8 @@ def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(ward: Ward,
 def test_sync_that_failed_is_never_taken_for_done(
     ward: Ward, rng: np.random.Generator, every: int, count: int, kind: str, mended: bool
 ) -> None:
-    """A process is killed after a sync (of a file, of the folder) failed, another goes on, and then the power goes."""
+    """A process is killed after a sync (of a file, of the folder) failed, another goes on, and then the power
+    goes."""
     syncs = ward.live(ward.fresh("dry"), "-", 0, 0, 0, stop=False).seen[kind]
     starts = Starts(ward.folder / "cut", "live")
     for first in range(1, syncs + 1, every if kind == "S" else 1):
@@ -175,10 +184,14 @@ def test_sync_that_failed_is_never_taken_for_done(
         ward.live(path, "-", 0, 0, 0, number=WRITES, stop=False)
         for moment, files, reported in cuts(read_log(ward.log, begin), count, rng):
             assert starts.lost(files, reported) == 0, f"{kind} {first}, cut at {moment}"
-    figure(f"power cuts after a sync ({kind}) that failed and a kill -9: {starts.cuts}, nothing acknowledged lost")
+    figure(
+        f"power cuts after a sync ({kind}) that failed and a kill -9: {starts.cuts}, nothing acknowledged lost"
+    )
 
 
-def test_reopen_whose_folder_cannot_be_synced_takes_no_row(memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reopen_whose_folder_cannot_be_synced_takes_no_row(
+    memory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(_: Path) -> None:
         raise OSError(errno.EIO, "Input/output error")
 

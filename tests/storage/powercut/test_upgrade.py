@@ -21,7 +21,9 @@ from tests.storage.powercut.disk import cuts
 from tests.storage.powercut.test_powercut import laid_before, lay, record
 from tests.storage.rows import batch, ledger, run_info, step
 
-FIXTURES = {int(path.name[8:-6]): path for path in (Path(__file__).parents[1] / "fixtures").glob("version-*.db.gz")}
+FIXTURES = {
+    int(path.name[8:-6]): path for path in (Path(__file__).parents[1] / "fixtures").glob("version-*.db.gz")
+}
 """Files as the migrations of their time left them."""
 Content = dict[str, list[tuple[object, ...]]]
 KEPT = {
@@ -37,7 +39,9 @@ KEPT = {
 
 def content(connection: sqlite3.Connection) -> Content:
     """Return what the views that every version has show."""
-    return {view: connection.execute(f"SELECT {columns} FROM {view}").fetchall() for view, columns in KEPT.items()}
+    return {
+        view: connection.execute(f"SELECT {columns} FROM {view}").fetchall() for view, columns in KEPT.items()
+    }
 
 
 def of_version(version: int, path: Path) -> Content:
@@ -66,7 +70,9 @@ def test_every_earlier_version_has_a_fixture() -> None:
 
 
 @pytest.mark.parametrize("version", FIXTURES)
-def test_upgrade_of_an_earlier_version_keeps_every_row_and_ends_as_a_new_file_does(version: int, memory: Path) -> None:
+def test_upgrade_of_an_earlier_version_keeps_every_row_and_ends_as_a_new_file_does(
+    version: int, memory: Path
+) -> None:
     path, fresh = memory / "rig.db", memory / "fresh.db"
     before = of_version(version, path)
     assert len(before["v_estimates"]) == 168
@@ -80,7 +86,9 @@ def test_upgrade_of_an_earlier_version_keeps_every_row_and_ends_as_a_new_file_do
 
 
 @pytest.mark.parametrize("version", FIXTURES)
-@pytest.mark.parametrize("count", [25, pytest.param(5000, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
+@pytest.mark.parametrize(
+    "count", [25, pytest.param(5000, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])]
+)
 def test_power_cut_during_an_upgrade_leaves_the_old_file_or_the_new_one(
     shim: Path, memory: Path, rng: np.random.Generator, version: int, count: int
 ) -> None:
@@ -118,9 +126,7 @@ def looked_at(path: Path) -> int:
 
 
 def test_first_start_loads_no_pandas_though_it_is_installed(memory: Path) -> None:
-    code = (
-        "import sys; from agent.storage.write.store import Store; Store.open(sys.argv[1]); print(sorted(sys.modules))"
-    )
+    code = "import sys; from agent.storage.write.store import Store; Store.open(sys.argv[1]); print(sorted(sys.modules))"
     command = [sys.executable, "-c", code, memory / "rig.db"]
     done = subprocess.run(command, cwd=peers.ROOT, capture_output=True, text=True, check=True)
     assert "'sqlite_utils'" in done.stdout

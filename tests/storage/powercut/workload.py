@@ -1,6 +1,8 @@
-"""A process that writes to a store and says on its standard output what was acknowledged; for the tests that kill it.
+"""A process that writes to a store and says on its standard output what was acknowledged; for the tests that
+kill it.
 
-python -m tests.storage.powercut.workload DB PROFILE COUNT SYNCHRONOUS: each line "n" means that write n is committed.
+python -m tests.storage.powercut.workload DB PROFILE COUNT SYNCHRONOUS: each line "n" means that write n is
+committed.
 """
 
 import os

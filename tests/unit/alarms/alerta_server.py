@@ -1,4 +1,5 @@
-"""Prints what alerta-server's model of ANSI/ISA-18.2 does, as JSON: run by an environment that has alerta-server.
+"""Prints what alerta-server's model of ANSI/ISA-18.2 does, as JSON: run by an environment that has
+alerta-server.
 
 Rows of state, severity before, severity now, what is done (None: an event comes), state after.
 """

@@ -34,7 +34,10 @@ class Place(NamedTuple):
 
 
 PLACES = [
-    Place(cause, state, stands) for cause in CAUSES for state in STATES for stands in STANDS.get(state, (False, True))
+    Place(cause, state, stands)
+    for cause in CAUSES
+    for state in STATES
+    for stands in STANDS.get(state, (False, True))
 ]
 
 
@@ -80,7 +83,8 @@ def _meant(cell: str, place: Place) -> str:
 
 
 def play(answers: Answers, events: int) -> tuple[int, int]:
-    """Play random events to both; return how often they agreed and how often they differed as the documents say."""
+    """Play random events to both; return how often they agreed and how often they differed as the documents
+    say."""
     rng, differences, seen = random.Random(SEED), listed(), Counter[bool]()
     alarm = Alarm()
     for _ in range(events):
@@ -123,4 +127,6 @@ def test_hundred_thousand_events_are_played_to_alerta_server_itself(tmp_path: Pa
     text = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120).stdout
     assert json.loads(text) == json.loads(KEPT.read_text(encoding="utf-8"))
     agreed, differed = play(read(text), 100_000)
-    figure(f"alarm states beside alerta-server: {agreed} of 100000 events agree, {differed} differ as listed, 0 others")
+    figure(
+        f"alarm states beside alerta-server: {agreed} of 100000 events agree, {differed} differ as listed, 0 others"
+    )

@@ -104,7 +104,9 @@ def play(seed: int, events: int) -> None:
         alarm = found or alarm
         assert (alarm.state, alarm.stands) == (other.name, other.active), (number, before, cause)
         assert found is not None or cause in COMMANDS, "what happens by itself is never refused"
-        assert alarm.stands == before.stands or cause in {"raise", "clear"}, "only its condition changes a condition"
+        assert alarm.stands == before.stands or cause in {"raise", "clear"}, (
+            "only its condition changes a condition"
+        )
         if before.state in SUPPRESSED and cause in {"raise", "clear", "re-alarm"}:
             assert alarm.state == before.state, "a suppressed alarm announces nothing"
         if alarm.state not in SUPPRESSED:

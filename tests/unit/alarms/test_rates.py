@@ -2,7 +2,16 @@
 
 import random
 
-from agent.alarms.rates import DAY_NS, MINUTE_NS, TEN_MINUTES_NS, Announced, Flood, floods_of, most_within, rates
+from agent.alarms.rates import (
+    DAY_NS,
+    MINUTE_NS,
+    TEN_MINUTES_NS,
+    Announced,
+    Flood,
+    floods_of,
+    most_within,
+    rates,
+)
 
 K1, K2 = ("press-7", "level", "k1"), ("press-7", "level", "k2")
 
@@ -42,4 +51,6 @@ def test_fullest_stretch_is_that_which_trying_all_finds() -> None:
     for _ in range(30):
         times = sorted(rng.randrange(10**6) for _ in range(40))
         length = rng.randrange(1, 10**6)
-        assert most_within(times, length) == max(sum(t <= other < t + length for other in times) for t in times)
+        assert most_within(times, length) == max(
+            sum(t <= other < t + length for other in times) for t in times
+        )

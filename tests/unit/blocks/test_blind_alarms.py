@@ -99,7 +99,9 @@ def test_missing_samples_are_no_time_and_clear_nothing() -> None:
 def test_what_a_channels_alarm_explains_is_told_once() -> None:
     assert alarms().step(rows(0, 90.0, INVALID, Reason.STUCK), explained=True) == []
     assert said(alarms().step(rows(0, 90.0, INVALID, Reason.STUCK))) == [("blind", "k1", "UNACK")]
-    assert said(alarms().step(rows(0, 90.0, INVALID, Reason.CHANGING), explained=True)) == [("blind", "k1", "UNACK")]
+    assert said(alarms().step(rows(0, 90.0, INVALID, Reason.CHANGING), explained=True)) == [
+        ("blind", "k1", "UNACK")
+    ]
 
 
 def test_parameters_that_are_blind_for_one_reason_share_one_alarm() -> None:

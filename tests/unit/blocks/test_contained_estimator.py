@@ -1,4 +1,5 @@
-"""A method that raises is made anew: the window that failed has rows with a reason, all others their estimates."""
+"""A method that raises is made anew: the window that failed has rows with a reason, all others their
+estimates."""
 
 from dataclasses import dataclass, field
 
@@ -53,7 +54,9 @@ def contained(bad: int, error: Exception) -> ContainedEstimator:
     return ContainedEstimator(lambda budget: Fragile(bad, error, budget=budget), budget_of(20), PLAN, q=2)
 
 
-@pytest.mark.parametrize("error", [np.linalg.LinAlgError("no SVD"), ValueError("no gain"), OverflowError("too far")])
+@pytest.mark.parametrize(
+    "error", [np.linalg.LinAlgError("no SVD"), ValueError("no gain"), OverflowError("too far")]
+)
 def test_contained_estimator_numerical_failure_marks_its_window_and_no_other(error: Exception) -> None:
     estimator = contained(47, error)
     missing = np.zeros((100, 2), dtype=bool)
@@ -75,7 +78,9 @@ def test_contained_estimator_what_is_no_number_is_a_failure_of_its_window_and_in
             rows.theta[:] = (y**2).max()
             return rows
 
-    estimator = ContainedEstimator(lambda budget: Overflowing(-1, KeyError(), budget=budget), budget_of(20), PLAN, q=2)
+    estimator = ContainedEstimator(
+        lambda budget: Overflowing(-1, KeyError(), budget=budget), budget_of(20), PLAN, q=2
+    )
     y = np.ones((100, 1))
     y[47] = 1e200
     rows = estimator.step(0, y, y)

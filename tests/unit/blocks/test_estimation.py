@@ -45,7 +45,10 @@ class Told:
             if i >= 29:
                 rows.dof[row], rows.window[row] = 40.0, 30
                 rows.theta[row], rows.sd[row] = [i, 2.0 * i], [self.sd.get(i, 0.1), 0.1]
-                rows.lower[row], rows.upper[row] = rows.theta[row] - rows.sd[row], rows.theta[row] + 3 * rows.sd[row]
+                rows.lower[row], rows.upper[row] = (
+                    rows.theta[row] - rows.sd[row],
+                    rows.theta[row] + 3 * rows.sd[row],
+                )
                 rows.status[row] = np.where(rows.sd[row] < 1.0, Status.VALID, Status.UNEXCITED)
             if i in self.changing or i in self.mismatch:
                 rows.invalidate(row, Reason.CHANGING if i in self.changing else Reason.MISMATCH)
@@ -54,7 +57,18 @@ class Told:
 
 def estimation(method: Told) -> Estimation:
     labels = Labels(
-        "rig", "told", ("k", "B"), ("N/m", "N s/m"), np.zeros(2), None, 30, 30, HOP, 1000.0, 0, np.array([1.0, 1.0])
+        "rig",
+        "told",
+        ("k", "B"),
+        ("N/m", "N s/m"),
+        np.zeros(2),
+        None,
+        30,
+        30,
+        HOP,
+        1000.0,
+        0,
+        np.array([1.0, 1.0]),
     )
     return Estimation(method, labels)
 
@@ -63,7 +77,9 @@ def feed(block: Estimation, cuts: list[int], total: int = 100) -> list[EstimateB
     batches = []
     for start, stop in zip([0, *cuts], [*cuts, total], strict=True):
         index: IntArray = np.arange(start, stop, dtype=np.int64)
-        samples = Samples(index, START + index * 1_000_000, np.zeros((len(index), 1)), np.zeros((len(index), 1)), 0)
+        samples = Samples(
+            index, START + index * 1_000_000, np.zeros((len(index), 1)), np.zeros((len(index), 1)), 0
+        )
         batch = block.step(samples).batch
         batches += [] if batch is None else [batch]
     return batches
@@ -106,7 +122,18 @@ def test_estimation_any_cutting_gives_the_same_rows_to_the_last_bit(cuts: list[i
         return Told(sd={39: 5.0, 49: 5.0}, changing={69, 79}, mismatch={89})
 
     whole, cut = feed(estimation(method()), []), feed(estimation(method()), cuts)
-    for name in ("index", "t_ns", "value", "sd", "status", "reason", "held", "held_age_s", "n_used", "window_s"):
+    for name in (
+        "index",
+        "t_ns",
+        "value",
+        "sd",
+        "status",
+        "reason",
+        "held",
+        "held_age_s",
+        "n_used",
+        "window_s",
+    ):
         np.testing.assert_array_equal(column(cut, name), column(whole, name), err_msg=name)
 
 

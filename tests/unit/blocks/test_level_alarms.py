@@ -34,7 +34,9 @@ class Rule:
     advice: str | None = None
 
 
-def batch(values: Any, status: Any = Status.VALID, sd: Any = 1.0, start: int = 0, **more: Any) -> EstimateBatch:
+def batch(
+    values: Any, status: Any = Status.VALID, sd: Any = 1.0, start: int = 0, **more: Any
+) -> EstimateBatch:
     """Make rows from values (N,) or (N, q); start is the number of the first row."""
     value = np.atleast_2d(np.asarray(values, dtype=float).T).T
     shape, rows = value.shape, np.arange(start, start + len(value))
@@ -44,12 +46,14 @@ def batch(values: Any, status: Any = Status.VALID, sd: Any = 1.0, start: int = 0
         "rig": "press", "method": "window-ml",
         "parameters": ("k1", "k2", "B1")[: shape[1]], "units": ("N/m",) * shape[1],
         "reference": np.full(shape[1], 25.0), "baseline_id": None, "index": FIRST + HOP * rows,
-        "t_ns": (FIRST + HOP * rows) * 1_000_000, "value": value, "sd": np.broadcast_to(np.asarray(sd, float), shape),
+        "t_ns": (FIRST + HOP * rows) * 1_000_000, "value": value,
+        "sd": np.broadcast_to(np.asarray(sd, float), shape),
         "lower": nothing, "upper": nothing,
         "sd_repeat": np.broadcast_to(np.asarray(sd, float), shape), "status": status,
         "reason": np.full(shape, Reason.NONE, np.uint8),
         "held": nothing, "held_age_s": nothing, "window_s": np.full(shape, 0.25),
-        "n_used": np.full(len(value), 250), "n_missing": np.zeros(len(value), int), "dof": np.full(len(value), np.inf),
+        "n_used": np.full(len(value), 250), "n_missing": np.zeros(len(value), int),
+        "dof": np.full(len(value), np.inf),
     }  # fmt: skip
     return EstimateBatch(**(fields | more))
 
@@ -89,7 +93,8 @@ def pieces(whole: EstimateBatch, cuts: list[int]) -> list[EstimateBatch]:
     per_row = [name for name in names if np.ndim(getattr(whole, name))]
     edges = [0, *sorted(cuts), len(whole)]
     return [
-        replace(whole, **{name: getattr(whole, name)[a:b] for name in per_row}) for a, b in itertools.pairwise(edges)
+        replace(whole, **{name: getattr(whole, name)[a:b] for name in per_row})
+        for a, b in itertools.pairwise(edges)
     ]
 
 
@@ -133,7 +138,9 @@ def test_level_alarms_batch_cut_anywhere_gives_identical_transitions(
     rule = Rule(on_delay_s=on, off_delay_s=off)
     at_once = LevelAlarms("press", [rule], RATE).step(whole)
     alarms = LevelAlarms("press", [rule], RATE)
-    in_pieces = [t for piece in pieces(whole, [c for c in cuts if c <= len(values)]) for t in alarms.step(piece)]
+    in_pieces = [
+        t for piece in pieces(whole, [c for c in cuts if c <= len(values)]) for t in alarms.step(piece)
+    ]
     assert in_pieces == at_once
     assert at_once == plain_transitions(values, status, on, off)
 
@@ -164,7 +171,9 @@ def plain_transitions(values: list[float], status: list[Status], on: float, off:
 
 
 def test_level_alarms_chatter_on_the_limit_is_at_most_one_activation(rng: np.random.Generator) -> None:
-    noise = rng.normal(40.0, 1.0, 72_000)  # one hour of rows; the estimate sits on the limit with its own noise
+    noise = rng.normal(
+        40.0, 1.0, 72_000
+    )  # one hour of rows; the estimate sits on the limit with its own noise
     found = LevelAlarms("press", [Rule(on_delay_s=0.2, off_delay_s=2.0)], RATE).step(batch(noise))
     assert sum(t.to_state == "UNACK" for t in found) <= 1
 
@@ -202,14 +211,20 @@ def test_level_alarms_raised_carries_figures_and_a_sentence() -> None:
 
 
 def test_level_alarms_cleared_says_so_with_the_baseline_it_was_judged_by() -> None:
-    _, cleared = LevelAlarms("press", [Rule()], RATE).step(batch([50.0] * 5 + [21.8], sd=0.12, baseline_id=(7,)))
+    _, cleared = LevelAlarms("press", [Rule()], RATE).step(
+        batch([50.0] * 5 + [21.8], sd=0.12, baseline_id=(7,))
+    )
     assert cleared.message == "k1 is back within its limit: 3.20 ± 0.12 N/m below its baseline 25 (limit 15)"
     assert (cleared.cause, cleared.limit_value, cleared.probability) == ("clear", 15.0, pytest.approx(1.0))
 
 
 def test_level_alarms_probability_is_that_of_students_t() -> None:
-    (raised,) = LevelAlarms("press", [Rule(confidence=0.9)], RATE).step(batch([42.0] * 5, dof=np.full(5, 5.0)))
-    assert raised.probability == pytest.approx(0.94903, abs=1e-5)  # t = 2, five degrees of freedom: table value
+    (raised,) = LevelAlarms("press", [Rule(confidence=0.9)], RATE).step(
+        batch([42.0] * 5, dof=np.full(5, 5.0))
+    )
+    assert raised.probability == pytest.approx(
+        0.94903, abs=1e-5
+    )  # t = 2, five degrees of freedom: table value
 
 
 def test_level_alarms_restored_as_acknowledged_and_cleared_is_normal() -> None:

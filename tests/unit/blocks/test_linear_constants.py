@@ -27,7 +27,9 @@ def test_gain_that_entries_can_do_in_its_place_does_not_show(
     file = tmp_path / "rig.toml"
     text = OPEN.replace('"A[1,0]", "A[0,0]", "C[0,0]", "D[1,0]"', uncertain)
     text = text if direct else text.replace("D = [[0.0], [0.02]]\n", "")
-    file.write_text(text[: text.index("[[alarm]]")].replace("noise_sd = 1e-4\n", f"noise_sd = 1e-4\n{bias}", 1))
+    file.write_text(
+        text[: text.index("[[alarm]]")].replace("noise_sd = 1e-4\n", f"noise_sd = 1e-4\n{bias}", 1)
+    )
     constants = statistical_rig(load(file)).constants
     assert {constant.name for constant in constants if not constant.shows} == hidden
 

@@ -47,10 +47,18 @@ def test_forecast_nearer_than_within_raises_and_tells_when() -> None:
     alarms = PrognosisAlarms("press", [Rule()])
     assert alarms.step(outlook(40.0)) == []
     (raised,) = alarms.step(outlook(20.0, t_ns=7))
-    assert (raised.kind, raised.parameter, raised.from_state, raised.to_state) == ("forecast", "k1", "NORM", "UNACK")
+    assert (raised.kind, raised.parameter, raised.from_state, raised.to_state) == (
+        "forecast",
+        "k1",
+        "NORM",
+        "UNACK",
+    )
     assert (raised.t_ns, raised.priority, raised.cause) == (7, "high", "raise")
     assert (raised.delta, raised.sd, raised.limit_value, raised.probability) == (-1.0, 0.1, 5.0, 1.0)
-    assert raised.message == "k1 reaches its limit 5 N/m in 20 days (80 %: 16 days … 24 days; alarm within 30 days)"
+    assert (
+        raised.message
+        == "k1 reaches its limit 5 N/m in 20 days (80 %: 16 days … 24 days; alarm within 30 days)"
+    )
     assert alarms.step(outlook(10.0)) == []
 
 
@@ -80,10 +88,13 @@ def test_limit_that_nothing_leads_to_any_more_clears(status: Status) -> None:
 
 
 @pytest.mark.parametrize(("side", "slope", "raises"), [
-    ("both", -1.0, True), ("low", -1.0, True), ("high", -1.0, False), ("both", 1.0, True), ("low", 1.0, False),
+    ("both", -1.0, True), ("low", -1.0, True), ("high", -1.0, False), ("both", 1.0, True),
+    ("low", 1.0, False),
     ("both", -0.55, False), ("both", -0.2, False),
 ])  # fmt: skip
-def test_rate_raises_where_its_interval_is_beyond_on_the_side_asked_for(side: str, slope: float, raises: bool) -> None:
+def test_rate_raises_where_its_interval_is_beyond_on_the_side_asked_for(
+    side: str, slope: float, raises: bool
+) -> None:
     alarms = PrognosisAlarms("press", [Rule(kinds=("rate",), side=side)])
     assert kinds(alarms.step(outlook(10.0, slope=(slope, 0.1)))) == ([("rate", "UNACK")] if raises else [])
 

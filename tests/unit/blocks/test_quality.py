@@ -145,7 +145,9 @@ def _spread(pieces: list[Samples], name: str) -> list[object]:
 def test_sensor_alarms_raise_once_and_clear_once() -> None:
     alarms, fault = SensorAlarms("rig"), SensorFault("x1", Reason.STUCK)
     other = SensorFault("x1", Reason.SENSOR)
-    events = [SensorEvent(f, s, i, i) for i, (f, s) in enumerate([(fault, True), (other, True), (fault, False)])]
+    events = [
+        SensorEvent(f, s, i, i) for i, (f, s) in enumerate([(fault, True), (other, True), (fault, False)])
+    ]
     states = [(change.kind, change.parameter, change.to_state) for change in alarms.step(events)]
     assert states == [("sensor", "x1", "UNACK"), ("sensor", "x1", "RTNUN")]
     assert alarms.step([SensorEvent(other, False, 9, 9)]) == []

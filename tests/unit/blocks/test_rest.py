@@ -30,7 +30,9 @@ def test_rest_silences_after_ten_seconds_and_the_first_valid_row_ends_it(cut: fl
     assert rest.step(rows(0, 5.0, VALID)) == []
     pieces = (rows(100 + round(n * cut * 20), cut, UNEXCITED) for n in range(round(13 / cut)))
     found = [change for piece in pieces for change in rest.step(piece)]
-    assert [(change.cause, change.t_ns - START) for change in found] == [("suppress", round((5.0 + 9.95) * 1e9))]
+    assert [(change.cause, change.t_ns - START) for change in found] == [
+        ("suppress", round((5.0 + 9.95) * 1e9))
+    ]
     assert causes(rest.step(rows(360, 1.0, INVALID))) == []
     assert causes(rest.step(rows(380, 1.0, VALID))) == ["unsuppress"]
 

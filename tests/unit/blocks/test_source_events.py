@@ -6,7 +6,9 @@ MS = 1_000_000
 
 
 def signs(*, restarts: int = 0, gaps: int = 0, faults: dict[str, int] | None = None, **lost: int) -> Signs:
-    return Signs(restarts, {name.replace("_", " "): count for name, count in lost.items()}, faults or {}, gaps)
+    return Signs(
+        restarts, {name.replace("_", " "): count for name, count in lost.items()}, faults or {}, gaps
+    )
 
 
 def begun() -> SourceEvents:

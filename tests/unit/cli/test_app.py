@@ -78,9 +78,11 @@ RESULT = {
     "samples": {"received": 30000, "used": 29990, "rejected": {"crc": 10}, "dropped": {}, "gaps": 1},
     "estimates": {
         "k1": {"value": np.float64(25.04), "sd": 0.12, "lower": 24.8, "upper": 25.3, "delta": 0.04, "status": "valid",
-               "reason": None, "t_ns": np.int64(30_000_000_001), "unit": "N/m", "n_valid": 590, "n_rows": 596},
+               "reason": None, "t_ns": np.int64(30_000_000_001), "unit": "N/m", "n_valid": 590,
+               "n_rows": 596},
         "B1": {"value": float("nan"), "sd": float("inf"), "lower": None, "upper": None, "delta": None,
-               "status": "unexcited", "reason": "standstill", "t_ns": 30_000_000_001, "unit": "N s/m", "n_valid": 0,
+               "status": "unexcited", "reason": "standstill", "t_ns": 30_000_000_001, "unit": "N s/m",
+               "n_valid": 0,
                "n_rows": 596, "held": 5.1, "held_age_s": 12.0},
     },
     "alarms": [{"raised_at": "1970-01-01T00:00:10.500000000Z", "priority": "high", "state": "UNACK",
@@ -99,7 +101,11 @@ DEMO = RESULT | {
 
 def test_help_names_every_command_with_one_line(deltak: Run) -> None:
     code, out, _ = deltak("--help")
-    lines = {line.split()[0]: line.split()[1:] for line in out.splitlines() if line.startswith("  ") and line.split()}
+    lines = {
+        line.split()[0]: line.split()[1:]
+        for line in out.splitlines()
+        if line.startswith("  ") and line.split()
+    }
     assert code == 0
     assert [name for name in COMMANDS if not lines.get(name)] == []
 
@@ -109,11 +115,18 @@ def test_help_answers_in_a_third_of_a_second_without_heavy_libraries() -> None:
     for _ in range(3):
         start = time.perf_counter()
         done = subprocess.run(
-            [sys.executable, "-X", "importtime", "-m", "agent", "--help"], capture_output=True, text=True, check=True
+            [sys.executable, "-X", "importtime", "-m", "agent", "--help"],
+            capture_output=True,
+            text=True,
+            check=True,
         )
         took.append(time.perf_counter() - start)
-    imported = {line.rsplit("|", 1)[-1].strip().split(".")[0] for line in done.stderr.splitlines() if "|" in line}
-    assert imported.isdisjoint({"numpy", "scipy", "pydantic", "rich", "can", "pymodbus", "sqlite_utils", "matplotlib"})
+    imported = {
+        line.rsplit("|", 1)[-1].strip().split(".")[0] for line in done.stderr.splitlines() if "|" in line
+    }
+    assert imported.isdisjoint(
+        {"numpy", "scipy", "pydantic", "rich", "can", "pymodbus", "sqlite_utils", "matplotlib"}
+    )
     assert min(took) < 0.3
 
 
@@ -169,12 +182,19 @@ def test_json_usage_error_is_a_document_on_stdout_too(deltak: Run) -> None:
 FAULTS = [Fault("rig.sample_rate_hz", "0 is not above 0", "give it in Hz"), Fault("a.toml:3", "odd")]
 
 
-@pytest.mark.parametrize(("error", "code"), [(ConfigError(FAULTS), 2), (StoreError(FAULTS), 3), (BusError(FAULTS), 4)])
-def test_agent_error_prints_every_fault_and_its_exit_code(deltak: Run, body: Any, error: Any, code: int) -> None:
+@pytest.mark.parametrize(
+    ("error", "code"), [(ConfigError(FAULTS), 2), (StoreError(FAULTS), 3), (BusError(FAULTS), 4)]
+)
+def test_agent_error_prints_every_fault_and_its_exit_code(
+    deltak: Run, body: Any, error: Any, code: int
+) -> None:
     body("replay", "replay", error)
     found, out, err = deltak("replay", "--json", "a.toml", "b.csv")
     assert found == code
-    assert err == "deltak: error: rig.sample_rate_hz: 0 is not above 0; give it in Hz\ndeltak: error: a.toml:3: odd\n"
+    assert (
+        err
+        == "deltak: error: rig.sample_rate_hz: 0 is not above 0; give it in Hz\ndeltak: error: a.toml:3: odd\n"
+    )
     assert [e["path"] for e in json.loads(out)["errors"]] == ["rig.sample_rate_hz", "a.toml:3"]
 
 
@@ -185,7 +205,9 @@ def test_unforeseen_error_is_a_short_line_and_exit_1(deltak: Run, body: Any) -> 
     assert "ZeroDivisionError: division by zero" in err
 
 
-@pytest.mark.parametrize("argv", [["--debug", "replay", "a.toml", "b.csv"], ["replay", "a.toml", "b.csv", "--debug"]])
+@pytest.mark.parametrize(
+    "argv", [["--debug", "replay", "a.toml", "b.csv"], ["replay", "a.toml", "b.csv", "--debug"]]
+)
 def test_debug_shows_the_traceback_wherever_it_stands(deltak: Run, body: Any, argv: list[str]) -> None:
     body("replay", "replay", ZeroDivisionError("oh"))
     code, _, err = deltak(*argv)
@@ -254,7 +276,11 @@ def test_bodies_are_called_with_keyword_arguments(deltak: Run, body: Any) -> Non
     assert plain == {
         "demo": {"bus": "can", "scenario": "paper", "fast": "True", "db": "d.db", "rig": "two-mass"},
         "run": {"configs": two, "db": "d.db", "duration_s": "5.0", "kind": "live"},
-        "replay": {"config": "a.toml", "recordings": "[PosixPath('b.csv'), PosixPath('c.npz')]", "db": "d.db"},
+        "replay": {
+            "config": "a.toml",
+            "recordings": "[PosixPath('b.csv'), PosixPath('c.npz')]",
+            "db": "d.db",
+        },
         "check": {"config": "a.toml", "recording": "b.csv", "probe": "True"},
         "paper": {"window": "250", "passes": "8", "plot": "p.png"},
     }
@@ -275,7 +301,8 @@ def test_replay_table_names_values_status_samples_and_how_to_ask(deltak: Run, bo
     body("replay", "replay", RESULT)
     _, out, _ = deltak("replay", "a.toml", "b.csv")
     for words in (
-        "25.04 ± 0.12", "unexcited (standstill), held 5.1 since 12 s", "590 of 596", "k1 is 25.1 ± 0.9 N/m above",
+        "25.04 ± 0.12", "unexcited (standstill), held 5.1 since 12 s", "590 of 596",
+        "k1 is 25.1 ± 0.9 N/m above",
         "30000 received, 29990 used, 10 rejected (10 crc), 0 dropped, 1 gap", "deltak trend 'press 7.db' k1",
     ):  # fmt: skip
         assert words in out
@@ -292,12 +319,23 @@ def test_run_of_several_configurations_prints_each(deltak: Run, body: Any) -> No
 def test_demo_table_holds_estimates_against_the_truth(deltak: Run, body: Any) -> None:
     body("demo", "demo", DEMO)
     _, out, _ = deltak("demo")
-    for words in ("modbus TCP on 127.0.0.1:1502", "0 s to 10 s", "+0.33", "0.11", "0.5 s later", "B1", "not alarmed"):
+    for words in (
+        "modbus TCP on 127.0.0.1:1502",
+        "0 s to 10 s",
+        "+0.33",
+        "0.11",
+        "0.5 s later",
+        "B1",
+        "not alarmed",
+    ):
         assert words in out
 
 
 def test_check_that_finds_faults_prints_document_and_lines_and_exits_2(deltak: Run, body: Any) -> None:
-    document = {"ok": False, "errors": [{"path": "channel[2].at", "message": 'no mass is called "m3"', "advice": ""}]}
+    document = {
+        "ok": False,
+        "errors": [{"path": "channel[2].at", "message": 'no mass is called "m3"', "advice": ""}],
+    }
     body("check", "check", document)
     code, out, err = deltak("check", "a.toml", "--json")
     assert (code, json.loads(out)) == (2, document)
@@ -309,7 +347,8 @@ def test_check_table_tells_what_the_document_holds(deltak: Run, body: Any) -> No
         "check",
         "check",
         {
-            "ok": True, "errors": [], "warnings": ["pole at 1"], "observable": True, "bytes_per_rig_year": 150e6,
+            "ok": True, "errors": [], "warnings": ["pole at 1"], "observable": True,
+            "bytes_per_rig_year": 150e6,
             "poles": [{"re": 0.99, "im": -0.01, "freq_hz": 1.59, "damping_ratio": 0.7}],
             "condition_3": {"holds": True, "radius_model": 0.99, "radius_observer": 0.9},
             "condition_8": {"delta": 2.3e-4, "h_infinity": 4268.0, "perturbation_norm": 1e-3, "holds": False},
@@ -331,7 +370,9 @@ def test_check_table_tells_what_the_document_holds(deltak: Run, body: Any) -> No
         assert words in out
 
 
-def test_paper_table_is_the_modules_own_else_the_document(deltak: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paper_table_is_the_modules_own_else_the_document(
+    deltak: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     module = SimpleNamespace(
         paper=lambda **_: {"data": {"product": "exact"}}, table=lambda found: f"as {found['data']}"
     )
@@ -391,7 +432,9 @@ def test_take_flags_leaves_what_follows_two_dashes() -> None:
     assert (flags.verbose, flags.debug, flags.json) == (3, False, True)
 
 
-def test_logs_go_to_stderr_and_warnings_need_no_flag(deltak: Run, body: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_logs_go_to_stderr_and_warnings_need_no_flag(
+    deltak: Run, body: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def replay(**_: Any) -> Any:
         logging.getLogger("agent.test").info("%s: progress", "bus")
         logging.getLogger("agent.test").warning("%s: silent", "bus")

@@ -51,9 +51,12 @@ def test_database_without_recordings_has_no_samples(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", [
     'password = "planted-1"', "password = 'planted-1'", 'x = { password = "planted-1", y = 2 }',
     '{"api_key": "planted-1"}', "mqtt_token: planted-1", "broker = mqtt://anna:planted-1@broker:1883",
-    'secret = """\nplanted-1\n"""', "the broker refused planted-2", "env had planted-3", "a wrong planted-4 in a log",
+    'secret = """\nplanted-1\n"""', "the broker refused planted-2", "env had planted-3",
+    "a wrong planted-4 in a log",
 ])  # fmt: skip
-def test_no_secret_is_left_however_it_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+def test_no_secret_is_left_however_it_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
     (tmp_path / "key").write_text("planted-2\n")
     monkeypatch.setenv("BROKER_PASSWORD", "planted-3")
     config = tmp_path / "rig.toml"
@@ -66,11 +69,15 @@ def test_no_secret_is_left_however_it_is_written(tmp_path: Path, monkeypatch: py
 
 
 def test_what_is_no_secret_stays_to_the_letter(tmp_path: Path) -> None:
-    text = '[mqtt]\npassword = { file = "key" }\n[rig]\nname = "press-7" # the tokens of hall 2\nk = [1.5e-3]\n'
+    text = (
+        '[mqtt]\npassword = { file = "key" }\n[rig]\nname = "press-7" # the tokens of hall 2\nk = [1.5e-3]\n'
+    )
     assert Redaction([]).cleaned(text.encode()).decode() == text
 
 
-RECURSIVE = "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"
+RECURSIVE = (
+    "CREATE VIEW {} AS WITH RECURSIVE n (key) AS (SELECT 1 UNION ALL SELECT key + 1 FROM n) SELECT key FROM n"
+)
 
 
 @pytest.mark.timeout(20)
@@ -83,7 +90,9 @@ def test_bundle_of_a_file_with_views_of_others_asks_none_of_them(tmp_path: Path)
         file.commit()
     diag(db, to)
     with tarfile.open(to) as archive:
-        meta, schema = (archive.extractfile(f"deltak-diag/database/{name}.json") for name in ("meta", "schema"))
+        meta, schema = (
+            archive.extractfile(f"deltak-diag/database/{name}.json") for name in ("meta", "schema")
+        )
         assert meta is not None
         assert b"the text of view v_meta is not its own" in meta.read()
         assert schema is not None

@@ -1,4 +1,5 @@
-"""`deltak trend` on tables, with like machines and limits; `deltak fleet` on databases that the real store wrote."""
+"""`deltak trend` on tables, with like machines and limits; `deltak fleet` on databases that the real store
+wrote."""
 
 import csv
 import json
@@ -51,7 +52,9 @@ def falling(rng: np.random.Generator, n: int = 120) -> np.ndarray:
 
 
 def asked(said: Said, path: Path, limit: float | None = None, **ahead: Any) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(said(trend, path, None, None, OPEN, limit, "json", None, Ahead(**ahead)))
+    found: dict[str, Any] = json.loads(
+        said(trend, path, None, None, OPEN, limit, "json", None, Ahead(**ahead))
+    )
     return found
 
 
@@ -74,7 +77,11 @@ def test_trend_of_a_table_says_that_it_falls_faster_and_when(
 def test_trend_of_parquet_equals_that_of_csv(tmp_path: Path, rng: np.random.Generator, said: Said) -> None:
     value = falling(rng)
     one = asked(said, table(tmp_path / "a.csv", value), 18.0)
-    columns = {"time": [1_700_000_000 + DAY * i for i in range(120)], "value": value, "sd": np.full(120, 0.05)}
+    columns = {
+        "time": [1_700_000_000 + DAY * i for i in range(120)],
+        "value": value,
+        "sd": np.full(120, 0.05),
+    }
     pq.write_table(pa.table(columns), tmp_path / "a.parquet")
     assert asked(said, tmp_path / "a.parquet", 18.0) == one
 
@@ -89,7 +96,9 @@ def test_trend_of_iso_times_without_sd_is_the_same_history(tmp_path: Path, said:
     assert found["forecast"] is None
 
 
-def test_trend_limit_from_a_reference_is_a_change(tmp_path: Path, rng: np.random.Generator, said: Said) -> None:
+def test_trend_limit_from_a_reference_is_a_change(
+    tmp_path: Path, rng: np.random.Generator, said: Said
+) -> None:
     path = table(tmp_path / "a.csv", falling(rng))
     assert asked(said, path, -7.0, reference=25.0)["forecast"] == asked(said, path, 18.0)["forecast"]
 
@@ -123,7 +132,9 @@ def test_trend_of_rows_out_of_order_says_so_and_is_the_same(
     stepped = asked(said, tmp_path / "b.csv", 18.0)
     assert stepped["backward"] == 1
     assert stepped["forecast"] == straight["forecast"]
-    assert "as after a step of a clock" in said(trend, tmp_path / "b.csv", None, None, OPEN, None, "table", None)
+    assert "as after a step of a clock" in said(
+        trend, tmp_path / "b.csv", None, None, OPEN, None, "table", None
+    )
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,8 @@ class Terminal(io.StringIO):
         lambda: print_json(ROW), lambda: print_rows("rows", ["message"], [ROW], "json", 0),
         lambda: print_csv(["message"], [ROW]), lambda: print_table(ORDERS, ["message"], [[ROW["message"]]]),
         lambda: show(ORDERS), lambda: print_faults([Fault("a", ORDERS, "b")]),
-        lambda: print_faults([Fault("a", ORDERS, "b")], as_json=True), lambda: write_export({"baselines": [ROW]}, None),
+        lambda: print_faults([Fault("a", ORDERS, "b")], as_json=True),
+        lambda: write_export({"baselines": [ROW]}, None),
     ],
 )  # fmt: skip
 def test_orders_to_a_terminal_are_written_as_code_does(

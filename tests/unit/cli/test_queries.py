@@ -32,7 +32,8 @@ ROWS = 200
 
 
 def rows_of(rig: str, rng: np.random.Generator, drift: float = 0.0) -> EstimateBatch:
-    """200 rows of k1 and B1 every 0.05 s: the first two warming, ten in the middle unexcited; k1 drifts by 10 s."""
+    """200 rows of k1 and B1 every 0.05 s: the first two warming, ten in the middle unexcited; k1 drifts by 10
+    s."""
     t = np.arange(ROWS) * 0.05
     sd = np.tile([0.5, 0.05], (ROWS, 1))
     value = np.column_stack([25 + drift * t, np.full(ROWS, 5.0)]) + sd * rng.standard_normal((ROWS, 2))
@@ -42,15 +43,18 @@ def rows_of(rig: str, rng: np.random.Generator, drift: float = 0.0) -> EstimateB
     held = np.where(status == Status.UNEXCITED, 25.0, np.nan)
     return EstimateBatch(
         rig, "window-ml", ("k1", "B1"), ("N/m", "N s/m"), np.array([25.0, 5.0]), None,
-        np.arange(ROWS) * 50 + 249, START + np.arange(ROWS) * HOP_NS, value, sd, value - 2 * sd, value + 2 * sd,
-        0.5 * sd, status, np.full((ROWS, 2), Reason.NONE, np.uint8), held, held * 0.1, np.full((ROWS, 2), 0.25),
+        np.arange(ROWS) * 50 + 249, START + np.arange(ROWS) * HOP_NS, value, sd, value - 2 * sd,
+        value + 2 * sd,
+        0.5 * sd, status, np.full((ROWS, 2), Reason.NONE, np.uint8), held, held * 0.1,
+        np.full((ROWS, 2), 0.25),
         np.full(ROWS, 250), np.zeros(ROWS, int), np.full(ROWS, 400.0),
     )  # fmt: skip
 
 
 def step(rig: str, second: int, before: Any, after: Any, cause: str) -> AlarmTransition:
     return AlarmTransition(
-        rig, "level", "k1", "high", START + second * 10**9, before, after, cause, "k1 is 25.1 ± 0.9 N/m above nominal",
+        rig, "level", "k1", "high", START + second * 10**9, before, after, cause,
+        "k1 is 25.1 ± 0.9 N/m above nominal",
         delta=25.1, sd=0.9, limit_value=15.0, probability=0.999,
     )  # fmt: skip
 
@@ -90,7 +94,9 @@ Said = Callable[..., str]
 
 
 def test_estimates_json_has_the_columns_of_the_view_and_null_for_none(db: Path, said: Said) -> None:
-    rows = json.loads(said(estimates, db, "press-7", None, None, None, "json"), parse_constant=pytest.fail)["rows"]
+    rows = json.loads(said(estimates, db, "press-7", None, None, None, "json"), parse_constant=pytest.fail)[
+        "rows"
+    ]
     assert len(rows) == 2 * ROWS
     assert set(rows[0]) == set(ESTIMATE_COLUMNS)
     assert (rows[0]["status"], rows[0]["value"], rows[0]["sd"]) == ("warming", None, None)
@@ -117,14 +123,22 @@ def test_trend_takes_what_the_constants_leave_open_for_part_of_the_level_not_of_
         answers.append(json.loads(said(trend, path, "k1", None, (None, None), None, "json", None)))
     same, masses = answers
     assert masses["slope_per_day"] == pytest.approx(same["slope_per_day"], rel=0.05)
-    assert masses["slope_sd"] <= 1.3 * same["slope_sd"]  # a little wider: the rows scatter by more than they state
+    assert (
+        masses["slope_sd"] <= 1.3 * same["slope_sd"]
+    )  # a little wider: the rows scatter by more than they state
     assert masses["sd"] > 0.95 * np.sqrt(0.5**2 - 0.05**2)
     assert same["sd"] < 0.5
 
 
 def test_verdicts_say_what_is_off_by_how_much_and_how_surely(db: Path, said: Said) -> None:
     (row,) = json.loads(said(verdicts, db, "press-7", "json"))["verdicts"]
-    assert (row["hypothesis"], row["size"], row["sd"], row["unit"], row["probability"]) == ("m1", 4.2, 0.6, "%", 0.97)
+    assert (row["hypothesis"], row["size"], row["sd"], row["unit"], row["probability"]) == (
+        "m1",
+        4.2,
+        0.6,
+        "%",
+        0.97,
+    )
     (same,) = csv.DictReader(io.StringIO(said(verdicts, db, None, "csv")))
     assert tuple(same) == VERDICT_COLUMNS == tuple(row)
     table = said(verdicts, db, None, "table")
@@ -193,12 +207,24 @@ def test_alarms_table_and_csv_carry_the_message(db: Path, said: Said) -> None:
 def test_trend_json_has_every_key_and_finds_the_drift(db: Path, said: Said) -> None:
     found = json.loads(said(trend, db, "k1", "press-8", (None, None), 50.0, "json", None))
     assert {
-        "rig", "parameter", "unit", "n", "since", "until", "value", "sd", "slope_per_day", "slope_sd", "slope_lower",
+        "rig", "parameter", "unit", "n", "since", "until", "value", "sd", "slope_per_day", "slope_sd",
+        "slope_lower",
         "slope_upper", "trend", "words", "curvature_per_day2", "changes", "limit", "forecast", "points",
     } <= set(found)  # fmt: skip
     assert (found["n"], found["unit"], found["limit"]) == (ROWS - 12, "N/m", 50.0)
     ahead = found["forecast"]
-    ahead_keys = {"status", "p10_s", "p50_s", "p90_s", "p10_at", "p50_at", "p90_at", "chance", "family", "record"}
+    ahead_keys = {
+        "status",
+        "p10_s",
+        "p50_s",
+        "p90_s",
+        "p10_at",
+        "p50_at",
+        "p90_at",
+        "chance",
+        "family",
+        "record",
+    }
     assert ahead_keys <= set(ahead)
     assert ahead["status"] == "ok"
     assert ahead["p10_s"] < 2.5 < ahead["p90_s"]  # 2 N/m a second, 5 N/m away
@@ -210,8 +236,9 @@ def test_trend_json_has_every_key_and_finds_the_drift(db: Path, said: Said) -> N
 
 
 def test_trend_limit_that_was_crossed_is_said_to_be(db: Path, said: Said) -> None:
-    newest, first = (json.loads(said(trend, db, "k1", "press-8", (None, None), None, "json", None))["points"][i][1]
-                     for i in (-1, 0))  # fmt: skip
+    points = json.loads(said(trend, db, "k1", "press-8", (None, None), None, "json", None))["points"]
+    first = points[0][1]
+    newest = points[-1][1]
     between, past = 0.5 * (newest + first), newest + 2 * (newest - first)
     assert ": crossed, " in said(trend, db, "k1", "press-8", (None, None), between, "table", None)
     assert "N/m away" in said(trend, db, "k1", "press-8", (None, None), past, "table", None)
@@ -239,7 +266,9 @@ def test_trend_of_few_rows_says_too_few(db: Path, said: Said) -> None:
 
 
 def test_trend_csv_gives_the_points(db: Path, said: Said) -> None:
-    found = list(csv.DictReader(io.StringIO(said(trend, db, "k1", "press-8", (None, None), None, "csv", None))))
+    found = list(
+        csv.DictReader(io.StringIO(said(trend, db, "k1", "press-8", (None, None), None, "csv", None)))
+    )
     assert len(found) == ROWS - 12
     assert list(found[0]) == ["t_ns", "time", "value", "sd"]
 
@@ -261,7 +290,11 @@ def test_trend_plot_writes_a_picture(db: Path, said: Said, tmp_path: Path, endin
         (lambda db: trend(db, "k9", "press-7", (None, None), None, "json", None), 2, "k1, B1"),
         (lambda db: trend(db, "k1", None, (None, None), None, "json", None), 2, "press-7, press-8"),
         (lambda db: trend(db, "k1", "press-7", (None, None), None, "json", db / "no.png"), 2, "cannot write"),
-        (lambda db: trend(db, "k1", "press-7", (None, None), None, "json", db.with_name("k.txt")), 2, "cannot write"),
+        (
+            lambda db: trend(db, "k1", "press-7", (None, None), None, "json", db.with_name("k.txt")),
+            2,
+            "cannot write",
+        ),
         (lambda db: estimates(db.with_name("none.db"), None, None, None, None, "json"), 3, "none.db"),
         (lambda _: alarms(Path(__file__), None, "json", active=False), 3, "test_queries.py"),
     ],

@@ -1,4 +1,5 @@
-"""Baselines learnt from a store: progress in words, one part alone, and refusal of what is of another machine."""
+"""Baselines learnt from a store: progress in words, one part alone, and refusal of what is of another
+machine."""
 
 import json
 from dataclasses import replace
@@ -20,7 +21,8 @@ TRUTH = np.array([25.0, 100.0])
 
 
 def rows(minutes: int, seed: int = 0, first: int = 0, **changes: Any) -> EstimateBatch:
-    """A row a minute of two springs whose values wander by 0.1 and 0.4 within hours; sd of a row 0.05 and 0.2."""
+    """A row a minute of two springs whose values wander by 0.1 and 0.4 within hours; sd of a row 0.05 and
+    0.2."""
     rng = np.random.default_rng(seed)
     steps = rng.standard_normal((minutes, 2)) * np.sqrt(1.0 - 0.99**2)
     slow = np.zeros((minutes, 2))
@@ -58,13 +60,17 @@ def learnt(capsys: pytest.CaptureFixture[str], *argv: object) -> dict[str, Any]:
     return document
 
 
-def test_learn_finds_the_reference_and_the_spread_between_hours(db: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_learn_finds_the_reference_and_the_spread_between_hours(
+    db: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = learnt(capsys, db)["parameters"]
     assert abs(found["k1"]["reference"] - 25.0) < 3 * found["k1"]["sd"]
     assert found["k1"]["spread_sd"] == pytest.approx(0.09, rel=0.5)
     assert found["k2"]["spread_sd"] == pytest.approx(0.36, rel=0.5)
     assert found["k1"]["n_effective"] < 72
-    shown = select(db, "SELECT parameter, baseline_id, graph FROM v_baselines WHERE newest ORDER BY parameter")
+    shown = select(
+        db, "SELECT parameter, baseline_id, graph FROM v_baselines WHERE newest ORDER BY parameter"
+    )
     assert shown == [("k1", 1, GRAPH), ("k2", 2, GRAPH)]
     code, out, _ = deltak(capsys, "baseline", "show", db)
     assert code == 0
@@ -72,7 +78,9 @@ def test_learn_finds_the_reference_and_the_spread_between_hours(db: Path, capsys
     assert "k2" in out
 
 
-def test_relearning_a_part_after_a_repair_touches_that_part_alone(db: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_relearning_a_part_after_a_repair_touches_that_part_alone(
+    db: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = learnt(capsys, db)["parameters"]
     mended = replace(rows(1500, seed=1, first=3 * 1440), reference=TRUTH)
     stored(db, replace(mended, value=mended.value + 5.0))
@@ -158,7 +166,9 @@ def test_export_is_imported_by_a_rig_of_the_same_graph_only(
     assert select(twin, columns) == select(db, columns)
     one = rows(5)
     others = {
-        "another graph (spring k1 ground-m1; spring k2 m1-m2)": stored(tmp_path / "a.db", one, graph="spring k1 m1-m2"),
+        "another graph (spring k1 ground-m1; spring k2 m1-m2)": stored(
+            tmp_path / "a.db", one, graph="spring k1 m1-m2"
+        ),
         "k1 is in N/m there, in N/mm here": stored(tmp_path / "b.db", replace(one, units=("N/mm", "N/mm"))),
         "has no parameter k1": stored(tmp_path / "c.db", replace(one, parameters=("k7", "k8"))),
     }
@@ -169,8 +179,12 @@ def test_export_is_imported_by_a_rig_of_the_same_graph_only(
         assert select(other, "SELECT * FROM v_baselines") == []
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"form": "deltak baselines", "baselines": [{"rig": "a"}]}'])
-def test_what_is_no_export_is_refused(db: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"form": "deltak baselines", "baselines": [{"rig": "a"}]}']
+)
+def test_what_is_no_export_is_refused(
+    db: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
     file = tmp_path / "strange.json"
     file.write_text(text, encoding="utf-8")
     code, _, err = deltak(capsys, "baseline", "import", db, file)

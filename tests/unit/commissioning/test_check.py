@@ -1,4 +1,5 @@
-"""`deltak check`: its document, its warnings, and what it predicts held against what the estimator then delivers."""
+"""`deltak check`: its document, its warnings, and what it predicts held against what the estimator then
+delivers."""
 
 import re
 from collections.abc import Mapping
@@ -46,7 +47,9 @@ def test_check_every_example_is_usable_and_its_document_complete(path: Path) -> 
     document = checked(path)
     assert document.keys() >= KEYS
     assert (document["ok"], document["errors"], document["observable"]) == (True, [], True)
-    assert all(0 < row["sd_repeat"] <= row["sd"] < np.inf and row["assumes"] for row in document["predicted_sd"])
+    assert all(
+        0 < row["sd_repeat"] <= row["sd"] < np.inf and row["assumes"] for row in document["predicted_sd"]
+    )
     assert 1e6 < document["bytes_per_rig_year"] < 1e9
 
 
@@ -61,7 +64,11 @@ def test_check_springs_side_by_side_names_what_would_tell_them_apart(tmp_path: P
 
 def test_check_poles_and_conditions_are_those_of_the_model(tmp_path: Path) -> None:
     document = checked(edited(tmp_path))
-    M, K, B = np.diag([5.0, 3.0]), np.array([[125.0, -100.0], [-100.0, 100.0]]), np.array([[10.0, -5.0], [-5.0, 5.0]])
+    M, K, B = (
+        np.diag([5.0, 3.0]),
+        np.array([[125.0, -100.0], [-100.0, 100.0]]),
+        np.array([[10.0, -5.0], [-5.0, 5.0]]),
+    )
     inverse = np.linalg.inv(M)
     A = np.block([[-inverse @ B, -inverse @ K], [np.eye(2), np.zeros((2, 2))]])
     ours = [complex(pole["re"], pole["im"]) for pole in document["poles"]]
@@ -134,7 +141,10 @@ def test_check_without_a_force_assumes_free_decay(tmp_path: Path) -> None:
 
 
 def test_check_warns_of_a_window_shorter_than_a_period(tmp_path: Path) -> None:
-    assert "shorter than a period of the slowest mode, 3.67 s" in warned(checked(edited(tmp_path)), "estimator")[0]
+    assert (
+        "shorter than a period of the slowest mode, 3.67 s"
+        in warned(checked(edited(tmp_path)), "estimator")[0]
+    )
     longer = checked(edited(tmp_path, ("window_s = 0.25", "window_s = 4.0")))
     assert warned(longer, "estimator") == []
 
@@ -193,7 +203,9 @@ def recording(folder: Path, *, gap: bool = False, samples: int = 3000) -> Path:
         if not (gap and 1000 <= k < 1010):
             x1, x2 = 1e-3 * np.sin(2e-3 * k), 2e-3 * np.cos(3e-3 * k)
             noise = 1e-6 * rng.standard_normal(2)
-            lines.append(f"{k / 1000:.3f},{rng.standard_normal():.6f},{x1 + noise[0]:.9f},{x2 + noise[1]:.9f}")
+            lines.append(
+                f"{k / 1000:.3f},{rng.standard_normal():.6f},{x1 + noise[0]:.9f},{x2 + noise[1]:.9f}"
+            )
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 
@@ -240,7 +252,9 @@ def test_replay_of_a_rig_without_alarms_or_sources_works_as_check_promised(tmp_p
     assert rows(tmp_path / "plain.db", "SELECT count(*) FROM v_estimates") == [(4 * 8,)]
 
 
-def test_check_model_that_grows_beyond_all_measure_is_warned_of_without_a_word_of_numpy(tmp_path: Path) -> None:
+def test_check_model_that_grows_beyond_all_measure_is_warned_of_without_a_word_of_numpy(
+    tmp_path: Path,
+) -> None:
     text = (EXAMPLES / "coupled_tanks.toml").read_text(encoding="utf-8")
     stable = re.search(r"(?m)^A = .*$", text)
     assert stable is not None
@@ -252,12 +266,16 @@ def test_check_model_that_grows_beyond_all_measure_is_warned_of_without_a_word_o
 
 
 @pytest.mark.parametrize(("clock", "misses"), [("counter", "no counter"), ("device", "no time stamps")])
-def test_check_warns_of_a_clock_that_the_source_does_not_have(tmp_path: Path, clock: str, misses: str) -> None:
+def test_check_warns_of_a_clock_that_the_source_does_not_have(
+    tmp_path: Path, clock: str, misses: str
+) -> None:
     text = example("serial", tmp_path).read_text(encoding="utf-8")
     (counter,) = re.findall(r"(?m)^counter = .*$", text)
     path = tmp_path / "clock.toml"
     text = re.sub(r"(?m)^clock = .*$", f'clock = "{clock}"', text)
     path.write_text(text.replace(counter, ""), encoding="utf-8")
     assert any(misses in message for message in warned(checked(path), "source[0]"))
-    path.write_text(re.sub(r"(?m)^clock = .*$", 'clock = "arrival"', text).replace(counter, ""), encoding="utf-8")
+    path.write_text(
+        re.sub(r"(?m)^clock = .*$", 'clock = "arrival"', text).replace(counter, ""), encoding="utf-8"
+    )
     assert not warned(checked(path), "source[0]")

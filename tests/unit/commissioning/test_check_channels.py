@@ -1,4 +1,5 @@
-"""`deltak check --recording` and `--probe`: what each channel shows, and which channels are suspected of what."""
+"""`deltak check --recording` and `--probe`: what each channel shows, and which channels are suspected of
+what."""
 
 import json
 import subprocess
@@ -31,7 +32,9 @@ WORN = {"k1": 10.0, "k2": -30.0, "B2": -2.0}
 FACTORS = (2.0, 0.5, 10.0, 0.1, 1000.0, 0.001)
 
 
-def readings(seed: int, *, worn: bool = False, noise_m: float = 1e-5, force: Force | None = None) -> FloatArray:
+def readings(
+    seed: int, *, worn: bool = False, noise_m: float = 1e-5, force: Force | None = None
+) -> FloatArray:
     """Four seconds of the example rig (n, 3), as its wire carries them."""
     config = read_rig(EXAMPLES / "modbus.toml")
     changes = (Change(at_s=0.0, delta=WORN),) if worn else ()
@@ -106,7 +109,9 @@ def test_suspicion_names_a_channel_that_is_turned_round(channel: int) -> None:
     assert_named(values, "sign", CHANNELS[channel])
 
 
-@pytest.mark.parametrize(("first", "second"), [(1, 2), *(pytest.param(0, c, marks=pytest.mark.soak) for c in (1, 2))])
+@pytest.mark.parametrize(
+    ("first", "second"), [(1, 2), *(pytest.param(0, c, marks=pytest.mark.soak) for c in (1, 2))]
+)
 def test_suspicion_names_channels_that_are_swapped(first: int, second: int) -> None:
     values = readings(9)
     values[:, [first, second]] = values[:, [second, first]]
@@ -141,7 +146,9 @@ def test_check_recording_warns_of_a_suspected_channel_at_its_key_path(tmp_path: 
     path.write_text(path.read_text(encoding="utf-8").replace("nan", ""), encoding="utf-8")
     document = check(config=example("modbus", tmp_path), recording=path, probe=False)
     assert document["ok"]
-    (warning,) = [w for w in document["warnings"] if w["path"] == "channel[2]" and "turned round" in w["message"]]
+    (warning,) = [
+        w for w in document["warnings"] if w["path"] == "channel[2]" and "turned round" in w["message"]
+    ]
     assert "wiring" in warning["advice"]
     facts = document["recording"]
     assert [s["kind"] for s in facts["suspicions"]] == ["sign"]
@@ -176,7 +183,9 @@ def test_check_probe_hears_both_sources_and_names_what_is_wrong(tmp_path: Path) 
     text = path.read_text(encoding="utf-8")
     with simulator(tmp_path, text, "--scenario", str(scenario)) as device:
         wrong = device.config.with_name("wrong.toml")
-        wrong.write_text(text.replace('at = "m2"\nunit = "m"', 'at = "m2"\nunit = "m"\nscale = -1.0'), encoding="utf-8")
+        wrong.write_text(
+            text.replace('at = "m2"\nunit = "m"', 'at = "m2"\nunit = "m"\nscale = -1.0'), encoding="utf-8"
+        )
         assert "scale = -1.0" in wrong.read_text(encoding="utf-8")
         command = [sys.executable, "-m", "agent", "check", str(wrong), "--probe", "--json"]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
@@ -189,7 +198,11 @@ def test_check_probe_hears_both_sources_and_names_what_is_wrong(tmp_path: Path) 
     for channel in probe["channels"]:
         assert channel["rate_hz"] == pytest.approx(1000.0, rel=0.02)
         assert abs(channel["drift_ppm"]) < 4 * channel["drift_sd_ppm"] + 20
-    assert {c["name"]: c["source"] for c in probe["channels"]} == {"force": "can", "x1": "modbus", "x2": "modbus"}
+    assert {c["name"]: c["source"] for c in probe["channels"]} == {
+        "force": "can",
+        "x1": "modbus",
+        "x2": "modbus",
+    }
     noise = {c["name"]: c["noise_sd"] for c in probe["channels"]}
     assert noise["x1"] == pytest.approx(1e-6, rel=0.3)
 

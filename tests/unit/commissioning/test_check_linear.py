@@ -1,4 +1,5 @@
-"""`deltak check` of linear rigs: what hides, what a recording leaves open, the paper's conditions, the worst point."""
+"""`deltak check` of linear rigs: what hides, what a recording leaves open, the paper's conditions, the worst
+point."""
 
 import json
 from pathlib import Path
@@ -85,12 +86,14 @@ def test_paper_conditions_of_a_recording_are_in_the_document_and_said(
 def test_conditions_of_more_than_eight_parameters_do_not_vanish(tmp_path: Path) -> None:
     entries = [f"A[{i},{j}]" for i in range(3) for j in range(3)]
     A = [[0.9, 0.05, 0.0], [-0.05, 0.85, 0.1], [0.0, -0.1, 0.8]]
-    text = (
-        '[rig]\nname = "nine"\nsample_rate_hz = 100.0\n[model]\nkind = "linear"\ntime = "discrete"\nrate_hz = 100.0\n'
+    text = '[rig]\nname = "nine"\nsample_rate_hz = 100.0\n[model]\nkind = "linear"\ntime = "discrete"\nrate_hz = 100.0\n'
+    text += (
+        f"A = {A}\nB = [[1.0], [0.0], [0.0]]\nC = {np.eye(3).tolist()}\nuncertain = {json.dumps(entries)}\n"
     )
-    text += f"A = {A}\nB = [[1.0], [0.0], [0.0]]\nC = {np.eye(3).tolist()}\nuncertain = {json.dumps(entries)}\n"
     text += '[[channel]]\nname = "u"\nquantity = "input"\nunit = "V"\n'
-    text += "".join(f'[[channel]]\nname = "y{i}"\nquantity = "output"\nunit = "V"\nnoise_sd = 1e-3\n' for i in range(3))
+    text += "".join(
+        f'[[channel]]\nname = "y{i}"\nquantity = "output"\nunit = "V"\nnoise_sd = 1e-3\n' for i in range(3)
+    )
     text += "[estimator]\nwindow_s = 4.0\n"
     text += "".join(f'[[alarm]]\nparameter = "{name}"\nlimit = 0.04\n' for name in entries)
     document = checked_text(tmp_path, text)

@@ -12,7 +12,9 @@ POLES = 'gain = "poles", poles = [-40, -35, -30, -25]'
 
 def said(*changes: tuple[str, str]) -> list[str]:
     config = read(changed(PRESS, *changes))
-    return [w.message for w in warnings(config, rig_model(config), [], None) if w.path == "estimator.observer"]
+    return [
+        w.message for w in warnings(config, rig_model(config), [], None) if w.path == "estimator.observer"
+    ]
 
 
 @pytest.mark.parametrize("observer", [POLES, 'gain = "kalman", process_sd = 0.1'])

@@ -43,8 +43,11 @@ def swings(t: FloatArray) -> FloatArray:
     return 20.0 + 6.0 * np.sin(t / 1440 * 2 * np.pi) + 4.0 * np.sin(t / 4000 * 2 * np.pi)
 
 
-def stored(path: Path, covariates: dict[str, Hall], seed: int = 0, first: int = 0, **absent: tuple[int, int]) -> Path:
-    """Rows each 10 min of springs of which k1 follows the hall at once; means of covariates unless they are absent."""
+def stored(
+    path: Path, covariates: dict[str, Hall], seed: int = 0, first: int = 0, **absent: tuple[int, int]
+) -> Path:
+    """Rows each 10 min of springs of which k1 follows the hall at once; means of covariates unless they are
+    absent."""
     rng = np.random.default_rng(seed)
     t = first + np.arange(0, DAYS * 1440, STEP)
     hall = covariates["hall"](t - 2.0) - 20.0 if "hall" in covariates else np.zeros(len(t))
@@ -53,7 +56,9 @@ def stored(path: Path, covariates: dict[str, Hall], seed: int = 0, first: int = 
     rows = batch(len(t), parameters=("k1", "k2"), value=value, sd=sd, reference=TRUTH, rig=RIG)
     rows = replace(rows, t_ns=START + t * MINUTE, sd_repeat=sd, lower=value - 2 * sd, upper=value + 2 * sd)
     means = [
-        CovariateMean(RIG, name, "degC", int(START + minute * MINUTE), float(hall_of(np.array(float(minute)))), 5)
+        CovariateMean(
+            RIG, name, "degC", int(START + minute * MINUTE), float(hall_of(np.array(float(minute)))), 5
+        )
         for name, hall_of in covariates.items()
         for minute in range(first, first + DAYS * 1440, STEP // 2)
         if not absent.get(name, (0, 0))[0] <= minute < absent.get(name, (0, 0))[1]
@@ -106,7 +111,10 @@ def test_learn_finds_the_dependence_of_one_part_and_none_of_the_other(
     before = select(db, "SELECT baseline_id, covariates FROM v_baselines WHERE newest AND parameter = 'k2'")
     stored(db, {"hall": swings}, seed=1, first=DAYS * 1440)
     learnt(capsys, db, "--parameter", "k1", "--since", "4d")
-    assert select(db, "SELECT baseline_id, covariates FROM v_baselines WHERE newest AND parameter = 'k2'") == before
+    assert (
+        select(db, "SELECT baseline_id, covariates FROM v_baselines WHERE newest AND parameter = 'k2'")
+        == before
+    )
     assert select(db, "SELECT count(*) FROM v_baselines WHERE parameter = 'k1'") == [(2,)]
 
 
@@ -148,12 +156,19 @@ def test_classes_that_the_machine_has_not_run_in_are_counted(
     config.write_text(f"{text}\n{hall}\n{SOURCE}\n", encoding="utf-8")
     db = stored(tmp_path / "two-mass-rig.db", {"hall": swings})
     words = refused(capsys, db, config)
-    assert "not yet: the machine has run in 2 of 5 hall classes (40 %); not in 30 to 40, 40 to 50, 50 to" in words
-    config.write_text(f"{text}\n{hall}\n{SOURCE}\n[baseline]\ncovariates = []\ndays = 2.0\n", encoding="utf-8")
+    assert (
+        "not yet: the machine has run in 2 of 5 hall classes (40 %); not in 30 to 40, 40 to 50, 50 to"
+        in words
+    )
+    config.write_text(
+        f"{text}\n{hall}\n{SOURCE}\n[baseline]\ncovariates = []\ndays = 2.0\n", encoding="utf-8"
+    )
     assert learnt(capsys, config)["parameters"]["k1"]["covariates"] == []
 
 
-def test_gap_of_hours_teaches_nothing_and_spoils_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gap_of_hours_teaches_nothing_and_spoils_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     db = stored(tmp_path / "rig.db", {"hall": swings}, hall=(1000, 1700))
     (one,) = learnt(capsys, db, "--parameter", "k1")["parameters"]["k1"]["covariates"]
     assert one["lower"] < -0.075 < one["upper"]

@@ -51,7 +51,9 @@ def response(theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
     A[3] = np.array([k2, -k2, B2, -B2]) / 3.0
     B = np.array([[0.0], [0.0], [0.0], [1 / 3.0]])
     F, G, C, D, _ = cont2discrete((A, B, np.eye(2, 4), np.zeros((2, 1))), 1 / RATE, method="foh")
-    return np.array([(C @ np.linalg.solve(np.exp(1j * w / RATE) * np.eye(4) - F, G) + D)[:, 0] for w in omega])
+    return np.array(
+        [(C @ np.linalg.solve(np.exp(1j * w / RATE) * np.eye(4) - F, G) + D)[:, 0] for w in omega]
+    )
 
 
 def test_no_frequency_of_the_band_could_teach_more_by_the_equivalence_theorem(
@@ -80,7 +82,9 @@ def test_no_frequency_of_the_band_could_teach_more_by_the_equivalence_theorem(
 
 def play(force: np.ndarray, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(N, R, 2): displacements of R machines theta (R, 4) from states x (R, 4)."""
-    F, G0, G1 = (np.array(part) for part in zip(*(step_matrices(*row, 1 / RATE) for row in theta), strict=True))
+    F, G0, G1 = (
+        np.array(part) for part in zip(*(step_matrices(*row, 1 / RATE) for row in theta), strict=True)
+    )
     ahead = np.append(force[1:], force[-1])
     found = np.empty((len(force), len(theta), 2))
     for i, now in enumerate(force):
@@ -156,7 +160,8 @@ def test_recording_at_hand_stands_beside_the_design_and_the_advice_compares_them
 
 def test_lines_of_two_forces_alternate(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = config.read_text(encoding="utf-8").replace(
-        '[[channel]]                        # what is measured', '[[channel]]\nname = "push"\nquantity = "force"\n'
+        '[[channel]]                        # what is measured',
+        '[[channel]]\nname = "push"\nquantity = "force"\n'
         'at = "m1"\nunit = "kN"\n\n[[channel]]                        # what is measured', 1,
     )  # fmt: skip
     text = text[: text.index("[[source]]")] + '[store]\npath = "a.db"\n'
@@ -188,7 +193,11 @@ def still(path: Path) -> None:
     ],
 )
 def test_what_cannot_be_designed_is_said_and_nothing_is_written(
-    config: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...], words: str
+    config: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    argv: tuple[str, ...],
+    words: str,
 ) -> None:
     monkeypatch.chdir(config.parent)
     still(config.with_name("still.csv"))

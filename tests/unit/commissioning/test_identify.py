@@ -61,7 +61,9 @@ def test_check_accepts_a_file_that_is_yet_to_be_identified_and_says_so(
     assert run(["check", config], capfd)[0] == 2
 
 
-def test_identify_writes_nominals_that_replay_then_runs_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_identify_writes_nominals_that_replay_then_runs_with(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     config, recording = files(tmp_path, text=f"# of the shop floor\n{TEXT}")
     plot = tmp_path / "seen.png"
     code, out, err = run(["identify", config, recording, "--write", "--plot", str(plot)], capfd)
@@ -191,7 +193,9 @@ def _between(text: str, name: str) -> str:
     return text.partition(f'name = "{name}", between = ')[2].partition("]")[0] + "]"
 
 
-def test_identify_graph_that_is_right_is_kept_and_written(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_identify_graph_that_is_right_is_kept_and_written(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     config, recording = files(tmp_path)
     code, out, err = run(["identify", config, recording, "--graph", "--write"], capfd)
     assert code == 0, err

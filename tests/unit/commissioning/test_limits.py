@@ -1,4 +1,5 @@
-"""Limits from a learnt spread: proposed, written into a file that stays otherwise as it is, and tried on the past."""
+"""Limits from a learnt spread: proposed, written into a file that stays otherwise as it is, and tried on the
+past."""
 
 import json
 import re
@@ -63,7 +64,9 @@ def config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     return made
 
 
-def test_limits_without_a_baseline_say_how_to_learn_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_limits_without_a_baseline_say_how_to_learn_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     made = machine(tmp_path)
     before = made.read_bytes()
     code, out, err = deltak(capsys, "limits", made, "--write")
@@ -73,7 +76,9 @@ def test_limits_without_a_baseline_say_how_to_learn_one(tmp_path: Path, capsys: 
     assert made.read_bytes() == before
 
 
-def test_limits_follow_the_spread_and_say_what_they_find(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_limits_follow_the_spread_and_say_what_they_find(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = asked(capsys, "limits", config)["parameters"]
     assert set(found) == {"k1", "k2"}
     assert found["k2"]["limit"] == pytest.approx(4 * found["k1"]["limit"], rel=0.6)
@@ -89,7 +94,9 @@ def test_limits_follow_the_spread_and_say_what_they_find(config: Path, capsys: p
     assert "finds a change of" in out
 
 
-def test_write_changes_limits_and_delays_and_nothing_else(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_write_changes_limits_and_delays_and_nothing_else(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = config.read_text(encoding="utf-8").splitlines()
     found = asked(capsys, "limits", config, "--write")
     assert found["written"] == str(config)
@@ -106,7 +113,9 @@ def test_write_changes_limits_and_delays_and_nothing_else(config: Path, capsys: 
     assert alarms["B1"].limit == 2.0
 
 
-def test_write_beside_a_database_needs_the_configuration(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_write_beside_a_database_needs_the_configuration(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     db = load(config).store.path
     code, _, err = deltak(capsys, "limits", db, "--write")
     assert code == 2
@@ -141,7 +150,9 @@ PLAIN = '[rig]\nname = "a"\n'
 def test_limits_take_the_place_of_those_there_in_every_form(alarm: str, written: str, tmp_path: Path) -> None:
     before, after = ("", "") if alarm.startswith("alarm") else (PLAIN, "")
     text = before + alarm + after
-    assert with_limits(text, {"k1": {"limit": 1.5, "on_delay_s": 2.0}}, tmp_path / "a.toml") == before + written
+    assert (
+        with_limits(text, {"k1": {"limit": 1.5, "on_delay_s": 2.0}}, tmp_path / "a.toml") == before + written
+    )
 
 
 def test_limits_that_would_make_the_file_faulty_are_not_written(
@@ -157,9 +168,13 @@ def test_limits_that_would_make_the_file_faulty_are_not_written(
     assert config.read_bytes() == before
 
 
-def test_check_warns_of_a_limit_under_what_the_spread_allows(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_warns_of_a_limit_under_what_the_spread_allows(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert list(limit_warnings(load(config))) == []
-    config.write_text(config.read_text(encoding="utf-8").replace("limit = 15.0", "limit = 0.2"), encoding="utf-8")
+    config.write_text(
+        config.read_text(encoding="utf-8").replace("limit = 15.0", "limit = 0.2"), encoding="utf-8"
+    )
     found = check(config=config, recording=None, probe=False)["warnings"]
     assert [row["path"] for row in found if "healthy machine" in row["message"]] == ["alarm[0].limit"]
     asked(capsys, "limits", config, "--write")
@@ -196,7 +211,9 @@ def test_try_counts_an_alarm_that_was_raised_once_and_says_which_would_be_gone(
         raised = step("NORM", "UNACK", begun, rig=RIG, cause="raise", limit_value=3.0)
         store.write(run, [raised, step("UNACK", "RTNUN", begun + 10**12, rig=RIG, cause="clear")])
     same = tmp_path / "same.toml"
-    same.write_text(config.read_text(encoding="utf-8").replace("limit = 15.0", "limit = 3.0"), encoding="utf-8")
+    same.write_text(
+        config.read_text(encoding="utf-8").replace("limit = 15.0", "limit = 3.0"), encoding="utf-8"
+    )
     found = asked(capsys, "limits", config, "--try", same)
     assert (len(found["would"]), found["more"], found["fewer"]) == (1, [], [])
     (gone,) = asked(capsys, "limits", config, "--try", config)["fewer"]
@@ -219,4 +236,6 @@ def test_try_refuses_what_is_of_another_machine(
 
 def test_edit_that_cannot_be_placed_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no place for the limit"):
-        with_limits('alarm = []\n[rig]\nname = "a"\n', {"k1": {"limit": np.float64(1.5)}}, tmp_path / "a.toml")
+        with_limits(
+            'alarm = []\n[rig]\nname = "a"\n', {"k1": {"limit": np.float64(1.5)}}, tmp_path / "a.toml"
+        )

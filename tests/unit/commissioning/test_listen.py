@@ -55,7 +55,8 @@ DEVICES = {
 
 @contextmanager
 def line(folder: Path, *lines: bytes) -> Iterator[str]:
-    """A configuration on a pseudo-terminal on which lines come again and again, a hundredth of a second apart."""
+    """A configuration on a pseudo-terminal on which lines come again and again, a hundredth of a second
+    apart."""
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     over = threading.Event()
@@ -124,7 +125,9 @@ def test_listen_shows_covariates_and_names_a_source_of_theirs_that_is_absent(
         text += hall.format("hall")
         Path(config).write_text(text, encoding="utf-8")
         code, out, _ = listened(capsys, config, "--duration", "0.4", "--json")
-        Path(config).write_text(text + hall.format("wall") + alone + 'map = { wall = "W" }\n', encoding="utf-8")
+        Path(config).write_text(
+            text + hall.format("wall") + alone + 'map = { wall = "W" }\n', encoding="utf-8"
+        )
         absent, _, err = listened(capsys, config, "--duration", "0.4")
     document: dict[str, Any] = json.loads(out)
     assert code == 0
@@ -156,7 +159,11 @@ def test_listen_on_each_bus_shows_units_and_the_bytes_of_what_is_rejected(
     assert code == 0, err
     document = json.loads(out)
     (source,) = document["sources"]
-    assert [c["name"] for c in document["channels"] if abs(c["rate_hz"] - 1000) < 150] == ["force", "x1", "x2"]
+    assert [c["name"] for c in document["channels"] if abs(c["rate_hz"] - 1000) < 150] == [
+        "force",
+        "x1",
+        "x2",
+    ]
     good = [row for row in document["lines"] if row["values"]]
     assert all(row["raw"].startswith(unit) and set(row["values"]) == {"force", "x1", "x2"} for row in good)
     assert good
@@ -178,7 +185,9 @@ def test_listen_ends_with_ctrl_c_and_tells_what_it_saw(tmp_path: Path) -> None:
     assert process.returncode == 130
 
 
-def test_listen_where_nothing_can_be_opened_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_listen_where_nothing_can_be_opened_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     config = tmp_path / "rig.toml"
     config.write_text(TEXT_LINE.replace("PORT", "nowhere.tty"), encoding="utf-8")
     code, _, err = listened(capsys, str(config), "--duration", "0.3", "--json")

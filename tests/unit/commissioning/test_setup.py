@@ -23,7 +23,16 @@ MASSES = ["--rate", "1000", "--mass", "m1=5", "--mass", "m2=3"]
 CHANNELS = ["--channel", "force=force@m2", "--channel", "x1=displacement@m1:mm", "--channel", "x2=disp@m2:mm"]
 REGISTERS = "force:int16:1e-3,x1:int16:2e-3,x2:int16:2e-3"
 BUSES = {
-    "can": ["--dbc", "two-mass-rig.dbc", "--counter", "Counter", "--bus-channel", "vcan0", "--host", "127.0.0.1"],
+    "can": [
+        "--dbc",
+        "two-mass-rig.dbc",
+        "--counter",
+        "Counter",
+        "--bus-channel",
+        "vcan0",
+        "--host",
+        "127.0.0.1",
+    ],
     "serial": ["--port", "line.tty", "--columns", "n,force,x1,x2", "--counter", "n"],
     "modbus": ["--port", "1502", "--index", "0", "--ring", "16:1024", "--fields", REGISTERS],
     None: [],
@@ -46,7 +55,9 @@ def test_wheel_holds_the_examples_of_deploy(tmp_path: Path) -> None:
         shutil.copy(ROOT / file, source)
     wheels.mkdir()
     build = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
-    subprocess.run([sys.executable, "-c", build, str(wheels)], cwd=source, check=True, capture_output=True, timeout=100)
+    subprocess.run(
+        [sys.executable, "-c", build, str(wheels)], cwd=source, check=True, capture_output=True, timeout=100
+    )
     (wheel,) = wheels.glob("*.whl")
     with zipfile.ZipFile(wheel) as packed:
         prefix = "agent/examples/"
@@ -55,7 +66,9 @@ def test_wheel_holds_the_examples_of_deploy(tmp_path: Path) -> None:
         assert packed.read(f"{prefix}can.toml") == (ROOT / "deploy/examples/can.toml").read_bytes()
 
 
-def test_examples_copy_brings_what_the_example_needs_and_overwrites_nothing(tmp_path: Path, capsys: Capture) -> None:
+def test_examples_copy_brings_what_the_example_needs_and_overwrites_nothing(
+    tmp_path: Path, capsys: Capture
+) -> None:
     code, out, _ = run(capsys, "examples", "list", "--json")
     assert code == 0
     assert {name for row in json.loads(out)["examples"] for name in row["files"]} == FILES
@@ -95,9 +108,18 @@ def test_init_writes_what_check_accepts(bus: str | None, tmp_path: Path, capsys:
     [
         ([], ["--rate: is missing", "--mass: is missing", "--channel: nothing", "no terminal to ask on"]),
         (["--bus", "can", *MASSES, *CHANNELS], ["--dbc: is missing"]),
-        (["--bus", "serial", *MASSES, *CHANNELS], ["--port: is missing", "--columns or --fields: is missing"]),
-        (["--bus", "modbus", *MASSES, *CHANNELS, "--ring", "16:8"], ["--fields: is missing", "--index: is missing"]),
-        ([*MASSES, "--channel", "x9=displacement@m9"], ['no mass is called "m9"', "press.toml: was not written"]),
+        (
+            ["--bus", "serial", *MASSES, *CHANNELS],
+            ["--port: is missing", "--columns or --fields: is missing"],
+        ),
+        (
+            ["--bus", "modbus", *MASSES, *CHANNELS, "--ring", "16:8"],
+            ["--fields: is missing", "--index: is missing"],
+        ),
+        (
+            [*MASSES, "--channel", "x9=displacement@m9"],
+            ['no mass is called "m9"', "press.toml: was not written"],
+        ),
         ([*MASSES, "--channel", "x1=length@m1"], ['--channel: "x1=length@m1" is none']),
         ([*MASSES, *CHANNELS, "--spring", "k1=ground"], ['--spring: "k1=ground" is none']),
         ([*MASSES, "--mass", "m3=heavy", *CHANNELS], ['--mass: "m3=heavy" holds no number']),
@@ -135,9 +157,17 @@ def test_init_asks_for_the_line_of_a_serial_bus(tmp_path: Path) -> None:
     answers = iter(["9600", "n,force,x1", "line.tty", "n"])
     channels = [channel_of("force=force@m1"), channel_of("x1=disp@m1")]
     plan = Plan(name="a", bus="serial", rate_hz=100.0, masses={"m1": 2.0}, channels=channels)
-    init(tmp_path / "a.toml", plan, lambda question, default: default if question[0] in "nsd" else next(answers))
+    init(
+        tmp_path / "a.toml",
+        plan,
+        lambda question, default: default if question[0] in "nsd" else next(answers),
+    )
     (source,) = load(tmp_path / "a.toml", identified=True).source
-    assert (source.settings.baudrate, source.settings.columns, source.counter) == (9600, ("n", "force", "x1"), "n")
+    assert (source.settings.baudrate, source.settings.columns, source.counter) == (
+        9600,
+        ("n", "force", "x1"),
+        "n",
+    )
 
 
 def test_init_asks_on_a_terminal(tmp_path: Path) -> None:

@@ -74,7 +74,10 @@ def test_faults_of_covariates_name_their_keys(tmp_path: Path) -> None:
     assert "is the name of channel" in found["channel[3].name"]
     assert found["channel[3].range"] == "must rise"
     assert "unknown key" in found["channel[3].noise_sd"]
-    assert 'is none of "signal" and "covariate"' in found["channel[4].role"] or "cofactor" in found["channel[4].role"]
+    assert (
+        'is none of "signal" and "covariate"' in found["channel[4].role"]
+        or "cofactor" in found["channel[4].role"]
+    )
     assert found["baseline.covariates"] == 'no covariate is called "load"'
     assert "baseline.classes" in found
 

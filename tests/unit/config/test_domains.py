@@ -1,4 +1,5 @@
-"""Templates of other domains: equations against the simulator's own, derivatives, and what is wrong said in words."""
+"""Templates of other domains: equations against the simulator's own, derivatives, and what is wrong said in
+words."""
 
 from pathlib import Path
 from typing import Any
@@ -57,19 +58,22 @@ RIGS: dict[str, tuple[str, tuple[tuple[str, str, str], ...]]] = {
     "coil": (COIL, (VOLTAGE, ("displacement", "", "m"), ("current", "winding", "A"))),
     "thermal": (WARM, (("power", "core", "W"), ("temperature", "room", "K"), ("temperature", "shell", "K"))),
     "hydraulic": (
-        WET, (("pressure", "supply", "Pa"), ("flow", "V", "m3/s"), ("level", "T1", "m"), ("flow", "p", "m3/s")),
+        WET,
+        (("pressure", "supply", "Pa"), ("flow", "V", "m3/s"), ("level", "T1", "m"), ("flow", "p", "m3/s")),
     ),
     "chain": (CHAIN, (("torque", "J1", "N m"), ("speed", "J2", "rad/s"), TWIST)),
     "angles": (CHAIN, (("torque", "J2", "N m"), ("angle", "J1", "rad"), TWIST, ("torque", "k1", "N m"))),
     "frame": (
-        FRAME, (("force", "b.x", "N"), ("displacement", "c.y", "m"), ("angle", "b", "rad"), ("velocity", "c.x", "m/s")),
+        FRAME,
+        (("force", "b.x", "N"), ("displacement", "c.y", "m"), ("angle", "b", "rad"), ("velocity", "c.x", "m/s")),
     ),
 }  # fmt: skip
 
 
 def text(model: str, channels: tuple[tuple[str, str, str], ...], more: str = "") -> str:
     rows = [
-        f'[[channel]]\nname = "c{i}"\nquantity = "{quantity}"\nunit = "{unit}"\n' + (f'at = "{at}"\n' if at else "")
+        f'[[channel]]\nname = "c{i}"\nquantity = "{quantity}"\nunit = "{unit}"\n'
+        + (f'at = "{at}"\n' if at else "")
         for i, (quantity, at, unit) in enumerate(channels)
     ]
     return HEAD + model + "".join(rows) + more
@@ -89,7 +93,9 @@ def response(s: complex, A: Any, B: Any, C: Any) -> Any:
 
 
 def simulated(config: RigConfig, values: dict[str, float]) -> tuple[Any, Any, Any]:
-    built: Built = DomainTable.model_validate(config.model.model_dump(mode="json", exclude_unset=True)).built(values)
+    built: Built = DomainTable.model_validate(config.model.model_dump(mode="json", exclude_unset=True)).built(
+        values
+    )
     B = np.array([built.drives[c.quantity, c.at] for c in config.inputs]).T
     return built.F, B, np.array([built.reads[c.quantity, c.at] for c in config.outputs])
 
@@ -109,7 +115,10 @@ def test_equations_are_the_simulators_own_at_any_values(name: str, rng: np.rando
     for share in (0.01, 0.2, 1.0):
         s = speed * share * (0.3 + 1j)
         found, wanted = response(s, ours.A, ours.B, ours.C), response(s, *theirs)
-        assert np.all(np.abs(found - wanted) < 1e-8 * np.abs(wanted).max(axis=1, keepdims=True)), (found, wanted)
+        assert np.all(np.abs(found - wanted) < 1e-8 * np.abs(wanted).max(axis=1, keepdims=True)), (
+            found,
+            wanted,
+        )
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -122,10 +131,14 @@ def test_derivatives_by_physical_parameters_are_exact(name: str) -> None:
         for letter in "ABCD":
             slope = (getattr(after, letter) - getattr(before, letter)) / (2e-5 * value)
             exact = getattr(at, f"d{letter}")[i]
-            np.testing.assert_allclose(exact, slope, rtol=1e-7, atol=1e-8 * max(np.abs(slope).max(initial=0.0), 1e-12))
+            np.testing.assert_allclose(
+                exact, slope, rtol=1e-7, atol=1e-8 * max(np.abs(slope).max(initial=0.0), 1e-12)
+            )
 
 
-@pytest.mark.parametrize("file", ["dc_drive", "rlc_filter", "oven", "transfer_line", "geared_drive", "gantry"])
+@pytest.mark.parametrize(
+    "file", ["dc_drive", "rlc_filter", "oven", "transfer_line", "geared_drive", "gantry"]
+)
 def test_examples_hide_a_domain_between_input_and_output(file: str) -> None:
     config = load(EXAMPLES / f"{file}.toml")
     model = rig_model(config).model
@@ -146,7 +159,9 @@ def test_what_cannot_be_told_apart_is_named_with_the_output_that_would_help() ->
     config = configured(MOTOR, channels, '[estimator]\nestimate = ["R", "L", "K", "J", "b"]\n')
     faults = list(model_faults(config, rig_model(config)))
     assert len(faults) == 2
-    assert all("cannot be told apart" in fault.message and "measure current" in fault.advice for fault in faults)
+    assert all(
+        "cannot be told apart" in fault.message and "measure current" in fault.advice for fault in faults
+    )
 
 
 MOVED = RIGS["motor"][1]

@@ -268,7 +268,9 @@ def test_config_with_many_changes_names_every_one() -> None:
                     "estimator.hold", "alarm[0].side", "source[0].dcb", "store.max_mb", "mqtt", "channel[2]"}
         and "nan" not in new and "x3" not in new and new not in OTHER_FAULTS_OF_THE_SAME_KEY
     }  # fmt: skip
-    changes = [("[store]", "[mqtt]\n[store]")] + [(old, new) for old, new, path in sorted(rows) if path != "mqtt"]
+    changes = [("[store]", "[mqtt]\n[store]")] + [
+        (old, new) for old, new, path in sorted(rows) if path != "mqtt"
+    ]
     assert {path for _, _, path in rows} <= set(faults(changed(PRESS, *changes)))
 
 
@@ -286,7 +288,9 @@ def test_config_data_sheet_of_what_is_estimated_is_refused(estimate: str, path: 
 
 
 def test_config_polynomial_hold_is_refused_for_the_method_that_cannot_wait() -> None:
-    found = faults(changed(PRESS, ('method = "window-ml"', 'method = "seed"'), ('hold = "first"', 'hold = "cubic"')))
+    found = faults(
+        changed(PRESS, ('method = "window-ml"', 'method = "seed"'), ('hold = "first"', 'hold = "cubic"'))
+    )
     assert "readings that come after" in found["estimator.hold"]
 
 
@@ -306,12 +310,17 @@ def test_config_channel_at_unknown_mass_reads_as_the_contract_writes_it() -> Non
     [
         ((("nominal = 25.0", "nominal = 0.0"),), "k1"),
         (
-            (('estimate = ["k1"', 'estimate = ["x1.bias", "k1"'), ('parameter = "k1"', 'parameter = "x1.bias"')),
+            (
+                ('estimate = ["k1"', 'estimate = ["x1.bias", "k1"'),
+                ('parameter = "k1"', 'parameter = "x1.bias"'),
+            ),
             "x1.bias",
         ),
     ],
 )
-def test_config_limit_that_is_a_share_of_nothing_is_refused(changes: tuple[tuple[str, str], ...], name: str) -> None:
+def test_config_limit_that_is_a_share_of_nothing_is_refused(
+    changes: tuple[tuple[str, str], ...], name: str
+) -> None:
     text = changed(PRESS, ("limit = 15.0", "limit_percent = 10"), ("deadband = 1.5\n", ""), *changes)
     words = f'a share of the nominal of "{name}", which is 0; give limit in the parameter\'s unit'
     assert words in faults(text)["alarm[0].limit_percent"]

@@ -44,7 +44,9 @@ def test_load_file_knows_its_place_and_its_sha256(tmp_path: Path, monkeypatch: p
     assert config.store.path == tmp_path / "bench.db"
 
 
-@pytest.mark.parametrize("encode", [lambda s: b"\xef\xbb\xbf" + s.encode(), lambda s: s.replace("\n", "\r\n").encode()])
+@pytest.mark.parametrize(
+    "encode", [lambda s: b"\xef\xbb\xbf" + s.encode(), lambda s: s.replace("\n", "\r\n").encode()]
+)
 def test_load_file_of_a_windows_editor_is_read(encode: object) -> None:
     assert parse(encode(MINIMAL), FILE).rig.name == "bench"  # type: ignore[operator]
 
@@ -85,7 +87,8 @@ def test_load_text_that_is_not_toml_names_file_and_line(data: bytes, line: int, 
 
 
 @pytest.mark.parametrize(
-    "opening", ["a = " + "[" * 100_000, "a = " + "{ a = " * 50_000, "a." * 100_000 + "b = 1", "'a' ." * 99_999]
+    "opening",
+    ["a = " + "[" * 100_000, "a = " + "{ a = " * 50_000, "a." * 100_000 + "b = 1", "'a' ." * 99_999],
 )
 def test_load_text_nested_without_end_is_refused_in_words(opening: str) -> None:
     with pytest.raises(ConfigError):
@@ -137,7 +140,8 @@ def test_load_many_of_one_store_must_agree_on_it(tmp_path: Path) -> None:
 
 VALUES = (
     ["0", "-1", "1e400", "nan", "inf", '""', '"x"', '"\\u0000"', "true", "[]", "{}", "[[]]", "[1, 'a']", "{ a = 1 }",
-     "1" * 400, "1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", '"ground"', '"m1"', "'''\n'''", '["m1", "m1"]']
+     "1" * 400, "1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", '"ground"', '"m1"', "'''\n'''",
+     '["m1", "m1"]']
 )  # fmt: skip
 
 

@@ -1,4 +1,5 @@
-"""kind = "linear": discrete time, D, dC, dD, uncertain entries, files; every fault with its key path and advice."""
+"""kind = "linear": discrete time, D, dC, dD, uncertain entries, files; every fault with its key path and
+advice."""
 
 import os
 from pathlib import Path
@@ -92,7 +93,10 @@ def test_matrix_in_a_file_reads_as_one_in_the_configuration(tmp_path: Path, kind
 def test_matrix_file_that_is_a_pipe_or_unpacks_without_end_is_refused_unread(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.npz")
     np.savez_compressed(tmp_path / "bomb.npz", A=np.zeros((3000, 3000)))
-    for name, words in (("pipe", "is no file, its end may never come"), ("bomb", "unpacks to more than 50 MB")):
+    for name, words in (
+        ("pipe", "is no file, its end may never come"),
+        ("bomb", "unpacks to more than 50 MB"),
+    ):
         text = MODEL.replace("A = [[0.9, 0.1], [-0.1, 0.9]]", f'A = {{ file = "{name}.npz" }}')
         assert words in faults(tmp_path, text)[0].message
 
@@ -178,11 +182,15 @@ def test_plant_that_is_improper_or_has_no_sampling_time_is_refused() -> None:
     with pytest.raises(UsageError, match="no sampling time"):
         linear_table(SimpleNamespace(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], dt=True), uncertain=["A"])
     with pytest.raises(UsageError, match="descriptor"):
-        linear_table(SimpleNamespace(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], E=[[0.0]], dt=0), uncertain=["A"])
+        linear_table(
+            SimpleNamespace(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], E=[[0.0]], dt=0), uncertain=["A"]
+        )
 
 
 def test_skew_that_is_to_be_measured_is_refused_in_discrete_time(tmp_path: Path) -> None:
-    source = '[[source]]\nname = "{0}"\ndriver = "serial"\nport = "{0}.tty"\nbaudrate = 9600\nformat = "binary"\n'
+    source = (
+        '[[source]]\nname = "{0}"\ndriver = "serial"\nport = "{0}.tty"\nbaudrate = 9600\nformat = "binary"\n'
+    )
     source += 'sync = "AA"\nfields = [{{ name = "{0}", type = "int16" }}]\nmap = {{ {0} = "{0}" }}\n'
     text = MODEL + CHANNELS + source.format("u")
     (tmp_path / "rig.toml").write_text(RIG + text + source.format("y") + "skew_s = 0.0\n")

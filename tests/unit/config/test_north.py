@@ -18,7 +18,9 @@ def test_consumer_with_little_written_has_the_defaults() -> None:
 
 
 def test_parquet_archive_needs_a_folder_only() -> None:
-    (consumer,) = read(MINIMAL + '[[north]]\nname = "a"\nkind = "parquet"\nfolder = "arc"\nevery = "1h"').north
+    (consumer,) = read(
+        MINIMAL + '[[north]]\nname = "a"\nkind = "parquet"\nfolder = "arc"\nevery = "1h"'
+    ).north
     assert (consumer.folder, consumer.every, consumer.is_periodic) == (Path("arc"), 3600.0, True)
 
 

@@ -43,7 +43,12 @@ def test_seed_takes_several_windows_the_gain_of_a_sensor_and_rules_that_end_its_
     stop = ("resolve = 0.33", "resolve = 0.33\nrank = 1\nstop = { step = 1e-8, iterations = 17 }")
     windows = ("window_s = 0.25", "window_s = [0.25, 0.5]")
     estimator = read(changed(PRESS, SEED, POLES, stop, windows, ("bias = false", "gain = true"))).estimator
-    assert (estimator.stop.step, estimator.stop.cost, estimator.stop.iterations, estimator.rank) == (1e-8, 0.0, 17, 1)
+    assert (estimator.stop.step, estimator.stop.cost, estimator.stop.iterations, estimator.rank) == (
+        1e-8,
+        0.0,
+        17,
+        1,
+    )
 
 
 def test_rules_of_descent_are_refused_where_nothing_descends() -> None:

@@ -38,7 +38,8 @@ def test_config_with_little_written_has_the_defaults_of_the_contract() -> None:
     assert config.rig.clock == "counter"
     assert config.estimator.model_dump() == {
         "method": "window-ml", "window_s": 0.25, "hop_s": 0.05, "hold": "first", "estimate": ("k", "b"),
-        "observer": {"gain": "auto", "poles": (), "process_sd": None}, "resolve": 0.33, "passes": 10, "drift_s": None,
+        "observer": {"gain": "auto", "poles": (), "process_sd": None}, "resolve": 0.33, "passes": 10,
+        "drift_s": None,
         "stop": {"step": 1e-12, "cost": 0.0, "iterations": 20000}, "rank": None,
     }  # fmt: skip
     alarm = config.alarm[0]
@@ -51,7 +52,11 @@ def test_config_with_little_written_has_the_defaults_of_the_contract() -> None:
     assert config.model.mass[0].sd_percent == 2.0
     assert not channel.bias
     assert not channel.gain
-    assert (config.store.path, config.store.every_s, config.store.max_mb) == (Path("/rigs/bench.db"), 1.0, 1024)
+    assert (config.store.path, config.store.every_s, config.store.max_mb) == (
+        Path("/rigs/bench.db"),
+        1.0,
+        1024,
+    )
     assert config.store.keep.model_dump() == {"full": 604800.0, "minute": 7776000.0, "hour": math.inf}
     assert config.source == ()
 
@@ -96,7 +101,8 @@ def test_parameters_of_an_si_rig_have_kinds_nominals_and_si_units() -> None:
     ("quantity", "unit", "expected"),
     [
         ("force", "kN", (1e3, "N")), ("force", "mN", (1e-3, "N")), ("force", "V", (1.0, "V")),
-        ("displacement", "um", (1e-6, "m")), ("displacement", "µm", (1e-6, "m")), ("displacement", "μm", (1e-6, "m")),
+        ("displacement", "um", (1e-6, "m")), ("displacement", "µm", (1e-6, "m")),
+        ("displacement", "μm", (1e-6, "m")),
         ("displacement", "counts", (1.0, "counts")), ("displacement", "in", (0.0254, "m")),
         ("velocity", "mm/s", (1e-3, "m/s")), ("acceleration", "g", (9.80665, "m/s2")),
         ("acceleration", "m/s²", (1.0, "m/s2")), ("acceleration", "m/s^2", (1.0, "m/s2")),
@@ -112,8 +118,10 @@ def test_unit_becomes_si_or_is_kept(quantity: str, unit: str, expected: tuple[fl
     ("quantity", "unit", "kind"),
     [
         ("displacement", "kg", "mass"), ("force", "m", "displacement"), ("velocity", "m", "displacement"),
-        ("acceleration", "mm/s", "velocity"), ("displacement", "N/m", "stiffness"), ("force", "Hz", "frequency"),
-        ("force", "V", None), ("displacement", "counts", None), ("acceleration", "g", None), ("output", "kg", None),
+        ("acceleration", "mm/s", "velocity"), ("displacement", "N/m", "stiffness"),
+        ("force", "Hz", "frequency"),
+        ("force", "V", None), ("displacement", "counts", None), ("acceleration", "g", None),
+        ("output", "kg", None),
     ],
 )  # fmt: skip
 def test_unit_of_another_kind_is_told_from_unknown_text(quantity: str, unit: str, kind: str | None) -> None:
@@ -130,7 +138,9 @@ def test_linear_model_reads_with_its_parameters_estimated_by_default() -> None:
 
 
 def test_source_has_its_drivers_settings_and_takes_its_name() -> None:
-    second = '[[source]]\ndriver = "can"\ninterface = "socketcan"\ndbc = "b.dbc"\nmap = { x2 = "B.x" }\n[store]'
+    second = (
+        '[[source]]\ndriver = "can"\ninterface = "socketcan"\ndbc = "b.dbc"\nmap = { x2 = "B.x" }\n[store]'
+    )
     config = read(changed(PRESS, (', x2 = "RIG_SAMPLE.X2" }', " }"), ("[store]", second)))
     first = config.source[0]
     assert isinstance(first.settings, FakeSettings)
@@ -148,7 +158,9 @@ def test_source_with_the_same_own_keys_shares_a_connection() -> None:
 
 
 def test_columns_name_channels_time_and_delimiter() -> None:
-    text = changed(PRESS, ("[store]", '[columns]\nx1 = "Encoder 1 Pos"\nt = "Time"\ndelimiter = "tab"\n[store]'))
+    text = changed(
+        PRESS, ("[store]", '[columns]\nx1 = "Encoder 1 Pos"\nt = "Time"\ndelimiter = "tab"\n[store]')
+    )
     columns = read(text).columns
     assert (columns.names, columns.delimiter) == ({"x1": "Encoder 1 Pos", "t": "Time"}, "\t")
 
@@ -169,7 +181,9 @@ def test_massless_node_held_through_a_chain_of_dampers_is_taken() -> None:
     nodes = '{ name = "m2", value = 3.0 }, { name = "n1", value = 0 }, { name = "n2", value = 0 }]'
     first = '{ name = "d1", between = ["n1", "m2"], nominal = 1 }'
     second = '{ name = "d2", between = ["n2", "n1"], nominal = 1 }'
-    held = changed(PRESS, ('{ name = "m2", value = 3.0 }]', nodes), ("damper = [", f"damper = [{first}, {second}, "))
+    held = changed(
+        PRESS, ('{ name = "m2", value = 3.0 }]', nodes), ("damper = [", f"damper = [{first}, {second}, ")
+    )
     assert faults(held) == {}
     loose = changed(held, ('["n1", "m2"], nominal = 1', '["n1", "m2"], nominal = 0'))
     assert faults(loose).keys() == {"model.mass[2].value", "model.mass[3].value"}

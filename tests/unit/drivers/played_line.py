@@ -1,4 +1,5 @@
-"""A Modbus device on a played machine: time moves when the driver waits, and answers come when the device is told."""
+"""A Modbus device on a played machine: time moves when the driver waits, and answers come when the device is
+told."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

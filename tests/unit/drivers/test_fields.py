@@ -10,7 +10,8 @@ from drivers.fields import FieldSpec, Layout
 from drivers.port import DriverConfigError
 
 CODES = {
-    "int8": "b", "int16": "h", "int32": "i", "int64": "q", "uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q",
+    "int8": "b", "int16": "h", "int32": "i", "int64": "q", "uint8": "B", "uint16": "H", "uint32": "I",
+    "uint64": "Q",
     "float32": "f", "float64": "d",
 }  # fmt: skip
 KINDS = st.lists(st.sampled_from(sorted(CODES)), min_size=1, max_size=6)
@@ -24,7 +25,9 @@ def layout_of(kinds: list[str], order: str) -> Layout:
 def test_layout_of_random_bytes_reads_what_struct_reads(kinds: list[str], order: str, seed: int) -> None:
     layout = layout_of(kinds, order)
     slots = np.random.default_rng(seed).integers(0, 256, (5, layout.size), np.uint8)
-    expected = [struct.unpack((">" if order == "big" else "<") + "".join(CODES[k] for k in kinds), s) for s in slots]
+    expected = [
+        struct.unpack((">" if order == "big" else "<") + "".join(CODES[k] for k in kinds), s) for s in slots
+    ]
     for column, field in enumerate(layout.fields):
         raw = layout.raw(slots, field.name)
         np.testing.assert_array_equal(raw, np.array([row[column] for row in expected], field.dtype))
@@ -34,7 +37,9 @@ def test_layout_of_random_bytes_reads_what_struct_reads(kinds: list[str], order:
 def test_pack_of_what_was_read_gives_the_bytes_back(kinds: list[str], order: str, seed: int) -> None:
     layout = layout_of([k for k in kinds if not k.startswith("float")] or ["uint8"], order)
     slots = np.random.default_rng(seed).integers(0, 256, (5, layout.size), np.uint8)
-    np.testing.assert_array_equal(layout.pack({f.name: layout.raw(slots, f.name) for f in layout.fields}), slots)
+    np.testing.assert_array_equal(
+        layout.pack({f.name: layout.raw(slots, f.name) for f in layout.fields}), slots
+    )
 
 
 def test_word_order_little_swaps_registers_and_keeps_their_bytes() -> None:
@@ -72,7 +77,9 @@ ORDERS = {
 
 @pytest.mark.parametrize("orders", sorted(ORDERS))
 @pytest.mark.parametrize("bits", [16, 32, 64])
-def test_number_in_each_order_of_bytes_and_words_is_read_and_written(bits: int, orders: tuple[str, str]) -> None:
+def test_number_in_each_order_of_bytes_and_words_is_read_and_written(
+    bits: int, orders: tuple[str, str]
+) -> None:
     layout = Layout((FieldSpec(name="a", type=f"uint{bits}"),), *orders)
     wire = bytes.fromhex(dict(zip((16, 32, 64), ORDERS[orders], strict=True))[bits])
     slots = np.frombuffer(wire, np.uint8)[None]

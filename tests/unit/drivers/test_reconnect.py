@@ -155,7 +155,9 @@ def test_read_that_fails_closes_the_source_and_says_why(parts: Parts) -> None:
     assert (event.cause, event.message) == ("lost", "unplugged")
 
 
-def test_source_that_cannot_even_be_closed_is_opened_again(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_source_that_cannot_even_be_closed_is_opened_again(
+    parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
     driver, wrapper, clock = parts
     driver.reads.extend([1, DriverIOError("unplugged"), 2])
 
@@ -196,7 +198,10 @@ def test_line_that_talks_rubbish_is_not_called_silent(parts: Parts) -> None:
         clock.now += 1.0
         wrapper.read(0.1)
     (event,) = wrapper.take_events()
-    assert (event.cause, event.message) == ("stale", "press: no good sample for 2 s: 300 sync, 15 stray bytes")
+    assert (event.cause, event.message) == (
+        "stale",
+        "press: no good sample for 2 s: 300 sync, 15 stray bytes",
+    )
 
 
 def test_config_error_passes_through(parts: Parts) -> None:

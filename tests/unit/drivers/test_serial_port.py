@@ -142,7 +142,9 @@ def test_line_of_another_user_is_refused_with_advice(monkeypatch: pytest.MonkeyP
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(serial_port.os, "open", refuse)
-    with pytest.raises(DriverIOError, match=r"/dev/ttyUSB0: Permission denied; .* group of the device \(dialout\)"):
+    with pytest.raises(
+        DriverIOError, match=r"/dev/ttyUSB0: Permission denied; .* group of the device \(dialout\)"
+    ):
         open_port(keys(), "/dev/ttyUSB0", read_only=True)
 
 

@@ -41,12 +41,16 @@ def test_column_of_decimals_equals_exact_arithmetic(cells: list[str]) -> None:
 
 
 def test_ties_round_to_even() -> None:
-    fast = column(["0.0000000005", "0.0000000015", "0.00000000050000001", "-0.0000000025", "1700000000.1234567895"])
+    fast = column(
+        ["0.0000000005", "0.0000000015", "0.00000000050000001", "-0.0000000025", "1700000000.1234567895"]
+    )
     assert fast is not None
     assert fast.tolist() == [0, 2, 1, -2, 1700000000123456790]
 
 
-@pytest.mark.parametrize("cells", [["1e-3"], ["1", "x"], ["1", ""], ["1.2.3"], ["."], ["1-2"], ["9999999999"]])
+@pytest.mark.parametrize(
+    "cells", [["1e-3"], ["1", "x"], ["1", ""], ["1.2.3"], ["."], ["1-2"], ["9999999999"]]
+)
 def test_column_with_other_cells_is_left_to_the_slow_way(cells: list[str]) -> None:
     assert column(cells) is None
 

@@ -9,8 +9,10 @@ from drivers.write_gate import ForbiddenWriteError, check, permitted
 
 FOLDER = Path(drivers.__file__).parent
 WRITES = {
-    "send", "sendall", "sendto", "sendmsg", "sendmsg_afalg", "sendfile", "send_periodic", "write", "writelines",
-    "writev", "pwrite", "write_register", "write_registers", "write_coil", "write_coils", "send_break", "ioctl",
+    "send", "sendall", "sendto", "sendmsg", "sendmsg_afalg", "sendfile", "send_periodic", "write",
+    "writelines",
+    "writev", "pwrite", "write_register", "write_registers", "write_coil", "write_coils", "send_break",
+    "ioctl",
 }  # fmt: skip
 ALLOWED = {
     "write_gate.py": {"sendall"},  # behind `check`
@@ -32,14 +34,21 @@ def calls(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("path", sorted(FOLDER.rglob("*.py")), ids=lambda path: path.relative_to(FOLDER).as_posix())
+@pytest.mark.parametrize(
+    "path", sorted(FOLDER.rglob("*.py")), ids=lambda path: path.relative_to(FOLDER).as_posix()
+)
 def test_module_calls_nothing_that_writes_but_through_the_gate(path: Path) -> None:
     assert calls(path) & WRITES <= ALLOWED.get(path.relative_to(FOLDER).as_posix(), set())
 
 
 def tcp(pdu: str, length: int | None = None) -> bytes:
     data = bytes.fromhex(pdu)
-    return b"\x00\x01\x00\x00" + (len(data) + 1 if length is None else length).to_bytes(2, "big") + b"\x01" + data
+    return (
+        b"\x00\x01\x00\x00"
+        + (len(data) + 1 if length is None else length).to_bytes(2, "big")
+        + b"\x01"
+        + data
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,7 +78,11 @@ def tcp(pdu: str, length: int | None = None) -> bytes:
         ("slcan", b"S9\r", False),
         ("slcan", b"", False),
         ("netlink", question("can0"), True),
-        ("netlink", question("can0")[:4] + b"\x10" + question("can0")[5:], False),  # RTM_NEWLINK: would set it up
+        (
+            "netlink",
+            question("can0")[:4] + b"\x10" + question("can0")[5:],
+            False,
+        ),  # RTM_NEWLINK: would set it up
         ("netlink", question("can0") + b"\0", False),
         ("netlink", b"", False),
         ("serial", b"\x00", False),

@@ -65,7 +65,9 @@ def test_compare_scores_each_method_on_windows_it_has_not_seen(
     assert plot.stat().st_size > 10_000
 
 
-def test_compare_table_names_what_was_chosen_and_refuses_what_is_none(files: tuple[str, str], capsys: Capture) -> None:
+def test_compare_table_names_what_was_chosen_and_refuses_what_is_none(
+    files: tuple[str, str], capsys: Capture
+) -> None:
     code, out, _ = run(capsys, *files, "--methods", "observer,rls")
     assert code == 0
     assert "rate 0." in out
@@ -88,7 +90,9 @@ def test_compare_refuses_a_recording_of_too_few_windows(
 
 def test_command_line_does_not_import_filterpy_before_it_compares() -> None:
     code = "import sys, agent.cli.app, agent.evaluation.compare.compare; print('filterpy' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
     assert done.stdout == "False\n"
 
 
@@ -96,7 +100,10 @@ def test_joint_filters_read_accelerometers_whose_direct_part_depends_on_paramete
     """Accelerations are C(theta) x + D u: the filters take both from the polynomial."""
     model = rig()
     sensed = type(model)(
-        model.structure, model.parameters, model.forces, (Output("acceleration", "m1"), Output("displacement", "m2"))
+        model.structure,
+        model.parameters,
+        model.forces,
+        (Output("acceleration", "m1"), Output("displacement", "m2")),
     )
     rng = np.random.default_rng(4)
     u = rng.normal(scale=5.0, size=(1500, 1))

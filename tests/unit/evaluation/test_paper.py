@@ -41,13 +41,19 @@ def test_paper_as_printed_gives_the_digits_of_one_pass(document: dict[str, Any])
 
 def test_paper_by_pass_gives_the_digits_of_each_pass(document: dict[str, Any]) -> None:
     trail = document["case_1"]["by_pass"]
-    printed = {2: "25.728 53.005 -0.251 -0.937", 4: "25.149 51.506 0.039 0.119", 6: "24.965 49.791 -0.002 0.019"}
+    printed = {
+        2: "25.728 53.005 -0.251 -0.937",
+        4: "25.149 51.506 0.039 0.119",
+        6: "24.965 49.791 -0.002 0.019",
+    }
     for number, text in printed.items():
         assert " ".join(f"{trail[number - 1][name]:.3f}" for name in NAMES) == text
     assert " ".join(f"{trail[10][name]:.5f}" for name in NAMES) == "25.00021 50.00239 0.00007 0.00024"
 
 
-def test_paper_recentred_and_product_reach_the_actual_values_in_all_segments(document: dict[str, Any]) -> None:
+def test_paper_recentred_and_product_reach_the_actual_values_in_all_segments(
+    document: dict[str, Any],
+) -> None:
     nominal = np.array([25.0, 100.0, 5.0, 5.0])
     for segment, actual, published in zip(document["case_2"]["segments"], ACTUAL, PUBLISHED, strict=True):
         rows = segment["rows"]
@@ -106,7 +112,9 @@ def test_figure_4_breaks_its_lines_only_where_a_window_holds_a_change() -> None:
     assert not drawn[index == 1225].any()
 
 
-def test_paper_on_its_euler_data_the_exact_model_comes_near_the_published_row(document: dict[str, Any]) -> None:
+def test_paper_on_its_euler_data_the_exact_model_comes_near_the_published_row(
+    document: dict[str, Any],
+) -> None:
     found = document["case_1"]["exact_model_on_euler_data"]
     assert found["B1"] == pytest.approx(-0.05, abs=0.01)
     assert found["B2"] == pytest.approx(-0.13, abs=0.02)
@@ -148,7 +156,15 @@ def test_paper_table_shows_both_tables_counts_and_remarks(document: dict[str, An
     console = Console(width=140, file=StringIO())
     console.print(table(document))
     text = console.file.getvalue()  # type: ignore[attr-defined]
-    for piece in ("table 1", "combination 3", "21.618", "24.86", "the paper: 17", "0.0418", "re-centred, 16 passes"):
+    for piece in (
+        "table 1",
+        "combination 3",
+        "21.618",
+        "24.86",
+        "the paper: 17",
+        "0.0418",
+        "re-centred, 16 passes",
+    ):
         assert piece in text
     assert "-0.000000" not in text
 

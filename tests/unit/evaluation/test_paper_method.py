@@ -34,7 +34,9 @@ window_s"""
     return found
 
 
-def test_seed_method_recentred_gives_valid_estimates_at_the_true_values(tmp_path: Path, record: Record) -> None:
+def test_seed_method_recentred_gives_valid_estimates_at_the_true_values(
+    tmp_path: Path, record: Record
+) -> None:
     found = estimates(tmp_path, record, passes=20)
     assert found.method == "seed"
     assert np.all(found.status[-1] == Status.VALID)

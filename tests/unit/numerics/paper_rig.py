@@ -1,4 +1,5 @@
-"""The paper's rig as the tests of its method need it: printed figures, written down here once more on purpose."""
+"""The paper's rig as the tests of its method need it: printed figures, written down here once more on
+purpose."""
 
 import numpy as np
 from numpy.typing import NDArray

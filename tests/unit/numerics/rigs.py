@@ -16,7 +16,8 @@ PERIOD = 1e-3
 
 
 def random_structure(rng: np.random.Generator, masses: int) -> Structure:
-    """A random tree from the ground, some with one more edge that closes a ring; a spring and a damper an edge."""
+    """A random tree from the ground, some with one more edge that closes a ring; a spring and a damper an
+    edge."""
     nodes = ["ground", *(f"m{i}" for i in range(1, masses + 1))]
     edges = [(nodes[rng.integers(i)], nodes[i]) for i in range(1, masses + 1)]
     closing = (nodes[rng.integers(masses)], nodes[-1])
@@ -30,7 +31,9 @@ def random_structure(rng: np.random.Generator, masses: int) -> Structure:
 def measured_model(structure: Structure, forces: tuple[str, ...]) -> MassSpringDamper:
     """Every spring and damper estimated, every displacement measured."""
     names = tuple(e.name for e in (*structure.springs, *structure.dampers))
-    return MassSpringDamper(structure, names, forces, tuple(Output("displacement", m.name) for m in structure.masses))
+    return MassSpringDamper(
+        structure, names, forces, tuple(Output("displacement", m.name) for m in structure.masses)
+    )
 
 
 @dataclass(frozen=True)

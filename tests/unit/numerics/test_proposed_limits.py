@@ -33,7 +33,8 @@ def rule(found: Limit) -> Rule:
 
 
 def change(rng: np.random.Generator, healthy: Healthy, seconds: float) -> np.ndarray:
-    """Rows of a healthy machine about its reference: an exponential autocorrelation, and windows that overlap."""
+    """Rows of a healthy machine about its reference: an exponential autocorrelation, and windows that
+    overlap."""
     n = round(seconds / healthy.hop_s)
     keep = np.exp(-healthy.hop_s / healthy.correlation_s)
     pushed = np.sqrt(1.0 - keep**2) * rng.standard_normal(n)
@@ -49,13 +50,19 @@ def raised(found: Limit, healthy: Healthy, values: np.ndarray) -> np.ndarray:
     """Seconds at which an alarm with a proposed limit is raised."""
     alarms = LevelAlarms("press", [rule(found)], 1.0 / healthy.hop_s)
     n = len(values)
-    rows = batch(25.0 + values, sd=healthy.row_sd, index=np.arange(n), window_s=np.full((n, 1), healthy.window_s))
+    rows = batch(
+        25.0 + values, sd=healthy.row_sd, index=np.arange(n), window_s=np.full((n, 1), healthy.window_s)
+    )
     steps = alarms.step(rows)
-    seconds = healthy.hop_s * np.searchsorted(rows.t_ns, [step.t_ns for step in steps if step.cause == "raise"])
+    seconds = healthy.hop_s * np.searchsorted(
+        rows.t_ns, [step.t_ns for step in steps if step.cause == "raise"]
+    )
     return np.asarray(seconds)
 
 
-@pytest.mark.parametrize("healthy", [HEALTHY, replace(HEALTHY, spread_sd=0.05), replace(HEALTHY, scatter_sd=0.01)])
+@pytest.mark.parametrize(
+    "healthy", [HEALTHY, replace(HEALTHY, spread_sd=0.05), replace(HEALTHY, scatter_sd=0.01)]
+)
 def test_proposed_limit_is_not_crossed_in_thirty_days_of_other_seeds(healthy: Healthy) -> None:
     found = proposed(healthy, per_year=1.0)
     assert found.false_per_year <= 1.0 + 1e-9

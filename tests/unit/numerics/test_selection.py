@@ -1,4 +1,5 @@
-"""Choosing elements from what windows say: false additions where windows differ more than they should, ties, signs."""
+"""Choosing elements from what windows say: false additions where windows differ more than they should, ties,
+signs."""
 
 import numpy as np
 
@@ -10,7 +11,8 @@ WINDOWS, PARAMETERS = 12, 8
 
 
 def costs(truth: FloatArray, rng: np.random.Generator, inflated: float, sd: float = 1.0) -> Costs:
-    """Windows of a linear model about 0 whose estimates scatter `inflated` times more, as a variance, than they say."""
+    """Windows of a linear model about 0 whose estimates scatter `inflated` times more, as a variance, than
+    they say."""
     q = len(truth)
     found = Costs.none(np.zeros(q), np.diag([2500.0]), np.zeros(1))
     found.prior = np.pad(found.prior, ((q, 0), (q, 0)))
@@ -35,7 +37,8 @@ def test_selector_counts_dependent_data_once() -> None:
     assert kept[:, :4].all()
     false = kept[:, 4:].any(axis=1)
     assert false.mean() <= 0.05
-    # what counts every sample once more would have taken: estimates beyond the same quantile by their own word
+    # what counts every sample once more would have taken: estimates beyond the same quantile by their own
+    # word
     naive = 0
     for _ in range(60):
         selector = selected(truth, rng, 4.0)

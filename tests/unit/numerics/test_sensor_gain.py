@@ -1,4 +1,5 @@
-"""A sensor that reads 5 % high: `gain = true` finds it through the whole configuration, or check says why it cannot."""
+"""A sensor that reads 5 % high: `gain = true` finds it through the whole configuration, or check says why it
+cannot."""
 
 from pathlib import Path
 
@@ -29,10 +30,11 @@ def configured(folder: Path, *channels: str, forced: bool = True) -> RigConfig:
 @pytest.mark.parametrize(
     ("channels", "sd", "sd_gain"),
     [
-        # the force's gain is as configured: a fiftieth of its data sheet's 1 %, and a sixth of that from the noise
+        # the force's gain is as configured: a fiftieth of its data sheet's 1 %, and a sixth of that from the
+        # noise
         (("x1",), 2.5e-4, 2.5e-4),
-        # both masses and the force by 1 %, both motions by -1 %: no reading differs, so data sheets alone say what
-        # the scale is: two masses of 2 % each, and the force of 1 % beside them
+        # both masses and the force by 1 %, both motions by -1 %: no reading differs, so data sheets alone say
+        # what the scale is: two masses of 2 % each, and the force of 1 % beside them
         (("x1", "x2"), 1.05 * 0.02 / 2**0.5, 1.05 * (0.02**2 / 2 + 0.01**2) ** 0.5),
     ],
     ids=["its own", "both outputs'"],
@@ -65,8 +67,8 @@ def test_window_ml_a_gain_error_that_is_not_asked_for_is_found_among_the_constan
     assert batch is not None
     valid = (batch.status == Status.VALID).all(axis=1)
     assert valid[-1]
-    # one window alone cannot tell a gain that is off from one that drifts, and its sds of 3e-5 are too small for what
-    # it is off by, at most as much as the force's gain leaves open in every later row: 2e-4
+    # one window alone cannot tell a gain that is off from one that drifts, and its sds of 3e-5 are too small
+    # for what it is off by, at most as much as the force's gain leaves open in every later row: 2e-4
     assert np.all((np.abs(batch.value - NOMINAL) < 5 * np.maximum(batch.sd, 2e-4 * NOMINAL))[valid])
     _, believed = estimated.beliefs[-1]
     (off,) = [belief for belief in believed if belief.probability > 0.9]

@@ -11,7 +11,8 @@ HOUR = 3600.0
 def walk(
     rng: np.random.Generator, hours: int, tau_h: float, sd: float, rows: int = 20
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows of a stationary process with an exponential autocorrelation, and white noise of 0.5 on each."""
+    """Return rows of a stationary process with an exponential autocorrelation, and white noise of 0.5 on
+    each."""
     step = 1.0 / rows
     keep = np.exp(-step / tau_h)
     x = np.empty(hours * rows)

@@ -17,7 +17,8 @@ LEVEL = 25.0
 class Law:
     """One part's law, in shares of its first level and spans of its history, which ends at t = 0.
 
-    `bend` is ln(rate at the limit / rate at the start); after the newest row the rate at the limit differs by `later`.
+    `bend` is ln(rate at the limit / rate at the start); after the newest row the rate at the limit differs by
+    `later`.
     """
 
     rate: float
@@ -37,7 +38,8 @@ class Law:
         return (t >= self.onset) * (1.0 + self.ramp * (t + 1.0)) * float(np.exp(-(t + 1.0) / self.constant))
 
     def of_level(self, z: float, now: float | None = None) -> float:
-        """Rate at a level over the rate at the start, as far as the level decides; now: the newest one, if gone by."""
+        """Rate at a level over the rate at the start, as far as the level decides; now: the newest one, if
+        gone by."""
         x, reach = np.log1p(max(z, -0.99)), np.log1p(self.limit)
         power = self.bend * x / reach
         if now is not None:
@@ -47,7 +49,8 @@ class Law:
 
 
 def of_the_family(rng: np.random.Generator) -> tuple[str, History, float, float]:
-    """Return a law's name, its history, the limit, and what remains until it first reaches that; inf for never."""
+    """Return a law's name, its history, the limit, and what remains until it first reaches that; inf for
+    never."""
     while True:
         name = str(rng.choice(list(WEIGHTS), p=list(WEIGHTS.values())))
         law, gone = drawn(rng, name)
@@ -58,7 +61,12 @@ def of_the_family(rng: np.random.Generator) -> tuple[str, History, float, float]
         level, rate = np.interp(t, np.linspace(-1.0, 0.0, len(levels[:-1])), levels[:-1]), levels[-1]
         value = level + law.scatter * rng.standard_normal(MEANS)
         history = History(100.0 * (t + 1.0), LEVEL * (1.0 + value), np.full(MEANS, LEVEL * law.scatter))
-        return name, history, LEVEL * (1.0 + law.limit), 100.0 * onward(rng, law, float(level[-1]), float(rate))
+        return (
+            name,
+            history,
+            LEVEL * (1.0 + law.limit),
+            100.0 * onward(rng, law, float(level[-1]), float(rate)),
+        )
 
 
 def student(rng: np.random.Generator, loc: float, scale: float, dof: float = 8.0) -> float:
@@ -99,7 +107,9 @@ def lived(rng: np.random.Generator, law: Law, gone: float) -> np.ndarray | None:
     """Return levels up to now and, last, the rate by then; None where the limit was reached."""
     z, rate, levels = 0.0, law.rate, [0.0]
     for t in np.arange(-1.0, 0.0, STEP):
-        z += (rate * law.of_time(t) * STEP + law.walk * np.sqrt(STEP) * rng.standard_normal()) * law.of_level(z)
+        z += (rate * law.of_time(t) * STEP + law.walk * np.sqrt(STEP) * rng.standard_normal()) * law.of_level(
+            z
+        )
         rate += (50.0 if t < law.run_in else law.wander) * gone * np.sqrt(STEP) * rng.standard_normal()
         levels.append(z)
         if z <= law.limit:

@@ -18,7 +18,9 @@ QUIET: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "walk": lambda rng: np.cumsum(rng.standard_normal(N)),
     "walk beside noise": lambda rng: np.cumsum(rng.standard_normal(N)) + 3.0 * rng.standard_normal(N),
     "season": lambda rng: 3.0 * np.cos(2 * np.pi * (DAYS / 365.25 + rng.uniform())) + rng.standard_normal(N),
-    "season in AR(0.9)": lambda rng: 3.0 * np.cos(2 * np.pi * (DAYS / 365.25 + rng.uniform())) + coloured(rng, N, 0.9),
+    "season in AR(0.9)": lambda rng: (
+        3.0 * np.cos(2 * np.pi * (DAYS / 365.25 + rng.uniform())) + coloured(rng, N, 0.9)
+    ),
 }
 
 
@@ -34,7 +36,9 @@ def test_change_years_without_a_trend_seldom_say_trend(rng: np.random.Generator,
 
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", QUIET)
-def test_change_of_many_years_without_a_trend_says_trend_in_a_twentieth(rng: np.random.Generator, kind: str) -> None:
+def test_change_of_many_years_without_a_trend_says_trend_in_a_twentieth(
+    rng: np.random.Generator, kind: str
+) -> None:
     share = false_trends(rng, kind, 500)
     figure(f"false trends, {kind}: {100 * share:.1f} % of 500 years")
     assert share <= 0.05

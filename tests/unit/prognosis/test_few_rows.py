@@ -43,7 +43,9 @@ def test_change_of_few_rows_of_noise_is_no_trend(rng: np.random.Generator, n: in
 
 
 def test_change_knows_how_probable_a_rate_is(rng: np.random.Generator) -> None:
-    found = change(History(np.arange(60.0), 25.0 - 0.2 * np.arange(60) + rng.standard_normal(60), np.ones(60)))
+    found = change(
+        History(np.arange(60.0), 25.0 - 0.2 * np.arange(60) + rng.standard_normal(60), np.ones(60))
+    )
     assert found is not None
     below = [1.0 - found.rates.above(-rate) for rate in (0.02, 0.2, 2.0)]
     assert below[0] > 0.97
@@ -98,4 +100,6 @@ def test_change_never_gives_what_is_not_finite(rng: np.random.Generator) -> None
         t = np.sort(rng.uniform(0, 1e-9, n))
         found = change(History(t, np.full(n, 1e-7), np.full(n, 1e-9)))
         assert found is not None
-        assert np.isfinite([found.level, found.level_sd, found.slope, found.slope_lower, found.slope_upper]).all()
+        assert np.isfinite(
+            [found.level, found.level_sd, found.slope, found.slope_lower, found.slope_upper]
+        ).all()

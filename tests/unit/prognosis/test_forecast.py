@@ -36,7 +36,9 @@ def test_forecast_band_holds_what_comes(rng: np.random.Generator) -> None:
 def test_forecast_transforms_of_many_histories_are_uniform(rng: np.random.Generator) -> None:
     found = transforms(rng, 500)
     share, p = float(np.mean(np.abs(found - 0.5) <= 0.4)), float(kstest(found, "uniform").pvalue)
-    figure(f"forecasts of a steady fall: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.3f}")
+    figure(
+        f"forecasts of a steady fall: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.3f}"
+    )
     assert share >= 0.75
 
 
@@ -45,21 +47,28 @@ def test_forecast_transforms_of_many_histories_are_uniform(rng: np.random.Genera
 def test_forecast_transforms_of_parts_that_follow_the_family_are_uniform(rng: np.random.Generator) -> None:
     found = np.array([transform for _ in range(500) if (transform := of_one_part(rng)) is not None])
     share, p = float(np.mean(np.abs(found - 0.5) <= 0.4)), float(kstest(found, "uniform").pvalue)
-    figure(f"forecasts of parts of the family: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.2f}")
+    figure(
+        f"forecasts of parts of the family: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.2f}"
+    )
     assert 0.75 <= share <= 0.85
     assert p > 0.01
 
 
 def of_one_part(rng: np.random.Generator) -> float | None:
-    """Where the true passage lies among the draws, from 0 to 1; drawn evenly among those of no passage at all."""
+    """Where the true passage lies among the draws, from 0 to 1; drawn evenly among those of no passage at
+    all."""
     _, history, limit, remains = of_the_family(rng)
     found = forecast(history, limit).passages
     if not len(found):
         return None
-    return pit(found, remains) if np.isfinite(remains) else 1.0 - float(np.mean(np.isinf(found))) * rng.uniform()
+    return (
+        pit(found, remains) if np.isfinite(remains) else 1.0 - float(np.mean(np.isinf(found))) * rng.uniform()
+    )
 
 
-def test_like_machines_that_fail_faster_than_they_wore_teach_so_of_the_end_alone(rng: np.random.Generator) -> None:
+def test_like_machines_that_fail_faster_than_they_wore_teach_so_of_the_end_alone(
+    rng: np.random.Generator,
+) -> None:
     early, *_, late = learn_from([cracking(rng) for _ in range(6)], None).later
     assert abs(early[1]) < 0.5
     assert late[1] > 1.5
@@ -103,7 +112,9 @@ def test_forecast_more_noise_in_the_estimates_widens_the_band(rng: np.random.Gen
 
 def width(found: Forecast) -> float:
     """P90 - P10 of the draws, whether they are shown or not."""
-    return float(found.passages[int(0.9 * len(found.passages))] - found.passages[int(0.1 * len(found.passages))])
+    return float(
+        found.passages[int(0.9 * len(found.passages))] - found.passages[int(0.1 * len(found.passages))]
+    )
 
 
 @pytest.mark.parametrize("n", range(6))
@@ -150,7 +161,9 @@ def test_like_machines_narrow_a_short_history_and_lose_to_a_long_one(rng: np.ran
     assert width(together) < width(alone)
     t = np.arange(180.0)
     other = History(t, 25.0 - 0.02 * t + 0.02 * rng.standard_normal(180), np.full(180, 0.02))
-    misled = forecast(other, 17.0, like=learnt)  # like machines lived 200 days; this one has 221 left, and says so
+    misled = forecast(
+        other, 17.0, like=learnt
+    )  # like machines lived 200 days; this one has 221 left, and says so
     assert misled.p10 is not None
     assert misled.p90 is not None
     assert 70.0 < misled.p10 < 221.0 < misled.p90
@@ -162,9 +175,13 @@ def test_learn_from_nothing_that_moves_says_so() -> None:
 
 
 @pytest.mark.parametrize("rows", [100, 4000])
-def test_forecast_counts_from_the_newest_row_however_many_there_are(rng: np.random.Generator, rows: int) -> None:
+def test_forecast_counts_from_the_newest_row_however_many_there_are(
+    rng: np.random.Generator, rows: int
+) -> None:
     t = np.linspace(0.0, 100.0, rows)
-    found = forecast(History(t, 25.0 - 0.05 * t + 1e-3 * rng.standard_normal(rows), np.full(rows, 1e-3)), 19.0)
+    found = forecast(
+        History(t, 25.0 - 0.05 * t + 1e-3 * rng.standard_normal(rows), np.full(rows, 1e-3)), 19.0
+    )
     assert found.p50 == pytest.approx(20.0, abs=0.15)
 
 
@@ -179,7 +196,9 @@ def test_brief_forecast_says_what_the_whole_one_says(rng: np.random.Generator) -
 
 def test_forecast_without_a_horizon_is_not_beyond_it(rng: np.random.Generator) -> None:
     t = np.linspace(0.0, 100.0, 1000)  # thinned to means, whose span is less
-    found = forecast(History(t, 25.0 - 0.05 * t + 0.02 * rng.standard_normal(1000), np.full(1000, 0.02)), 14.9)
+    found = forecast(
+        History(t, 25.0 - 0.05 * t + 0.02 * rng.standard_normal(1000), np.full(1000, 0.02)), 14.9
+    )
     assert found.p50 is not None
     assert found.p50 > 100.0
     assert found.status == "ok"

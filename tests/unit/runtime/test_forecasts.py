@@ -51,7 +51,8 @@ def falling(first: int, days: int) -> EstimateBatch:
     value = np.array([25.0, 100.0, 5.0, 5.0]) - np.outer(day, [5.0 / FALL, 0.0, 0.0, 0.0]) + noise
     sd = np.full(value.shape, 0.05)
     return batch(
-        days, first=first, hop_ns=DAY_NS, value=value, sd=sd, sd_repeat=sd, parameters=("k1", "k2", "B1", "B2"),
+        days, first=first, hop_ns=DAY_NS, value=value, sd=sd, sd_repeat=sd,
+        parameters=("k1", "k2", "B1", "B2"),
         reference=np.array([25.0, 100.0, 5.0, 5.0]),
     )  # fmt: skip
 
@@ -64,7 +65,9 @@ def store(path: Path, *records: Record) -> Path:
 
 def made(rig: RigConfig, path: Path, until_day: int | None = None) -> ForecastRecord:
     until = None if until_day is None else START + until_day * DAY_NS
-    (record,) = (r for r in Forecaster(rig, path).make("due", ("k1",), until).records if isinstance(r, ForecastRecord))
+    (record,) = (
+        r for r in Forecaster(rig, path).make("due", ("k1",), until).records if isinstance(r, ForecastRecord)
+    )
     return record
 
 
@@ -81,7 +84,9 @@ def test_forecast_is_of_the_limit_that_the_parameter_moves_to(rig: RigConfig, tm
     assert sum(json.loads(record.family).values()) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_forecast_is_the_same_to_the_last_bit_whether_later_rows_exist_or_not(rig: RigConfig, tmp_path: Path) -> None:
+def test_forecast_is_the_same_to_the_last_bit_whether_later_rows_exist_or_not(
+    rig: RigConfig, tmp_path: Path
+) -> None:
     short = store(tmp_path / "short.db", falling(0, 20))
     whole = store(tmp_path / "whole.db", falling(0, 38))
     assert made(rig, whole, 19) == made(rig, short)
@@ -109,7 +114,9 @@ def test_forecast_is_scored_once_as_scoringrules_does(rig: RigConfig, tmp_path: 
     assert queries.forecasts(path)[1]["status"] == "crossed"
 
 
-def test_forecast_of_what_never_comes_is_scored_when_its_time_has_long_passed(rig: RigConfig, tmp_path: Path) -> None:
+def test_forecast_of_what_never_comes_is_scored_when_its_time_has_long_passed(
+    rig: RigConfig, tmp_path: Path
+) -> None:
     path = tmp_path / "a.db"
     falls = falling(30, 90)
     stays = replace(falls, value=falls.value + np.outer(np.arange(30, 120) - 29.0, [0.125, 0, 0, 0]))
@@ -123,7 +130,9 @@ def test_forecast_of_what_never_comes_is_scored_when_its_time_has_long_passed(ri
     assert (row["crossed_at"], row["held"]) == (None, 0)
     until = (row["scored_ns"] - row["made_at_ns"]) / 1e9
     draws = np.minimum(json.loads(row["draws"]), until)
-    assert row["crps"] == pytest.approx(float(scoringrules.crps_ensemble(until, draws, estimator="nrg")), rel=1e-9)
+    assert row["crps"] == pytest.approx(
+        float(scoringrules.crps_ensemble(until, draws, estimator="nrg")), rel=1e-9
+    )
 
 
 def test_history_of_a_moment_is_too_short_without_a_look(rig: RigConfig, tmp_path: Path) -> None:
@@ -176,7 +185,9 @@ def test_schedule_is_due_once_a_period_and_bounded_after_a_gap() -> None:
 
 def test_schedule_asks_at_level_alarms_and_not_at_each_of_a_chattering_one() -> None:
     schedule = Schedule(60.0)
-    assert schedule.at_alarms([step("NORM", "UNACK"), step("NORM", "UNACK", kind="sensor")]) == [(START, "k1")]
+    assert schedule.at_alarms([step("NORM", "UNACK"), step("NORM", "UNACK", kind="sensor")]) == [
+        (START, "k1")
+    ]
     assert schedule.at_alarms([step("UNACK", "RTNUN", START + 10**8)]) == []
     assert schedule.at_alarms([step("RTNUN", "UNACK", START + 10**9)]) == [(START + 10**9, "k1")]
 
@@ -218,7 +229,8 @@ def test_thread_makes_what_is_asked_once_and_is_not_waited_for() -> None:
 
 
 def test_life_of_a_part_is_forecast_alarmed_and_scored(rig: RigConfig, tmp_path: Path) -> None:
-    """A part that falls for FALL days, seen day by day: the alarm comes before the limit, and the record is kept."""
+    """A part that falls for FALL days, seen day by day: the alarm comes before the limit, and the record is
+    kept."""
     alarm = rig.alarm[0].model_copy(update={"within": 12 * 86_400.0})
     rig = rig.model_copy(update={"alarm": (alarm,), "forecast": Asked(every=6 * 86_400.0)})
     path = tmp_path / "life.db"

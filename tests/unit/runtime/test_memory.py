@@ -1,4 +1,5 @@
-"""What an agent of one rig keeps in memory, on each bus: nothing of what only others need, and at most 110 MB."""
+"""What an agent of one rig keeps in memory, on each bus: nothing of what only others need, and at most 110
+MB."""
 
 import subprocess
 import sys
@@ -13,7 +14,8 @@ MOST_MB = 110
 LIBRARIES = {"can": ["can", "cantools"], "modbus": ["pymodbus"], "serial": ["serial"]}
 """What reads each bus; numpy and scipy compute, on all of them, and pydantic checks the configuration."""
 ASKED = {
-    "can", "cantools", "pymodbus", "serial", "asammdf", "pandas", "pyarrow", "matplotlib", "sim_bus", "rich", "smtplib",
+    "can", "cantools", "pymodbus", "serial", "asammdf", "pandas", "pyarrow", "matplotlib", "sim_bus", "rich",
+    "smtplib",
     "unittest", "charset_normalizer",
 }  # fmt: skip
 

@@ -1,4 +1,5 @@
-"""Metrics: what a scrape holds against the status it is made of; files and dashboards name metrics that exist."""
+"""Metrics: what a scrape holds against the status it is made of; files and dashboards name metrics that
+exist."""
 
 import json
 import re
@@ -30,7 +31,8 @@ STATUS: dict[str, Any] = {
         "estimates": {"k1": {"value": 25.0, "sd": None, "unit": "N/m", "status": "valid"}},
     }],
     "stores": [{
-        "db": "/x.db", "bytes": {"database": 4096, "log": 10}, "spare_bytes": 7, "failing": None, "written": 55,
+        "db": "/x.db", "bytes": {"database": 4096, "log": 10}, "spare_bytes": 7, "failing": None,
+        "written": 55,
         "dropped": {"disk full": 1}, "latency": {"press": {"bins": [("0.5", 3), ("+Inf", 4)], "sum_s": 2.5}},
     }],
     "workers": [{"worker": 2, "alive": True, "restarts": 3}],
@@ -72,7 +74,9 @@ EXPECTED = {
 def assert_expected(text: str) -> None:
     found = {tuple(sorted(key)): value for key, value in values(text).items()}
     assert {key: found.get(tuple(sorted(key))) for key in EXPECTED} == EXPECTED
-    assert not any(name[0] == "deltak_clock_offset_seconds" for name in values(text))  # not known yet: no figure
+    assert not any(
+        name[0] == "deltak_clock_offset_seconds" for name in values(text)
+    )  # not known yet: no figure
 
 
 def test_metrics_are_served_over_http() -> None:

@@ -1,4 +1,5 @@
-"""What a driver cannot work with is said with the source's number and the key, by check, run and replay alike."""
+"""What a driver cannot work with is said with the source's number and the key, by check, run and replay
+alike."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,15 +24,27 @@ RING = (
 )
 MAP = 'map = { force = "F", x1 = "X" }\n'
 CASES = [
-    ('[[source]]\ndriver = "serial"\nport = "x"\nformat = "text"\n' + MAP, 'source[0].format: format "text" needs'),
+    (
+        '[[source]]\ndriver = "serial"\nport = "x"\nformat = "text"\n' + MAP,
+        'source[0].format: format "text" needs',
+    ),
     (
         TEXT.replace('"F"', '"$X", "F"') + 'checksum = "nmea"\n' + MAP,
         'source[0].columns: with checksum = "nmea" a line is $ADDRESS,cells*HH',
     ),
-    (TEXT + 'map = { force = "G", x1 = "X" }', 'source[0].map.force: no column is called "G"; columns are F, X'),
+    (
+        TEXT + 'map = { force = "G", x1 = "X" }',
+        'source[0].map.force: no column is called "G"; columns are F, X',
+    ),
     (POLL + MAP + 'counter = "N"', 'source[0].counter: no field is called "N"; fields are F, X'),
-    (POLL + MAP + 'counter = "X"', 'source[0].counter: the counter "X" is a float32; a counter must be an integer'),
-    (CAN + 'map = { force = "A.F", x1 = "A.X" }', "source[0].dbc: {folder}/none.dbc: No such file or directory"),
+    (
+        POLL + MAP + 'counter = "X"',
+        'source[0].counter: the counter "X" is a float32; a counter must be an integer',
+    ),
+    (
+        CAN + 'map = { force = "A.F", x1 = "A.X" }',
+        "source[0].dbc: {folder}/none.dbc: No such file or directory",
+    ),
     (RING + MAP, "source[0].ring: 9000 slots of 2 registers from 60000 end beyond register 65535"),
     (
         POLL + 'map = { force = "F" }\n' + TEXT + 'name = "b"\nmap = { x1 = "Z" }',
@@ -46,7 +59,9 @@ def faults_of(command: str, rig: Path) -> list[Fault]:
         found = check(config=rig, recording=None, probe=False)["errors"]
         return [Fault(error["path"], error["message"], error["advice"]) for error in found]
     rows = rig.with_name("rows.csv")
-    rows.write_text("t,force,x1\n" + "".join(f"{i / 200},{i % 7},{i % 5}\n" for i in range(90)), encoding="ascii")
+    rows.write_text(
+        "t,force,x1\n" + "".join(f"{i / 200},{i % 7},{i % 5}\n" for i in range(90)), encoding="ascii"
+    )
     started: dict[str, Callable[[], object]] = {
         "run": lambda: run(configs=[rig], db=rig.with_name("rig.db"), duration_s=1.0),
         "replay": lambda: replay(config=rig, recordings=[rows], db=None),

@@ -71,7 +71,9 @@ def test_one_worker_a_core_where_nothing_is_asked_for(
 
 def test_files_that_disagree_on_the_agent_are_refused(rig: Callable[..., RigConfig]) -> None:
     files = [rig("a", 1, "[agent]\nworkers = 2").file, rig("b", 2, "[agent]\nworkers = 3").file]
-    with pytest.raises(ConfigError, match=r"b.toml: agent.workers: is 3, but 2 in .*a.toml; make them the same"):
+    with pytest.raises(
+        ConfigError, match=r"b.toml: agent.workers: is 3, but 2 in .*a.toml; make them the same"
+    ):
         load_many(files)
 
 
@@ -161,7 +163,9 @@ def rows_from(config: RigConfig, first_ns: int, count: int) -> EstimateBatch:
     return replace(found, t_ns=first_ns + hop_ns * np.arange(1, count + 1))
 
 
-def test_samples_between_the_last_row_and_the_first_sample_after_it_are_lost(rig: Callable[..., RigConfig]) -> None:
+def test_samples_between_the_last_row_and_the_first_sample_after_it_are_lost(
+    rig: Callable[..., RigConfig],
+) -> None:
     config, losses = rig("a", 1), Losses()
     see = partial(losses.see, config)
     assert see(rows_from(config, 0, 20)) == []

@@ -79,7 +79,9 @@ class Bins:
     @cached_property
     def z(self) -> ComplexArray:
         """(kept + groups,) exp(i ω) of kept bins, then of the groups' centres."""
-        centres = np.round(np.sqrt(self._edges[:-1] * (self._edges[1:] - 1.0))) if self.groups else np.zeros(0)
+        centres = (
+            np.round(np.sqrt(self._edges[:-1] * (self._edges[1:] - 1.0))) if self.groups else np.zeros(0)
+        )
         return np.exp(2j * np.pi * np.concatenate([np.arange(self.kept), centres]) / self.window)
 
     @cached_property

@@ -23,9 +23,11 @@ class Window:
     Attributes:
         y: (W, p) outputs, lost readings filled in.
         u: (W, m) inputs.
-        slope: (W, m) change of each input since the sample before: a straight line is late by d samples as u − d·slope.
+        slope: (W, m) change of each input since the sample before: a straight line is late by d samples as u
+            − d·slope.
         lost: (l, 2) row and channel (outputs, then inputs) of readings that were filled in.
-        lost_sd: (l,) prior sd of what the fill-in is wrong by; inf for outputs (the reading counts for nothing).
+        lost_sd: (l,) prior sd of what the fill-in is wrong by; inf for outputs (the reading counts for
+            nothing).
     """
 
     y: FloatArray
@@ -58,7 +60,9 @@ def refilled(window: Window, change: FloatArray, rig: Rig) -> Window:
         for shift, column in zip((0, *rig.shifts), rig.taps_of(channel - p).tolist(), strict=False):
             if 0 <= row - shift < window.length:
                 u[row - shift, column] += more
-                slope[row - shift : row - shift + 2, column] += np.array([more, -more])[: window.length - row + shift]
+                slope[row - shift : row - shift + 2, column] += np.array([more, -more])[
+                    : window.length - row + shift
+                ]
     return replace(window, u=u, slope=slope)
 
 
@@ -67,7 +71,8 @@ class Layout:
     """Where the columns of each kind stand.
 
     Attributes:
-        n: initial states, the last `free` of them momenta of free masses; slow: end effects; lost: lost readings;
+        n: initial states, the last `free` of them momenta of free masses; slow: end effects; lost: lost
+            readings;
         q: parameters; constants: of the rig; cuts: jumps.
     """
 
@@ -176,11 +181,14 @@ class Regressor:
         free, constants = len(self.response.left), len(rig.constants)
         return Layout(self.response.at.n, free, len(self.slow), len(window.lost), rig.q, constants, cuts)
 
-    def build(self, window: Window, weigh: Weigh, cuts: IntArray, driven: ComplexArray | None = None) -> Regression:
+    def build(
+        self, window: Window, weigh: Weigh, cuts: IntArray, driven: ComplexArray | None = None
+    ) -> Regression:
         """Return the regression; `weigh` gives the Gram of columns under today's noise, for the initial state.
 
-        driven (kept, n, p): S⁻¹ of readings to the states that unknown forces drive. The initial state of the periodic
-        response is e0; the state that the window began with is e0 and what those forces had driven by then.
+        driven (kept, n, p): S⁻¹ of readings to the states that unknown forces drive. The initial state of the
+        periodic response is e0; the state that the window began with is e0 and what those forces had driven
+        by then.
         """
         response, at, bins = self.response, self.response.at, self.response.bins
         u = self.inputs(window)
@@ -199,7 +207,9 @@ class Regressor:
         elif driven is not None:
             left = residual - ((response.free @ x0) @ at.C.T) * self.output_gain
             states = (driven @ left[..., None])[..., 0]
-            x0 = x0 + (states.real * response.bins.multiplicity[: bins.kept, None]).sum(axis=0) / np.sqrt(bins.window)
+            x0 = x0 + (states.real * response.bins.multiplicity[: bins.kept, None]).sum(axis=0) / np.sqrt(
+                bins.window
+            )
         X = X + response.free @ x0
         if response.is_free:
             X[0] = sums[-1] / np.sqrt(bins.window)
@@ -224,7 +234,9 @@ class Regressor:
         n = response.starts.shape[1]
         G = weigh(np.concatenate([gamma[..., :n], residual[..., None]], axis=2))
         ridge = 1e-13 * np.trace(G[:n, :n]) * np.eye(n)
-        return np.asarray(response.starts @ (np.linalg.solve(G[:n, :n] + ridge, G[:n, n]) / response.gamma_scale[:n]))
+        return np.asarray(
+            response.starts @ (np.linalg.solve(G[:n, :n] + ridge, G[:n, n]) / response.gamma_scale[:n])
+        )
 
     def _placed(
         self, x0: FloatArray, u: FloatArray, y_mean: FloatArray, u_mean: FloatArray, edges: IntArray
@@ -281,7 +293,9 @@ class Regressor:
         columns = self.response.columns(X, U) * self.output_gain[:, None]
         return [columns[..., : self.rig.q], columns[..., self.rig.q :]]
 
-    def _constants(self, window: Window, modelled: ComplexArray, u: FloatArray, U: ComplexArray) -> ComplexArray:
+    def _constants(
+        self, window: Window, modelled: ComplexArray, u: FloatArray, U: ComplexArray
+    ) -> ComplexArray:
         """Columns of gains and delay, in the order of the rig's constants after the masses."""
         kept, p = modelled.shape
         rig = self.rig
@@ -295,7 +309,9 @@ class Regressor:
                 column = np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
             else:
                 slope = unitary(np.where(self.rig.driven, self.input_gain * window.slope, 0.0))[:kept]
-                late = [self.response.driven(j, slope[:, j]) for j in np.flatnonzero(self.rig.driven).tolist()]
+                late = [
+                    self.response.driven(j, slope[:, j]) for j in np.flatnonzero(self.rig.driven).tolist()
+                ]
                 column = -np.sum(late, axis=0) * self.output_gain
             columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)

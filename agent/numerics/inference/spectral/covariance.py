@@ -54,7 +54,9 @@ class Cells:
 def real_gram(a: ComplexArray, b: ComplexArray) -> FloatArray:
     """Return Re Σ a* b (c, c) of columns (cells, p, c)."""
     left, right = a.reshape(-1, a.shape[-1]), b.reshape(-1, b.shape[-1])
-    return np.asarray(np.ascontiguousarray(left.real).T @ right.real + np.ascontiguousarray(left.imag).T @ right.imag)
+    return np.asarray(
+        np.ascontiguousarray(left.real).T @ right.real + np.ascontiguousarray(left.imag).T @ right.imag
+    )
 
 
 def inverse_of(S: ComplexArray) -> ComplexArray:

@@ -1,19 +1,22 @@
 """Transfer functions of the sampled model on the bins of a window, and its free and forced states at the window's ends.
 
-A finite window is exactly diagonal in the DFT once its ends are accounted for: with z = e^{iω} on the DFT's grid
+A finite window is exactly diagonal in the DFT once its ends are accounted for: with z = e^{iω} on the DFT's
+grid
 
     (zI − A) X = B U + z (x(0) − x(W)) / √W,      x(W) = A^W x(0) + f_W
 
-so the response to anything is its periodic response and a free response, which lies in the span of Γ = z C R (I − A^W),
-R = (zI − A)⁻¹. Modulo Γ (flat e0) the covariance of any stationary force is block diagonal here without Whittle's
-approximation (Agüero et al., Automatica 46 (2010) 1632; Harville, Biometrika 61 (1974) 383).
+so the response to anything is its periodic response and a free response, which lies in the span of Γ = z C R
+(I − A^W), R = (zI − A)⁻¹. Modulo Γ (flat e0) the covariance of any stationary force is block diagonal here
+without Whittle's approximation (Agüero et al., Automatica 46 (2010) 1632; Harville, Biometrika 61 (1974)
+383).
 
-Where a mass is free, I − A^W is singular: with w (I − A^W) = 0 the momentum w x moves by what was pushed only,
+Where a mass is free, I − A^W is singular: with w (I − A^W) = 0 the momentum w x moves by what was pushed
+only,
 
     w (x(W) − x(0)) = √W w (B U(0) + E F(0))
 
-so bin 0, which lies on the pole, is left out, and what is driven by v(k) closes with −z C R r w V(0), w r = 1. Unknown
-forces leave one random column a free direction, z C R r, of variance Σ (w E_j)² |F_j(0)|².
+so bin 0, which lies on the pole, is left out, and what is driven by v(k) closes with −z C R r w V(0), w r =
+1. Unknown forces leave one random column a free direction, z C R r, of variance Σ (w E_j)² |F_j(0)|².
 """
 
 from functools import cached_property
@@ -27,7 +30,8 @@ from agent.types import ComplexArray, FloatArray
 ON_A_POLE = 1e-8
 """Bins nearer than this to a pole are left out: their response has too few digits.
 
-Measured, noise-free: entries of random systems with a pole at 1 come out to 4e-6 at 1e-9, to 3e-11 from here on.
+Measured, noise-free: entries of random systems with a pole at 1 come out to 4e-6 at 1e-9, to 3e-11 from here
+on.
 """
 FREE_SHARE = 1e-6
 """Singular values of I − A^W below this share of the largest are those of free masses."""
@@ -55,7 +59,8 @@ class Response:
         is_free: a mass that nothing holds.
         left: (f, n) momenta w of free masses.
         starts: (n, n − f) initial states that Γ shows;  still: (n, f) places that only bin 0 shows.
-        gamma: (kept, p, n) free response, columns scaled to length 1 by gamma_scale (n,); the last f: z C R r.
+        gamma: (kept, p, n) free response, columns scaled to length 1 by gamma_scale (n,); the last f: z C R
+            r.
         drift: (kept, p, f) z C R r.
     """
 

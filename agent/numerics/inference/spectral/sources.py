@@ -2,7 +2,8 @@
 
     S(z) = diag(σ_c² s_c(z)) + Σ_a v_a² |P_a(z)|² d_a d_a*,     |P|² = (1 − a²) / |1 − a/z|²   (a = 0: white)
 
-d_a is the response H_j to a force on mass j, or the unit vector of sensor c (Gauss-Markov noise of the sensor itself).
+d_a is the response H_j to a force on mass j, or the unit vector of sensor c (Gauss-Markov noise of the sensor
+itself).
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """State space of a plant whose elements stand in its equations as products of powers, and its exact derivatives.
 
-E(θ) x' = F(θ) x + G(θ) u and y = H(θ) x + J(θ) u with an invertible E; each entry is a sum of terms c θ_1^a θ_2^b ...
-(an inductance in E, a resistance in F, its inverse where it lies across a voltage). By the product rule
-A = E^-1 F, dA = E^-1 (dF - dE A), B likewise; nothing is linearised.
+E(θ) x' = F(θ) x + G(θ) u and y = H(θ) x + J(θ) u with an invertible E; each entry is a sum of terms c θ_1^a
+θ_2^b ... (an inductance in E, a resistance in F, its inverse where it lies across a voltage). By the product
+rule A = E^-1 F, dA = E^-1 (dF - dE A), B likewise; nothing is linearised.
 """
 
 from collections.abc import Sequence

@@ -25,7 +25,8 @@ class Dependence:
         name, unit: the covariate.
         coefficient, sd, lower, upper: parameter's unit a unit of the covariate; 95 % interval.
         shape, lag_s: how the machine follows it; lag_lower_s, lag_upper_s: as probable.
-        center: what the reference holds at; low, high: what was learnt lies between; spread: sd of the readings.
+        center: what the reference holds at; low, high: what was learnt lies between; spread: sd of the
+            readings.
         hold_s: a reading stands for so long.
         used: whether it is compensated; false where no dependence was found.
     """
@@ -66,8 +67,8 @@ def read(text: str) -> tuple[Dependence, ...]:
 def shift(lagged: Mapping[str, Lagged], found: Sequence[Dependence]) -> tuple[float, float]:
     """Return by how much covariates move a reference, and the sd of that.
 
-    What is missing is off by as much as the covariate spreads, and more the longer it is missing; beyond what was
-    learnt the dependence goes on as a line that may be half off there.
+    What is missing is off by as much as the covariate spreads, and more the longer it is missing; beyond what
+    was learnt the dependence goes on as a line that may be half off there.
     """
     total, variance = 0.0, 0.0
     for one in found:

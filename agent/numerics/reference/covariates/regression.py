@@ -2,10 +2,11 @@
 
     y_i = r + sum_j beta_j x_j(t_i; lag_j) + e_i,    e a first-order autoregression over the periods there are
 
-For given lags and autocorrelation the coefficients are generalised least squares (Aitken 1935), the noise whitened by
-e_i' = (e_i - rho^d e_{i-1}) / sqrt(1 - rho^2d), d the periods between. rho and each lag are taken from grids by their
-likelihood; what the lag leaves open is in the interval of the coefficient (a mixture over the lags by their likelihood,
-Hoeting et al. 1999). A covariate stays only where it is worth its two numbers by Schwarz's criterion (1978).
+For given lags and autocorrelation the coefficients are generalised least squares (Aitken 1935), the noise
+whitened by e_i' = (e_i - rho^d e_{i-1}) / sqrt(1 - rho^2d), d the periods between. rho and each lag are taken
+from grids by their likelihood; what the lag leaves open is in the interval of the coefficient (a mixture over
+the lags by their likelihood, Hoeting et al. 1999). A covariate stays only where it is worth its two numbers
+by Schwarz's criterion (1978).
 """
 
 from collections.abc import Callable, Sequence
@@ -86,7 +87,9 @@ def regress(y: FloatArray, number: IntArray, columns: Columns, count: int, span_
     for j in kept:
         others = [columns(i, chosen[i]) for i in kept if i != j]
         cut = fit.cut(y, [*others, columns(j, chosen[j])])
-        fine = [Lag(chosen[j].shape, chosen[j].seconds * ratio) for ratio in FINE] if chosen[j].seconds else []
+        fine = (
+            [Lag(chosen[j].shape, chosen[j].seconds * ratio) for ratio in FINE] if chosen[j].seconds else []
+        )
         both = _weighed(fit, cut, others, partial(columns, j), [*lags(span_s), *fine])
         known = _found(both, fit.last(cut, others)[0], log(len(y)))
         wider = known.sd * fit.inflation(cut, [*others, columns(j, known.lag)])
@@ -95,7 +98,11 @@ def regress(y: FloatArray, number: IntArray, columns: Columns, count: int, span_
 
 
 def _weighed(
-    fit: "_Fit", y: FloatArray, others: list[FloatArray], column: Callable[[Lag], FloatArray], asked: Sequence[Lag]
+    fit: "_Fit",
+    y: FloatArray,
+    others: list[FloatArray],
+    column: Callable[[Lag], FloatArray],
+    asked: Sequence[Lag],
 ) -> list[Weighed]:
     """Return what each lag is worth beside other columns."""
     return [(lag, *fit.last(y, [*others, column(lag)])) for lag in asked]
@@ -116,7 +123,9 @@ def _found(weighed: Sequence[Weighed], without: float, worth: float) -> Found:
     of_shape = sorted((one for one in weighed if one[0].shape == lag.shape), key=lambda one: one[0].seconds)
     places = [place for place, one in enumerate(of_shape) if one[1] >= best - WITHIN]
     around = of_shape[max(places[0] - 1, 0)], of_shape[min(places[-1] + 1, len(of_shape) - 1)]
-    between = max(abs(one[2] - coefficient) for one in around) / 2.0  # the truth may lie between lags of the grid
+    between = (
+        max(abs(one[2] - coefficient) for one in around) / 2.0
+    )  # the truth may lie between lags of the grid
     gain = best - without
     sd = hypot(sqrt(variance), between)
     return Found(coefficient, sd, lag, around[0][0].seconds, around[1][0].seconds, gain, gain > worth)

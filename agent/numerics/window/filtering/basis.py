@@ -2,9 +2,10 @@
 
     G(k) = [Γ, D_1 .. D_c](k),   Γ = W C̃ Φ̃ᵏ (physical, coloured and line states),   D_i: r -> ψ_i
 
-are n_g + c n sequences that span only a few: G(k) = U(k) Y with U orthonormal over the longest window, from its
-triangular factor (QR by doubling, not the Gramian) and an SVD; U(k + m) = U(k) Π_m (balancing: Moore, IEEE Trans.
-Automatic Control 26 (1981) 17; the square-root form: Tombs & Postlethwaite, Int. J. Control 46 (1987) 1319).
+are n_g + c n sequences that span only a few: G(k) = U(k) Y with U orthonormal over the longest window, from
+its triangular factor (QR by doubling, not the Gramian) and an SVD; U(k + m) = U(k) Π_m (balancing: Moore,
+IEEE Trans. Automatic Control 26 (1981) 17; the square-root form: Tombs & Postlethwaite, Int. J. Control 46
+(1987) 1319).
 """
 
 from dataclasses import dataclass
@@ -52,7 +53,9 @@ class Basis:
         return np.linalg.matrix_power(self.steps[2], fulls)
 
 
-def balanced_basis(system: System, real: Realisation, predictor: Predictor, plan: HopPlan, longest: int) -> Basis:
+def balanced_basis(
+    system: System, real: Realisation, predictor: Predictor, plan: HopPlan, longest: int
+) -> Basis:
     """Return the balanced coordinates for windows up to `longest` whole hops and a head."""
     G, over = _free_responses(system, real, predictor, plan.hop)
     factor, _ = _over_hops(_triangle(G), np.linalg.matrix_power(over, plan.hop), longest + 1)
@@ -67,10 +70,14 @@ def balanced_basis(system: System, real: Realisation, predictor: Predictor, plan
     size = system.size
     n_g = len(real.A)
     drift = to_balanced[:, n_g:].reshape(r, size.c, size.n).transpose(1, 0, 2)
-    return Basis(np.ascontiguousarray(G @ from_balanced), (head, rest, hop), to_balanced[:, :n_g], drift, plan)
+    return Basis(
+        np.ascontiguousarray(G @ from_balanced), (head, rest, hop), to_balanced[:, :n_g], drift, plan
+    )
 
 
-def _free_responses(system: System, real: Realisation, predictor: Predictor, hop: int) -> tuple[FloatArray, FloatArray]:
+def _free_responses(
+    system: System, real: Realisation, predictor: Predictor, hop: int
+) -> tuple[FloatArray, FloatArray]:
     """Return G over a hop, (H p, n_g + c n), and what carries it on by one sample."""
     size = system.size
     n_g = len(real.A)

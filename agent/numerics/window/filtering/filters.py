@@ -1,12 +1,13 @@
 """The bank's filters, lifted to cells of samples: a predictor that whitens and a mean that nothing random reaches.
 
-    e  = W (y − C x̂ − D u),       x̂' = Φ x̂ + (B − K D) u + K y,   Φ = A − K C          predictor, with noise states
-    r' = A r + B u                                                                      mean: input and model only
-    ψᵢ = W (C tᵢ + dCᵢ r + dDᵢ u), tᵢ' = Φ tᵢ + (dAᵢ − K dCᵢ) r + (dBᵢ − K dDᵢ) u      sensitivities of the mean
+    e  = W (y − C x̂ − D u),       x̂' = Φ x̂ + (B − K D) u + K y,   Φ = A − K C          predictor, with
+    noise states r' = A r + B u                                                                      mean:
+    input and model only ψᵢ = W (C tᵢ + dCᵢ r + dDᵢ u), tᵢ' = Φ tᵢ + (dAᵢ − K dCᵢ) r + (dBᵢ − K dDᵢ) u
+    sensitivities of the mean
 
-W is the inverse root of the innovations' covariance. ψᵢ is the whitening filter applied to the derivative of the mean
-output: no reading enters it, so what no data can separate stays unseparated. A cell of L samples is a few matrix
-products: its outputs from its inputs and first states, and the states after it.
+W is the inverse root of the innovations' covariance. ψᵢ is the whitening filter applied to the derivative of
+the mean output: no reading enters it, so what no data can separate stays unseparated. A cell of L samples is
+a few matrix products: its outputs from its inputs and first states, and the states after it.
 """
 
 from collections.abc import Sequence
@@ -202,7 +203,9 @@ def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:
     return {L: _cell(system.size, L, free, (forced, powers), impulse) for L in sorted(set(lengths))}
 
 
-def _cell(size: Sizes, L: int, free: FloatArray, states: tuple[FloatArray, FloatArray], impulse: FloatArray) -> Cell:
+def _cell(
+    size: Sizes, L: int, free: FloatArray, states: tuple[FloatArray, FloatArray], impulse: FloatArray
+) -> Cell:
     a, n, p, c = size.a, size.n, size.p, size.c
     forced, powers = states
     T = impulse[:, :L, :, :L]
@@ -212,7 +215,8 @@ def _cell(size: Sizes, L: int, free: FloatArray, states: tuple[FloatArray, Float
     tangent = free[:L, 1, :, a + n : 2 * a + n].reshape(rows, a).T
     after = forced[:L][::-1]
     return Cell(
-        L, innovation, np.vstack([T[1:, ..., p:].reshape(c * rows, -1).T, from_mean]), np.ascontiguousarray(tangent),
+        L, innovation, np.vstack([T[1:, ..., p:].reshape(c * rows, -1).T, from_mean]),
+        np.ascontiguousarray(tangent),
         np.ascontiguousarray(after[:, :a].transpose(0, 2, 1).reshape(-1, a)),
         np.ascontiguousarray(after[:, a:, p:].transpose(0, 2, 1).reshape(L * size.m, -1)),
         np.ascontiguousarray(powers[L].T), size,

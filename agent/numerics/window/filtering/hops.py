@@ -12,8 +12,8 @@ from agent.types import IntArray
 class HopPlan:
     """How samples fall into hops: `window` W and `hop` H samples.
 
-    Windows start at multiples of H, counted from the run's first sample, and consist of F whole hops and a head of
-    1..H samples; a row falls due at each head's last sample.
+    Windows start at multiples of H, counted from the run's first sample, and consist of F whole hops and a
+    head of 1..H samples; a row falls due at each head's last sample.
     """
 
     window: int

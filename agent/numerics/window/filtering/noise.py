@@ -2,8 +2,8 @@
 
     x(k+1) = A x + B u + B_f (f + Σ c_j),   y = C x + D u + D_f (f + Σ c_j) + s + l + v
 
-v white sensor noise, f white force, c and s first-order Gauss-Markov (Ljung, System Identification, 1999, section
-4.3), l sinusoids of unknown amplitude and phase.
+v white sensor noise, f white force, c and s first-order Gauss-Markov (Ljung, System Identification, 1999,
+section 4.3), l sinusoids of unknown amplitude and phase.
 """
 
 from dataclasses import dataclass
@@ -99,7 +99,9 @@ def realise(model: StateSpace, push: Push, noise: NoiseModel) -> Realisation:
     A[: model.n, model.n : model.n + len(poles)] = into_x
     C = np.hstack([model.C, into_y, *(_seen(line, model.p) for line in noise.lines)])
     Bf, Df = push.B * noise.force, push.D * noise.force
-    Q = block_diag(Bf @ Bf.T, np.diag(sds**2 * (1 - poles**2)), np.zeros((2 * len(rotations), 2 * len(rotations))))
+    Q = block_diag(
+        Bf @ Bf.T, np.diag(sds**2 * (1 - poles**2)), np.zeros((2 * len(rotations), 2 * len(rotations)))
+    )
     S = np.zeros((len(A), model.p))
     S[: model.n] = Bf @ Df.T
     prior = np.concatenate([np.full(model.n, np.inf), sds**2, np.full(2 * len(rotations), np.inf)])
@@ -109,7 +111,8 @@ def realise(model: StateSpace, push: Push, noise: NoiseModel) -> Realisation:
 def predictor_of(model: StateSpace, push: Push, noise: NoiseModel) -> tuple[Realisation, Predictor]:
     """Return the augmented model and its steady-state predictor over the physical and coloured states.
 
-    Without process noise a model that decays needs no gain; one that does not gets the smallest force that is assumed.
+    Without process noise a model that decays needs no gain; one that does not gets the smallest force that is
+    assumed.
 
     Raises:
         ValueError: a sensor has no noise at all, or coloured noise no stationary sd.
@@ -118,7 +121,9 @@ def predictor_of(model: StateSpace, push: Push, noise: NoiseModel) -> tuple[Real
     if not np.all(noise.sigma > 0):
         raise ValueError(f"sensor noise {noise.sigma} must be positive")
     if any(abs(c.pole) >= 1 for c in noise.coloured):
-        raise ValueError(f"the poles of coloured noise {[c.pole for c in noise.coloured]} must be within (-1, 1)")
+        raise ValueError(
+            f"the poles of coloured noise {[c.pole for c in noise.coloured]} must be within (-1, 1)"
+        )
     real = realise(model, push, noise)
     k = real.filtered
     if not real.Q.any() and spectral_radius(model.A) < 1 - STABLE:

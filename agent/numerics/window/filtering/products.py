@@ -1,8 +1,8 @@
 """Matrix products in which each row's result does not depend on how many rows there are.
 
-The kernels of a BLAS round a product's last few rows differently from the others, so a hop computed alone differs in
-its last bits from the same hop among many. Where products are of ROWS rows or multiples of it, the last ones filled up,
-every row takes the same way.
+The kernels of a BLAS round a product's last few rows differently from the others, so a hop computed alone
+differs in its last bits from the same hop among many. Where products are of ROWS rows or multiples of it, the
+last ones filled up, every row takes the same way.
 """
 
 import numpy as np

@@ -2,11 +2,11 @@
 
     gram = [e ψ]'[e ψ]   (1+c, 1+c)        moment = [e ψ]'U   (1+c, r)
 
-of adjacent stretches merge associatively and are never subtracted: first.gram + second.gram and first.moment +
-second.moment Π. Hops are grouped by GROUP; a window of F hops is a suffix of one group, whole groups (the same problem,
-a group being a hop) and a prefix of another: fewer than five merges a hop for any F (van Herk, Pattern Recognition
-Letters 13 (1992) 517; Tangwongsan, Hirzel, Schneider, Wu, VLDB 2015). Groups are counted from the first hop, so that
-windows do not depend on how hops arrive.
+of adjacent stretches merge associatively and are never subtracted: first.gram + second.gram and first.moment
++ second.moment Π. Hops are grouped by GROUP; a window of F hops is a suffix of one group, whole groups (the
+same problem, a group being a hop) and a prefix of another: fewer than five merges a hop for any F (van Herk,
+Pattern Recognition Letters 13 (1992) 517; Tangwongsan, Hirzel, Schneider, Wu, VLDB 2015). Groups are counted
+from the first hop, so that windows do not depend on how hops arrive.
 """
 
 from collections.abc import Sequence
@@ -84,7 +84,9 @@ class _Doubling:
         doubled = self._doubled(have)
         ends = {}
         for count, every in self.kinds:
-            first = max(len(have) - len(hops), count - 1)  # of the hops at hand, the first at which a window ends
+            first = max(
+                len(have) - len(hops), count - 1
+            )  # of the hops at hand, the first at which a window ends
             first += (every - 1 - (self.hops - len(have) + first)) % every
             if first < len(have):
                 ends[count, every] = self._windows(
@@ -193,7 +195,9 @@ class _Grouped:
         if w:
             shift = len(self.middles[w]) - full - 1
             middle = self.middles[w].part(slice(groups.start + shift, groups.stop + shift))
-            merged = Summary(middle.gram + merged.gram, row_products(middle.moment, self.powers[x]) + merged.moment)
+            merged = Summary(
+                middle.gram + merged.gram, row_products(middle.moment, self.powers[x]) + merged.moment
+            )
         if x:
             shift = old - 1 - w
             suffix = self.suffixes[GROUP - x].part(slice(groups.start + shift, groups.stop + shift))

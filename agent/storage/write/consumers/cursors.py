@@ -1,8 +1,9 @@
 """Cursors of consumers: up to which number of each table a consumer has acknowledged the rows.
 
-Table `consumers` has a row a consumer and topic: last_seq is the number up to which all is acknowledged. Where newer
-rows were sent before older ones, further rows of topics `<topic>.1`, `.2` ... say where what is acknowledged begins and
-ends again: up to last_seq, from `.1` to `.2`, and so on; the last is the newest row that was acknowledged.
+Table `consumers` has a row a consumer and topic: last_seq is the number up to which all is acknowledged.
+Where newer rows were sent before older ones, further rows of topics `<topic>.1`, `.2` ... say where what is
+acknowledged begins and ends again: up to last_seq, from `.1` to `.2`, and so on; the last is the newest row
+that was acknowledged.
 """
 
 import sqlite3
@@ -54,7 +55,9 @@ def keep(store: Transactions, name: str, positions: Mapping[str, Edges], numbers
         for topic, edges in positions.items():
             connection.execute("DELETE FROM consumers WHERE name = ? AND topic GLOB ? || '.*'", (name, topic))
             places = [topic, *(f"{topic}.{i}" for i in range(1, len(edges)))]
-            connection.executemany(_KEEP, [(name, place, edge) for place, edge in zip(places, edges, strict=True)])
+            connection.executemany(
+                _KEEP, [(name, place, edge) for place, edge in zip(places, edges, strict=True)]
+            )
         connection.executemany(_KEEP, [(name, key, number) for key, number in numbers.items()])
         if lost:
             connection.execute(_KEEP, (name, counter_of(name), counted))
@@ -72,7 +75,9 @@ def forget_others(store: Transactions, names: Collection[str]) -> list[str]:
 
 
 def _drop_others(store: Transactions, name: str, topics: Collection[str]) -> None:
-    held = [topic for (topic,) in store.connection.execute("SELECT topic FROM consumers WHERE name = ?", (name,))]
+    held = [
+        topic for (topic,) in store.connection.execute("SELECT topic FROM consumers WHERE name = ?", (name,))
+    ]
     others = {*TABLE_OF} - {*topics}
     strange = [(name, topic) for topic in held if topic.split(".")[0] in others]
     if strange:

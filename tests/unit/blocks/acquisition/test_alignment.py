@@ -1,4 +1,5 @@
-"""Several sources become rows: whoever comes first, however late, by whatever clock; every sample is accounted for."""
+"""Several sources become rows: whoever comes first, however late, by whatever clock; every sample is
+accounted for."""
 
 from pathlib import Path
 
@@ -26,7 +27,9 @@ def pair(
     two = source_plan("two", {"x2": "b"}, CHANNELS, SCALES)
     streams = StreamPlan(one, 1000.0), StreamPlan(two, rate_hz, own_clock)
     delay = np.array([0.0, 0.0, late])
-    return Alignment(AlignmentPlan(streams, 0, 3, 1, "counter", 1000.0, delay), keep_incomplete=keep_incomplete)
+    return Alignment(
+        AlignmentPlan(streams, 0, 3, 1, "counter", 1000.0, delay), keep_incomplete=keep_incomplete
+    )
 
 
 def block(counter: object, values: object, arrival_ns: int = 0) -> SampleBlock:
@@ -116,7 +119,9 @@ def test_alignment_missing_reading_spoils_only_what_needs_it() -> None:
 
 def test_alignment_rows_do_not_depend_on_the_order_in_which_blocks_come() -> None:
     rows = np.arange(3000)
-    cuts = [("one", s, s + 70) for s in range(0, 3000, 70)] + [("two", s, s + 110) for s in range(0, 3000, 110)]
+    cuts = [("one", s, s + 70) for s in range(0, 3000, 70)] + [
+        ("two", s, s + 110) for s in range(0, 3000, 110)
+    ]
     found = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -151,7 +156,9 @@ def played(alignment: Alignment, seconds: float, ppm: float, rate_hz: float, beg
                 at = (since + part / rate) * 1000.0
                 arrival = round((now + rng.exponential(5e-4)) * 1e9) + 10**15
                 both = np.column_stack([part, smooth(at)])
-                counted = block(part, both, arrival) if name == "one" else block(part + 77, smooth(at), arrival)
+                counted = (
+                    block(part, both, arrival) if name == "one" else block(part + 77, smooth(at), arrival)
+                )
                 pieces += alignment.step(name, counted, 65536).values
                 sent[name] = taken
     return pieces

@@ -25,7 +25,8 @@ def polled(rate: float, answered_s: FloatArray, gather_s: float = 0.02) -> tuple
 def streamed(
     rate: float, taken_s: FloatArray, rng: np.random.Generator, gather_s: float = 0.05
 ) -> tuple[Indexer, list[int]]:
-    """Deliver a line that flows as the serial driver does: what has come is read about each 50 ms, in one block."""
+    """Deliver a line that flows as the serial driver does: what has come is read about each 50 ms, in one
+    block."""
     indexer, done, now = Indexer("arrival", rate), 0, float(taken_s[0])
     numbers: list[int] = []
     while (now := now + gather_s + float(rng.exponential(1e-3))) < taken_s[-1]:

@@ -10,7 +10,11 @@ MS = 1_000_000
 
 
 def block(
-    counter: object = None, t_ns: object = None, arrival_ms: float = 0.0, epoch: int = 0, rows: int | None = None
+    counter: object = None,
+    t_ns: object = None,
+    arrival_ms: float = 0.0,
+    epoch: int = 0,
+    rows: int | None = None,
 ) -> SampleBlock:
     def integers(values: object) -> IntArray | None:
         return None if values is None else np.asarray(values, dtype=np.int64)
@@ -24,7 +28,9 @@ def indexer(clock: Clock = "counter", modulus: int | None = None) -> Indexer:
     return Indexer(clock, 1000.0, modulus=modulus)
 
 
-@pytest.mark.parametrize(("bits", "first"), [(63, 0), (63, 2**62 - 50), (64, 0), (64, 2**63 - 50), (64, 2**64 - 50)])
+@pytest.mark.parametrize(
+    ("bits", "first"), [(63, 0), (63, 2**62 - 50), (64, 0), (64, 2**63 - 50), (64, 2**64 - 50)]
+)
 def test_indexer_counter_of_all_bits_that_numbers_have_is_counted(bits: int, first: int) -> None:
     """A field of 64 bits is read as a signed number, which goes on below zero where it has no room above."""
     it = indexer(modulus=2**bits)
@@ -60,7 +66,9 @@ def test_indexer_duplicate_and_backwards_are_refused_and_counted() -> None:
     assert it.rejected == {"duplicate": 2, "backwards": 1}
 
 
-@pytest.mark.parametrize(("silence_ms", "step"), [(100, 101), (200, 201), (256, 257), (1000, 1001), (10_000, 10_001)])
+@pytest.mark.parametrize(
+    ("silence_ms", "step"), [(100, 101), (200, 201), (256, 257), (1000, 1001), (10_000, 10_001)]
+)
 def test_indexer_silence_longer_than_half_a_wrap_is_told_by_the_clock(silence_ms: int, step: int) -> None:
     it = indexer(modulus=256)
     it.take(block(np.arange(100), arrival_ms=100))
@@ -163,13 +171,16 @@ def test_indexer_two_sources_of_one_origin_agree() -> None:
 
 
 def counted(origin: Origin, every: int, modulus: int, restart: int, first: int = 0) -> dict[int, int]:
-    """Read a device each `every` ms, 1 kHz, which counts anew from `restart` on; return the index of each new count."""
+    """Read a device each `every` ms, 1 kHz, which counts anew from `restart` on; return the index of each new
+    count."""
     it, found = Indexer("counter", 1000.0, origin, modulus=modulus), {}
     for start in range(0, restart + 1000, every):
         number = np.arange(start, start + every)
         count = np.where(number < restart, number + first, number - restart)
         index, kept = it.take(block(count % modulus, arrival_ms=float(start + every)))
-        found |= dict(zip(count[kept].tolist(), index[kept].tolist(), strict=True)) if start >= restart else {}
+        found |= (
+            dict(zip(count[kept].tolist(), index[kept].tolist(), strict=True)) if start >= restart else {}
+        )
     return found
 
 

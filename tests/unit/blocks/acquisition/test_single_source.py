@@ -72,7 +72,9 @@ def test_acquisition_values_that_are_none_are_refused_by_reason() -> None:
 
 
 @pytest.mark.parametrize("reading", [1.1e30, -1e80, 1e300, 3.4e38])
-def test_acquisition_readings_that_no_instrument_means_are_refused_by_a_reason_of_their_own(reading: float) -> None:
+def test_acquisition_readings_that_no_instrument_means_are_refused_by_a_reason_of_their_own(
+    reading: float,
+) -> None:
     acquisition = single()
     values = np.ones((4, 3))
     values[1, 0], values[2, 1], values[3, 2] = reading, 0.9e30, -0.9e30

@@ -77,7 +77,9 @@ def test_csv_with_text_in_cells_counts_them_and_names_their_lines(tmp_path: Path
     assert [note.split(":")[1] for note in notes] == ["3", "4", "5"]
 
 
-def test_csv_lines_after_the_first_piece_are_numbered_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_csv_lines_after_the_first_piece_are_numbered_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("drivers.files.csv_file.BLOCK_ROWS", 10)
     rows = [f"{i / 1000},{i},{i}" for i in range(100)]
     rows[77] = "0.077,bad,77"
@@ -151,8 +153,14 @@ def test_csv_of_rubbish_after_a_good_header_raises_nothing(tmp_path: Path, rng: 
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_npz_is_read_in_blocks_as_it_was_saved(tmp_path: Path, rng: np.random.Generator, compressed: bool) -> None:
-    t, force, x1 = np.arange(150_000) / 1000, rng.normal(size=150_000), rng.integers(-9, 9, 150_000).astype(np.int16)
+def test_npz_is_read_in_blocks_as_it_was_saved(
+    tmp_path: Path, rng: np.random.Generator, compressed: bool
+) -> None:
+    t, force, x1 = (
+        np.arange(150_000) / 1000,
+        rng.normal(size=150_000),
+        rng.integers(-9, 9, 150_000).astype(np.int16),
+    )
     save = np.savez_compressed if compressed else np.savez
     save(tmp_path / "a.npz", t=t, force=force, x1=x1, other=t)
     recording = driver(tmp_path / "a.npz")
@@ -187,7 +195,9 @@ def npz_of(folder: Path, **arrays: object) -> Path:
         ({"t": [0.0], "force": [1.0], "x1": np.array([None], object)}, "a row of numbers is needed"),
     ],
 )
-def test_npz_that_cannot_be_used_is_refused_in_words(tmp_path: Path, arrays: dict[str, object], words: str) -> None:
+def test_npz_that_cannot_be_used_is_refused_in_words(
+    tmp_path: Path, arrays: dict[str, object], words: str
+) -> None:
     with pytest.raises(DriverConfigError, match=words):
         driver(npz_of(tmp_path, **arrays)).open()
 
@@ -201,8 +211,12 @@ def test_npz_of_rubbish_or_cut_short_is_refused_in_words(tmp_path: Path) -> None
             driver(written(tmp_path, whole[:size], "c.npz")).open()
 
 
-def test_npz_with_a_flipped_bit_is_refused_or_read_to_its_end(tmp_path: Path, rng: np.random.Generator) -> None:
-    whole = bytearray(npz_of(tmp_path, t=np.arange(99.0), force=np.arange(99.0), x1=np.arange(99.0)).read_bytes())
+def test_npz_with_a_flipped_bit_is_refused_or_read_to_its_end(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    whole = bytearray(
+        npz_of(tmp_path, t=np.arange(99.0), force=np.arange(99.0), x1=np.arange(99.0)).read_bytes()
+    )
     ends = []
     for place in rng.integers(0, len(whole), 150):
         damaged = whole.copy()

@@ -29,7 +29,9 @@ def test_recording_resolution_is_the_step_of_quantised_columns_and_zero_of_other
     driver.close()
 
 
-def test_recording_of_few_levels_that_are_held_is_switched_and_a_quantised_reading_is_not(tmp_path: Path) -> None:
+def test_recording_of_few_levels_that_are_held_is_switched_and_a_quantised_reading_is_not(
+    tmp_path: Path,
+) -> None:
     rng = np.random.default_rng(2)
     n = 1000
     columns = {

@@ -1,4 +1,5 @@
-"""Modbus servers that end idle connections, or each one after its answer: nothing is lost and nothing is said."""
+"""Modbus servers that end idle connections, or each one after its answer: nothing is lost and nothing is
+said."""
 
 from collections.abc import Iterator
 
@@ -25,7 +26,14 @@ def device() -> Iterator[TcpDevice]:
 def poller(device: TcpDevice, **keys: object) -> ModbusDriver:
     fields = [{"name": "a", "type": "uint16", "address": 40}]
     settings = ModbusSettings.model_validate(
-        {"mode": "poll", "host": "127.0.0.1", "port": device.port, "fields": fields, "period_s": 0.001, **keys}
+        {
+            "mode": "poll",
+            "host": "127.0.0.1",
+            "port": device.port,
+            "fields": fields,
+            "period_s": 0.001,
+            **keys,
+        }
     )
     return ModbusDriver(SourceRequest("plc", settings, ("a",)))
 

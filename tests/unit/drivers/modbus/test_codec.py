@@ -37,10 +37,14 @@ def test_overtaken_names_exactly_the_samples_whose_slot_was_or_is_being_written(
 
 
 @given(st.integers(2, 90), st.integers(1, 125), st.integers(0, 400), st.integers(0, 200))
-def test_spans_cover_every_sample_once_within_the_ring(slots: int, registers: int, first: int, count: int) -> None:
+def test_spans_cover_every_sample_once_within_the_ring(
+    slots: int, registers: int, first: int, count: int
+) -> None:
     ring = Ring(100, slots, registers, modulus=256)
     spans = list(ring.spans(first, first + count))
-    assert [n for span in spans for n in range(span.first, span.first + span.samples)] == [*range(first, first + count)]
+    assert [n for span in spans for n in range(span.first, span.first + span.samples)] == [
+        *range(first, first + count)
+    ]
     for span in spans:
         assert span.count == span.samples * registers <= 125
         assert 100 <= span.address <= span.address + span.count <= 100 + slots * registers
@@ -52,7 +56,9 @@ def test_spans_are_as_few_as_the_request_size_and_the_wrap_allow() -> None:
     assert [span.samples for span in ring.spans(1000, 1090)] == [24, 41, 25]
 
 
-@pytest.mark.parametrize(("raw", "near", "expected"), [(5, 250, 261), (250, 261, 250), (7, 7, 7), (130, 261, 386)])
+@pytest.mark.parametrize(
+    ("raw", "near", "expected"), [(5, 250, 261), (250, 261, 250), (7, 7, 7), (130, 261, 386)]
+)
 def test_unwrap_gives_the_nearest_number(raw: int, near: int, expected: int) -> None:
     assert Ring(0, 10, 1, modulus=256).unwrap(raw, near) == expected
 

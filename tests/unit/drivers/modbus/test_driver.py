@@ -43,7 +43,9 @@ def write_samples(registers: Registers, first: int, count: int) -> None:
 
 def driver_of(device: TcpDevice, **keys: object) -> ModbusDriver:
     settings = ModbusSettings.model_validate({**RING, "host": "127.0.0.1", "port": device.port, **keys})
-    OPENED.append(ModbusDriver(SourceRequest("line", settings, tuple(field.name for field in settings.fields))))
+    OPENED.append(
+        ModbusDriver(SourceRequest("line", settings, tuple(field.name for field in settings.fields)))
+    )
     return OPENED[-1]
 
 
@@ -54,7 +56,8 @@ def read_all(driver: ModbusDriver) -> SampleBlock:
         blocks.append(driver.read(0.05))
     counters = [block.counter for block in blocks[:-1] if block.counter is not None]
     return SampleBlock(
-        np.concatenate([b.values for b in blocks]), 0, np.concatenate([*counters, np.empty(0, np.int64)]), None,
+        np.concatenate([b.values for b in blocks]), 0, np.concatenate([*counters, np.empty(0, np.int64)]),
+        None,
         blocks[-1].epoch,
     )  # fmt: skip
 
@@ -223,7 +226,10 @@ def test_poll_asks_neighbouring_registers_at_once_and_puts_fields_in_order(devic
     assert block.counter is not None
     assert block.values[0].tolist() == [0x34, -2]
     assert block.counter[0] == 65538
-    assert {request[7:] for request in device.registers.requests} == {b"\x04\x00\x28\x00\x03", b"\x04\x01\x2c\x00\x01"}
+    assert {request[7:] for request in device.registers.requests} == {
+        b"\x04\x00\x28\x00\x03",
+        b"\x04\x01\x2c\x00\x01",
+    }
     assert driver.counts.received == len(block)
 
 
@@ -240,7 +246,9 @@ def put(device: TcpDevice, address: int, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("order", sorted(ORDERS))
-def test_poll_of_each_byte_order_reads_numbers_of_one_two_and_four_bytes(device: TcpDevice, order: str) -> None:
+def test_poll_of_each_byte_order_reads_numbers_of_one_two_and_four_bytes(
+    device: TcpDevice, order: str
+) -> None:
     long, short = ORDERS[order]
     put(device, 40, long)
     put(device, 50, short)
@@ -259,7 +267,13 @@ def test_poll_of_a_byte_and_longer_fields_in_any_order_works_with_words_swapped(
     put(device, 40, b"\x00\x11")
     put(device, 41, ORDERS["CDAB"][0])
     fields = [{"name": "a", "type": "uint8", "address": 40}, {"name": "b", "type": "int32", "address": 41}]
-    keys = {"mode": "poll", "host": "127.0.0.1", "port": device.port, "period_s": 0.001, "word_order": "little"}
+    keys = {
+        "mode": "poll",
+        "host": "127.0.0.1",
+        "port": device.port,
+        "period_s": 0.001,
+        "word_order": "little",
+    }
     settings = ModbusSettings.model_validate({**keys, "fields": fields})
     driver = ModbusDriver(SourceRequest("line", settings, ("a", "b")))
     OPENED.append(driver)

@@ -13,7 +13,9 @@ from drivers.port import Counts, IntArray, SourceRequest
 def read(kind: str, *queues: IntArray) -> list[list[int]]:
     """Return the counters of what is new in each state of a queue."""
     fields = [{"name": "n", "type": kind}, {"name": "x", "type": "int16"}]
-    settings = ModbusSettings.model_validate({"mode": "fifo", "address": 7, "fields": fields, "period_s": 1e-9})
+    settings = ModbusSettings.model_validate(
+        {"mode": "fifo", "address": 7, "fields": fields, "period_s": 1e-9}
+    )
     reader = FifoReader(SourceRequest("press", settings, ("x",), "n"), settings, Counts(), lambda _: None)
     waiting = [reader.layout.pack({"n": queue, "x": np.zeros(len(queue))}).reshape(-1) for queue in queues]
 

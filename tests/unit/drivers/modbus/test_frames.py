@@ -133,7 +133,9 @@ def test_tcp_reply_given_up_on_another_connection_is_a_fault() -> None:
 
 
 def test_rtu_exception_is_raised_in_words() -> None:
-    with pytest.raises(ReplyError, match=r"exception 2 \(illegal data address\) to function 4, unit 1, registers 768"):
+    with pytest.raises(
+        ReplyError, match=r"exception 2 \(illegal data address\) to function 4, unit 1, registers 768"
+    ):
         RtuFrames().reply(rtu("01 84 02"), READ)
 
 
@@ -191,7 +193,9 @@ def test_quick_checksum_is_the_one_bit_by_bit(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("count", MANY)
-def test_tcp_reply_mutated_is_refused_or_differs_in_its_data_only(rng: np.random.Generator, count: int) -> None:
+def test_tcp_reply_mutated_is_refused_or_differs_in_its_data_only(
+    rng: np.random.Generator, count: int
+) -> None:
     good = bytes.fromhex("00 01 00 00 00 07 01 04 04 00 00 03 A7")
     for data in mutations(rng, good, count):
         sound = data[:9] == good[:9] and len(data) == len(good)
@@ -205,5 +209,7 @@ def test_rtu_reply_mutated_is_refused_or_holds_a_frame_with_a_good_checksum(
     good = rtu("01 04 04 00 00 03 A7")
     for data in mutations(rng, good, count):
         frames = [data[i : i + 9] for i in range(len(data) - 8) if data[i : i + 3] == good[:3]]
-        sound = [frame[3:7] for frame in frames if quick_crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little")]
+        sound = [
+            frame[3:7] for frame in frames if quick_crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little")
+        ]
         assert rtu_answer(data) == (sound[0] if sound else None), data.hex(" ")

@@ -45,7 +45,9 @@ def sound_rtu(request: bytes) -> tuple[bytes, float]:
 
 def driver_of(**keys: object) -> ModbusDriver:
     settings = ModbusSettings.model_validate({**POLL, **keys})
-    return ModbusDriver(SourceRequest(f"unit{settings.device_id}", settings, tuple(f.name for f in settings.fields)))
+    return ModbusDriver(
+        SourceRequest(f"unit{settings.device_id}", settings, tuple(f.name for f in settings.fields))
+    )
 
 
 @pytest.mark.parametrize("count", [3_000, pytest.param(100_000, marks=pytest.mark.soak)])
@@ -72,7 +74,9 @@ def test_rtu_answers_that_come_late_are_never_taken_for_others(
                 kinds.add(error.kind)
             else:
                 answered += 1
-                assert data.view(">u2").tolist() == list(range(request.address, request.address + request.count))
+                assert data.view(">u2").tolist() == list(
+                    range(request.address, request.address + request.count)
+                )
     assert kinds == {"timeout"}
     assert answered > 0.05 * count
     assert faults["late reply"] + faults["stray bytes"] > 0.02 * count
@@ -89,7 +93,9 @@ def test_rtu_unit_after_a_timeout_is_asked_for_another_length_first() -> None:
     asked = [struct.unpack(">H", request[4:6])[0] for _, request in line.requests]
     assert asked[:5] == [2, 2, 1, 2, 2]
     times = [at for at, _ in line.requests]
-    assert times[2] - times[1] >= 0.15 - 1e-6  # its time-out, and a while in which a late answer meets no request
+    assert (
+        times[2] - times[1] >= 0.15 - 1e-6
+    )  # its time-out, and a while in which a late answer meets no request
     assert driver.counts.faults["timeout"] == 1
     assert driver.counts.received == sum(map(len, got)) + driver.counts.rejected.total()
 
@@ -185,7 +191,9 @@ def test_ring_whose_slots_are_owed_waits_for_them_without_spinning() -> None:
 def test_rtu_answer_that_comes_after_the_line_was_given_up_is_not_taken_for_the_next_one() -> None:
     line = PlayedLine(silent)
     with clock.playing(line):
-        driver = driver_of(**RTU, timeout_s=0.1, gap=0, fields=[{"name": "a", "type": "uint32", "address": 40}])
+        driver = driver_of(
+            **RTU, timeout_s=0.1, gap=0, fields=[{"name": "a", "type": "uint32", "address": 40}]
+        )
         driver.open()
         with pytest.raises(DriverIOError, match="in a row"):
             read_on(driver, 0.1)
@@ -327,7 +335,9 @@ def test_bytes_that_come_late_on_a_serial_line_are_counted_where_they_were_asked
     assert slow.counts.faults == {"timeout": 1, "stray bytes": 7}
 
 
-def test_unit_that_is_lost_is_not_asked_more_often_than_its_share_and_no_poll_of_it_counts_meanwhile() -> None:
+def test_unit_that_is_lost_is_not_asked_more_often_than_its_share_and_no_poll_of_it_counts_meanwhile() -> (
+    None
+):
     line = PlayedLine(lambda request: (b"", 0.0) if request[0] == 2 else sound_rtu(request))
     with clock.playing(line):
         sound, lost = driver_of(**RTU, device_id=1), driver_of(**RTU, device_id=2, timeout_s=0.1)
@@ -390,14 +400,18 @@ def test_sources_of_one_line_share_a_connection_until_the_last_is_closed() -> No
         other.close()
         one.open()
         assert line.connections == 2
-        with pytest.raises(DriverConfigError, match="/line: 9600 baud, parity N, 1 stop bits here and 19200 baud"):
+        with pytest.raises(
+            DriverConfigError, match="/line: 9600 baud, parity N, 1 stop bits here and 19200 baud"
+        ):
             driver_of(**RTU, device_id=3, baudrate=9600).open()
         one.close()
 
 
 def test_tcp_source_that_does_not_share_has_a_connection_of_its_own() -> None:
     with played(lambda request: (tcp(request, numbers(request[7:])), 0.001)) as line:
-        drivers = [driver_of(device_id=unit, share=share) for unit, share in ((1, True), (2, True), (3, False))]
+        drivers = [
+            driver_of(device_id=unit, share=share) for unit, share in ((1, True), (2, True), (3, False))
+        ]
         for driver in drivers:
             driver.open()
             driver.read(0.1)
@@ -407,7 +421,9 @@ def test_tcp_source_that_does_not_share_has_a_connection_of_its_own() -> None:
 
 
 def test_line_that_one_source_lost_is_opened_by_the_next_one_to_ask() -> None:
-    line = PlayedLine(lambda request: (b"\xff" * 20 if request[6] == 1 else tcp(request, numbers(request[7:])), 0.001))
+    line = PlayedLine(
+        lambda request: (b"\xff" * 20 if request[6] == 1 else tcp(request, numbers(request[7:])), 0.001)
+    )
     with clock.playing(line):
         liar, honest = driver_of(device_id=1), driver_of(device_id=2)
         liar.open()

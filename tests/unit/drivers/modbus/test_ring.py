@@ -18,7 +18,8 @@ from tests.unit.drivers.played_line import PlayedLine, played, silent
 RATE, RING = 1000, 16
 FIELDS = [{"name": "n", "type": "uint32"}, {"name": "x", "type": "int16"}]
 Delay = Callable[[float], float]
-"""Gives how long the request asked at a time takes, s; half of it passes before the device reads its registers."""
+"""Gives how long the request asked at a time takes, s; half of it passes before the device reads its
+registers."""
 
 
 @dataclass
@@ -36,7 +37,12 @@ class Link:
 
     def __post_init__(self) -> None:
         settings = ModbusSettings.model_validate(
-            {"mode": "ring", "index": {"address": 0}, "ring": {"address": RING, "slots": self.slots}, "fields": FIELDS}
+            {
+                "mode": "ring",
+                "index": {"address": 0},
+                "ring": {"address": RING, "slots": self.slots},
+                "fields": FIELDS,
+            }
         )
         request = SourceRequest("press", settings, ("n",))
         self.reader = RingReader(request, settings, self.counts, lambda _: None)

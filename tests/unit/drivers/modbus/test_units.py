@@ -65,7 +65,10 @@ def test_request_that_fits_before_the_others_goes_at_once() -> None:
 def test_pause_is_sought_nearby_only() -> None:
     rng = random.Random(1)
     for _ in range(200):
-        others = [busy(10.0 + rng.uniform(0, 3), rng.choice([0.0, 0.02, 0.5, 5.0])) for _ in range(rng.randint(1, 6))]
+        others = [
+            busy(10.0 + rng.uniform(0, 3), rng.choice([0.0, 0.02, 0.5, 5.0]))
+            for _ in range(rng.randint(1, 6))
+        ]
         assert 10.0 <= lost(rng.uniform(0.01, 2.0), 20).start(10.0, others) <= 10.2 + 1e-9
 
 

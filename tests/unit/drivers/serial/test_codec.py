@@ -21,7 +21,9 @@ FIELD = [{"name": "a", "type": "int8"}]
 
 def frames(count: int, rng: np.random.Generator, sync: bytes = SYNC) -> list[bytes]:
     raw = {"n": np.arange(count), "a": rng.integers(-(2**31), 2**31, count)}
-    return [sync + body + Crc16Ibm3740.calc(body).to_bytes(2, "little") for body in map(bytes, LAYOUT.pack(raw))]
+    return [
+        sync + body + Crc16Ibm3740.calc(body).to_bytes(2, "little") for body in map(bytes, LAYOUT.pack(raw))
+    ]
 
 
 def decoder(check: bool = True) -> tuple[BinaryDecoder, Counts]:
@@ -81,7 +83,9 @@ def test_damage_of_any_one_byte_costs_at_most_two_frames(rng: np.random.Generato
         assert counts.received == len(got) + counts.rejected.total()
 
 
-def test_frame_with_a_wrong_check_is_rejected_as_crc_and_one_without_sync_as_sync(rng: np.random.Generator) -> None:
+def test_frame_with_a_wrong_check_is_rejected_as_crc_and_one_without_sync_as_sync(
+    rng: np.random.Generator,
+) -> None:
     parts = frames(5, rng)
     decoder_, counts = decoder()
     parts[1] = parts[1][:-1] + bytes([parts[1][-1] ^ 1])
@@ -124,7 +128,9 @@ def test_garbage_for_long_is_counted_and_not_kept(rng: np.random.Generator) -> N
 @pytest.mark.parametrize(
     "count", [40_000, pytest.param(10_000_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
 )
-def test_mutated_frames_are_read_as_an_independent_decoder_reads_them(rng: np.random.Generator, count: int) -> None:
+def test_mutated_frames_are_read_as_an_independent_decoder_reads_them(
+    rng: np.random.Generator, count: int
+) -> None:
     batch = 2_000
     used = whole = 0
     for _ in range(count // batch):
@@ -160,7 +166,9 @@ def np_split(stream: bytes, rng: np.random.Generator) -> list[bytes]:
     return [stream[a:b] for a, b in itertools.pairwise(cuts)]
 
 
-def text(nmea: bool = False, pattern: str | None = None, delimiter: str | None = ",") -> tuple[TextDecoder, Counts]:
+def text(
+    nmea: bool = False, pattern: str | None = None, delimiter: str | None = ","
+) -> tuple[TextDecoder, Counts]:
     counts = Counts()
     columns = ("n", "a", "b")
     compiled = re.compile(pattern) if pattern else None

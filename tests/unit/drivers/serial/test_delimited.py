@@ -43,7 +43,8 @@ def numbers(decoder_: EndedDecoder, pieces: list[bytes]) -> list[int]:
 
 
 def independent(name: str, stream: bytes) -> list[int]:
-    """Read a stream by the others' packages, one end after another; what follows the last end is no frame yet."""
+    """Read a stream by the others' packages, one end after another; what follows the last end is no frame
+    yet."""
     out = []
     for piece in stream.split(b"\0" if name == "cobs" else b"\xc0")[:-1]:
         try:
@@ -68,7 +69,9 @@ def test_frames_split_at_every_byte_are_read_whole(rng: np.random.Generator, nam
 
 @BOTH
 @pytest.mark.parametrize("damage", ["flip", "insert", "delete"])
-def test_damage_of_any_one_byte_costs_at_most_two_frames(rng: np.random.Generator, name: str, damage: str) -> None:
+def test_damage_of_any_one_byte_costs_at_most_two_frames(
+    rng: np.random.Generator, name: str, damage: str
+) -> None:
     stream = b"".join(frames(name, 9, rng))
     for place in range(len(stream)):
         data = bytearray(stream)
@@ -166,7 +169,9 @@ def test_mutated_frames_are_read_as_others_read_them(rng: np.random.Generator, n
 
 def mutated(frame: bytes, rng: np.random.Generator) -> bytes:
     data = bytearray(frame)
-    for kind, place, value in rng.integers((0, 0, 0), (3, len(data), 256), (int(rng.integers(1, 4)), 3)).tolist():
+    for kind, place, value in rng.integers(
+        (0, 0, 0), (3, len(data), 256), (int(rng.integers(1, 4)), 3)
+    ).tolist():
         if kind == 0:
             data[place % len(data)] ^= 1 << value % 8
         elif kind == 1:
@@ -183,7 +188,10 @@ FIELD = [{"name": "a", "type": "int8"}]
     ("keys", "words"),
     [
         ({"format": "binary", "framing": "cobs"}, "needs sync and fields, or a framing"),
-        ({"format": "binary", "framing": "slip", "sync": "AA", "fields": FIELD}, 'framing "slip" has no sync'),
+        (
+            {"format": "binary", "framing": "slip", "sync": "AA", "fields": FIELD},
+            'framing "slip" has no sync',
+        ),
         ({"format": "binary", "framing": "hdlc", "fields": FIELD}, "sync.*cobs.*slip"),
         ({"format": "text", "columns": ["a"], "framing": "cobs"}, "has no framing"),
         ({"format": "text", "pattern": r"(?P<a>a+)+b"}, "can take very long"),

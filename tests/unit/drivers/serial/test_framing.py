@@ -31,8 +31,18 @@ def test_codings_of_any_frame_are_read_back_by_us_and_by_others(
 ) -> None:
     frame = np.where(rng.random(length) < zeros, 0, rng.integers(1, 256, length)).astype(np.uint8).tobytes()
     frame = frame.replace(b"\x07", b"\xc0").replace(b"\x08", b"\xdb")
-    assert published_cobs.decode(cobs(frame)) == frame == uncobs(cobs(frame)) == uncobs(published_cobs.encode(frame))
-    assert sliplib.decode(slip(frame)) == frame == unslip(slip(frame)) == unslip(sliplib.encode(frame).strip(b"\xc0"))
+    assert (
+        published_cobs.decode(cobs(frame))
+        == frame
+        == uncobs(cobs(frame))
+        == uncobs(published_cobs.encode(frame))
+    )
+    assert (
+        sliplib.decode(slip(frame))
+        == frame
+        == unslip(slip(frame))
+        == unslip(sliplib.encode(frame).strip(b"\xc0"))
+    )
     for name, framing in FRAMINGS.items():
         assert framing.end not in framing.encode(frame), name
 
@@ -52,7 +62,9 @@ def their_slip(coded: bytes) -> bytes | None:
 
 
 @pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.soak)])
-def test_codings_of_random_bytes_are_taken_or_refused_as_others_do(rng: np.random.Generator, count: int) -> None:
+def test_codings_of_random_bytes_are_taken_or_refused_as_others_do(
+    rng: np.random.Generator, count: int
+) -> None:
     few = np.array([1, 2, 3, 4, 0xDB, 0xDC, 0xDD, 0xFF], np.uint8)
     for _ in range(count):
         coded = rng.choice(few, int(rng.integers(1, 9))).tobytes()

@@ -45,11 +45,15 @@ def test_pattern_without_overlapping_repeats_is_taken_and_quick_on_the_worst_lin
 @pytest.mark.parametrize("text", REFUSED)
 def test_pattern_that_can_take_for_ever_is_refused_with_advice(text: str) -> None:
     re.compile(text)
-    with pytest.raises(ValueError, match=r"very long on a line that does not match: repeats overlap; say what lies"):
+    with pytest.raises(
+        ValueError, match=r"very long on a line that does not match: repeats overlap; say what lies"
+    ):
         check(text)
 
 
-@pytest.mark.parametrize("text", [r"(?P<f>\d+)(?P=f)", r"(?=a)(?P<f>\w)", r"(?P<f>\w)(?<!a)", r"(?P<f>a)?(?(f)b|c)"])
+@pytest.mark.parametrize(
+    "text", [r"(?P<f>\d+)(?P=f)", r"(?=a)(?P<f>\w)", r"(?P<f>\w)(?<!a)", r"(?P<f>a)?(?(f)b|c)"]
+)
 def test_pattern_that_looks_around_or_back_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="looks ahead, behind or back"):
         check(text)

@@ -126,7 +126,9 @@ LIKELY = np.frombuffer(b"0123456789+-.eE,*$# \t_nainf\xb2\x85\xff\x00\n", np.uin
 
 def mutated(line: bytes, rng: np.random.Generator) -> bytes:
     data = bytearray(line)
-    for kind, place, value in rng.integers((0, 0, 0), (4, 1 << 16, len(LIKELY)), (int(rng.integers(1, 4)), 3)).tolist():
+    for kind, place, value in rng.integers(
+        (0, 0, 0), (4, 1 << 16, len(LIKELY)), (int(rng.integers(1, 4)), 3)
+    ).tolist():
         if kind == 0:
             data[place % len(data)] ^= 1 << value % 8
         elif kind == 1:
@@ -141,7 +143,9 @@ def mutated(line: bytes, rng: np.random.Generator) -> bytes:
 def noted(line: bytes, columns: tuple[str, ...], pattern: str | None = None, *, nmea: bool = True) -> str:
     notes: list[str] = []
     compiled = re.compile(pattern) if pattern else None
-    decoder = TextDecoder(columns, None if pattern else ",", compiled, nmea, columns, None, Counts(), notes.append)
+    decoder = TextDecoder(
+        columns, None if pattern else ",", compiled, nmea, columns, None, Counts(), notes.append
+    )
     decoder.feed(b"\n" + 3 * line)
     (note,) = notes
     return note
@@ -173,11 +177,16 @@ def test_first_line_that_is_rejected_for_a_reason_is_shown_with_why(
     ("keys", "words"),
     [
         ({"columns": ["$IIXDR", "a"]}, r"columns: with checksum = \"nmea\" a line is \$ADDRESS,cells\*HH"),
-        ({"pattern": r"\$IIXDR,(?P<a>[^,]*)"}, r"pattern: with checksum = \"nmea\" .* leave the dollar sign out"),
+        (
+            {"pattern": r"\$IIXDR,(?P<a>[^,]*)"},
+            r"pattern: with checksum = \"nmea\" .* leave the dollar sign out",
+        ),
         ({"pattern": r"^[$]IIXDR,(?P<a>[^,]*)"}, r"pattern: with checksum = \"nmea\""),
     ],
 )
-def test_nmea_with_its_dollar_in_columns_or_pattern_is_refused_in_words(keys: dict[str, object], words: str) -> None:
+def test_nmea_with_its_dollar_in_columns_or_pattern_is_refused_in_words(
+    keys: dict[str, object], words: str
+) -> None:
     with pytest.raises(ValidationError, match=words):
         SerialSettings.model_validate({"port": "x", "format": "text", "checksum": "nmea", **keys})
 

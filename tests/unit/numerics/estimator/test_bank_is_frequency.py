@@ -32,7 +32,8 @@ def both(
     u = 20 * rng.standard_normal((SAMPLES, 1))
     slope = np.diff(u, axis=0, prepend=u[:1])
     eta = np.zeros(rig.count + len(rig.seen) + 2)
-    # beyond the first order the forms differ: the learner's initial state is that of the readings as filled in
+    # beyond the first order the forms differ: the learner's initial state is that of the readings as filled
+    # in
     theta = rig.theta * (1.00001 if lost else 1.001)
     y = rig.readings(theta, eta, 0.01 * rng.standard_normal(2 * rig.count), u, slope).real
     y = y + noise.sigma * rng.standard_normal(y.shape)
@@ -42,7 +43,9 @@ def both(
     missing = np.zeros((SAMPLES, len(rig.seen) + 1), dtype=bool)
     for sample, channel in lost:
         missing[sample, channel] = True
-        (y if channel < len(rig.seen) else u)[sample, channel % len(rig.seen)] += 1e-3 if channel == 2 else 1e-5
+        (y if channel < len(rig.seen) else u)[sample, channel % len(rig.seen)] += (
+            1e-3 if channel == 2 else 1e-5
+        )
     samples.append(y, u, missing)
     first = learner._posterior(
         learner.lineariser.linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known

@@ -29,7 +29,9 @@ def test_wrong_graph_evaluates_no_more_than_its_budget_however_many_windows_it_s
     v = noisy(np.random.default_rng(1), SAMPLES, 1e-6).v[:, [2, 0, 1]]
     for start in range(0, SAMPLES, 1000):
         counter = np.arange(start, start + 1000, dtype=np.int64)
-        pipeline.step("modbus", SampleBlock(v[start : start + 1000], (start + 1000) * 10**6, counter), None, None)
+        pipeline.step(
+            "modbus", SampleBlock(v[start : start + 1000], (start + 1000) * 10**6, counter), None, None
+        )
     contained = pipeline.stages.estimation.estimator
     assert isinstance(contained, ContainedEstimator)
     assert isinstance(contained.estimator, SlidingEstimator)

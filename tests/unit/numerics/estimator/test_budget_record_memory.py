@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from agent.numerics.estimator.budget import BURST, EVALUATIONS_A_WINDOW, FIRST, budget_of, samples_an_evaluation
+from agent.numerics.estimator.budget import (
+    BURST,
+    EVALUATIONS_A_WINDOW,
+    FIRST,
+    budget_of,
+    samples_an_evaluation,
+)
 from agent.numerics.estimator.memory import from_text, to_text
 from agent.numerics.estimator.record import SPARE, Record
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
@@ -96,4 +102,7 @@ def test_memory_of_other_constants_or_another_version_is_not_taken() -> None:
     learner, other = learner_of(rig), learner_of(ChainRig(sheet=(0.0, 0.01, 0.01, 0.25)))
     known = learner.prior(np.full(2, 1e-4), np.full(2, 0.3))
     assert from_text(to_text(known), other.hypotheses, known.noise) is None
-    assert from_text(to_text(known).replace('"version": 1', '"version": 0'), learner.hypotheses, known.noise) is None
+    assert (
+        from_text(to_text(known).replace('"version": 1', '"version": 0'), learner.hypotheses, known.noise)
+        is None
+    )

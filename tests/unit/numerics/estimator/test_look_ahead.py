@@ -17,7 +17,8 @@ HOLDS: list[Hold] = ["cubic", "quintic"]
 
 
 def rig(hold: Hold) -> Rig:
-    """A mass driven by a measured force; a second input of the model is no channel's, a third an unknown force."""
+    """A mass driven by a measured force; a second input of the model is no channel's, a third an unknown
+    force."""
     structure = Structure(
         (Mass("m", 2.0),), (Element("k", ("ground", "m"), 50.0),), (Element("B", ("ground", "m"), 3.0),)
     )

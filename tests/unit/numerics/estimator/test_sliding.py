@@ -1,4 +1,5 @@
-"""The estimator's stream: hop grid, cutting, segments, changes, noise learnt, silence, what is learnt and adopted."""
+"""The estimator's stream: hop grid, cutting, segments, changes, noise learnt, silence, what is learnt and
+adopted."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -24,15 +25,27 @@ def settings(window: int, hop: int, sigma: float = SIGMA, longer: tuple[int, ...
     """The paper's rig, its constants exact, forces on both masses; sigma NaN: to be learnt."""
     model = replace(rig(), forces=("m2", "m1", "m2"))
     statistical = Rig(
-        model, 4, np.arange(1), np.ones(1, dtype=bool), np.array([1, 2]), (), PERIOD, "first", NOMINAL, 0.02 * NOMINAL
+        model,
+        4,
+        np.arange(1),
+        np.ones(1, dtype=bool),
+        np.array([1, 2]),
+        (),
+        PERIOD,
+        "first",
+        NOMINAL,
+        0.02 * NOMINAL,
     )
     return EstimatorSettings(
         rig=statistical, plan=HopPlan(window, hop), longer=longer, sigma=np.full(2, sigma),
-        sigma_spread=np.full(2, 0.3), floor=np.full(2, 3e-7), enough_sd=0.033 * NOMINAL, wanted_sd=0.01 * NOMINAL,
+        sigma_spread=np.full(2, 0.3), floor=np.full(2, 3e-7), enough_sd=0.033 * NOMINAL,
+        wanted_sd=0.01 * NOMINAL,
     )  # fmt: skip
 
 
-def estimator(window: int = 500, hop: int = 50, sigma: float = SIGMA, longer: tuple[int, ...] = ()) -> SlidingEstimator:
+def estimator(
+    window: int = 500, hop: int = 50, sigma: float = SIGMA, longer: tuple[int, ...] = ()
+) -> SlidingEstimator:
     return SlidingEstimator(settings(window, hop, sigma, longer))
 
 
@@ -58,14 +71,20 @@ def worn_at(rng: np.random.Generator, change: int, samples: int) -> Record:
     """k2 falls by 30 % at sample `change`."""
     before = noisy(rng, change + 1, 0.0)
     after = record(
-        sampled(WORN), np.vstack([before.u[-1:], 5 * rng.standard_normal((samples - change, 1))]), before.states[-1]
+        sampled(WORN),
+        np.vstack([before.u[-1:], 5 * rng.standard_normal((samples - change, 1))]),
+        before.states[-1],
     )
     y = np.vstack([before.y[:-1], after.y[:-1]])
-    return Record(y + SIGMA * rng.standard_normal(y.shape), np.vstack([before.u[:-1], after.u[:-1]]), before.states)
+    return Record(
+        y + SIGMA * rng.standard_normal(y.shape), np.vstack([before.u[:-1], after.u[:-1]]), before.states
+    )
 
 
 @pytest.mark.parametrize(("window", "hop"), [(500, 50), (510, 50), (499, 50), (50, 50), (400, 37)])
-def test_sliding_hop_grid_counts_from_the_first_sample(window: int, hop: int, rng: np.random.Generator) -> None:
+def test_sliding_hop_grid_counts_from_the_first_sample(
+    window: int, hop: int, rng: np.random.Generator
+) -> None:
     rows = run(estimator(window, hop), noisy(rng, 1200, SIGMA), [700])
     expected = [i for i in range(1200) if i % hop == (window - 1) % hop]
     assert rows.index.tolist() == expected
@@ -103,7 +122,8 @@ def test_sliding_any_cutting_of_the_stream_gives_the_same_rows(
 
 
 def holed(samples: Record, rng: np.random.Generator) -> tuple[Record, NDArray[np.bool_], NDArray[np.bool_]]:
-    """One reading in a hundred filled in by the one before, and a blow and a spike on the force that are suspect."""
+    """One reading in a hundred filled in by the one before, and a blow and a spike on the force that are
+    suspect."""
     v = np.hstack([samples.y, samples.u])
     missing = rng.random(v.shape) < 0.01
     missing[0] = False
@@ -144,7 +164,9 @@ def test_sliding_two_runs_are_equal_to_the_last_bit(rng: np.random.Generator) ->
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_sliding_step_is_changing_until_windows_are_free_of_it_and_then_right(rng: np.random.Generator) -> None:
+def test_sliding_step_is_changing_until_windows_are_free_of_it_and_then_right(
+    rng: np.random.Generator,
+) -> None:
     window, hop, change = 500, 50, 4020
     rows = run(estimator(window, hop), worn_at(rng, change, 8000), [])
     assert not broken(rows)[rows.index < change].any()
@@ -169,7 +191,9 @@ def test_sliding_silence_is_neither_change_nor_knowledge(rng: np.random.Generato
     ml = estimator()
     run(ml, noisy(rng, 2000, SIGMA), [])
     ml.start_segment()
-    rows = run(ml, Record(SIGMA * rng.standard_normal((2000, 2)), np.zeros((2000, 1)), np.zeros(0)), [], start=3000)
+    rows = run(
+        ml, Record(SIGMA * rng.standard_normal((2000, 2)), np.zeros((2000, 1)), np.zeros(0)), [], start=3000
+    )
     assert not broken(rows).any()
     assert not valid(rows).any()
 

@@ -25,7 +25,9 @@ def test_determinant_is_that_of_a_convex_solver_and_no_line_could_do_better(seed
     scaled = information * np.outer(scale, scale)
     power = cvxpy.Variable(len(information), nonneg=True)
     total = sum(power[i] * scaled[i] for i in range(len(scaled)))
-    best = cvxpy.Problem(cvxpy.Maximize(cvxpy.log_det(total)), [cvxpy.sum(power) == 1]).solve(solver=cvxpy.SCS)
+    best = cvxpy.Problem(cvxpy.Maximize(cvxpy.log_det(total)), [cvxpy.sum(power) == 1]).solve(
+        solver=cvxpy.SCS
+    )
     reached = np.linalg.slogdet(np.einsum("f,fkl->kl", found.power, scaled))[1]
     assert reached == pytest.approx(best, abs=2e-3)
     M = np.einsum("f,fkl->kl", found.power, information)

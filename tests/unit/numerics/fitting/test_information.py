@@ -11,7 +11,9 @@ from tests.unit.numerics.paper_rig import NOMINAL, rig
 from tests.unit.numerics.rigs import noisy, sampled
 
 
-def test_window_information_equals_finite_differences_by_parameters_and_start(rng: np.random.Generator) -> None:
+def test_window_information_equals_finite_differences_by_parameters_and_start(
+    rng: np.random.Generator,
+) -> None:
     truth, sigma = noisy(rng, 250, 0.0), np.array([1e-6, 3e-6])
     x0, u = truth.states[0], truth.u
     columns = []
@@ -45,10 +47,15 @@ def test_predicted_sd_without_constants_is_the_bound(rng: np.random.Generator) -
 
 
 def test_predicted_sd_holds_what_the_data_sheet_leaves_open(rng: np.random.Generator) -> None:
-    """All masses, springs, dampers and forces times c move alike: c is known as well as masses to 2 %, force to 1 %."""
+    """All masses, springs, dampers and forces times c move alike: c is known as well as masses to 2 %, force
+    to 1 %."""
     truth, sigma = noisy(rng, 4000, 0.0), np.full(2, 1e-7)
     model = replace(rig(), parameters=("k1", "k2", "B1", "B2", "m1", "m2"))
-    constants = (Constant("m1", "mass", 0, 0.02), Constant("m2", "mass", 1, 0.02), Constant("u", "input", 0, 0.01))
+    constants = (
+        Constant("m1", "mass", 0, 0.02),
+        Constant("m2", "mass", 1, 0.02),
+        Constant("u", "input", 0, 0.01),
+    )
     shifted = truth.states[0] - sampled().B1 @ truth.u[0]
     found = predicted_sd(replace(statistical(*constants), model=model), shifted, truth.u, sigma)
     bound = bound_sd(window_information(sampled(), truth.states[0], truth.u, sigma))

@@ -1,7 +1,9 @@
-"""A chain of masses written down by hand, its readings in the time domain, and dense generalised least squares of them.
+"""A chain of masses written down by hand, its readings in the time domain, and dense generalised least
+squares of them.
 
 Shares no code with `agent.numerics.inference`: the force runs straight between samples (first-order hold),
-derivatives are complex steps (Squire & Trapp, SIAM Rev. 40 (1998) 110), the covariance of all readings is one matrix.
+derivatives are complex steps (Squire & Trapp, SIAM Rev. 40 (1998) 110), the covariance of all readings is one
+matrix.
 """
 
 from dataclasses import dataclass
@@ -53,15 +55,22 @@ class ChainRig:
         """The same for the agent."""
         nodes = ["ground", *(f"m{i + 1}" for i in range(self.count))]
         ends = list(pairwise(nodes))
-        springs = tuple(Element(f"k{i + 1}", e, k) for i, (e, k) in enumerate(zip(ends, self.springs, strict=True)))
-        dampers = tuple(Element(f"B{i + 1}", e, b) for i, (e, b) in enumerate(zip(ends, self.dampers, strict=True)))
-        structure = Structure(tuple(Mass(n, m) for n, m in zip(nodes[1:], self.masses, strict=True)), springs, dampers)
+        springs = tuple(
+            Element(f"k{i + 1}", e, k) for i, (e, k) in enumerate(zip(ends, self.springs, strict=True))
+        )
+        dampers = tuple(
+            Element(f"B{i + 1}", e, b) for i, (e, b) in enumerate(zip(ends, self.dampers, strict=True))
+        )
+        structure = Structure(
+            tuple(Mass(n, m) for n, m in zip(nodes[1:], self.masses, strict=True)), springs, dampers
+        )
         names = (*(e.name for e in (*springs, *dampers)), *nodes[1:])
         outputs = tuple(Output(kind, nodes[i + 1]) for i, kind in enumerate(self.seen))  # type: ignore[arg-type]
         model = MassSpringDamper(structure, names, (nodes[-1], *nodes[1:]), outputs)
         q = 2 * self.count
         return Rig(
-            model, q, np.array([0]), np.array([True]), np.arange(1, 1 + self.count), self.constants, self.period,
+            model, q, np.array([0]), np.array([True]), np.arange(1, 1 + self.count), self.constants,
+            self.period,
             "first", self.theta, np.zeros(q),
         )  # fmt: skip
 
@@ -74,12 +83,18 @@ class ChainRig:
         A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ K, -inverse @ B]])
         G = np.vstack([np.zeros((n, n)), inverse])
         big = np.zeros((4 * n, 4 * n), dtype=complex)
-        big[: 2 * n, : 2 * n], big[: 2 * n, 2 * n : 3 * n], big[2 * n : 3 * n, 3 * n :] = A, G, np.eye(n) / self.period
+        big[: 2 * n, : 2 * n], big[: 2 * n, 2 * n : 3 * n], big[2 * n : 3 * n, 3 * n :] = (
+            A,
+            G,
+            np.eye(n) / self.period,
+        )
         F = expm(big * self.period)
         G1, G2 = F[: 2 * n, 2 * n : 3 * n], F[: 2 * n, 3 * n :]
         rows = {"displacement": np.eye(2 * n)[:n], "velocity": np.eye(2 * n)[n:], "acceleration": A[n:]}
         C = np.array([rows[kind][i] for i, kind in enumerate(self.seen)], dtype=complex)
-        D = np.array([inverse[i] if kind == "acceleration" else 0 * inverse[i] for i, kind in enumerate(self.seen)])
+        D = np.array(
+            [inverse[i] if kind == "acceleration" else 0 * inverse[i] for i, kind in enumerate(self.seen)]
+        )
         found = F[: 2 * n, : 2 * n], G1 - G2, G2, C, D
         return tuple(np.asarray(part, dtype=np.complex128) for part in found)
 
@@ -109,7 +124,8 @@ class ChainRig:
 
 @dataclass(frozen=True)
 class DenseNoise:
-    """sigma (p,); white sd of each mass's force (n,); slow forces (mass, pole, sd); colours (output, pole, sd)."""
+    """sigma (p,); white sd of each mass's force (n,); slow forces (mass, pole, sd); colours (output, pole,
+    sd)."""
 
     sigma: FloatArray
     white: FloatArray
@@ -135,7 +151,8 @@ class DenseWindow:
 
     @classmethod
     def of(
-        cls, rig: ChainRig, noise: DenseNoise, y: FloatArray, u: FloatArray, slope: FloatArray, theta: FloatArray,
+        cls, rig: ChainRig, noise: DenseNoise, y: FloatArray, u: FloatArray, slope: FloatArray,
+        theta: FloatArray,
         eta: FloatArray, x0: FloatArray | None = None,
     ) -> "DenseWindow":  # fmt: skip
         W, p = y.shape
@@ -154,8 +171,14 @@ class DenseWindow:
             moved = rig.readings(theta + 1j * STEP * d, eta + 1j * STEP * e, x0, u, slope)
             return np.asarray(moved.imag.reshape(-1) / STEP)
 
-        psi = np.column_stack([slope_of(d * t, 0 * eta) for d, t in zip(np.eye(len(theta)), theta, strict=True)])
-        xi = np.column_stack([slope_of(0 * theta, e) for e in np.eye(len(eta))]) if len(eta) else np.zeros((W * p, 0))
+        psi = np.column_stack(
+            [slope_of(d * t, 0 * eta) for d, t in zip(np.eye(len(theta)), theta, strict=True)]
+        )
+        xi = (
+            np.column_stack([slope_of(0 * theta, e) for e in np.eye(len(eta))])
+            if len(eta)
+            else np.zeros((W * p, 0))
+        )
         return cls(flat, psi, xi, y.reshape(-1) - mean, S, x0)
 
     def solve(
@@ -164,7 +187,10 @@ class DenseWindow:
         """Relative steps of parameters and constants (q + c,), and their covariance."""
         rows = np.ones(len(self.residual), dtype=bool) if kept is None else kept
         L = np.linalg.cholesky(self.S[np.ix_(rows, rows)])
-        X, r = np.linalg.solve(L, np.hstack([self.psi, self.xi])[rows]), np.linalg.solve(L, self.residual[rows])
+        X, r = (
+            np.linalg.solve(L, np.hstack([self.psi, self.xi])[rows]),
+            np.linalg.solve(L, self.residual[rows]),
+        )
         Q = np.linalg.qr(np.linalg.solve(L, self.flat[rows]))[0]
         for _ in range(2):
             X, r = X - Q @ (Q.T @ X), r - Q @ (Q.T @ r)

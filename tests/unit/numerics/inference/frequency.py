@@ -36,7 +36,9 @@ def knowledge(learner: Learner, noise: DenseNoise) -> Knowledge:
     return replace(known, noise=held, kept=learner.window // 2 + 1)
 
 
-def linearised(learner: Learner, known: Knowledge, window: Window, cuts: NDArray[np.int64] = NO_CUTS) -> Linearised:
+def linearised(
+    learner: Learner, known: Knowledge, window: Window, cuts: NDArray[np.int64] = NO_CUTS
+) -> Linearised:
     return learner.lineariser.point(window, known, known.theta, cuts)
 
 
@@ -63,5 +65,7 @@ def start_of(rig: ChainRig, at: Linearised, window: Window) -> FloatArray:
     eta, n = np.zeros(len(rig.constants)), 2 * rig.count
     mean = window.y.reshape(-1) - in_time(at.regression.X[..., -1:], window.length)[:, 0]
     forced = rig.readings(at.theta, eta, np.zeros(n), window.u, window.slope).real.reshape(-1)
-    free = [rig.readings(at.theta, eta, e, 0 * window.u, 0 * window.slope).real.reshape(-1) for e in np.eye(n)]
+    free = [
+        rig.readings(at.theta, eta, e, 0 * window.u, 0 * window.slope).real.reshape(-1) for e in np.eye(n)
+    ]
     return np.asarray(np.linalg.lstsq(np.column_stack(free), mean - forced, rcond=None)[0])

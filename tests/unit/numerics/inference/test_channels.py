@@ -46,7 +46,9 @@ def contest(rig: ChainRig, y: FloatArray, u: FloatArray) -> Contest:
     return ChannelTest(learner).contest(window, known, SURE * rig.theta, solved, late)
 
 
-def spoilt(y: FloatArray, u: FloatArray, channel: int, kind: Kind, size: float) -> tuple[FloatArray, FloatArray]:
+def spoilt(
+    y: FloatArray, u: FloatArray, channel: int, kind: Kind, size: float
+) -> tuple[FloatArray, FloatArray]:
     """Readings (N - LATE, p), (N - LATE, 1) of which a channel is wrong from the first on."""
     v = np.hstack([y, u])
     out = v[LATE:].copy()
@@ -58,8 +60,12 @@ def spoilt(y: FloatArray, u: FloatArray, channel: int, kind: Kind, size: float) 
 
 
 @pytest.mark.parametrize("masses", [2, 3])
-@pytest.mark.parametrize(("kind", "size"), [("offset", 2e-3), ("gain", 0.05), ("gain", -2.0), ("delay", float(LATE))])
-def test_contest_names_the_channel_that_is_wrong_and_by_how_much(masses: int, kind: Kind, size: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "size"), [("offset", 2e-3), ("gain", 0.05), ("gain", -2.0), ("delay", float(LATE))]
+)
+def test_contest_names_the_channel_that_is_wrong_and_by_how_much(
+    masses: int, kind: Kind, size: float
+) -> None:
     rig = RIGS[masses]
     rng = np.random.default_rng(masses)
     for channel in range(masses + 1):
@@ -73,7 +79,9 @@ def test_contest_names_the_channel_that_is_wrong_and_by_how_much(masses: int, ki
 
 
 @pytest.mark.parametrize(("kind", "size"), [("gain", 0.05), ("offset", 2e-3)])
-def test_contest_names_nobody_where_one_output_and_its_force_explain_the_same(kind: Kind, size: float) -> None:
+def test_contest_names_nobody_where_one_output_and_its_force_explain_the_same(
+    kind: Kind, size: float
+) -> None:
     rig = RIGS[1]
     _, y, u = record(rig, np.random.default_rng(3), noise_of(rig), W + 40, off=1.0)
     found = contest(rig, *spoilt(y, u, 0, kind, size))

@@ -8,7 +8,11 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants, hypotheses_of
 from agent.numerics.model.uncertain import Constant
 
-CONSTANTS = (Constant("m1", "mass", 0, 0.02), Constant("m2", "mass", 1, 0.02), Constant("x1", "output", 0, 0.01))
+CONSTANTS = (
+    Constant("m1", "mass", 0, 0.02),
+    Constant("m2", "mass", 1, 0.02),
+    Constant("x1", "output", 0, 0.01),
+)
 
 
 def problem() -> tuple[np.ndarray, np.ndarray, float]:
@@ -43,7 +47,9 @@ def test_constants_moments_are_those_of_the_mixture() -> None:
     which = rng.choice(len(after.weight), 200_000, p=after.weight)
     draws = np.empty((len(which), 3))
     for i in np.unique(which):
-        draws[which == i] = rng.multivariate_normal(after.mean[i], after.covariance[i], int((which == i).sum()))
+        draws[which == i] = rng.multivariate_normal(
+            after.mean[i], after.covariance[i], int((which == i).sum())
+        )
     assert after.expected == pytest.approx(draws.mean(axis=0), abs=1e-4)
     assert np.sqrt(np.diag(after.total)) == pytest.approx(draws.std(axis=0), rel=0.02)
 
@@ -85,7 +91,9 @@ def test_constants_update_by_information_that_drowns_the_prior_leaves_no_negativ
     known = Constants.prior(hypotheses_of(CONSTANTS))
     direction = rng.standard_normal(3)
     for _ in range(5):
-        known = known.predicted().updated(1e22 * np.outer(direction, direction), 1e12 * direction, np.zeros(3))
+        known = known.predicted().updated(
+            1e22 * np.outer(direction, direction), 1e12 * direction, np.zeros(3)
+        )
         size = np.einsum("hii->h", known.covariance)
         assert (np.linalg.eigvalsh(known.covariance)[:, 0] > -1e-13 * size).all()
         assert np.isfinite(known.weight).all()

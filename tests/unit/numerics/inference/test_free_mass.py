@@ -1,4 +1,5 @@
-"""A mass that nothing holds: the window in the frequency domain against dense generalised least squares in time."""
+"""A mass that nothing holds: the window in the frequency domain against dense generalised least squares in
+time."""
 
 from dataclasses import replace
 
@@ -25,7 +26,17 @@ def carriage(spring: bool) -> Rig:
     scale, q = np.array([2.0, 5.0, 10.0])[: len(names)], len(names)
     measured, pushed = np.array([0]), np.array([1])
     return Rig(
-        model, q, measured, np.array([True]), pushed, (), PERIOD, "first", scale, np.full(q, -np.inf), slow_forces=False
+        model,
+        q,
+        measured,
+        np.array([True]),
+        pushed,
+        (),
+        PERIOD,
+        "first",
+        scale,
+        np.full(q, -np.inf),
+        slow_forces=False,
     )
 
 

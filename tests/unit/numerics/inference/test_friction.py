@@ -9,7 +9,8 @@ SIZE = 0.7
 
 
 def gram_of(rng: np.random.Generator, more: np.ndarray | None, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gram of [three columns, one more, residual] in 300 samples; the residual holds the one more so many times."""
+    """Gram of [three columns, one more, residual] in 300 samples; the residual holds the one more so many
+    times."""
     base = rng.standard_normal((300, 3))
     column = rng.standard_normal(300) if more is None else base @ more
     residual = base @ np.array([1.0, -2.0, 0.5]) + size * column + 0.1 * rng.standard_normal(300)
@@ -33,7 +34,9 @@ def test_friction_that_drives_is_none(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("more", [np.array([1.0, 1.0, -3.0]), np.zeros(3)])
-def test_friction_column_that_the_model_has_already_is_no_evidence(rng: np.random.Generator, more: np.ndarray) -> None:
+def test_friction_column_that_the_model_has_already_is_no_evidence(
+    rng: np.random.Generator, more: np.ndarray
+) -> None:
     for _ in range(20):  # what rounding leaves of it has either sign
         gram, _ = gram_of(rng, more, SIZE)
         found = friction(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)

@@ -105,7 +105,9 @@ def test_scatter_expected_is_that_of_a_mixture_of_both_explanations() -> None:
     density = t ** (a - 1) * np.exp(-a * t) * a**a / np.exp(gammaln(a))
     slab = np.trapezoid(density * t ** (0.5 * n) * np.exp(-0.5 * power * t), t)
     odds = slab / np.exp(-0.5 * power)
-    assert expected(np.array([pooled]), seen)[0] == pytest.approx(1 + odds / (1 + odds) * (pooled - 1), rel=1e-6)
+    assert expected(np.array([pooled]), seen)[0] == pytest.approx(
+        1 + odds / (1 + odds) * (pooled - 1), rel=1e-6
+    )
 
 
 def test_scatter_compares_windows_at_the_same_constants(rng: np.random.Generator) -> None:

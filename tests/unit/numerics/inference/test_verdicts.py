@@ -7,7 +7,11 @@ from agent.numerics.inference.constants import Constants, hypotheses_of
 from agent.numerics.inference.verdicts import beliefs
 from agent.numerics.model.uncertain import Constant
 
-CONSTANTS = (Constant("m1", "mass", 0, 0.02), Constant("m2", "mass", 1, 0.02), Constant("x1", "output", 0, 0.01))
+CONSTANTS = (
+    Constant("m1", "mass", 0, 0.02),
+    Constant("m2", "mass", 1, 0.02),
+    Constant("x1", "output", 0, 0.01),
+)
 KINDS = ("mass", "mass", "output")
 
 

@@ -1,4 +1,5 @@
-"""The frequency-domain window against dense generalised least squares in the time domain, written here by hand."""
+"""The frequency-domain window against dense generalised least squares in the time domain, written here by
+hand."""
 
 from dataclasses import replace
 
@@ -28,7 +29,10 @@ FloatArray = NDArray[np.float64]
 SIGMA = np.array([1e-4, 2e-4])
 RIGS = {
     "displacements": (ChainRig(), SIGMA),
-    "an accelerometer where the force acts": (ChainRig(seen=("displacement", "acceleration")), np.array([1e-4, 5e-2])),
+    "an accelerometer where the force acts": (
+        ChainRig(seen=("displacement", "acceleration")),
+        np.array([1e-4, 5e-2]),
+    ),
     "one mass": (ChainRig((2.0,), (180.0,), (4.0,), seen=("displacement",)), np.array([1e-4])),
 }
 WHITE = 0.6
@@ -115,7 +119,9 @@ def test_inference_restricted_log_likelihood_differs_from_dense_by_a_constant() 
         )
         fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, wide)
         found.append(fit.restricted_log_likelihood())
-        wanted.append(dense.restricted_log_likelihood(precision(learner.lineariser.wide()), np.zeros(len(known.eta))))
+        wanted.append(
+            dense.restricted_log_likelihood(precision(learner.lineariser.wide()), np.zeros(len(known.eta)))
+        )
     assert np.diff(found) == pytest.approx(np.diff(wanted), rel=1e-5)
     assert np.abs(np.diff(wanted)).min() > 1.0
 
@@ -171,7 +177,9 @@ def test_inference_columns_are_derivatives_of_the_simulated_window() -> None:
     wanted = np.hstack([dense.psi, dense.xi])
     off = np.linalg.qr(dense.flat)[0]
     left, right = (M - off @ (off.T @ M) for M in (columns, wanted))
-    assert np.linalg.norm(left - right, axis=0) == pytest.approx(0.0, abs=1e-9 * np.linalg.norm(right, axis=0).max())
+    assert np.linalg.norm(left - right, axis=0) == pytest.approx(
+        0.0, abs=1e-9 * np.linalg.norm(right, axis=0).max()
+    )
 
 
 @pytest.mark.parametrize("cut", [15, 60, 105])
@@ -191,7 +199,9 @@ def test_inference_jump_columns_are_those_of_a_window_that_jumps(cut: int) -> No
         ).imag.reshape(-1) / tiny
         for e in np.eye(4)
     ])  # fmt: skip
-    flat = np.linalg.qr(DenseWindow.of(rig, noise, window.y, window.u, window.slope, rig.theta, eta, x0).flat)[0]
+    flat = np.linalg.qr(
+        DenseWindow.of(rig, noise, window.y, window.u, window.slope, rig.theta, eta, x0).flat
+    )[0]
     left, right = (M - flat @ (flat.T @ M) for M in (found, wanted))
     # a straight force between the last sample before and the first after the jump belongs to neither side
     assert np.linalg.norm(left - right, axis=0).max() < 0.05 * np.linalg.norm(right, axis=0).min()

@@ -1,4 +1,5 @@
-"""Polynomial holds against quadrature, finite differences, the earlier form of sampling and the exact response."""
+"""Polynomial holds against quadrature, finite differences, the earlier form of sampling and the exact
+response."""
 
 import numpy as np
 import pytest
@@ -30,7 +31,9 @@ def one_mass() -> MassSpringDamper:
     ("hold", "offsets"),
     [("zero", (0,)), ("first", (0, 1)), ("cubic", (-1, 0, 1, 2)), ("quintic", (-2, -1, 0, 1, 2, 3))],
 )
-def test_taps_are_one_more_than_the_degree_and_surround_the_step(hold: Hold, offsets: tuple[int, ...]) -> None:
+def test_taps_are_one_more_than_the_degree_and_surround_the_step(
+    hold: Hold, offsets: tuple[int, ...]
+) -> None:
     assert taps(hold) == offsets
     assert straight(hold) == ("zero" if hold == "zero" else "first")
 
@@ -59,9 +62,13 @@ def test_sample_equals_dense_quadrature_of_the_polynomial_through_the_readings(
 
     forced, _ = quad_vec(flow, 0.0, 1.0, epsabs=1e-13, epsrel=1e-13)
     expected = expm(c.A * T) @ x + forced
-    np.testing.assert_allclose(found.model.A @ x + found.model.B @ u.ravel(), expected, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(
+        found.model.A @ x + found.model.B @ u.ravel(), expected, rtol=1e-11, atol=1e-12
+    )
     here = u[found.taps.index(0)]
-    np.testing.assert_allclose(found.model.C @ x + found.model.D @ u.ravel(), c.C @ x + c.D @ here, rtol=1e-12)
+    np.testing.assert_allclose(
+        found.model.C @ x + found.model.D @ u.ravel(), c.C @ x + c.D @ here, rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("hold", HOLDS)
@@ -76,7 +83,9 @@ def test_derivatives_of_any_hold_equal_finite_differences(hold: Hold) -> None:
         for name in "ABCD":
             slope = (getattr(above.model, name) - getattr(below.model, name)) / (2 * step[i])
             derivative = getattr(here.model, f"d{name}")[i]
-            np.testing.assert_allclose(derivative, slope, atol=1e-8 * max(1.0, np.abs(slope).max()), err_msg=name)
+            np.testing.assert_allclose(
+                derivative, slope, atol=1e-8 * max(1.0, np.abs(slope).max()), err_msg=name
+            )
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
@@ -103,7 +112,8 @@ def test_zero_hold_is_scipys() -> None:
 
 
 def loss(c: StateSpace, samples_a_period: float, hold: Hold) -> float:
-    """Share by which the steady response to a sine is off, against the exact one, with so many samples a period."""
+    """Share by which the steady response to a sine is off, against the exact one, with so many samples a
+    period."""
     frequency_hz = 5.0
     period_s = 1.0 / (frequency_hz * samples_a_period)
     omega = 2 * np.pi * frequency_hz

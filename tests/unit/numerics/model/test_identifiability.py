@@ -19,9 +19,15 @@ GAINS = (Nuisance("f.gain", "gain", "input", 0), Nuisance("x1.gain", "gain", "ou
 
 
 def chain(
-    masses: int, names: tuple[str, ...] = (), outputs: tuple[int, ...] = (), *, forced: bool = True, seed: int = 0
+    masses: int,
+    names: tuple[str, ...] = (),
+    outputs: tuple[int, ...] = (),
+    *,
+    forced: bool = True,
+    seed: int = 0,
 ) -> MassSpringDamper:
-    """Masses in series from ground; a force on the last; displacements of `outputs`, of all where none is named."""
+    """Masses in series from ground; a force on the last; displacements of `outputs`, of all where none is
+    named."""
     rng = np.random.default_rng(seed)
     nodes = ["ground", *(f"m{i + 1}" for i in range(masses))]
     links = [(nodes[i], nodes[i + 1]) for i in range(masses)]
@@ -40,7 +46,10 @@ def blends(model: Model, measured: int = 1) -> list[set[str]]:
     """Return the sets of parameters that cannot be told apart."""
     found = identifiability(model, measured, np.abs(model.nominal))
     assert not found.silent
-    return [{name for name, change in zip(model.parameters, blend, strict=True) if change} for blend in found.blends]
+    return [
+        {name for name, change in zip(model.parameters, blend, strict=True) if change}
+        for blend in found.blends
+    ]
 
 
 @pytest.mark.parametrize("masses", range(1, 7))
@@ -66,7 +75,15 @@ def test_chain_with_one_displacement_and_a_force_is_told(masses: int) -> None:
         (GAINS[1:], []),
         ((*BIASES[1:], *GAINS[1:]), []),
     ],
-    ids=["all biases", "force and one", "both outputs", "all gains", "input and one", "both output gains", "outputs"],
+    ids=[
+        "all biases",
+        "force and one",
+        "both outputs",
+        "all gains",
+        "input and one",
+        "both output gains",
+        "outputs",
+    ],
 )
 def test_sensor_constants_that_cannot_be_separated_are_named(
     nuisances: tuple[Nuisance, ...], expected: list[set[str]]
@@ -86,7 +103,9 @@ def test_all_masses_with_the_input_gain_are_one_scale() -> None:
 def test_parallel_springs_are_one_and_the_blend_says_in_which_ratio() -> None:
     model = chain(2)
     springs = (*model.structure.springs, Element("k3", ("m1", "ground"), 40.0))
-    model = replace(model, structure=replace(model.structure, springs=springs), parameters=("k1", "k2", "k3", "B1"))
+    model = replace(
+        model, structure=replace(model.structure, springs=springs), parameters=("k1", "k2", "k3", "B1")
+    )
     found = identifiability(model, 1, np.abs(model.nominal))
     assert len(found.blends) == 1
     k1, k2, k3, B1 = found.blends[0] / found.blends[0][0]
@@ -97,7 +116,11 @@ def test_parallel_springs_are_one_and_the_blend_says_in_which_ratio() -> None:
 
 def test_two_separate_faults_are_two_blends() -> None:
     model = chain(2)
-    springs = (*model.structure.springs, Element("k3", ("m1", "ground"), 40.0), Element("k4", ("m1", "m2"), 7.0))
+    springs = (
+        *model.structure.springs,
+        Element("k3", ("m1", "ground"), 40.0),
+        Element("k4", ("m1", "m2"), 7.0),
+    )
     names = ("k1", "k2", "k3", "k4", "B1", "B2")
     model = replace(model, structure=replace(model.structure, springs=springs), parameters=names)
     assert sorted(map(sorted, blends(model))) == [["k1", "k3"], ["k2", "k4"]]

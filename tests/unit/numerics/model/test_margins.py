@@ -63,7 +63,9 @@ def test_stability_margin_equals_the_dense_grid_on_fifty_random_systems(rng: np.
         assert exact == pytest.approx(grid, rel=1e-5)
 
 
-def test_stability_margin_equals_the_lmi_by_clarabel_on_fifty_random_systems(rng: np.random.Generator) -> None:
+def test_stability_margin_equals_the_lmi_by_clarabel_on_fifty_random_systems(
+    rng: np.random.Generator,
+) -> None:
     for _ in range(50):
         A = random_stable(rng, 1.0 - 10.0 ** rng.uniform(-3.0, -0.3))
         assert stability_margin(A) == pytest.approx(lmi_margin(A), rel=1e-3)
@@ -78,7 +80,9 @@ def test_stability_margin_of_blocks_is_that_of_the_whole(rng: np.random.Generato
 
 @pytest.mark.parametrize("distance", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("angle", [0.0, 1e-3, 0.3, 3.0, np.pi])
-def test_stability_margin_of_a_normal_matrix_is_its_distance_to_the_circle(distance: float, angle: float) -> None:
+def test_stability_margin_of_a_normal_matrix_is_its_distance_to_the_circle(
+    distance: float, angle: float
+) -> None:
     rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     assert stability_margin((1.0 - distance) * rotation) == pytest.approx(distance, rel=1e-6)
 

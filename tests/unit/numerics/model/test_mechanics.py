@@ -21,11 +21,18 @@ def test_mechanics_papers_rig_equals_its_equations() -> None:
     np.testing.assert_allclose(c.A, A)
     np.testing.assert_allclose(c.B, [[0], [1 / m2], [0], [0]])
     np.testing.assert_allclose(c.C, [[0, 0, 1, 0], [0, 0, 0, 1]])
-    assert rig().state_names == ("velocity of m1", "velocity of m2", "displacement of m1", "displacement of m2")
+    assert rig().state_names == (
+        "velocity of m1",
+        "velocity of m2",
+        "displacement of m1",
+        "displacement of m2",
+    )
 
 
 @pytest.mark.parametrize("masses", [1, 2, 4, 6])
-def test_mechanics_random_graph_obeys_newton_element_by_element(masses: int, rng: np.random.Generator) -> None:
+def test_mechanics_random_graph_obeys_newton_element_by_element(
+    masses: int, rng: np.random.Generator
+) -> None:
     structure = random_structure(rng, masses)
     names = [m.name for m in structure.masses]
     model = MassSpringDamper(structure, (), tuple(names), tuple(Output("acceleration", n) for n in names))
@@ -45,7 +52,8 @@ def test_mechanics_random_graph_obeys_newton_element_by_element(masses: int, rng
 
 
 def test_mechanics_massless_node_equals_limit_of_a_small_mass() -> None:
-    """Its velocity is that at which the forces on it cancel; friction is an input that acts against the motion."""
+    """Its velocity is that at which the forces on it cancel; friction is an input that acts against the
+    motion."""
     model = widest_model()
     c = model.continuous(model.nominal)
     x = np.array([0.3, -0.2, 0.01, 0.02, -0.03])  # v1, v2, x1, xn, x2
@@ -66,14 +74,18 @@ def test_mechanics_derivatives_equal_finite_differences_by_every_kind_of_paramet
         above, below = model.continuous(model.nominal + step), model.continuous(model.nominal - step)
         for name in "ABCD":
             slope = (getattr(above, name) - getattr(below, name)) / (2 * step[i])
-            np.testing.assert_allclose(getattr(here, f"d{name}")[i], slope, atol=1e-7, err_msg=model.parameters[i])
+            np.testing.assert_allclose(
+                getattr(here, f"d{name}")[i], slope, atol=1e-7, err_msg=model.parameters[i]
+            )
 
 
 def test_mechanics_free_rig_is_at_rest_in_translation() -> None:
     structure = Structure(
         (Mass("a", 1.0), Mass("b", 2.0)), (Element("k", ("a", "b"), 5.0),), (Element("B", ("a", "b"), 1.0),)
     )
-    c = MassSpringDamper(structure, ("k",), ("a",), (Output("displacement", "a"),)).continuous(np.array([5.0]))
+    c = MassSpringDamper(structure, ("k",), ("a",), (Output("displacement", "a"),)).continuous(
+        np.array([5.0])
+    )
     np.testing.assert_allclose(c.A @ [0, 0, 1, 1], 0)
 
 

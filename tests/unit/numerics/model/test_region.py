@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from agent.numerics.model.region import hidden_mode, perturbation, radius_of_model, radius_of_observer, worst_in_box
+from agent.numerics.model.region import (
+    hidden_mode,
+    perturbation,
+    radius_of_model,
+    radius_of_observer,
+    worst_in_box,
+)
 from agent.numerics.model.statespace import AffineModel, StateSpace
 from agent.types import FloatArray
 from tests.unit.numerics.rigs import measured_model, random_structure
@@ -15,7 +21,9 @@ PERIOD_S = 0.01
 def affine(A: FloatArray, C: FloatArray, dA: FloatArray, dC: FloatArray, nominal: FloatArray) -> AffineModel:
     """A model without inputs whose parameters move A and C."""
     q, n, p = len(nominal), len(A), len(C)
-    at = StateSpace(A, np.zeros((n, 0)), C, np.zeros((p, 0)), dA, np.zeros((q, n, 0)), dC, np.zeros((q, p, 0)))
+    at = StateSpace(
+        A, np.zeros((n, 0)), C, np.zeros((p, 0)), dA, np.zeros((q, n, 0)), dC, np.zeros((q, p, 0))
+    )
     return AffineModel(tuple(f"p{i}" for i in range(q)), nominal, at, tuple(f"x{i}" for i in range(n)))
 
 
@@ -26,7 +34,9 @@ def rig(seed: int, parameters: int) -> tuple[AffineModel, FloatArray]:
     A = rng.standard_normal((n, n))
     A -= (np.linalg.eigvals(A).real.max() + 0.5) * np.eye(n)
     dA = rng.standard_normal((parameters, n, n))
-    return affine(A, np.eye(n), dA, np.zeros((parameters, n, n)), np.ones(parameters)), np.full(parameters, 0.3)
+    return affine(A, np.eye(n), dA, np.zeros((parameters, n, n)), np.ones(parameters)), np.full(
+        parameters, 0.3
+    )
 
 
 def radii(model: AffineModel, thetas: FloatArray) -> FloatArray:
@@ -72,7 +82,8 @@ def test_worst_point_may_lie_inside_the_box() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_observability_defect_planted_inside_the_box_is_found(seed: int) -> None:
-    """One reading of a random combination of states loses a mode where a parameter passes a value inside the box."""
+    """One reading of a random combination of states loses a mode where a parameter passes a value inside the
+    box."""
     rng = np.random.default_rng([seed, 32])
     n, q = int(rng.integers(2, 6)), int(rng.integers(1, 4))
     poles = -np.arange(1.0, n + 1)
@@ -80,7 +91,9 @@ def test_observability_defect_planted_inside_the_box_is_found(seed: int) -> None
     A = T @ np.diag(poles) @ T.T
     place = rng.uniform(-0.7, 0.7, q)
     row = rng.uniform(0.5, 1.5, n)
-    row[0] = -float(place @ np.ones(q))  # the mode shows by row[0] + sum of the parameters: nothing at `place`
+    row[0] = -float(
+        place @ np.ones(q)
+    )  # the mode shows by row[0] + sum of the parameters: nothing at `place`
     dC = np.array([(np.eye(n)[:1] @ T.T) for _ in range(q)])
     model = affine(A, row[None] @ T.T, np.zeros((q, n, n)), dC, np.zeros(q))
     found = worst_in_box(hidden_mode(model), model.nominal, np.ones(q))

@@ -56,7 +56,8 @@ def test_steady_covariance_states_and_outputs_of_any_unit_solve_the_equation(
 
 
 def test_steady_covariance_poles_on_the_unit_circle_settles() -> None:
-    """A free mass under an unknown force, its displacement measured: two poles at 1, known gain at unit intensity."""
+    """A free mass under an unknown force, its displacement measured: two poles at 1, known gain at unit
+    intensity."""
     A, C = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
     push = np.array([[0.5], [1.0]])
     for intensity in (1e-12, 1e-6, 1.0, 1e6):

@@ -1,4 +1,5 @@
-"""The joint filter against the plain recursion, and its sensitivities against finite differences of the observer."""
+"""The joint filter against the plain recursion, and its sensitivities against finite differences of the
+observer."""
 
 import numpy as np
 import pytest

@@ -19,13 +19,26 @@ def widest_model() -> MassSpringDamper:
     return MassSpringDamper(
         Structure(
             (Mass("m1", 2.0), Mass("n", 0.0), Mass("m2", 1.0)),
-            (Element("k1", ("ground", "m1"), 80.0), Element("k2", ("n", "m2"), 60.0), Element("k3", ("m2", "m1"), 9.0)),
-            (Element("B1", ("m1", "n"), 7.0), Element("B2", ("n", "ground"), 3.0), Element("B3", ("m2", "n"), 2.0)),
+            (
+                Element("k1", ("ground", "m1"), 80.0),
+                Element("k2", ("n", "m2"), 60.0),
+                Element("k3", ("m2", "m1"), 9.0),
+            ),
+            (
+                Element("B1", ("m1", "n"), 7.0),
+                Element("B2", ("n", "ground"), 3.0),
+                Element("B3", ("m2", "n"), 2.0),
+            ),
             (Element("Fc", ("m1", "ground"), 0.4),),
         ),
         ("k1", "k2", "k3", "B1", "B2", "B3", "m1", "m2", "Fc"),
         ("m2", "n"),
-        (Output("displacement", "m1"), Output("velocity", "n"), Output("velocity", "m2"), Output("acceleration", "m1")),
+        (
+            Output("displacement", "m1"),
+            Output("velocity", "n"),
+            Output("velocity", "m2"),
+            Output("acceleration", "m1"),
+        ),
     )
 
 
@@ -41,7 +54,9 @@ def test_discretise_any_hold_derivatives_equal_finite_differences(hold: Hold) ->
         for name in "ABCD":
             slope = (getattr(above.model, name) - getattr(below.model, name)) / (2 * step[i])
             derivative = getattr(here.model, f"d{name}")[i]
-            np.testing.assert_allclose(derivative, slope, atol=1e-8 * max(1.0, np.abs(slope).max()), err_msg=name)
+            np.testing.assert_allclose(
+                derivative, slope, atol=1e-8 * max(1.0, np.abs(slope).max()), err_msg=name
+            )
         np.testing.assert_allclose(here.dB1[i], (above.B1 - below.B1) / (2 * step[i]), atol=1e-9)
 
 
@@ -75,7 +90,9 @@ def test_simulate_any_length_equals_the_recursion(
     x = x0 - discrete.B1 @ u[0]
     for k in range(samples):
         np.testing.assert_allclose(states[k], x + discrete.B1 @ u[k], rtol=1e-11, atol=1e-12)
-        np.testing.assert_allclose(outputs[k], discrete.model.C @ x + discrete.model.D @ u[k], rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(
+            outputs[k], discrete.model.C @ x + discrete.model.D @ u[k], rtol=1e-11, atol=1e-11
+        )
         x = discrete.model.A @ x + discrete.model.B @ u[k]
 
 
@@ -92,7 +109,9 @@ def test_discretise_random_graph_equals_scipy(hold: Hold, scipys: str, rng: np.r
 
 def test_affine_model_moved_equals_sum_of_its_derivatives(rng: np.random.Generator) -> None:
     shapes = [(3, 3), (3, 1), (2, 3), (2, 1)]
-    base = StateSpace(*(rng.standard_normal(s) for s in shapes), *(rng.standard_normal((2, *s)) for s in shapes))
+    base = StateSpace(
+        *(rng.standard_normal(s) for s in shapes), *(rng.standard_normal((2, *s)) for s in shapes)
+    )
     model = AffineModel(("a", "b"), np.array([1.0, 2.0]), base, ("x", "y", "z"))
     moved = model.continuous(np.array([1.5, 1.0]))
     for name in "ABCD":

@@ -15,7 +15,10 @@ def slider(mass: float = 10.0, quantity: str = "displacement") -> MassSpringDamp
     """Return a mass with viscous and dry friction, pushed by a force (on a spring if its velocity is read)."""
     springs = (Element("k", ("m", "ground"), 50.0),) if quantity == "velocity" else ()
     structure = Structure(
-        (Mass("m", mass),), springs, (Element("B", ("ground", "m"), 20.0),), (Element("Fc", ("m", "ground"), 3.0),)
+        (Mass("m", mass),),
+        springs,
+        (Element("B", ("ground", "m"), 20.0),),
+        (Element("Fc", ("m", "ground"), 3.0),),
     )
     return MassSpringDamper(structure, ("m", "B", "Fc"), ("m",), (Output(quantity, "m"),))  # type: ignore[arg-type]
 

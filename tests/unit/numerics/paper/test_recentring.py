@@ -1,4 +1,5 @@
-"""Re-centring: the ratio of its steps is foretold, springs converge, a voice coil has a curve of fixed points."""
+"""Re-centring: the ratio of its steps is foretold, springs converge, a voice coil has a curve of fixed
+points."""
 
 import numpy as np
 import pytest

@@ -123,7 +123,9 @@ def test_special_case_defect_is_zero_only_for_matrices_along_the_state(rng: np.r
 
 
 @pytest.mark.parametrize("rank", [0, 1, 2, 3, None])
-def test_descend_from_any_rank_reaches_the_least_squares_matrix(rng: np.random.Generator, rank: int | None) -> None:
+def test_descend_from_any_rank_reaches_the_least_squares_matrix(
+    rng: np.random.Generator, rank: int | None
+) -> None:
     batch = random_batch(rng)
     best = np.linalg.lstsq(batch.regressors, batch.targets, rcond=None)[0].T
     descent = descend(batch, general_solution(batch, rank))

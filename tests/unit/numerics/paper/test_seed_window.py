@@ -122,7 +122,9 @@ def test_settling_of_an_unstable_observer_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("hold", "columns"), [("euler", 4), ("zero", 5), ("first", 5)])
-def test_regression_takes_the_input_in_where_its_matrix_depends_on_the_parameters(hold: str, columns: int) -> None:
+def test_regression_takes_the_input_in_where_its_matrix_depends_on_the_parameters(
+    hold: str, columns: int
+) -> None:
     model = discretise(rig().continuous(NOMINAL), PERIOD, hold).model
     batch, derivatives = regression(model, np.ones((11, 4)), np.ones((10, 1)))
     assert batch.regressors.shape == (10, columns)

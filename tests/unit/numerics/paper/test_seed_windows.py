@@ -25,10 +25,14 @@ def settings(model: Model, passes: int, window: int = 400) -> SeedSettings:
     leant = (1,) if isinstance(model, SensedModel) else None
     gain = PlacedGains(POLES, leant).start(nominal, Noise(np.ones(2), np.zeros(0))).L
     scale = np.abs(model.nominal)
-    return SeedSettings(PERIOD, HopPlan(window, 200), "first", gain, passes, scale, np.full(len(scale), np.inf))
+    return SeedSettings(
+        PERIOD, HopPlan(window, 200), "first", gain, passes, scale, np.full(len(scale), np.inf)
+    )
 
 
-def record(model: Model, truth: FloatArray, samples: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def record(
+    model: Model, truth: FloatArray, samples: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     at = discretise(model.continuous(truth), PERIOD, "first")
     u = with_constant(rng.normal(scale=5.0, size=(samples, 1)), at.model.m)
     return simulate(at, np.zeros(at.model.n), u)[1], u

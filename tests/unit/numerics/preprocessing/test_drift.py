@@ -9,12 +9,15 @@ PERIODS = {"polled": 0.02, "streamed": 0.002}
 
 
 def fitted(seed: int, ppm: float, span_s: float, kind: str) -> ClockFit:
-    """A device at 1 kHz whose clock gains ppm, read by polls or as it sends, with delays that are never negative."""
+    """A device at 1 kHz whose clock gains ppm, read by polls or as it sends, with delays that are never
+    negative."""
     rng, fit = np.random.default_rng(seed), ClockFit(1000.0)
     t = np.cumsum(PERIODS[kind] * (1 + 0.2 * rng.random(round(span_s / PERIODS[kind]))))
     mean = {"polled": 0.003, "streamed": 0.0005}[kind]
     late = 0.001 + rng.exponential(mean, len(t)) + np.where(rng.random(len(t)) < 0.01, 0.1, 0.0)
-    for index, arrival in zip((t * (1 + ppm * 1e-6) * 1000).astype(int).tolist(), (t + late).tolist(), strict=True):
+    for index, arrival in zip(
+        (t * (1 + ppm * 1e-6) * 1000).astype(int).tolist(), (t + late).tolist(), strict=True
+    ):
         fit.observe(index, round(arrival * 1e9) + 10**15)
     return fit
 

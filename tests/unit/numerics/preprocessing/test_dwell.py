@@ -1,10 +1,19 @@
-"""Machines that brake and dwell, commands that are held: no end of a range; and batches that say what blocks say."""
+"""Machines that brake and dwell, commands that are held: no end of a range; and batches that say what blocks
+say."""
 
 import numpy as np
 import pytest
 
 from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch
-from tests.unit.numerics.preprocessing.test_sensor_watch import INPUTS, KINDS, WINDOW, blows, smooth, under, watch
+from tests.unit.numerics.preprocessing.test_sensor_watch import (
+    INPUTS,
+    KINDS,
+    WINDOW,
+    blows,
+    smooth,
+    under,
+    watch,
+)
 from tests.unit.numerics.rigs import FloatArray
 
 RATE_HZ, BRAKING, SPEED = 1000, 5.0, 0.5
@@ -19,7 +28,8 @@ def travel(distance: float) -> FloatArray:
 
 
 def positioning(seconds: int, step: float, rounded: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """A carriage that moves between places and dwells at each: force and position, of fine steps and no other noise."""
+    """A carriage that moves between places and dwells at each: force and position, of fine steps and no other
+    noise."""
     rng, pieces, at = np.random.default_rng(seed), [np.zeros(500)], 0.0
     while sum(map(len, pieces)) < seconds * RATE_HZ:
         to = float(rng.choice([0.0, 0.05, 0.15, 0.2]))
@@ -37,7 +47,9 @@ def positioning(seconds: int, step: float, rounded: int, seed: int) -> tuple[Flo
 def test_watch_of_a_machine_that_brakes_and_dwells_for_165_s_finds_nothing(step: float, rounded: int) -> None:
     v, steps = positioning(165, step, rounded, 1)
     watcher = SensorWatch(np.array([True, False]), steps, WINDOW, np.array([0, 1]))
-    assert [found for start in range(0, len(v), 5000) for found in watcher.take(v[start : start + 5000])] == []
+    assert [
+        found for start in range(0, len(v), 5000) for found in watcher.take(v[start : start + 5000])
+    ] == []
 
 
 def test_watch_names_a_position_that_is_clipped_while_the_machine_still_goes_on() -> None:
@@ -53,7 +65,9 @@ def ramps(samples: int) -> FloatArray:
 
 
 @pytest.mark.parametrize(("commanded", "found"), [(False, True), (True, False)])
-def test_watch_of_a_commanded_force_that_is_held_at_its_ends_finds_nothing(*, commanded: bool, found: bool) -> None:
+def test_watch_of_a_commanded_force_that_is_held_at_its_ends_finds_nothing(
+    *, commanded: bool, found: bool
+) -> None:
     v, steps = under(ramps(8000))
     named = SensorWatch(INPUTS, steps, WINDOW, KINDS, INPUTS & commanded).take(v)
     assert bool([finding for finding in named if finding.channel == 2]) == found
@@ -88,10 +102,14 @@ def test_watch_of_batches_finds_what_a_watch_of_each_block_finds(played) -> None
     assert watch(v, steps, cut=len(v)) == watch(v, steps, cut=333) == each
 
 
-def test_watch_of_a_force_that_is_held_looks_at_few_blocks_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_watch_of_a_force_that_is_held_looks_at_few_blocks_by_themselves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     looked: list[int] = []
     assess = SensorWatch._assess
-    monkeypatch.setattr(SensorWatch, "_assess", lambda self, blocks, b: looked.append(b) or assess(self, blocks, b))
+    monkeypatch.setattr(
+        SensorWatch, "_assess", lambda self, blocks, b: looked.append(b) or assess(self, blocks, b)
+    )
     v, steps = under(held_levels(0))
     assert watch(v, steps) == []
     assert len(looked) < 0.15 * len(v) / 15

@@ -62,7 +62,9 @@ def test_watch_of_channels_of_16_bits_finds_nothing_in_200_runs() -> None:
 @pytest.mark.parametrize("play", [smooth, white])
 @pytest.mark.parametrize("step", [0.0, 2e-6])
 @pytest.mark.parametrize("channel", [0, 1])
-def test_watch_names_a_stuck_output_within_a_window_and_sees_it_move_again(play, step: float, channel: int) -> None:
+def test_watch_names_a_stuck_output_within_a_window_and_sees_it_move_again(
+    play, step: float, channel: int
+) -> None:
     v = play(1)
     v[6000:8000, channel] = v[6000, channel]
     stuck, sound = watch(*(on_wire(v, step) if step else (v,)))
@@ -134,7 +136,8 @@ def test_watch_after_a_gap_remembers_a_stuck_channel_until_it_moves() -> None:
 
 
 def blows(samples: int, rest: float, width: int, first: int) -> FloatArray:
-    """Blows of a hammer, one each 200 samples, on a force that rests in between; the record begins at one `first`."""
+    """Blows of a hammer, one each 200 samples, on a force that rests in between; the record begins at one
+    `first`."""
     t = np.arange(first, first + samples)
     amplitude = 800.0 * (1.0 + 0.2 * np.random.default_rng(1).standard_normal(t.max() // 200 + 1))[t // 200]
     into = (t % 200) / width

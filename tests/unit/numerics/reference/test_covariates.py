@@ -12,7 +12,8 @@ from agent.types import FloatArray
 
 LAGS = (Lag(), Lag("delay", 600.0), Lag("first-order", 1800.0))
 TEMPERATURE = Dependence(
-    "temperature", "degC", -0.075, 0.001, -0.077, -0.073, "first-order", 7200.0, 6000.0, 8000.0, 20.0, 5.0, 35.0, 6.0,
+    "temperature", "degC", -0.075, 0.001, -0.077, -0.073, "first-order", 7200.0, 6000.0, 8000.0, 20.0, 5.0,
+    35.0, 6.0,
     1800.0, used=True,
 )  # fmt: skip
 
@@ -27,7 +28,9 @@ def test_follower_feels_period_by_period_what_the_series_feels_at_once(lag: Lag)
     assert [one.known for one in one_by_one] == pytest.approx(grid.known(lag).tolist())
     beyond = slice(400 - 100, 400)  # by then it is the same what was before the first reading
     lagged = [one.deviation for one in one_by_one][beyond]
-    assert lagged == pytest.approx(grid.lagged(lag)[beyond].tolist(), abs=0.2 if lag.shape == "first-order" else 1e-9)
+    assert lagged == pytest.approx(
+        grid.lagged(lag)[beyond].tolist(), abs=0.2 if lag.shape == "first-order" else 1e-9
+    )
 
 
 def test_first_order_lag_is_the_sum_of_what_decays() -> None:
@@ -46,7 +49,11 @@ def test_follower_holds_a_gap_then_guesses_and_says_how_little_it_knows() -> Non
     known = lag_filter.at(99)
     assert known.deviation == pytest.approx(10.0)
     assert known.known == pytest.approx(1.0, abs=1e-4)
-    assert lag_filter.at(104) == (pytest.approx(10.0), pytest.approx(1.0, abs=1e-4), pytest.approx(1.0, abs=1e-3))
+    assert lag_filter.at(104) == (
+        pytest.approx(10.0),
+        pytest.approx(1.0, abs=1e-4),
+        pytest.approx(1.0, abs=1e-3),
+    )
     later = lag_filter.at(99 + 3 * 1440)
     assert later.known < 1e-6
     assert 0.0 < later.deviation <= 10.0
@@ -126,8 +133,14 @@ def test_reference_is_wider_where_a_covariate_is_missing_or_beyond_what_was_lear
     cold = shift({"temperature": Lagged(-20.0, 1.0, 1.0)}, [TEMPERATURE])
     assert cold == (pytest.approx(1.5), pytest.approx(np.hypot(0.02, 0.5 * 0.075 * 5.0)))
     assert remark(TEMPERATURE, Lagged(4.0, 1.0, 1.0)) == ""
-    assert remark(TEMPERATURE, Lagged(0.0, 0.4, 1.0)) == "temperature is missing, or has been for as long as it matters"
-    assert remark(TEMPERATURE, Lagged(-20.0, 1.0, 1.0)) == "temperature is outside the 5 to 35 degC that were learnt"
+    assert (
+        remark(TEMPERATURE, Lagged(0.0, 0.4, 1.0))
+        == "temperature is missing, or has been for as long as it matters"
+    )
+    assert (
+        remark(TEMPERATURE, Lagged(-20.0, 1.0, 1.0))
+        == "temperature is outside the 5 to 35 degC that were learnt"
+    )
 
 
 def test_reference_moves_in_steps_so_that_rows_share_one() -> None:

@@ -66,7 +66,9 @@ def bank_rig(
     edges = [pair for pair in pairwise(nodes) if grounded or "ground" not in pair]
     springs = tuple(Element(f"k{i}", e, 150.0 - 15 * i) for i, e in enumerate(edges))
     dampers = tuple(Element(f"B{i}", e, 2.0 + 0.2 * i) for i, e in enumerate(edges))
-    structure = Structure(tuple(Mass(name, 2.0 + 0.5 * i) for i, name in enumerate(nodes[1:])), springs, dampers)
+    structure = Structure(
+        tuple(Mass(name, 2.0 + 0.5 * i) for i, name in enumerate(nodes[1:])), springs, dampers
+    )
     seen = outputs or tuple(Output("displacement", name) for name in nodes[1 : 1 + min(masses, 2)])
     names = tuple(e.name for e in (*springs, *dampers))
     measured = MassSpringDamper(structure, names, ("m1",), seen)
@@ -85,7 +87,11 @@ def bank_rig(
 
 
 def rows_of(
-    rig: BankRig, noise: NoiseModel, plan: HopPlan, longer: tuple[int, ...], record: tuple[FloatArray, FloatArray]
+    rig: BankRig,
+    noise: NoiseModel,
+    plan: HopPlan,
+    longer: tuple[int, ...],
+    record: tuple[FloatArray, FloatArray],
 ) -> BankRows:
     stream = Stream(rig.model, rig.push, noise, plan, longer, rig.interest)
     stream.append(0, *record)

@@ -36,7 +36,10 @@ CASES = {
     "coloured force": (FIRST, noise_of(FIRST, 0.1, coloured=(Coloured("force", 1, 0.98, 0.4),))),
     "coloured force alone": (FIRST, noise_of(FIRST, 0.0, coloured=(Coloured("force", 0, 0.9, 0.4),))),
     "coloured sensor": (FIRST, noise_of(FIRST, 0.1, coloured=(Coloured("sensor", 0, 0.95, 3 * SIGMA),))),
-    "coloured sensor alone": (FIRST, noise_of(FIRST, 0.0, coloured=(Coloured("sensor", 1, 0.95, 3 * SIGMA),))),
+    "coloured sensor alone": (
+        FIRST,
+        noise_of(FIRST, 0.0, coloured=(Coloured("sensor", 1, 0.95, 3 * SIGMA),)),
+    ),
     "both coloured": (
         FIRST,
         noise_of(FIRST, 0.1, coloured=(Coloured("sensor", 1, 0.9, SIGMA), Coloured("force", 1, 0.99, 0.2))),
@@ -48,7 +51,10 @@ CASES = {
     ),
     "zero hold": (r := bank_rig(hold="zero"), noise_of(r, 0.3)),
     "driving point": (r := bank_rig(outputs=(Output("acceleration", "m1"), Y2)), noise_of(r, 0.3)),
-    "driving point, quiet": (r := bank_rig(hold="zero", outputs=(Output("acceleration", "m1"), Y1)), noise_of(r)),
+    "driving point, quiet": (
+        r := bank_rig(hold="zero", outputs=(Output("acceleration", "m1"), Y1)),
+        noise_of(r),
+    ),
     "driving point, colour": (
         r := bank_rig(outputs=(Output("acceleration", "m1"), Y2)),
         noise_of(r, 0.1, coloured=(Coloured("force", 0, 0.9, 0.3),)),

@@ -19,13 +19,21 @@ from tests.unit.numerics.window.test_bank_dense import CASES, prior_of
 FloatArray = NDArray[np.float64]
 Record = tuple[FloatArray, FloatArray]
 SAMPLES = 420
-POLYNOMIAL: tuple[tuple[int, int, float], ...] = ((0, 2, 0.7), (-2, 2, -0.1), (-1, 2, 0.4), (1, 3, 0.3), (2, 2, -0.2))
+POLYNOMIAL: tuple[tuple[int, int, float], ...] = (
+    (0, 2, 0.7),
+    (-2, 2, -0.1),
+    (-1, 2, 0.4),
+    (1, 3, 0.3),
+    (2, 2, -0.2),
+)
 """A reading that several samples hold, before it and after it."""
 PLAIN: Taps = [[(0, column, 1.0)] for column in range(4)]
 WIDE: Taps = [*PLAIN[:2], POLYNOMIAL, PLAIN[3]]
-# (sample, channel): of a window that ends with sample 392 its first samples, both sides of hops, heads, and its last
+# (sample, channel): of a window that ends with sample 392 its first samples, both sides of hops, heads, and
+# its last
 PLACES = (
-    (230, 1), (260, 0), (261, 2), (279, 2), (280, 0), (280, 1), (281, 2), (300, 0), (301, 0), (302, 0), (312, 2),
+    (230, 1), (260, 0), (261, 2), (279, 2), (280, 0), (280, 1), (281, 2), (300, 0), (301, 0), (302, 0),
+    (312, 2),
     (313, 2), (313, 0), (339, 2), (340, 2), (379, 1), (381, 2), (391, 0), (391, 2), (392, 2),
 )  # fmt: skip
 
@@ -67,7 +75,9 @@ class Truth:
 
     def glr(self, jump: FloatArray, prior: FloatArray) -> float:
         """Drop of the penalised residual by further columns, everything estimated at once."""
-        padded = np.vstack([self.whitened @ jump, np.zeros((len(self.root) - len(self.whitened), jump.shape[1]))])
+        padded = np.vstack(
+            [self.whitened @ jump, np.zeros((len(self.root) - len(self.whitened), jump.shape[1]))]
+        )
         held = np.hstack([self.rest, self.psi])
         penalty = np.hstack([np.zeros((len(prior), self.rest.shape[1])), np.diag(np.sqrt(prior))])
         few = np.vstack([held, penalty])
@@ -82,7 +92,9 @@ def left_over(X: FloatArray, y: FloatArray) -> float:
     return float(np.sum((y - Q @ (Q.T @ y)) ** 2))
 
 
-def truth(rig: BankRig, noise: NoiseModel, record: Record, start: int, length: int, lost: Lost, taps: Taps) -> Truth:
+def truth(
+    rig: BankRig, noise: NoiseModel, record: Record, start: int, length: int, lost: Lost, taps: Taps
+) -> Truth:
     model = rig.model
     y, u = (one[start : start + length] for one in record)
     inside = lost.between(start, start + length)
@@ -110,7 +122,9 @@ def truth(rig: BankRig, noise: NoiseModel, record: Record, start: int, length: i
     residual = np.concatenate([whiten @ silent, np.zeros(len(known))])
     scale = np.linalg.norm(rest, axis=0)
     found = np.linalg.lstsq(rest / scale, residual, rcond=None)[0] / scale
-    psi = np.vstack([whiten @ mean_and_columns(model, u, found[: model.n])[1], np.zeros((len(known), model.q))])
+    psi = np.vstack(
+        [whiten @ mean_and_columns(model, u, found[: model.n])[1], np.zeros((len(known), model.q))]
+    )
     Q = np.linalg.qr(rest / scale)[0]
     X, r = psi - Q @ (Q.T @ psi), residual - Q @ (Q.T @ residual)
     X, r = X - Q @ (Q.T @ X), r - Q @ (Q.T @ r)
@@ -150,12 +164,21 @@ def compared(rig: BankRig, noise: NoiseModel, record: Record, windowed: Windowed
     return dense
 
 
-NAMES = ("sensor noise only", "white forces", "coloured force", "both coloured", "line and colour", "no constants")
+NAMES = (
+    "sensor noise only",
+    "white forces",
+    "coloured force",
+    "both coloured",
+    "line and colour",
+    "no constants",
+)
 
 
 @pytest.mark.parametrize("taps", [PLAIN, WIDE], ids=["one tap", "several taps"])
 @pytest.mark.parametrize("name", NAMES)
-def test_windows_that_lost_readings_equal_dense_least_squares_with_a_column_each(name: str, taps: Taps) -> None:
+def test_windows_that_lost_readings_equal_dense_least_squares_with_a_column_each(
+    name: str, taps: Taps
+) -> None:
     rig, noise = CASES[name]
     rng = np.random.default_rng(7)
     record = rig.record(rng, noise, SAMPLES, 0.02 * rng.standard_normal(rig.model.n))
@@ -211,7 +234,9 @@ def test_windows_before_and_after_lost_readings_are_those_of_a_bank_that_lost_no
     assert np.array_equal(differ, holds)
 
 
-def test_a_window_that_lost_more_than_can_be_eliminated_is_not_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_that_lost_more_than_can_be_eliminated_is_not_solved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("agent.numerics.window.lost.MOST_EVENTS", 5)
     rig, noise = CASES["white forces"]
     record = rig.record(np.random.default_rng(3), noise, SAMPLES, np.zeros(4))

@@ -41,7 +41,9 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[To
     told.close()
 
 
-def test_manager_gets_fields_one_a_line_with_no_line_break_inside(manager: tuple[Told, ServiceManager]) -> None:
+def test_manager_gets_fields_one_a_line_with_no_line_break_inside(
+    manager: tuple[Told, ServiceManager],
+) -> None:
     told, ours = manager
     ours.say(READY=1, STATUS="two\nlines")
     assert told.next() == "READY=1\nSTATUS=two lines"
@@ -58,7 +60,9 @@ def test_without_a_manager_or_with_one_that_left_nothing_is_said(tmp_path: Path)
     ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": "1"}, None),
     ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": str(os.getpid())}, 30.0),
 ])  # fmt: skip
-def test_interval_is_read_as_sd_watchdog_enabled_does(environment: dict[str, str], interval_s: float | None) -> None:
+def test_interval_is_read_as_sd_watchdog_enabled_does(
+    environment: dict[str, str], interval_s: float | None
+) -> None:
     assert ServiceManager(environment).watchdog_s == interval_s
 
 

@@ -45,7 +45,8 @@ def random_message(rng: np.random.Generator) -> Message:
         signals.append(
             Signal(
                 f"s{len(signals)}", start, length, "big_endian" if big else "little_endian",
-                bool(rng.random() < 0.5), conversion=BaseConversion.factory(scale, float(rng.integers(-5, 5))),
+                bool(rng.random() < 0.5),
+                conversion=BaseConversion.factory(scale, float(rng.integers(-5, 5))),
             )
         )  # fmt: skip
     return Message(int(rng.integers(1, 2000)), "M", size, signals)
@@ -56,7 +57,9 @@ def test_pack_random_messages_decode_by_cantools_to_what_was_packed(number: int)
     rng = np.random.default_rng(number)
     database = Database([random_message(rng)])
     message = database.messages[0]
-    packing = Packing(database, Source(name="s", driver="can", map={"x": f"M.{message.signals[0].name}"}), fd=False)
+    packing = Packing(
+        database, Source(name="s", driver="can", map={"x": f"M.{message.signals[0].name}"}), fd=False
+    )
     raw = {n.name: rng.integers(n.low or 0, (n.high or 0) + 1, 20) for n in packing.numbers}
     for k, data in enumerate(packing.pack(raw)):
         decoded = message.decode(data, scaling=False)
@@ -71,7 +74,9 @@ def database() -> Database:
 
 
 def test_packing_fd_frames_and_extended_identifiers() -> None:
-    source = Source(name="s", driver="can", map={"f": "RIG_LONG.F", "x": "RIG_SAMPLE.X1"}, counter="RIG_LONG.N")
+    source = Source(
+        name="s", driver="can", map={"f": "RIG_LONG.F", "x": "RIG_SAMPLE.X1"}, counter="RIG_LONG.N"
+    )
     packing = Packing(database(), source, fd=True)
     long, short = packing.kinds
     assert (long.identifier, long.extended, long.fd, long.size) == (2566844672 & 0x1FFFFFFF, True, True, 16)
@@ -80,7 +85,11 @@ def test_packing_fd_frames_and_extended_identifiers() -> None:
 
 @pytest.mark.parametrize(
     ("field", "fd", "words"),
-    [("RIG_LONG.F", False, "classic frames carry 8"), ("NONE.F", True, "NONE"), ("RIG_LONG.Z", True, "RIG_LONG.Z")],
+    [
+        ("RIG_LONG.F", False, "classic frames carry 8"),
+        ("NONE.F", True, "NONE"),
+        ("RIG_LONG.Z", True, "RIG_LONG.Z"),
+    ],
 )
 def test_packing_what_cannot_be_sent_is_refused(field: str, fd: bool, words: str) -> None:
     with pytest.raises(SimUsageError, match=words):

@@ -47,7 +47,8 @@ def test_deliveries_take_their_time() -> None:
 
 
 WRONG = {
-    "wrong-unit": "unit", "wrong-transaction": "transaction", "wrong-protocol": "reply", "wrong-function": "reply",
+    "wrong-unit": "unit", "wrong-transaction": "transaction", "wrong-protocol": "reply",
+    "wrong-function": "reply",
     "wrong-count": "reply", "short": "reply", "long": "reply", "garbage": "reply", "duplicate": "reply",
     "exception-2": "exception 2 (illegal data address)", "busy": "exception 6 (device busy)",
 }  # fmt: skip

@@ -42,7 +42,13 @@ def test_encode_round_trip_stays_within_half_a_step(rng: np.random.Generator) ->
 
 @pytest.mark.parametrize(
     ("kind", "index", "expected"),
-    [("uint8", 257, 1), ("int8", 128, -128), ("uint16", 65536, 0), ("uint32", 5, 5), ("int16", 32768, -32768)],
+    [
+        ("uint8", 257, 1),
+        ("int8", 128, -128),
+        ("uint16", 65536, 0),
+        ("uint32", 5, 5),
+        ("int16", 32768, -32768),
+    ],
 )
 def test_count_wraps_in_the_bits_of_the_field(kind: str, index: int, expected: int) -> None:
     assert WireNumber.of_type("n", kind).count(np.array([index])).tolist() == [expected]
@@ -94,7 +100,13 @@ def test_feed_channel_scale_and_offset_are_undone_before_the_field() -> None:
 def test_feed_field_that_is_not_there_is_named() -> None:
     file = rig(ring_config(1))
     with pytest.raises(SimUsageError, match="X2"):
-        Feed(Trajectory(Rig(file, Scenario())), file, file.source[0], [WireNumber.of_type("F", "int16")], lambda _: [])
+        Feed(
+            Trajectory(Rig(file, Scenario())),
+            file,
+            file.source[0],
+            [WireNumber.of_type("F", "int16")],
+            lambda _: [],
+        )
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.1", "::1", "localhost"])
@@ -104,7 +116,9 @@ def test_guard_loopback_is_allowed(host: str) -> None:
 
 @pytest.mark.parametrize("host", ["192.168.1.10", "0.0.0.0", "::", "plc.example", "8.8.8.8", ""])
 def test_guard_other_hosts_look_like_a_real_bus(host: str) -> None:
-    with pytest.raises(SimUsageError, match=r"source\[0\]\.host: this looks like a real bus; sim never transmits"):
+    with pytest.raises(
+        SimUsageError, match=r"source\[0\]\.host: this looks like a real bus; sim never transmits"
+    ):
         guard.loopback(host, "source[0].host")
 
 

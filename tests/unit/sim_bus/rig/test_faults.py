@@ -23,7 +23,9 @@ def line(name: str, first: int, end: int, samples: int = 10) -> tuple[bytes, Lin
         ("stall", 3, 6, b"<0><1><2><3><4><5><6><7><8><9>"),
     ],
 )
-def test_line_faults_change_the_samples_they_name_and_no_others(name: str, first: int, end: int, sent: bytes) -> None:
+def test_line_faults_change_the_samples_they_name_and_no_others(
+    name: str, first: int, end: int, sent: bytes
+) -> None:
     data, faults = line(name, first, end)
     assert data == sent
     assert faults.ledger(10) == [{"fault": name, "samples": [(first, end - 1)]}]
@@ -51,12 +53,17 @@ def test_line_faults_garbage_comes_before_the_whole_sample() -> None:
 
 def test_strikes_text_of_the_command_line_becomes_samples() -> None:
     scenario = Scenario().with_faults(["serial.drop@1.5s", "serial.freeze@2+0.25s", "can.drop@1"])
-    assert strikes(scenario, "serial", "line", 1000.0) == (Strike("drop", 1500, 1501), Strike("freeze", 2000, 2250))
+    assert strikes(scenario, "serial", "line", 1000.0) == (
+        Strike("drop", 1500, 1501),
+        Strike("freeze", 2000, 2250),
+    )
     one = Scenario.model_validate({"fault": [{"name": "can.drop", "at_s": 1, "source": "b"}]})
     assert strikes(one, "can", "a", 1000.0) == ()
 
 
-@pytest.mark.parametrize("text", ["serial.drop", "serial.drop@", "@1", "serial.drop@-1", "serial.drop@1+", "x y@1"])
+@pytest.mark.parametrize(
+    "text", ["serial.drop", "serial.drop@", "@1", "serial.drop@-1", "serial.drop@1+", "x y@1"]
+)
 def test_with_faults_malformed_text_is_refused(text: str) -> None:
     with pytest.raises(SimUsageError, match="not of the form"):
         Scenario().with_faults([text])

@@ -45,7 +45,9 @@ def test_own_tape_of_another_rate_and_a_drifting_clock_reads_the_motion_at_its_o
         x = within.A @ here.states[i] + within.B0 @ here.forces[i] + within.B1 @ here.forces[i + 1]
         read = own.chunk(0).readings[k] * [c.si_factor for c in RIG.channel]
         np.testing.assert_allclose(read[1:], x[:2], rtol=0, atol=2e-12)
-        assert read[0] == pytest.approx((1 - part) * here.forces[i, 1] + part * here.forces[i + 1, 1], abs=1e-9)
+        assert read[0] == pytest.approx(
+            (1 - part) * here.forces[i, 1] + part * here.forces[i + 1, 1], abs=1e-9
+        )
 
 
 def test_own_tape_of_half_the_rate_reads_every_second_sample_of_the_rig_for_as_long_as_it_plays() -> None:

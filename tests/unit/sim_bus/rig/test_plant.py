@@ -36,7 +36,9 @@ def test_equations_paper_numbers_have_the_poles_of_the_characteristic_polynomial
     first, second = np.poly1d([m1, b1 + b2, k1 + k2]), np.poly1d([m2, b2, k2])
     coupling = np.poly1d([b2, k2])
     expected = np.sort_complex((first * second - coupling * coupling).roots)
-    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(equations(TWO, PAPER).F)), expected, rtol=1e-10)
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(equations(TWO, PAPER).F)), expected, rtol=1e-10
+    )
 
 
 def test_propagate_constant_force_ends_at_the_static_deflection() -> None:
@@ -77,10 +79,27 @@ def test_propagate_free_motion_loses_as_much_energy_as_the_dampers_take() -> Non
         (Link("k1", ("ground", "a")), Link("k2", ("a", "b")), Link("k3", ("b", "c")), Link("k4", ("a", "c"))),
         (Link("d1", ("a", "b")), Link("d2", ("c", "ground"))),
     )
-    values = {"a": 1.0, "b": 2.0, "c": 0.5, "k1": 30.0, "k2": 40.0, "k3": 10.0, "k4": 5.0, "d1": 0.7, "d2": 0.3}
-    x = propagate(step(equations(graph, values), 1e-4), np.array([0.1, 0, -0.1, 0, 1.0, 0]), np.zeros((20_001, 3)))
+    values = {
+        "a": 1.0,
+        "b": 2.0,
+        "c": 0.5,
+        "k1": 30.0,
+        "k2": 40.0,
+        "k3": 10.0,
+        "k4": 5.0,
+        "d1": 0.7,
+        "d2": 0.3,
+    }
+    x = propagate(
+        step(equations(graph, values), 1e-4), np.array([0.1, 0, -0.1, 0, 1.0, 0]), np.zeros((20_001, 3))
+    )
     q, v = x[:, :3], x[:, 3:]
-    stretch = [(q[:, 0], "k1"), (q[:, 0] - q[:, 1], "k2"), (q[:, 1] - q[:, 2], "k3"), (q[:, 0] - q[:, 2], "k4")]
+    stretch = [
+        (q[:, 0], "k1"),
+        (q[:, 0] - q[:, 1], "k2"),
+        (q[:, 1] - q[:, 2], "k3"),
+        (q[:, 0] - q[:, 2], "k4"),
+    ]
     energy = sum(values[k] * e**2 / 2 for e, k in stretch)
     energy += sum(values[name] * v[:, i] ** 2 / 2 for i, name in enumerate("abc"))
     power = values["d1"] * (v[:, 0] - v[:, 1]) ** 2 + values["d2"] * v[:, 2] ** 2

@@ -43,10 +43,18 @@ def test_timeline_ramp_moves_in_steps_and_arrives() -> None:
 
 
 def test_timeline_segments_any_cut_gives_the_same_values() -> None:
-    changes = [Change(at_s=0.03, delta={"k1": 5.0}, ramp_s=0.05), Change(at_s=0.06, delta={"k1": -5.0, "B1": 1.0})]
+    changes = [
+        Change(at_s=0.03, delta={"k1": 5.0}, ramp_s=0.05),
+        Change(at_s=0.06, delta={"k1": -5.0, "B1": 1.0}),
+    ]
     line = Timeline(NOMINAL, changes, 1000.0)
     whole = [values["k1"] for first, end, values in line.segments(0, 100) for _ in range(first, end)]
-    pieces = [v["k1"] for a in range(0, 100, 7) for f, e, v in line.segments(a, min(a + 7, 100)) for _ in range(f, e)]
+    pieces = [
+        v["k1"]
+        for a in range(0, 100, 7)
+        for f, e, v in line.segments(a, min(a + 7, 100))
+        for _ in range(f, e)
+    ]
     assert whole == pieces == [line.values(i)["k1"] for i in range(100)]
 
 

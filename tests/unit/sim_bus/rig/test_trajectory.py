@@ -92,7 +92,8 @@ def test_rig_late_sensor_reads_the_true_past(delay_s: float) -> None:
 
 
 def hermite(chunk: Chunk, k: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Displacement of m1 between samples from displacement, velocity and acceleration at both ends (fifth order)."""
+    """Displacement of m1 between samples from displacement, velocity and acceleration at both ends (fifth
+    order)."""
     t, h = part[:, 0], 1e-3
     x1, x2, v1, v2 = chunk.states.T
     a1 = (-10.0 * v1 + 5.0 * v2 - 125.0 * x1 + 100.0 * x2) / 5.0
@@ -161,7 +162,11 @@ def test_rig_scenario_that_names_what_is_not_there_is_refused(keys: dict[str, ob
     ("kind", "keys", "expected"),
     [
         ("steps", {"amplitude": 2.0, "period_s": 0.01}, [2, 2, 2, 2, 2, -2, -2, -2, -2, -2, 2, 2]),
-        ("impacts", {"amplitude": 1.0, "period_s": 0.006, "width_s": 0.002}, [0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0]),
+        (
+            "impacts",
+            {"amplitude": 1.0, "period_s": 0.006, "width_s": 0.002},
+            [0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0],
+        ),
         ("sweep", {"amplitude": 1.0, "from_hz": 250.0, "to_hz": 250.0, "over_s": 1.0}, [0, 1, 0, -1] * 3),
         ("none", {}, [0] * 12),
     ],

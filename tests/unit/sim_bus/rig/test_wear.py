@@ -16,7 +16,10 @@ def path(**keys: object) -> WearPath:
 
 
 def test_walk_spreads_with_the_root_of_time() -> None:
-    ends = [WearPath(Wear(kind="walk", rate={"k1": 2.0}), 1000.0, (seed,)).offset("k1", 9_000) for seed in range(400)]
+    ends = [
+        WearPath(Wear(kind="walk", rate={"k1": 2.0}), 1000.0, (seed,)).offset("k1", 9_000)
+        for seed in range(400)
+    ]
     assert np.std(ends) == pytest.approx(2.0 * 3.0, rel=0.1)
 
 

@@ -12,7 +12,9 @@ def attribute(kind: int, data: bytes) -> bytes:
     return (struct.pack("=HH", 4 + len(data), kind) + data).ljust((4 + len(data) + 3) & ~3, b"\0")
 
 
-def answer(mode: int = 2, state: int = 0, restart_ms: int = 100, bitrate: int = 500_000, mtu: int = 16) -> bytes:
+def answer(
+    mode: int = 2, state: int = 0, restart_ms: int = 100, bitrate: int = 500_000, mtu: int = 16
+) -> bytes:
     """An RTM_NEWLINK as the kernel lays it out for a controller."""
     data = attribute(1, struct.pack("=I28x", bitrate)) + attribute(4, struct.pack("=I", state))
     data += attribute(5, struct.pack("=II", 0xFF, mode)) + attribute(6, struct.pack("=I", restart_ms))

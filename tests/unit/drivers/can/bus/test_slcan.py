@@ -116,7 +116,9 @@ def test_adapter_that_cannot_listen_only_is_refused_and_never_opened_otherwise(a
 
 
 @pytest.mark.parametrize("bitrate", [None, 300_000])
-def test_bit_rate_without_a_code_is_a_fault_of_the_configuration(adapter: Adapter, bitrate: int | None) -> None:
+def test_bit_rate_without_a_code_is_a_fault_of_the_configuration(
+    adapter: Adapter, bitrate: int | None
+) -> None:
     with pytest.raises(DriverConfigError, match="10000, 20000, 50000"):
         driver(adapter.port, open_adapter=True, bitrate=bitrate).open()
 

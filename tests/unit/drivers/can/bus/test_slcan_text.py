@@ -35,7 +35,8 @@ class Library:
         self.bus._queue = SimpleQueue()
 
     def row(self, line: bytes) -> bytes | None:
-        """Return what the library makes of a line; None for no frame or an exception, which is the end of its bus."""
+        """Return what the library makes of a line; None for no frame or an exception, which is the end of its
+        bus."""
         try:
             self.bus._queue.put(line.decode())
             message, _ = self.bus._recv_internal(0.0)
@@ -70,12 +71,18 @@ def message(rng: np.random.Generator) -> can.Message:
     )  # fmt: skip
 
 
-def test_what_python_can_writes_of_every_kind_of_frame_is_read_in_any_pieces(rng: np.random.Generator) -> None:
+def test_what_python_can_writes_of_every_kind_of_frame_is_read_in_any_pieces(
+    rng: np.random.Generator,
+) -> None:
     messages = [message(rng) for _ in range(500)]
     stream = b"".join(map(text_of, messages))
     cuts = sorted(rng.integers(0, len(stream), 300).tolist())
     reading = Reading()
-    got = [row for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True) for row in reading.rows(stream[a:b])]
+    got = [
+        row
+        for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)
+        for row in reading.rows(stream[a:b])
+    ]
     assert got == [message_row(item) for item in messages]
     assert reading.counts.received == 0
 
@@ -122,9 +129,12 @@ def test_bell_of_an_adapter_is_counted_as_a_refusal() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b"hello", b"\xff\xfe", b"\x00" * 8, b"t10", b"t100", b"t100211", b"t10021122 ", b"t1002112233", b"tFFF0",
-        b"t100211223344F", b"T200000000", b"t10091122334455667788", b"t1002112G", b"t 100211", b"r1009", b"sp1280",
-        b"r10021122AABBC", b"t1002-122", b"T1234567", b"d1239" + b"00" * 11, b"dFFF0", b"sx000000", b"e2a", b"e1x",
+        b"hello", b"\xff\xfe", b"\x00" * 8, b"t10", b"t100", b"t100211", b"t10021122 ", b"t1002112233",
+        b"tFFF0",
+        b"t100211223344F", b"T200000000", b"t10091122334455667788", b"t1002112G", b"t 100211", b"r1009",
+        b"sp1280",
+        b"r10021122AABBC", b"t1002-122", b"T1234567", b"d1239" + b"00" * 11, b"dFFF0", b"sx000000", b"e2a",
+        b"e1x",
         b"F", b"FG1", b"t10021122EA60", b"V1", b"O", b"L",
     ],
 )  # fmt: skip
@@ -149,7 +159,9 @@ def test_end_of_a_broken_line_is_not_taken_for_an_fd_frame(tail: bytes) -> None:
     assert broken.rows(cut + b"\r" + tail + b"\r") == []
     assert broken.rows(b"t1\r" + tail + b"\r") == []
     assert broken.counts.rejected == {"text": 4}
-    assert len(broken.rows(cut + b"00\r" + tail + b"\r")) == 1  # too long together: the first was broken by itself
+    assert (
+        len(broken.rows(cut + b"00\r" + tail + b"\r")) == 1
+    )  # too long together: the first was broken by itself
     assert Reading(fd=False).rows(b"t1000\r" + tail + b"\r") == Reading().rows(b"t1000\r")
 
 
@@ -205,7 +217,8 @@ def understood(line: bytes, end: bytes) -> bool:
 
 
 def by_the_book(line: bytes) -> bool:
-    """Tell whether a line is a frame to the letter of the protocol: exactly as many digits as its length asks for."""
+    """Tell whether a line is a frame to the letter of the protocol: exactly as many digits as its length asks
+    for."""
     match = STRICT.fullmatch(line)
     if match is None:
         return False
@@ -223,13 +236,18 @@ def agree(line: bytes, end: bytes, mine: list[bytes], theirs: bytes | None, afte
     if end == b"\a":
         assert not mine  # a bell ends no frame
     elif by_the_book(line) and line[:1] in b"dDbB" and not after_whole:
-        assert mine in ([], [theirs])  # it begins in a digit: perhaps it is the end of the broken line before it
+        assert mine in (
+            [],
+            [theirs],
+        )  # it begins in a digit: perhaps it is the end of the broken line before it
     elif line[:1] in (b"s", b"e", b"F"):
         assert theirs is None  # states and errors, which the library does not know
     elif by_the_book(line):
         assert mine == [theirs]
     else:
-        assert not mine  # signs, spaces, missing and surplus digits, impossible numbers: the library takes some of them
+        assert (
+            not mine
+        )  # signs, spaces, missing and surplus digits, impossible numbers: the library takes some of them
 
 
 def test_stamps_of_the_adapter_wrap_every_minute_and_follow_it() -> None:

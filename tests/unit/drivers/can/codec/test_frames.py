@@ -18,7 +18,9 @@ LINES = [
 
 def test_daemon_text_in_any_pieces_gives_the_frames_that_the_library_gives() -> None:
     stream = b"".join(LINES)
-    expected = [message_row(convert_ascii_message_to_can_message(line.decode())) for line in LINES[:1] + LINES[2:3]]
+    expected = [
+        message_row(convert_ascii_message_to_can_message(line.decode())) for line in LINES[:1] + LINES[2:3]
+    ]
     for split in range(len(stream)):
         text = DaemonText()
         rows = [row.tobytes() for part in (stream[:split], stream[split:]) for row in text.feed(part).table]
@@ -53,7 +55,12 @@ def test_remote_frame_that_the_daemon_passes_on_is_one() -> None:
     assert frames.table["length"].tolist() == [8, 0, 1]
     assert frames.t_ns.tolist() == [23_424242000, 1_500000000, 24_000000000]
     assert text.bad == 0
-    for line in (b"< rtr 123 23.4 9 >", b"< rtr FFF 23.4 8 >", b"< rtr 123 9999999999.0 8 >", b"< rtr 123 8 >"):
+    for line in (
+        b"< rtr 123 23.4 9 >",
+        b"< rtr FFF 23.4 8 >",
+        b"< rtr 123 9999999999.0 8 >",
+        b"< rtr 123 8 >",
+    ):
         assert len(text.feed(line)) == 0
     assert text.bad == 4
 
@@ -66,8 +73,10 @@ def test_daemon_text_times_are_exact_nanoseconds() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b"< frame 123 1.0 1 >", b"< frame XYZ 1.0 11 >", b"< frame FFF 1.0 11 >", b"< frame 3FFFFFFF 1.0 11 >",
-        b"< frame 001 1.0 " + b"00" * 9 + b" >", b"< frame 001 -1.0 00 >", b"frame 1 1.0 00 >", b"< nonsense >",
+        b"< frame 123 1.0 1 >", b"< frame XYZ 1.0 11 >", b"< frame FFF 1.0 11 >",
+        b"< frame 3FFFFFFF 1.0 11 >",
+        b"< frame 001 1.0 " + b"00" * 9 + b" >", b"< frame 001 -1.0 00 >", b"frame 1 1.0 00 >",
+        b"< nonsense >",
         b"< frame 1 1.0 00 >",
         b"< frame 123 1.0 \xff\xfe >",
     ],

@@ -1,6 +1,8 @@
-"""Frames and daemon text with wrong bits: read as an independent decoder reads them, or rejected for a reason.
+"""Frames and daemon text with wrong bits: read as an independent decoder reads them, or rejected for a
+reason.
 
-Ten million frames a codec in soak. The text of candump and of slcan adapters: test_can_text.py, test_slcan_text.py.
+Ten million frames a codec in soak. The text of candump and of slcan adapters: test_can_text.py,
+test_slcan_text.py.
 """
 
 import re
@@ -34,9 +36,9 @@ def mutated(rng: np.random.Generator, number: int, length: int) -> Frames:
     cells = table.view(np.uint8).reshape(CHUNK, FRAME.itemsize)
     for _ in range(3):
         struck = np.flatnonzero(rng.random(CHUNK) < 0.4)
-        cells[struck, rng.integers(0, 8 + length, len(struck))] ^= (1 << rng.integers(0, 8, len(struck))).astype(
-            np.uint8
-        )
+        cells[struck, rng.integers(0, 8 + length, len(struck))] ^= (
+            1 << rng.integers(0, 8, len(struck))
+        ).astype(np.uint8)
     return Frames(table, np.arange(CHUNK))
 
 
@@ -76,7 +78,9 @@ def test_mutated_frames_are_read_as_cantools_reads_them_or_rejected(
     fields = (f"{name}.Force{ending}", f"{name}.X1{ending}")
     keys = FrameKeys.model_validate({"dbc": "a.dbc", **values})
     counts, samples = Counts(), values.get("samples_per_frame", 1)
-    decoder = FrameDecoder(message_codecs(DATABASE, fields, f"{name}.Counter", keys), 2, counts, list[str]().append)
+    decoder = FrameDecoder(
+        message_codecs(DATABASE, fields, f"{name}.Counter", keys), 2, counts, list[str]().append
+    )
     mine = errors = delivered = 0
     for _ in range(count // CHUNK):
         frames = mutated(rng, number, length)
@@ -96,7 +100,9 @@ def test_mutated_frames_are_read_as_cantools_reads_them_or_rejected(
     assert delivered > 0.2 * count
 
 
-STANDARD = re.compile(rb"< frame ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) (\d{1,10})\.(\d{1,9}) ((?:[0-9A-Fa-f]{2})*) >")
+STANDARD = re.compile(
+    rb"< frame ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) (\d{1,10})\.(\d{1,9}) ((?:[0-9A-Fa-f]{2})*) >"
+)
 MESSAGES = [
     b"< frame 123 23.424242 11223344 >",
     b"< frame 1ABCDEF0 1600000000.000001 00 >",
@@ -107,13 +113,17 @@ MESSAGES = [
 
 
 @pytest.mark.parametrize("count", MANY)
-def test_mutated_daemon_text_is_read_as_python_can_reads_it_or_rejected(rng: np.random.Generator, count: int) -> None:
+def test_mutated_daemon_text_is_read_as_python_can_reads_it_or_rejected(
+    rng: np.random.Generator, count: int
+) -> None:
     text, seen, good, read = DaemonText(), 0, 0, 0
     sound = {message: theirs(message) for message in MESSAGES}
     while seen < count:
         stream = bytearray(b"".join(MESSAGES[i] for i in rng.integers(0, len(MESSAGES), 500).tolist()))
         for place in rng.integers(0, len(stream), 150).tolist():
-            stream[place] = int(rng.integers(256)) if rng.random() < 0.5 else int(rng.choice(list(b"<> 0F.framehi")))
+            stream[place] = (
+                int(rng.integers(256)) if rng.random() < 0.5 else int(rng.choice(list(b"<> 0F.framehi")))
+            )
         for message in re.findall(rb"[^>]*>", bytes(stream)):
             mine = [row.tobytes() for row in text.feed(message).table]
             agree(message, mine)
@@ -156,4 +166,6 @@ def agree(message: bytes, mine: list[bytes]) -> None:
 def possible(match: re.Match[bytes]) -> bool:
     """Tell whether a frame can be as the message says; the library takes any number of bits and bytes."""
     bits = 29 if len(match[1]) == 8 else 11
-    return int(match[1], 16) < 1 << bits and len(match[4]) // 2 in FD_LENGTHS and int(match[2]) <= MOST_SECONDS
+    return (
+        int(match[1], 16) < 1 << bits and len(match[4]) // 2 in FD_LENGTHS and int(match[2]) <= MOST_SECONDS
+    )

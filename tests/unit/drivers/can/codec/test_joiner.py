@@ -1,4 +1,5 @@
-"""Samples in several frames: joined as a plain loop joins them, whatever comes late, twice, or from a device anew."""
+"""Samples in several frames: joined as a plain loop joins them, whatever comes late, twice, or from a device
+anew."""
 
 from collections.abc import Sequence
 
@@ -37,7 +38,9 @@ class PlainJoiner:
                 self.take(part, key)
         keys = sorted(self.rows)
         final = min(self.newest.values()) if len(self.newest) == len(COLUMNS) else None
-        whole = [k for i, k in enumerate(keys) if (final is not None and k <= final) or len(keys) - i > PENDING]
+        whole = [
+            k for i, k in enumerate(keys) if (final is not None and k <= final) or len(keys) - i > PENDING
+        ]
         if whole:
             self.emitted = self.near = whole[-1]
         self.received += len(whole)
@@ -70,7 +73,8 @@ def unwrapped(keys: IntArray, before: int) -> list[tuple[int, int]]:
 
 
 def stream(rng: np.random.Generator, trouble: float) -> list[list[Part]]:
-    """Batches of two messages: frames lost, late, twice, out of order, without some reading, and a device anew."""
+    """Batches of two messages: frames lost, late, twice, out of order, without some reading, and a device
+    anew."""
     batches, first, t_ns = [], int(rng.integers(1000)), 10**18
     for _ in range(60):
         if rng.random() < 0.3 * trouble:

@@ -20,7 +20,9 @@ def keys(**values: Any) -> FrameKeys:
 
 
 class Decoding:
-    def __init__(self, messages: list[Message], fields: tuple[str, ...], counter: str | None, **values: Any) -> None:
+    def __init__(
+        self, messages: list[Message], fields: tuple[str, ...], counter: str | None, **values: Any
+    ) -> None:
         self.counts, self.notes = Counts(), list[str]()
         codecs = message_codecs(Database(*messages), fields, counter, keys(**values))  # type: ignore[arg-type]
         self.decoder = FrameDecoder(codecs, len(fields), self.counts, self.notes.append)
@@ -45,7 +47,9 @@ def frames(*rows: bytes) -> Frames:
         ({"source_address": 0x21}, 0x18F00400, False),
     ],
 )
-def test_j1939_frame_is_told_by_group_sender_or_whole_identifier(values: dict[str, Any], sent: int, mine: bool) -> None:
+def test_j1939_frame_is_told_by_group_sender_or_whole_identifier(
+    values: dict[str, Any], sent: int, mine: bool
+) -> None:
     decoding = Decoding([j1939(0x18F00400)], ("M.a",), None, **values)
     assert len(decoding.decode(pack_frame(sent | EXTENDED, bytes(8))).values) == mine
 
@@ -125,7 +129,9 @@ def several(**values: Any) -> Decoding:
 
 def test_samples_of_one_frame_come_one_after_another_each_with_its_counter() -> None:
     decoding = several()
-    out = decoding.decode(block_row(65534, [1, -1, 2, -2, 3, -3, 4, -4]), block_row(2, [5, -5, 6, -6, 7, -7, 8, -8]))
+    out = decoding.decode(
+        block_row(65534, [1, -1, 2, -2, 3, -3, 4, -4]), block_row(2, [5, -5, 6, -6, 7, -7, 8, -8])
+    )
     assert out.values.tolist() == [[-n, n] for n in range(1, 9)]
     assert out.counter.tolist() == [65534, 65535, 0, 1, 2, 3, 4, 5]
     assert out.t_ns.tolist() == [0] * 4 + [1000] * 4
@@ -156,7 +162,9 @@ def test_bad_frame_of_several_samples_counts_as_many() -> None:
         (("B.x_0", "M.a"), "samples_per_frame is for fields of one message"),
     ],
 )
-def test_several_samples_that_the_database_does_not_hold_are_refused(fields: tuple[str, ...], words: str) -> None:
+def test_several_samples_that_the_database_does_not_hold_are_refused(
+    fields: tuple[str, ...], words: str
+) -> None:
     other = Message(3, "M", 8, [Signal("n", 0, 16), Signal("a", 16, 8)])
     with pytest.raises(DriverConfigError, match=words):
         Decoding([block(), other], fields, "B.n", samples_per_frame=4)
@@ -195,7 +203,9 @@ def test_checksum_of_every_kind_lets_right_frames_through_and_no_other(
     method: str, check: int | None, extra: dict[str, Any]
 ) -> None:
     if check is None:
-        check = independent_crc(method, bytes.fromhex(extra.get("data_id", "")) + BODY + b"\0" * ("over" in extra))
+        check = independent_crc(
+            method, bytes.fromhex(extra.get("data_id", "")) + BODY + b"\0" * ("over" in extra)
+        )
     assert summed(method, BODY + bytes([check]), **extra).counts.rejected == {}
     for wrong in range(256):
         if wrong != check:
@@ -243,7 +253,9 @@ def test_checksum_that_does_not_fit_its_signal_is_refused(check: dict[str, str],
 
 
 def test_checksum_method_that_nobody_knows_names_the_nearest() -> None:
-    with pytest.raises(ValidationError, match='no CRC is called "CRC-8/SAEJ1850"; did you mean CRC-8/SAE-J1850'):
+    with pytest.raises(
+        ValidationError, match='no CRC is called "CRC-8/SAEJ1850"; did you mean CRC-8/SAE-J1850'
+    ):
         keys(checksum={"signal": "sum", "method": "CRC-8/SAEJ1850"})
 
 

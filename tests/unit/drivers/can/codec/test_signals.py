@@ -17,7 +17,9 @@ OFFSETS = [0, 5, -40, 0.5, -1e-3, 3.0]
 
 
 @st.composite
-def signals(draw: st.DrawFn, first: int, length: int, number: int, mux: tuple[str, int] | None = None) -> Signal:
+def signals(
+    draw: st.DrawFn, first: int, length: int, number: int, mux: tuple[str, int] | None = None
+) -> Signal:
     """A signal that fills the bits first .. first + length - 1, numbered as its byte order numbers them."""
     big = draw(st.booleans())
     is_float = length in (16, 32, 64) and draw(st.booleans())
@@ -64,7 +66,11 @@ def decoder(
     database: Any, fields: tuple[str, ...], counter: str | None = None
 ) -> tuple[FrameDecoder, Counts, list[str]]:
     counts, notes = Counts(), []
-    return FrameDecoder(message_codecs(database, fields, counter), len(fields), counts, notes.append), counts, notes
+    return (
+        FrameDecoder(message_codecs(database, fields, counter), len(fields), counts, notes.append),
+        counts,
+        notes,
+    )
 
 
 @settings(max_examples=300)
@@ -92,7 +98,9 @@ def decoded(message: Message, data: bytes) -> dict[str, float]:
         plain = [signal for signal in message.signals if not signal.multiplexer_ids]
         for signal in plain:
             signal.is_multiplexer = False
-        message = Message(message.frame_id, "M", message.length, plain, is_extended_frame=message.is_extended_frame)
+        message = Message(
+            message.frame_id, "M", message.length, plain, is_extended_frame=message.is_extended_frame
+        )
     return message.decode(data, decode_choices=False)  # type: ignore[return-value]
 
 
@@ -201,7 +209,11 @@ def test_joined_samples_over_many_wraps_and_random_pieces_are_exact(seed: int) -
     codec, counts, _ = decoder(two_messages(), ("B.b", "A.a"), "A.n")
     items = [(k, n) for n in range(1500) for k in rng.permutation(["A", "B"]).tolist()]
     cuts = sorted(rng.integers(0, len(items), 20).tolist())
-    got = [codec.decode(parts(*items[a:b])) for a, b in zip([0, *cuts], [*cuts, len(items)], strict=True) if b > a]
+    got = [
+        codec.decode(parts(*items[a:b]))
+        for a, b in zip([0, *cuts], [*cuts, len(items)], strict=True)
+        if b > a
+    ]
     np.testing.assert_array_equal(np.concatenate([g.values for g in got])[:, 0], np.arange(1500) % 256)
     assert counts.received == 1500
 

@@ -80,7 +80,9 @@ def test_real_truck_log_as_text_and_mf4_reads_what_cantools_reads(dbc: Path) -> 
             need_mf4()
         path = peers.data(name)
         with can.LogReader(path) as reader:
-            frames = [message for message in reader if message.arbitration_id == 9 and not message.is_extended_id]
+            frames = [
+                message for message in reader if message.arbitration_id == 9 and not message.is_extended_id
+            ]
         expected = [database.decode_message(9, message.data) for message in frames]
         log = driver(path, dbc, counter="TRUCK.n")
         got = np.concatenate([block.values for block in blocks_of(log)])
@@ -95,10 +97,14 @@ def need_mf4() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(CORNER_CASES))
-def test_corner_case_log_is_read_to_its_last_frame(name: str, dbc: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_corner_case_log_is_read_to_its_last_frame(
+    name: str, dbc: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log = driver(peers.data(f"can/{name}"), dbc)
     frames = []
-    monkeypatch.setattr(log, "decoded", lambda batch: frames.append(batch) or SampleBlock(np.empty((0, 2)), 0))
+    monkeypatch.setattr(
+        log, "decoded", lambda batch: frames.append(batch) or SampleBlock(np.empty((0, 2)), 0)
+    )
     blocks_of(log)
     table = np.concatenate([batch.table for batch in frames])
     errors, remote = (table["id"] & 0x20000000) != 0, (table["id"] & 0x40000000) != 0
@@ -135,7 +141,9 @@ def test_log_of_an_unknown_format_is_refused_in_words(tmp_path: Path, dbc: Path,
 
 
 @pytest.mark.parametrize("suffix", ["asc", "blf", "log", "trc", "mf4"])
-def test_log_that_is_missing_empty_or_rubbish_is_refused_in_words(tmp_path: Path, dbc: Path, suffix: str) -> None:
+def test_log_that_is_missing_empty_or_rubbish_is_refused_in_words(
+    tmp_path: Path, dbc: Path, suffix: str
+) -> None:
     with pytest.raises(DriverConfigError):
         driver(tmp_path / f"none.{suffix}", dbc).open()
     for number, content in enumerate((b"", bytes(range(256)) * 40)):
@@ -155,7 +163,8 @@ def test_log_damaged_further_on_is_read_up_to_there_and_says_so(tmp_path: Path, 
 
 
 def two_buses(folder: Path, *wires: str) -> Path:
-    """Write 200 frames, those of each interface with its place among `wires` in byte 7, and a line that is none."""
+    """Write 200 frames, those of each interface with its place among `wires` in byte 7, and a line that is
+    none."""
     path = folder / "buses.log"
     line_lock = [(i, i % len(wires)) for i in range(200)]
     frames = [f"({1 + i / 1000:.6f}) {wires[turn]} 009#{i:02X}{'00' * 6}{turn:02X}" for i, turn in line_lock]
@@ -172,7 +181,9 @@ def captured(log: Path, dbc: Path, channel: str) -> list[int]:
     return [counter for block in counters for counter in block]
 
 
-@pytest.mark.parametrize(("wires", "first"), [(("can1", "can0"), 1), (("can0", "can1"), 0), (("can0", "can01"), 0)])
+@pytest.mark.parametrize(
+    ("wires", "first"), [(("can1", "can0"), 1), (("can0", "can1"), 0), (("can0", "can01"), 0)]
+)
 def test_log_of_several_interfaces_is_read_of_the_sources_alone(
     wires: tuple[str, ...], first: int, tmp_path: Path, dbc: Path
 ) -> None:
@@ -184,7 +195,9 @@ def test_log_of_one_interface_of_another_name_is_read(tmp_path: Path, dbc: Path)
 
 
 def test_log_of_several_interfaces_without_the_sources_is_refused_in_words(tmp_path: Path, dbc: Path) -> None:
-    with pytest.raises(DriverConfigError, match=r"buses.log: holds frames of can1, can2 and none of can0; name one"):
+    with pytest.raises(
+        DriverConfigError, match=r"buses.log: holds frames of can1, can2 and none of can0; name one"
+    ):
         captured(two_buses(tmp_path, "can1", "can2"), dbc, "can0")
 
 
@@ -228,7 +241,9 @@ SUFFIXES = ["asc", "blf", "trc", "mf4", "log"]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_log_of_several_buses_is_read_of_the_one_that_the_source_names(suffix: str, tmp_path: Path, dbc: Path) -> None:
+def test_log_of_several_buses_is_read_of_the_one_that_the_source_names(
+    suffix: str, tmp_path: Path, dbc: Path
+) -> None:
     if suffix == "mf4":
         need_mf4()
     path = three_buses(tmp_path / f"buses.{suffix}")
@@ -252,7 +267,8 @@ def test_log_of_several_buses_is_read_of_a_number_as_other_tools_show_it(
 @pytest.mark.parametrize(
     ("suffix", "channel", "names"),
     [
-        ("asc", "can7", "1, 2, 3"), ("blf", "can3", "1, 2, 3"), ("trc", "4", "1, 2, 3"), ("mf4", "can7", "0, 1, 2"),
+        ("asc", "can7", "1, 2, 3"), ("blf", "can3", "1, 2, 3"), ("trc", "4", "1, 2, 3"),
+        ("mf4", "can7", "0, 1, 2"),
         ("asc", "/dev/ttyACM", "1, 2, 3"),
     ],
 )  # fmt: skip
@@ -262,7 +278,9 @@ def test_log_of_several_buses_without_the_sources_is_refused_with_what_it_holds(
     if suffix == "mf4":
         need_mf4()
     path = three_buses(tmp_path / f"buses.{suffix}")
-    with pytest.raises(DriverConfigError, match=rf"buses.{suffix}: holds frames of channels {names} and none of "):
+    with pytest.raises(
+        DriverConfigError, match=rf"buses.{suffix}: holds frames of channels {names} and none of "
+    ):
         counters(path, dbc, channel)
 
 
@@ -270,7 +288,9 @@ def test_mf4_log_that_numbers_its_buses_from_1_is_not_guessed_at(tmp_path: Path,
     """Python-can writes 0 for can0, vehicle loggers 1: can1 may be either."""
     need_mf4()
     path = three_buses(tmp_path / "vehicle.mf4")
-    with pytest.raises(DriverConfigError, match=r"holds frames of channels 1, 2, 3 and none of can1; name one"):
+    with pytest.raises(
+        DriverConfigError, match=r"holds frames of channels 1, 2, 3 and none of can1; name one"
+    ):
         counters(path, dbc, "can1")
     assert counters(path, dbc, "1") == of_bus(0)
 
@@ -279,7 +299,9 @@ def test_log_of_several_buses_is_not_searched_for_a_number_that_another_interfac
     tmp_path: Path, dbc: Path
 ) -> None:
     settings = CanLogSettings(path=three_buses(tmp_path / "a.asc"), dbc=dbc, interface="kvaser", channel="1")
-    with pytest.raises(DriverConfigError, match=r"channels 1, 2, 3 and none of 1; .* other interfaces number theirs"):
+    with pytest.raises(
+        DriverConfigError, match=r"channels 1, 2, 3 and none of 1; .* other interfaces number theirs"
+    ):
         CanLogDriver(SourceRequest("log", settings, ("TRUCK.a",), "TRUCK.n")).open()
 
 
@@ -304,7 +326,8 @@ def test_frames_of_other_buses_that_are_passed_over_are_said(tmp_path: Path, dbc
     ("name", "channel", "frames"),
     [
         ("logfile.asc", "can0", 8), ("logfile.asc", "2", 7), ("logfile.asc", "can4", 1),
-        ("test_CanMessage.trc", "1", 1), ("test_CanMessage.asc.gz", "can1", 1), ("j1939_2F6913DB.MF4", "1", 221),
+        ("test_CanMessage.trc", "1", 1), ("test_CanMessage.asc.gz", "can1", 1),
+        ("j1939_2F6913DB.MF4", "1", 221),
         ("j1939_2F6913DB.MF4", "2", 5367), ("issue_1905.blf", "can0", 22),
     ],
 )  # fmt: skip
@@ -316,6 +339,8 @@ def test_real_log_of_several_buses_is_read_of_one(
     settings = CanLogSettings(path=peers.data(f"can/{name}"), dbc=dbc, channel=channel)
     log = CanLogDriver(SourceRequest("log", settings, ("TRUCK.a",), "TRUCK.n"))
     tables = []
-    monkeypatch.setattr(log, "decoded", lambda batch: tables.append(batch.table) or SampleBlock(np.empty((0, 1)), 0))
+    monkeypatch.setattr(
+        log, "decoded", lambda batch: tables.append(batch.table) or SampleBlock(np.empty((0, 1)), 0)
+    )
     blocks_of(log)
     assert sum(map(len, tables)) == frames

@@ -35,7 +35,7 @@ def boot_id() -> str | None:
 
 
 class Anchor(NamedTuple):
-    """Where labels begin, or begin anew: the first sample and its label, and wall clock minus monotonic clock, ns."""
+    """Where labels begin or begin anew: first sample, its label, and wall clock minus monotonic clock, ns."""
 
     first: int
     label_ns: int
@@ -63,7 +63,7 @@ class SampleLabels:
     _least_lag: int | None = None
 
     def label(self, index: IntArray, arrival_ns: int, offset_ns: int) -> IntArray:
-        """Return the time stamps (n,) of samples that arrived at a monotonic time; offset_ns is wall - monotonic."""
+        """Return time stamps (n,) of samples arrived at a monotonic time; offset_ns is wall - monotonic."""
         wall = arrival_ns + offset_ns
         if self._anchor_ns is None:
             # the newest sample of the first block is the one that was taken just now
@@ -88,7 +88,7 @@ class SampleLabels:
         return np.asarray((self._anchor_ns or 0) + np.rint((index - self._base) * period).astype(np.int64))
 
     def _watch(self, index: int, label: int, wall: int) -> None:
-        """Once every 10 s compare the most punctual arrival with its label and set the stretch that closes the gap."""
+        """Every 10 s compare the most punctual arrival with its label and set the stretch closing the gap."""
         lag = wall - label
         self._least_lag = lag if self._least_lag is None else min(self._least_lag, lag)
         if wall - self._watched_from >= SETTLE_NS:

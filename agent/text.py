@@ -13,7 +13,7 @@ _AHEAD = (
 
 
 def with_sd(value: float, sd: float) -> str:
-    """Write a value beside its standard deviation, both to the digits that the deviation allows: `25.1 ± 0.9`.
+    """Write a value beside its standard deviation, both to the digits the deviation allows: `25.1 ± 0.9`.
 
     The deviation keeps two digits where it begins with 1 or 2, else one. Very small and very large pairs
     share a power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone.
@@ -69,7 +69,7 @@ def local_time(t_ns: int) -> str:
 
 
 def with_local(text: str | None) -> str:
-    """Shorten ISO 8601 in UTC as `short_time` does, beside the time here: `2026-07-01 10:00:00.000Z (12:00:00)`."""
+    """Shorten ISO 8601 in UTC like `short_time`, beside local time: `2026-07-01 10:00:00.000Z (12:00:00)`."""
     if text is None:
         return ""
     try:
@@ -92,7 +92,7 @@ def printable(text: str) -> str:
 
 
 def short_time(text: str | None) -> str:
-    """Shorten ISO 8601 with nine decimals to milliseconds for a table; empty for none. Still a time that we read."""
+    """Shorten ISO 8601 with nine decimals to milliseconds for a table; empty for none. Still a valid time."""
     return "" if text is None else text[:23].replace("T", " ") + "Z"
 
 

@@ -27,7 +27,7 @@ _Event = TypeVar("_Event")
 
 @dataclass(frozen=True)  # no slots: a generic class notes its parameters on what it makes
 class Output(Generic[_Value, _Event]):
-    """Result of one step of a stage: what goes on to the next stage, and what was found meanwhile, in order of time."""
+    """Result of one step of a stage: what goes on to the next stage, and what was found, in order of time."""
 
     values: Sequence[_Value] = ()
     events: Sequence[_Event] = ()
@@ -269,7 +269,9 @@ class SourceClock:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Conservation ledger of one source since run start, in sample instants: received = used + rejected + dropped.
+    """Conservation ledger of one source since run start, in sample instants.
+
+    received = used + rejected + dropped.
 
     faults counts, by name, what went wrong on the line without being a sample: error frames, late replies.
     """
@@ -289,7 +291,7 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class HealthEvent:
-    """Something that happened to a source or to the agent, once: cause as a short word, message for people."""
+    """Something that happened to a source or the agent, once: cause as a short word, message for people."""
 
     rig: str
     source: str
@@ -348,7 +350,7 @@ class RunInfo:
     boot_id: str | None = None
     learnt_key: str | None = None
     offset_ns: int | None = None
-    """Wall clock minus monotonic clock as it started; None where the monotonic clock is none of this boot's."""
+    """Wall clock minus monotonic clock as it started; None where the monotonic clock is not this boot's."""
     site: str | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
     graph: str | None = None
@@ -393,7 +395,7 @@ class Baseline:
 
 @dataclass(frozen=True, slots=True)
 class CovariateMean:
-    """The mean of a covariate over a period that starts at t_ns and lasts span_s: of n readings, in its own unit."""
+    """The mean of a covariate over a period of span_s from t_ns: of n readings, in its own unit."""
 
     rig: str
     name: str
@@ -567,6 +569,6 @@ class ForecastScore:
 
 
 Record = (
-    EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict | ClockRecord
-    | ForecastRecord | ForecastScore | CovariateMean | ConditionsRecord
+    EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict
+    | ClockRecord | ForecastRecord | ForecastScore | CovariateMean | ConditionsRecord
 )  # fmt: skip

@@ -1,1 +1,1 @@
-"""deltak's drivers: buses and recordings behind one small interface, `drivers.port`. They import no other package."""
+"""deltak's drivers: buses and recordings behind one interface, `drivers.port`. Imports no other package."""

@@ -1,4 +1,4 @@
-"""The clock by which drivers wait, and whose lines they open: the machine's, or in one thread those of a played one.
+"""The clock by which drivers wait, and whose lines they open: the machine's, or in one thread a played one's.
 
 Played time is no faster clock: it stands still while somebody computes, and moves when somebody waits. What a
 driver does with it is then the same in every run.

@@ -59,7 +59,7 @@ class Line(ABC):
 
     @abstractmethod
     def play(self, values: FloatArray) -> None:
-        """Offer the next samples, (n, m) in the fields' units; the counter goes on from the last one played."""
+        """Offer the next samples, (n, m) in the fields' units; the counter goes on from the last played."""
 
     @abstractmethod
     def kill(self) -> None:
@@ -78,7 +78,7 @@ class Line(ABC):
         """Take the device away."""
 
     def bad_requests(self) -> Sequence[Callable[[], SourceRequest]]:
-        """Return makers of requests that cannot work beyond an unknown field (a missing file, a wrong kind of bus)."""
+        """Return makers of requests that cannot work beyond an unknown field (missing file, wrong bus)."""
         return ()
 
     def attached(self, driver: Driver) -> None:  # noqa: B027 (most buses need nothing here)
@@ -214,7 +214,7 @@ class DriverConformance(ABC):
             assert raises(DriverConfigError, partial(self.open_request, make))
 
     def samples(self, count: int) -> FloatArray:
-        """Return samples that the wire carries exactly: whole steps of each field's resolution (eighths for floats)."""
+        """Return samples exact on the wire: whole steps of each field's resolution (eighths for floats)."""
         steps = np.array([step or 0.125 for step in self.driver.resolution()])
         whole = np.random.default_rng(count).integers(-100, 101, (count, len(steps)))
         values: FloatArray = whole * steps

@@ -17,7 +17,7 @@ Words = NDArray[np.uint32]
 
 @dataclass(frozen=True)
 class Crc:
-    """Parameters of a CRC of 8, 16 or 32 bits: polynomial, start, whether bits are mirrored, final exclusive or."""
+    """Parameters of a CRC of 8, 16 or 32 bits: polynomial, start, whether bits are mirrored, final XOR."""
 
     width: int
     poly: int

@@ -131,7 +131,7 @@ class Layout:
         return out
 
     def counter(self, slots: ByteArray, name: str) -> IntArray:
-        """Return a counter field's numbers, (n,), in 0 .. modulus - 1 (an int64 where the field has 64 bits)."""
+        """Return a counter field's numbers, (n,), in 0 .. modulus - 1 (int64 where the field has 64 bits)."""
         field = self.counter_field(name)
         raw = self.raw(slots, name).astype(np.int64)
         return raw if field.size == 8 else raw % field.modulus

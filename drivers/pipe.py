@@ -1,4 +1,4 @@
-"""Byte pipes to a device, over TCP or a serial line: deadlines on the monotonic clock, failures as DriverIOError.
+"""Byte pipes to a device, TCP or a serial line: deadlines on the monotonic clock, failures as DriverIOError.
 
 The libraries' own waits use the wall clock (a step of it stretches them) and poll a serial line with sleeps;
 these select on the descriptor. What may be sent is decided by `drivers.write_gate`.
@@ -97,7 +97,7 @@ class TcpPipe(Pipe):
 
 
 class SerialPipe(Pipe):
-    """A serial line, read in large blocks from its descriptor; read-only, the kernel refuses every write to it."""
+    """A serial line, read in large blocks from its descriptor; read-only, the kernel refuses every write."""
 
     def __init__(self, keys: SerialKeys, device: str, *, read_only: bool = False) -> None:
         self.name = device

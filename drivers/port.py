@@ -26,7 +26,9 @@ BoolArray = NDArray[np.bool_]
 LISTENER_WRITES: Mapping[str, str] = {
     "modbus": "read requests: function codes 1, 2, 3, 4 and 24",
     "socketcand": "its handshake, which puts no frame on the bus: < open BUS > and < rawmode >",
-    "slcan": "nothing, or with open_adapter what opens the adapter listen-only: C, S0 to S8, Z0, Z1, L; never O",
+    "slcan": (
+        "nothing, or with open_adapter what opens the adapter listen-only: C, S0 to S8, Z0, Z1, L; never O"
+    ),
     "netlink": "the question how an interface is set up (RTM_GETLINK); it goes to the kernel, not to a bus",
 }
 """What each protocol may write, in words; the suite traces every write to a bus descriptor against it."""
@@ -41,7 +43,7 @@ class DriverConfigError(DriverError):
 
 
 class DriverIOError(DriverError, OSError):
-    """The bus or the device failed: retrying may help. kind: a short word for what it was, where one is known."""
+    """The bus or the device failed: retrying may help. kind: a short word for what it was, where known."""
 
     kind: str = ""
 
@@ -92,7 +94,7 @@ class Unit:
 
 
 class Trace:
-    """The newest units of a source, for who looks on; older ones give way. Of a batch the last `NEWEST` are kept."""
+    """A source's newest units, for who looks on; older give way. Of a batch the last `NEWEST` are kept."""
 
     NEWEST: ClassVar[int] = 16
 
@@ -160,8 +162,8 @@ class Capture:
 
 
 RETRY_S, RETRY_HERE_S = 1.2, 0.4
-"""Longest pauses between tries to open a source, so that it is read again within 2 s of its return: of one that is
-reached over a network, and of one whose absence this machine knows by itself."""
+"""Longest pauses between tries to open a source, so that it is read again within 2 s of its return: of one
+that is reached over a network, and of one whose absence this machine knows by itself."""
 
 
 class DriverSettings(BaseModel):
@@ -197,7 +199,7 @@ class Driver(ABC):
 
     settings_model: ClassVar[type[DriverSettings]]
     counter_modulus: int | None = None
-    """The counter wraps to 0 after counter_modulus - 1; None while unknown or without a counter. Known once open."""
+    """The counter wraps to 0 after counter_modulus - 1; None if unknown or without one. Known once open."""
     stamped: ClassVar[bool | None] = None
     """Whether samples carry time stamps of the device or the kernel (`SampleBlock.t_ns`); None: not told."""
     finite: ClassVar[bool] = False
@@ -252,7 +254,7 @@ class Driver(ABC):
         return None
 
     def decode_capture(self, text: bytes, beside: Mapping[str, Any]) -> SampleBlock:
-        """Return what `read` made of this when it was heard. The driver is not open; its counts go on as they did.
+        """Return what `read` made of this when heard. The driver is not open; its counts go on as they did.
 
         Raises DriverConfigError.
         """
@@ -260,7 +262,7 @@ class Driver(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the bus; raise DriverConfigError or DriverIOError. Opening again after close continues the counts."""
+        """Open the bus; raise DriverConfigError or DriverIOError. Reopening continues the counts."""
 
     @abstractmethod
     def read(self, timeout_s: float) -> SampleBlock:
@@ -274,7 +276,7 @@ class Driver(ABC):
         """Release the bus; harmless when closed already."""
 
     def switched(self) -> tuple[bool, ...]:
-        """Tell of each field whether its readings are seen to be held at a few levels, as what is commanded is."""
+        """Tell of each field if its readings are seen to be held at a few levels, as what is commanded is."""
         return (False,) * len(self.request.fields)
 
     @abstractmethod

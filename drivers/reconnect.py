@@ -54,7 +54,7 @@ class Delivery(NamedTuple):
 
 
 class Backoff:
-    """Pauses that double from first_s to ceiling_s, each drawn from its upper half so that rigs do not try in step."""
+    """Pauses doubling from first_s to ceiling_s, each drawn from its upper half to keep rigs out of step."""
 
     def __init__(self, rng: random.Random, first_s: float = FIRST_S, ceiling_s: float = RETRY_S) -> None:
         self._rng = rng

@@ -66,7 +66,7 @@ def close_port(descriptor: int) -> None:
 
 
 def port_hint(port: str) -> str | None:
-    """Return advice on a port whose name another adapter may get, naming the link that stays; None on others."""
+    """Return advice on a port whose name another adapter may get, naming the stable link; None on others."""
     if not _ENUMERATED.fullmatch(port):
         return None
     stable = next(

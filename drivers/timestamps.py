@@ -1,4 +1,4 @@
-"""Time stamps to integer nanoseconds, exactly, half to even: decimal text, ISO 8601, seconds as floating point."""
+"""Time stamps to integer nanoseconds, exactly, half to even: decimal text, ISO 8601, float seconds."""
 
 import re
 from datetime import datetime
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from drivers.port import IntArray
 
 _ISO = re.compile(
-    r"(?P<date>\d{4}-\d\d-\d\d)[T ](?P<clock>\d\d:\d\d(?::\d\d)?)(?:[.,](?P<part>\d+))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
+    r"(?P<date>\d{4}-\d\d-\d\d)[T ](?P<clock>\d\d:\d\d(?::\d\d)?)"
+    r"(?:[.,](?P<part>\d+))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
 _WIDEST = 40
 _MOST_SECONDS = 9_000_000_000
@@ -18,7 +19,7 @@ _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 
 
 def text_to_ns(text: str) -> int | None:
-    """Return the nanoseconds of a decimal number of seconds or of an ISO 8601 time (UTC unless it says), or None."""
+    """Return the nanoseconds of decimal seconds or of an ISO 8601 time (UTC unless it says), or None."""
     text = text.strip()
     if _PLAIN.fullmatch(text):
         return _decimal_ns(text)
@@ -45,7 +46,7 @@ def _iso_ns(match: re.Match[str]) -> int | None:
 
 
 def column_to_ns(text: NDArray[np.uint8], start: IntArray, end: IntArray) -> IntArray | None:
-    """Return nanoseconds of the plain decimal cells text[start:end], (n,); None when any cell is something else.
+    """Return nanoseconds of the plain decimal cells text[start:end], (n,); None when any is something else.
 
     Each decimal place is one step over all cells: digits before the point build the seconds, the nine after
     it the nanoseconds, and those beyond decide the rounding.
@@ -93,7 +94,7 @@ def _accumulate(
 
 
 def seconds_to_ns(seconds: NDArray[np.generic]) -> IntArray:
-    """Return seconds (or datetime64) as integer nanoseconds, half to even; the smallest integer where not finite.
+    """Return seconds (or datetime64) as integer nanoseconds, half to even; the least integer if not finite.
 
     Whole seconds and their fraction are taken apart first: their product with 1e9 would be rounded twice.
     """

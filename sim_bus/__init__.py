@@ -1,1 +1,1 @@
-"""deltak's simulator: true mechanics, sensors, devices that speak the real protocols. Never imports the agent."""
+"""deltak's simulator: true mechanics, sensors, devices that speak real protocols. Never imports the agent."""

@@ -1,4 +1,4 @@
-"""How many samples the rig has taken: by the monotonic clock, or, played fast, by what the readers have taken."""
+"""How many samples the rig has taken: by the monotonic clock, or, played fast, by what readers have taken."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""Whether a scenario fits the wire of a rig: fields that end where the motion goes on would carry no readings."""
+"""Whether a scenario fits a rig's wire: fields that end where the motion goes on would carry no readings."""
 
 from collections.abc import Mapping
 
@@ -39,7 +39,7 @@ def fitting(rig: RigFile) -> list[str]:
 
 
 def carried_by(rig: RigFile) -> Carried:
-    """Return what the fields of a rig can carry, see `Rig.carried`; its devices are made and put away unopened."""
+    """Return what a rig's fields can carry, see `Rig.carried`; its devices are made and put away unopened."""
     player = Player(rig, Scenario())
     for device in player.devices:
         device.stop()

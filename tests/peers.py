@@ -1,4 +1,4 @@
-"""What the tests need from outside: programs, measured data. What is missing is said in the run's last lines."""
+"""What the tests need from outside: programs, measured data. The run's last lines say what is missing."""
 
 import os
 import shutil

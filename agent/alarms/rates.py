@@ -1,4 +1,4 @@
-"""What an alarm system is like to work with, by the measures of ANSI/ISA-18.2-2016 and IEC 62682, clauses 3.1 and 16.
+"""What working with an alarm system is like, by ANSI/ISA-18.2-2016 and IEC 62682, clauses 3.1 and 16.
 
 average       alarms announced a day; about 150 are very likely acceptable for one operator, 300 are the most
 flood         more than 10 alarms in 10 minutes, and on until fewer than 5 come in 10 minutes (also EEMUA
@@ -33,7 +33,7 @@ class Announced:
 
 @dataclass(frozen=True, slots=True)
 class Flood:
-    """A stretch with more alarms than anybody takes in: from its first alarm to its last, ns, and how many."""
+    """An alarm flood: more alarms than anybody takes in, from its first to its last, ns, and how many."""
 
     from_ns: int
     to_ns: int
@@ -67,7 +67,7 @@ class Rates:
 
 
 def rates(announced: Iterable[Announced], standing: Mapping[Key, int], from_ns: int, until_ns: int) -> Rates:
-    """Return the measures of a stretch of time; standing: since when conditions stand that are not over, ns."""
+    """Return the measures of a period; standing: since when conditions stand that are not over, ns."""
     alarms = sorted(announced, key=lambda alarm: alarm.t_ns)
     times = [alarm.t_ns for alarm in alarms]
     length = max(1, until_ns - from_ns)

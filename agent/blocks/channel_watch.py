@@ -41,12 +41,18 @@ class ChannelWatch:
         name, quantity = self.channels[fault.channel]
         unit = UNITS.get(quantity, "")
         if fault.kind == "stood":
-            return f"{name} stood at {_amount(fault.size, unit)} while the rig moved; check the sensor and its line"
+            return (
+                f"{name} stood at {_amount(fault.size, unit)} while the rig moved; "
+                "check the sensor and its line"
+            )
         if fault.kind == "delay":
             return f"{name} comes {fault.size:.0f} samples late ({fault.size:.1f} ± {number(fault.sd, 2)})"
         if fault.kind == "offset":
             much = "too much" if fault.size > 0 else "too little"
-            return f"{name} reads {_amount(abs(fault.size), unit)} {much}; set its zero anew, and check its mounting"
+            return (
+                f"{name} reads {_amount(abs(fault.size), unit)} {much}; "
+                "set its zero anew, and check its mounting"
+            )
         return f"{name} reads {_factor(fault)}; check its mounting, sign and scale"
 
 

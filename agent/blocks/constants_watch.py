@@ -1,4 +1,4 @@
-"""Health assessment of a rig's constants: verdicts, events when one is sure, alarms when a sensor stays off."""
+"""Health assessment of rig constants: verdicts, events when one is sure, alarms when a sensor stays off."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -45,7 +45,7 @@ class ConstantsWatch:
     def step(
         self, learnt: Sequence[tuple[int, tuple[Belief, ...]]], times: Mapping[int, int]
     ) -> Output[Verdict | HealthEvent, SensorEvent]:
-        """Take (sample, beliefs) of windows learnt from, and the samples' times; return what follows from them."""
+        """Take (sample, beliefs) of windows learnt from, and the samples' times; return what follows."""
         verdicts: list[Verdict] = []
         events: list[HealthEvent] = []
         alarms: list[SensorEvent] = []
@@ -109,7 +109,7 @@ class ConstantsWatch:
         ]
 
     def _change(self, channel: str, probability: float) -> bool | None:
-        """Return whether a channel's alarm begins to stand or ends with a window; None where it stays as it is."""
+        """Return whether a channel's alarm begins or ends with a window; None where it stays as it is."""
         self._lasting[channel] = self._lasting.get(channel, 0) + 1 if probability >= ALARM else 0
         raised = channel in self._alarmed
         if not raised and self._lasting[channel] >= ALARM_WINDOWS:

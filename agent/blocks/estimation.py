@@ -27,7 +27,7 @@ from agent.types import (
 ESTIMATION, FAILURE = "estimation", "failure"
 """What a failure of the numerics is called in events, and the reason of samples that it loses."""
 MOST_STUCK = 0.05
-"""Share of a window in which dry friction may hold the motion: what holds it then is known no better than the model."""
+"""Share of a window in which dry friction may hold the motion: the hold is known no better than the model."""
 
 
 class Method(Protocol):
@@ -236,7 +236,7 @@ class Estimation:
         )  # fmt: skip
 
     def _mark(self, rows: Outcome, status: CodeArray, reason: CodeArray, window: IntArray) -> None:
-        """Mark rows that tell enough of a change from a learnt reference, that stick, and of a faulty channel."""
+        """Mark rows that resolve a change from a learnt reference, that stick, and of a faulty channel."""
         if self.labels.reference_sd is not None and self.labels.enough is not None:
             known = np.isfinite(self.labels.reference_sd) & (rows.sd_repeat <= self.labels.enough)
             vague = (status == Status.UNEXCITED) & (reason == Reason.NONE)

@@ -53,6 +53,6 @@ def signals(config: RigConfig) -> int:
 
 
 def mechanics_of(model: Model) -> MassSpringDamper | None:
-    """Return the masses, springs and dampers of a rig's model without its sensor constants; None for a linear one."""
+    """Return masses, springs and dampers of a rig's model, no sensor constants; None for a linear one."""
     inner = model.model if isinstance(model, SensedModel) else model
     return inner if isinstance(inner, MassSpringDamper) else None

@@ -5,7 +5,7 @@ from agent.config.domains.plant import Domain
 
 
 def graph_of(config: RigConfig) -> str:
-    """Return what joins what, in one order whatever the file's; of a linear model its order and parameters."""
+    """Return what joins what, in one order whatever the file's; for a linear model order and parameters."""
     model = config.model
     if isinstance(model, Domain):
         return f"{model.kind}: {', '.join(sorted(part.name for part in model.parts))}"

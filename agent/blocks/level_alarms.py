@@ -76,7 +76,7 @@ class _Timers:
 
 
 class LevelAlarms:
-    """The level alarms of one rig: batches of estimates in, transitions out; cutting a batch in two changes nothing.
+    """Level alarms of a rig: batches of estimates in, transitions out; splitting a batch changes nothing.
 
     rules: the configuration's alarm tables, at most one a parameter. sample_rate_hz turns delays into
     samples. Raises ValueError for a rule that cannot be judged.
@@ -251,7 +251,10 @@ class _Judgement:
     def _sentence(self, i: int, delta: float, sd: float, *, raising: bool) -> str:
         column = self.columns[i]
         unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
-        figures = f"{with_sd(abs(delta), sd)} {unit}{self._place(column, delta)} (limit {number(float(self.limit[i]))})"
+        figures = (
+            f"{with_sd(abs(delta), sd)} {unit}{self._place(column, delta)} "
+            f"(limit {number(float(self.limit[i]))})"
+        )
         remark = self.batch.remarks[column] if self.batch.remarks is not None else ""
         unsure = f"; the reference is less well known: {remark}" if remark else ""
         return f"{self.rules[i].parameter} is {'' if raising else 'back within its limit: '}{figures}{unsure}"
@@ -284,14 +287,14 @@ def _deviation_sd(batch: EstimateBatch, columns: list[int]) -> FloatArray:
 
 
 def _limit(rule: LevelRule, reference: float) -> float:
-    """Return the limit in the parameter's unit; infinite, so never exceeded, for a percentage of a zero reference."""
+    """Return the limit in the parameter's unit; infinite for a percentage of a zero reference."""
     if rule.limit is not None:
         return rule.limit
     return abs(reference) * (rule.limit_percent or 0.0) / 100.0 or float("inf")
 
 
 def _level(rule: LevelRule, limit: float) -> float:
-    """Return the level under which the alarm clears: the limit less the deadband, a tenth of the limit by default."""
+    """Return the level under which the alarm clears: limit less deadband, by default a tenth of the limit."""
     return limit - (0.1 * limit if rule.deadband is None else rule.deadband)
 
 

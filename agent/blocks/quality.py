@@ -65,7 +65,7 @@ class Quality:
         self._watched = 0
 
     def step(self, index: IntArray, t_ns: IntArray, v: FloatArray, *, anew: bool = False) -> Labelled:
-        """Take samples v (N, c), NaN where a reading is missing, with increasing numbers; return what is settled.
+        """Take samples v (N, c), NaN for a missing reading, with increasing numbers; return what is settled.
 
         anew: they follow on nothing that came before, however short the gap.
         """
@@ -80,7 +80,7 @@ class Quality:
                 yield from self._follow(index[start:stop], t_ns[start:stop], v[start:stop])
 
     def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
-        """Take samples v (N, c) of several sources that may not go together; return them, good for nothing."""
+        """Take samples v (N, c) of sources that may not go together; return them, good for nothing."""
         return Labelled.joined([self._end(), self._labels.unpaired(index, t_ns, v)])
 
     def finish(self) -> Labelled:
@@ -93,7 +93,7 @@ class Quality:
         return self._cleaner.waiting()
 
     def _follow(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Iterator[Labelled]:
-        """Take consecutive samples: after a short gap with the gap filled, after a longer one as a new stretch."""
+        """Take consecutive samples: after a short gap with it filled, after a longer one as a new stretch."""
         gap = int(index[0]) - self._newest - 1
         if self._open and gap > self.settings.bridge:
             yield self._end()
@@ -126,7 +126,7 @@ class Quality:
             yield slice(start, len(v)), True
 
     def _falls_silent(self, missing: NDArray[np.bool_], start: int) -> int:
-        """Return the row from `start` on at which a channel has been silent for too long; as many as rows if none."""
+        """Return the row from `start` on where a channel is silent too long; the number of rows if none."""
         rest = missing[start:]
         if not rest.any():
             self._silent[:] = 0 if len(rest) else self._silent
@@ -162,7 +162,7 @@ class Quality:
         return pieces
 
     def _count_spikes(self, clean: Clean) -> None:
-        """Count the samples that a spike alone spoils: those that lack a reading besides are counted as that."""
+        """Count the samples that a spike alone spoils: those that also lack a reading count as that."""
         lost = clean.missing & ~clean.spike
         spikes = int((clean.spike.any(axis=1) & ~lost.any(axis=1)).sum())
         if spikes:

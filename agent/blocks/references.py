@@ -14,7 +14,7 @@ from agent.types import Baseline
 def counted_from(
     labels: Labels, baselines: Sequence[Baseline], graph: str, covariates: Mapping[str, str] | None = None
 ) -> tuple[Labels, list[str]]:
-    """Return labels whose references are baselines where there are any that fit; and why others do not, in words.
+    """Return labels whose references are baselines where any fit; and why others do not, in words.
 
     labels: with nominal references. graph: of the rig; a baseline that knows none fits any. covariates: their
     units.

@@ -59,7 +59,7 @@ def _physical(config: RigConfig, names: tuple[str, ...]) -> Model:
 
 
 def estimated(config: RigConfig) -> tuple[str, ...]:
-    """Return the estimated parameters in the order of theta: physical ones as configured, then sensor constants."""
+    """Return estimated parameters in theta's order: physical ones as configured, then sensor constants."""
     wanted = [f"{c.name}.{kind}" for c in config.channel for kind in SENSOR_KINDS if getattr(c, kind)]
     names = dict.fromkeys([*config.estimator.estimate, *wanted])
     sensed = [name for name in names if config.parameters[name].kind in SENSOR_KINDS]
@@ -139,7 +139,7 @@ def pushed(model: Model) -> tuple[tuple[str, str], ...]:
 
 
 def _disturbance(model: Model) -> FloatArray:
-    """A force on each mass (on each node where none has mass), or anything on each state of a linear model."""
+    """A force on each mass (each node where none has mass), or anything on each state of a linear model."""
     if isinstance(model, SensedModel):
         model = model.model
     if isinstance(model, DescriptorModel):
@@ -171,7 +171,7 @@ def known_noise(config: RigConfig, resolution: FloatArray) -> FloatArray:
 AUTOMATIC_WINDOWS = 5
 """Windows of "auto": each twice the one before."""
 STANDS = 1e-6
-"""A pole slower than this share of the fastest is one at zero (of a free rig they are double: found to 1e-8 only)."""
+"""A pole slower than this share of the fastest is at zero (a free rig's are double: found to 1e-8 only)."""
 
 
 def windows_s(config: RigConfig) -> tuple[float, ...]:
@@ -194,14 +194,14 @@ def hop_plan(config: RigConfig) -> HopPlan:
 
 
 def longer_windows(config: RigConfig, plan: HopPlan) -> tuple[int, ...]:
-    """Return the further windows in samples, each longer than the plan's by whole hops so that all end together."""
+    """Return further windows in samples, each whole hops longer than the plan's so that all end together."""
     wanted = [round(length * config.rig.sample_rate_hz) for length in windows_s(config)[1:]]
     hops = [max(1, round((samples - plan.window) / plan.hop)) for samples in wanted]
     return tuple(dict.fromkeys(plan.window + count * plan.hop for count in hops))
 
 
 def longest_bridge(model: Model, rate_hz: float) -> int:
-    """Return the longest gap that is bridged, samples: 5, or a twentieth of the fastest period, but no more than 20."""
+    """Return the longest gap to bridge, samples: 5, or a twentieth of the fastest period, at most 20."""
     speeds = np.abs(modes(model.continuous(model.nominal), 1.0 / rate_hz))
     fastest = float(speeds.max(initial=0.0))
     return 5 if fastest == 0 else int(np.clip(2 * np.pi / fastest * rate_hz / 20, 5, 20))
@@ -215,7 +215,7 @@ def scale_columns(config: RigConfig, rig: RigModel) -> IntArray:
 
 
 def _leant(config: RigConfig) -> tuple[int, ...] | None:
-    """Return the outputs that the paper's observer leans on: it would hide a gain that it corrects itself by."""
+    """Return the outputs the paper's observer leans on: it would hide a gain it corrects itself by."""
     if config.estimator.method != "seed":
         return None
     wanted = set(estimated(config))

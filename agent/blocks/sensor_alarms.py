@@ -1,4 +1,4 @@
-"""Advisory of the channels: one alarm a channel that cannot be believed, raised once and cleared when it recovers."""
+"""Advisory of channels: an alarm for each one not to be believed, raised once, cleared when it recovers."""
 
 from collections.abc import Iterable, Sequence
 
@@ -34,7 +34,7 @@ class SensorAlarms:
         self._restored = set(standing)
 
     def start_anew(self) -> None:
-        """Go on with the alarms that stand, though what judged their channels begins anew and knows of none."""
+        """Go on with standing alarms, though what judged their channels begins anew and knows of none."""
         self._restored = set(self._standing)
 
     def step(self, events: Iterable[SensorEvent]) -> list[AlarmTransition]:
@@ -48,7 +48,7 @@ class SensorAlarms:
         return changes
 
     def confirm(self, batch: EstimateBatch) -> list[AlarmTransition]:
-        """Return what a batch says of alarms that whoever judges now did not raise: a valid estimate clears them."""
+        """Return what a batch says of alarms raised by an earlier judge: a valid estimate clears them."""
         valid = (batch.status == Status.VALID).any(axis=1)
         if not self._restored or not valid.any():
             return []

@@ -1,4 +1,4 @@
-"""What is known of the channels, written on the samples it concerns; and said once when it begins and ends."""
+"""What is known of channels, written on the samples it concerns; and said once when it begins and ends."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Piece:
 
 
 class SensorLabels:
-    """Labels one rig's samples; inputs is the number of leading channels that are inputs, window the estimator's."""
+    """Labels a rig's samples; inputs is the number of leading input channels, window the estimator's."""
 
     def __init__(self, channels: Sequence[str], inputs: int, window: int) -> None:
         self._channels = tuple(channels)
@@ -45,7 +45,7 @@ class SensorLabels:
         self._segment += 1
 
     def labelled(self, piece: Piece, findings: Sequence[Finding], done: int) -> Labelled:
-        """Cut a piece, the first of whose samples is number `done` of its stretch, where what is known changes."""
+        """Cut a piece, whose first sample is number `done` of its stretch, where what is known changes."""
         return self._with_events(list(self._cut(piece, findings, done)))
 
     def _with_events(self, samples: Sequence[Samples]) -> Labelled:
@@ -64,7 +64,7 @@ class SensorLabels:
         yield from self._even(piece, start, count)
 
     def silence(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
-        """Label samples v (N, c) while some channel does not speak; say so when that lasts as long as a window."""
+        """Label samples v (N, c) while some channel is silent; say so when that lasts as long as a window."""
         if not len(index):
             return Labelled()
         if not self._silent:
@@ -79,7 +79,7 @@ class SensorLabels:
         return self._with_events([silent])
 
     def unpaired(self, index: IntArray, t_ns: IntArray, v: FloatArray) -> Labelled:
-        """Label samples v (N, c) of sources of which it is not known how they go together: no channel is at fault."""
+        """Label samples v (N, c) of sources whose alignment is not known: no channel is at fault."""
         m = self._inputs
         fault = SensorFault("", Reason.REALIGNING)
         return Labelled(

@@ -1,4 +1,4 @@
-"""Health assessment of sources: of all that is counted about one, an event an episode, with the most telling cause.
+"""Health assessment of sources: of all counted about one, an event an episode, with the most telling cause.
 
 A source that fails does so in several ways at once: a broken frame is refused, and leaves a gap. What is
 counted within a moment of the first sign is one episode, told once, and over when nothing was counted for a
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from agent.types import Reason
 
 SETTLE_NS = 250_000_000
-"""For how long signs are gathered before the cause is named: a device that began anew shows late samples first."""
+"""How long signs gather before the cause is named: a device that began anew shows late samples first."""
 QUIET_NS = 1_000_000_000
 """An episode is over when nothing was counted for so long."""
 RESTART, GAP = "restart", "gap"
@@ -75,7 +75,7 @@ class SourceEvents:
         episode.newest_ns, episode.said, episode.away = now_ns, True, away
 
     def step(self, source: str, signs: Signs, now_ns: int) -> tuple[str, int] | None:
-        """Take the counts as they are after a block; return a cause and how often it was counted, where it is due."""
+        """Take the counts after a block; return a cause and how often it was counted, where it is due."""
         ranked = signs.ranked()
         episode = self._episodes.get(source)
         if episode is None:

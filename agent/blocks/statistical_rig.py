@@ -137,7 +137,7 @@ def _pushed_states(model: AffineModel) -> _Pushed:
 
 
 def _pushed_elements(config: RigConfig, model: DescriptorModel) -> _Pushed:
-    """Put unknown efforts, and what keeps energy and is known as well as its data sheet says, into a template."""
+    """Put unknown efforts, and what keeps energy, known as well as its data sheet says, into a template."""
     known = sheets_of(config)
     stores = tuple(n for n in model.constants if known.get(n, 0.0) > 0 and n not in model.parameters)
     pushed = model if _is_white(config) else with_forces(model)
@@ -165,7 +165,7 @@ def _with_state_forces(model: AffineModel) -> AffineModel:
 
 
 def _sizes(model: Model) -> FloatArray:
-    """Return (q,) what stands for the size of a parameter that is 0 and has no limit: 1, or a share of its matrices."""
+    """Return sizes (q,) to take for parameters of 0 without a limit: 1, or a share of their matrices."""
     if isinstance(model, SensedModel):
         return np.concatenate([_sizes(model.model), np.ones(len(model.nuisances))])
     if not isinstance(model, AffineModel):
@@ -202,7 +202,7 @@ def _is_separable(config: RigConfig, model: SensedModel, constant: Constant) -> 
 
 
 def sheets_of(config: RigConfig) -> dict[str, float]:
-    """Return the standard deviations of the logarithms of masses, or of what keeps energy, by their data sheets."""
+    """Return the sds of the logarithms of masses, or of what keeps energy, by their data sheets."""
     if isinstance(config.model, Domain):
         return {name: percent / 100 for name, percent in config.model.sd_percent.items()}
     if isinstance(config.model, MechanicsModel):
@@ -211,7 +211,7 @@ def sheets_of(config: RigConfig) -> dict[str, float]:
 
 
 def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, ...]:
-    """Return the constants that the data sheets leave open: masses, gains of outputs and inputs, the inputs' delay."""
+    """Return the constants the data sheets leave open: masses, output and input gains, the inputs' delay."""
     sheets = sheets_of(config)
     wanted = set(estimated(config))
     # masses and forces times c, motions by c, are the same readings where no motion's gain is known
@@ -229,7 +229,7 @@ def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, 
 
 
 def _rubbings(config: RigConfig, pushed: _Pushed) -> tuple[Rubbing, ...]:
-    """Where dry friction may act that the model has no term for: across each damper between places that weigh."""
+    """Where dry friction may act without a model term: across each damper between places that weigh."""
     if not isinstance(config.model, MechanicsModel) or not pushed.pushes:
         return ()
     states, places = pushed.model.state_names, pushed.pushes
@@ -267,7 +267,7 @@ def _has_known_mass(config: RigConfig) -> bool:
 
 
 def _delay_samples(config: RigConfig) -> float:
-    """Data-sheet sd of the inputs' delay, samples: 0 beside dry friction, which a delay would be taken for."""
+    """Data-sheet sd of the inputs' delay, samples: 0 beside dry friction, which a delay would look like."""
     if _has_friction(config) or not config.inputs or config.estimator.hold != "first":
         return 0.0
     stated = [c.delay_sd_s for c in config.inputs if c.delay_sd_s is not None]

@@ -1,1 +1,1 @@
-"""The command line: one file a group of commands, and what they share. Imported by nothing but `agent.__main__`."""
+"""The command line: one file a command group, and what they share. Imported only by `agent.__main__`."""

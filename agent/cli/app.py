@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="deltak",
     cls=CommandGroup,
-    help="Estimate stiffness and damping of a structure over its field bus, and alarm when they leave their limits.",
+    help="Estimate stiffness and damping of a structure over its field bus, and alarm when they leave "
+    "their limits.",
     epilog="Exit codes: 0 done, 1 unforeseen, 2 usage or configuration, 3 database, 4 bus, 130 interrupted.",
     add_completion=True,
     rich_markup_mode=None,
@@ -211,7 +212,10 @@ def reload(agent: Agent = None, json: Json = False) -> None:
     _answer(commands_status.reload(agent), commands_status.print_reload, as_json=json)
 
 
-@app.command()
+@app.command(
+    help="Bundle what support needs: configuration without secrets, log, ledgers, "
+    "versions, status, raw samples."
+)
 def diag(
     agent: Agent = None,
     to: Annotated[Path, typer.Option(metavar="FILE.tar.gz", help="The bundle to write.")] = Path(
@@ -219,7 +223,7 @@ def diag(
     ),
     json: Json = False,
 ) -> None:
-    """Bundle what support needs: configuration without secrets, log, ledgers, versions, status, raw samples."""
+    """Bundle what support needs."""
     from agent.cli.gateway import diag as commands_diag
 
     _answer(commands_diag.diag(agent, to), commands_diag.print_diag, as_json=json)
@@ -291,7 +295,10 @@ def identify(
         raise typer.Exit(commands_identify.report_refusal(document))
 
 
-@app.command()
+@app.command(
+    help="Hold window-ml against other methods on a recording: "
+    "estimates, prediction of what was not seen, cost."
+)
 def compare(
     config: Config,
     recording: Annotated[
@@ -304,7 +311,7 @@ def compare(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Hold window-ml against other methods on a recording: estimates, prediction of what was not seen, cost."""
+    """Hold window-ml against other methods on a recording."""
     from agent.cli import compare as commands_compare
     from agent.evaluation.compare import compare as body
 
@@ -573,9 +580,12 @@ def records(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False)
     commands_queries.records(db, rig, _form(json=json, csv=csv))
 
 
-@app.command()
+@app.command(
+    help="List what is believed of a rig's constants: "
+    "a mass, a sensor's gain, a delay that is not as configured."
+)
 def verdicts(db: Database, rig: Rig = None, json: Json = False, csv: Csv = False) -> None:
-    """List what is believed of a rig's constants: a mass, a sensor's gain, a delay that is not as configured."""
+    """List what is believed of a rig's constants."""
     from agent.cli import queries as commands_queries
 
     commands_queries.verdicts(db, rig, _form(json=json, csv=csv))
@@ -616,7 +626,10 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
     commands_trend.trend(db, parameter, rig, (since, until), limit, form, plot, ahead)
 
 
-@app.command()
+@app.command(
+    help="Tell which parts of many machines change fastest and which reach a limit; "
+    "learn: what like machines teach."
+)
 def fleet(
     files: Annotated[
         list[Path],
@@ -636,7 +649,7 @@ def fleet(
     limit: Annotated[float | None, typer.Option(metavar="V", help="With learn: where lives end.")] = None,
     json: Json = False,
 ) -> None:
-    """Tell which parts of many machines change fastest and which reach a limit; learn: what like machines teach."""
+    """Tell which parts of many machines change fastest and which reach a limit."""
     from agent.cli.prognosis import fleet as commands_fleet
 
     if str(files[0]) == "learn":
@@ -815,7 +828,11 @@ baseline = typer.Typer(
 app.add_typer(baseline, name="baseline")
 
 
-@baseline.command("learn")
+@baseline.command(
+    "learn",
+    help="Learn references and their spread from the valid rows of a healthy stretch; "
+    "rows count from them at once.",
+)
 def baseline_learn(
     place: Place,
     rig: Rig = None,
@@ -829,7 +846,7 @@ def baseline_learn(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Learn references and their spread from the valid rows of a healthy stretch; rows count from them at once."""
+    """Learn references and their spread from the valid rows of a healthy stretch."""
     from agent.cli.commissioning import baseline as commands_baseline
     from agent.commissioning.baseline import learn as body
     from agent.commissioning.progress import on_terminal

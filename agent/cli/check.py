@@ -13,7 +13,7 @@ Document = Mapping[str, Any]
 
 
 def print_check(document: Document) -> None:
-    """Print observability, poles, conditions, the sd to expect, warnings; what the document lacks is left out."""
+    """Print observability, poles, conditions, expected sds, warnings; what the document lacks is left out."""
     given = defaultdict(list[Any], {key: value for key, value in document.items() if value is not None})
     if given["ok"]:
         identified = "observable" in given
@@ -96,12 +96,17 @@ def _print_region(region: Document | None) -> None:
 def _print_paper(found: Document | None, passes: Document | None) -> None:
     if found:
         exists, ranks, special = found["condition_11"], found["condition_12"], found["condition_15"]
-        left = f"{100 * exists['defect_states']:.3g} % of (10) for the states, {100 * exists['defect_outputs']:.3g} %"
-        show(
-            f"condition (11) over the last {found['window_s']:g} s: no one matrix explains {left} for the outputs"
+        left = (
+            f"{100 * exists['defect_states']:.3g} % of (10) for the states, "
+            f"{100 * exists['defect_outputs']:.3g} %"
         )
         show(
-            f"condition (12): rank {ranks['rank']} of the states, {ranks['rank_joined']} with what they are to explain"
+            f"condition (11) over the last {found['window_s']:g} s: "
+            f"no one matrix explains {left} for the outputs"
+        )
+        show(
+            f"condition (12): rank {ranks['rank']} of the states, "
+            f"{ranks['rank_joined']} with what they are to explain"
         )
         one = f"for one sample alone Z = 0 leaves {100 * special['defect_of_one_sample']:.3g} %"
         over = (
@@ -113,7 +118,8 @@ def _print_paper(found: Document | None, passes: Document | None) -> None:
     if passes:
         reach = "reach" if passes["converges"] else "do not reach"
         show(
-            f"re-centred passes {reach} the right parameters: each step is {number(passes['ratio'])} of the last"
+            f"re-centred passes {reach} the right parameters: "
+            f"each step is {number(passes['ratio'])} of the last"
         )
 
 

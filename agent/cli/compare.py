@@ -35,8 +35,9 @@ def print_compared(document: Document) -> None:
     for name, why in document["skipped"].items():
         show(f"{name} does not apply: {why}")
     show(
-        f"prediction: what {document['windows']} windows of {number(document['window_s'], 3)} s leave that each method "
-        "had not seen, in standard deviations of the sensors' noise (1 is the noise itself) and of the motion"
+        f"prediction: what {document['windows']} windows of {number(document['window_s'], 3)} s leave "
+        "that each method had not seen, in standard deviations of the sensors' noise "
+        "(1 is the noise itself) and of the motion"
     )
 
 
@@ -47,7 +48,7 @@ def _estimate(row: Document) -> str:
 
 
 def draw(document: Document, rows: Mapping[str, Estimates], path: Path) -> None:
-    """Draw every method's estimates over time. Raises UsageError without matplotlib or a place for the file."""
+    """Draw each method's estimates over time. Raises UsageError without matplotlib or a place to write."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -69,7 +70,7 @@ def draw(document: Document, rows: Mapping[str, Estimates], path: Path) -> None:
 
 
 def _draw_parameter(axis: Any, rows: Mapping[str, Estimates], column: int, samples: int) -> None:
-    """Draw one parameter; the view is where the later half of the estimates lies, a start that swings is cut off."""
+    """Draw one parameter; the view is where the later half of estimates lies, a swinging start is cut off."""
     seen = []
     for name, found in rows.items():
         some = np.unique(np.linspace(0, len(found.index) - 1, min(len(found.index), POINTS)).astype(int))

@@ -61,7 +61,7 @@ def backup(db: Path, target: Path, *, as_json: bool) -> None:
 
 
 def export(db: Path, what: str, rig: str | None, to: Path | None) -> None:
-    """Write a view as CSV to stdout or a file, or as Parquet where the file's name ends so. Raises UsageError."""
+    """Write a view as CSV to stdout or a file, as Parquet where its name ends so. Raises UsageError."""
     if what not in EXPORTS:
         raise UsageError.at("WHAT", f'"{what}" cannot be exported', f"{', '.join(EXPORTS)} can")
     if to is None:

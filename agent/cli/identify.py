@@ -1,4 +1,4 @@
-"""`deltak identify`: what was found of a rig, as sentences, and predicted against measured motion as a picture."""
+"""`deltak identify`: findings of a rig as sentences, and predicted against measured motion as a picture."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +18,7 @@ DRAWN = 4000
 
 
 def print_identified(document: Document) -> None:
-    """Print values with intervals, what could not be known, what is unexplained, and what a file was given."""
+    """Print values with intervals, what cannot be known, what is unexplained, and what a file was given."""
     columns = ("parameter", "value", "unit", "95 %", "")
     rows = (
         (
@@ -54,8 +54,12 @@ def _print_graphs(document: Document) -> None:
     rows = (
         (", ".join(row["elements"]), number(row["score"], 4), _standing(row)) for row in document["graph"]
     )  # fmt: skip
-    print_table("graphs: score is a log likelihood, less what each element costs", ("elements", "score", ""), rows,
-                right=("score",))  # fmt: skip
+    print_table(
+        "graphs: score is a log likelihood, less what each element costs",
+        ("elements", "score", ""),
+        rows,
+        right=("score",),
+    )
     if document["graph_changed"]:
         show("the graph chosen is not the file's; under [model] it would be:")
         for line in document["toml"]:
@@ -74,7 +78,7 @@ def report_refusal(document: Document) -> int:
 
 
 def draw(document: Document, seen: Explained, path: Path) -> None:
-    """Draw predicted against measured motion. Raises UsageError where matplotlib or a place for the file is missing."""
+    """Draw predicted against measured motion. Raises UsageError without matplotlib or a place to write."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -31,7 +31,7 @@ TABLE_ROWS = 40
 def estimates(
     db: Path, rig: str | None, parameter: str | None, since: str | None, until: str | None, form: str
 ) -> None:
-    """Print the estimates of a file. Raises StoreError; UsageError for a rig, parameter or time that makes no sense."""
+    """Print a file's estimates. Raises StoreError; UsageError for a senseless rig, parameter or time."""
     rows = queries.estimates(db, rig, parameter, since, until)
     if form == "table":
         _print_estimate_table(rows)

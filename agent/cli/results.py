@@ -28,7 +28,8 @@ def print_demo(document: Document) -> None:
     """Print what the agent found beside what was played."""
     show(f"{document.get('bus', '')}, scenario {document.get('scenario', '')}: {_span(document)}")
     show(
-        "A simulated rig wore in steps; the agent, another process, knew its drawing and what came over the bus."
+        "A simulated rig wore in steps; the agent, another process, "
+        "knew its drawing and what came over the bus."
     )
     for segment in document.get("truth", []):
         _print_segment(segment, _units(document))
@@ -123,7 +124,8 @@ def _print_delays(document: Document) -> None:
         else:
             lag = number(delay.get("delay_s"), 4)
             show(
-                f"{delay['parameter']} changed at {number(changed)} s: alarm at {number(raised)} s, {lag} s later"
+                f"{delay['parameter']} changed at {number(changed)} s: "
+                f"alarm at {number(raised)} s, {lag} s later"
             )
 
 

@@ -14,7 +14,7 @@ _COLUMNS = ("scenario", "", "error rms / sd", "covered %", "delay s", "missed", 
 
 
 def progress() -> Callable[[str, float], None]:
-    """Return what shows how far a scenario has been played, in one line; it shows nothing without a terminal."""
+    """Return what shows how far a scenario has been played, in one line; nothing without a terminal."""
     if not sys.stderr.isatty():
         return lambda _name, _share: None
     return _show_progress

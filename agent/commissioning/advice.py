@@ -82,7 +82,7 @@ def _windows(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
 def _predicted(
     config: RigConfig, rig: RigModel, predicted: Sequence[Prediction], recorded: Recorded | None
 ) -> Iterator[Fault]:
-    """Warn where the sd to expect is above what can be judged, with the window or the force that would mend it."""
+    """Warn where the sd to expect is above what can be judged, with the window or force that mends it."""
     rate = config.rig.sample_rate_hz
     for prediction in predicted:
         for parameter, sd, limit in zip(
@@ -121,7 +121,10 @@ def _observer(config: RigConfig) -> Iterator[Fault]:
     gain = config.estimator.observer.gain
     denies_forces = config.estimator.observer.process_sd == 0
     if config.estimator.method == "window-ml" and gain != "auto" and not denies_forces:
-        what = f'gain = "{gain}" changes nothing: with method = "window-ml" the estimates are the same under every gain'
+        what = (
+            f'gain = "{gain}" changes nothing: '
+            'with method = "window-ml" the estimates are the same under every gain'
+        )
         yield Fault("estimator.observer", what, 'remove it, or take method = "seed", which is made of it')
 
 
@@ -129,12 +132,15 @@ def _noise(config: RigConfig) -> Iterator[Fault]:
     for number, channel in enumerate(config.channel):
         if not channel.is_input and channel.noise_sd is None:
             what = f"{channel.name}: noise_sd is not given"
-            advice = "it is learnt from the first window that fits, which must not be one in which something changes"
+            advice = (
+                "it is learnt from the first window that fits, "
+                "which must not be one in which something changes"
+            )
             yield Fault(f"channel[{number}]", what, advice)
 
 
 def _units(config: RigConfig) -> Iterator[Fault]:
-    """Warn of units that are none but look like one: they are kept as text, and carried into every parameter."""
+    """Warn of units that are none but look like one: they are kept as text and carried into parameters."""
     for number, channel in enumerate(config.channel):
         if meant := near_miss(channel.quantity, channel.unit):
             what = f'{channel.name}: "{channel.unit}" is no unit that is known; it is kept as it is'
@@ -157,7 +163,10 @@ def _clocks(config: RigConfig) -> Iterator[Fault]:
     """Warn where a source has nothing of what the rig's clock orders samples by."""
     misses = "no counter" if config.rig.clock == "counter" else "no time stamps"
     for number in unordered_sources(config):
-        what = f'{config.source[number].name} has {misses}, but clock = "{config.rig.clock}": lost samples are not seen'
+        what = (
+            f'{config.source[number].name} has {misses}, but clock = "{config.rig.clock}": '
+            "lost samples are not seen"
+        )
         yield Fault(f"source[{number}]", what, 'name its counter, or set clock = "arrival"')
 
 

@@ -1,4 +1,4 @@
-"""Channels of which readings show without any model that something is wrong: they never move, or are another's copy."""
+"""Channels whose readings show without a model that something is wrong: they never move, or copy another."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -16,7 +16,7 @@ from agent.types import FloatArray
 
 
 def plain_findings(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
-    """Return what is suspected of readings v (N, c), inputs first; a rig of which nothing moves is not suspected."""
+    """Return what is suspected of readings v (N, c), inputs first; a rig at rest is not suspected."""
     y = v[:, len(config.inputs) :]
     # at rest a coarse sensor may well read the same while a fine one shows its noise
     if not np.any(y.std(axis=0) > STILL * np.maximum(sensor_noise(y), ROUND_OFF * np.abs(y).max(axis=0))):
@@ -37,7 +37,10 @@ def _still(config: RigConfig, v: FloatArray) -> Iterator[dict[str, Any]]:
     for channel, values in zip(config.outputs, v[:, len(config.inputs) :].T, strict=True):
         if not np.ptp(values):
             where = f"{number(float(values[0]), 4)} {channel.si_unit}"
-            said = f"{channel.name} never moves: it reads {where} from the first sample to the last, while others move"
+            said = (
+                f"{channel.name} never moves: it reads {where} from the first sample to the last, "
+                "while others move"
+            )
             yield suspicion("still", [channel.name], said)
 
 

@@ -55,7 +55,7 @@ _NOTHING: dict[str, Any] = {
 def check(
     *, config: Path, recording: Path | None, probe: bool, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Check a configuration; return the document of CONTRACT section 8, with "ok" false and every fault in "errors".
+    """Check a configuration; return the CONTRACT section 8 document, "ok" false and all faults in "errors".
 
     Args:
         config: the file.
@@ -219,7 +219,7 @@ def _condition_8(config: RigConfig, rig: RigModel, discrete: Discrete, gain: Flo
 
 
 def _region(config: RigConfig, rig: RigModel, gain: FloatArray) -> dict[str, Any]:
-    """Evaluate (3) and observability wherever the parameters may be before an alarm: the worst point of each."""
+    """Evaluate (3) and observability wherever parameters may be before an alarm: the worst point of each."""
     period_s = 1.0 / config.rig.sample_rate_hz
     model, nominal = rig.model, rig.model.nominal
     measures = {"radius_model": radius_of_model(model, period_s), "observability": hidden_mode(model)}
@@ -239,7 +239,7 @@ def _region(config: RigConfig, rig: RigModel, gain: FloatArray) -> dict[str, Any
 
 
 def _box(rig: RigModel) -> dict[str, Any] | None:
-    """The polytopic margin in shares of the alarm limits; None without the design tools or where it cannot be had.
+    """The polytopic margin in shares of alarm limits; None without design tools or where it cannot be had.
 
     Raises ValueError for more parameters than it can be had for: what is left out is said.
     """

@@ -1,4 +1,4 @@
-"""Predicted against measured motion: the model runs free through each window, and what it leaves is unexplained."""
+"""Predicted against measured motion: the model runs free through windows; what it leaves is unexplained."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Explained:
 def explained(
     config: RigConfig, theta: FloatArray, records: Sequence[Recorded], window: int, noise: FloatArray
 ) -> Explained:
-    """Run the model at theta (q,) through every window, from the state that its readings show; noise (p,) in SI."""
+    """Run the model at theta (q,) through every window, from the state its readings show; noise (p,), SI."""
     hold = straight(config.estimator.hold)
     discrete = discretise(rig_model(config).model.continuous(theta), 1.0 / config.rig.sample_rate_hz, hold)
     measured, predicted = [], []
@@ -53,7 +53,7 @@ def explained(
 
 
 def free_run(discrete: Discrete, y: FloatArray, u: FloatArray) -> FloatArray:
-    """Return outputs (W, p) under inputs u (W, m) from the state at which they are nearest to what was measured."""
+    """Return outputs (W, p) under inputs u (W, m) from the state that fits the measurement best."""
     n = discrete.model.n
     _, forced = simulate(discrete, np.zeros(n), u)
     free = np.array([simulate(discrete, unit, np.zeros_like(u))[1].ravel() for unit in np.eye(n)]).T

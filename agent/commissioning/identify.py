@@ -1,4 +1,4 @@
-"""`deltak identify`: the elements of the configured graph from recordings; no nominal is needed, none is trusted.
+"""`deltak identify`: elements of the configured graph from recordings; no nominal is needed, none is trusted.
 
 recordings -> weak form (a start from nothing) -> all windows joined by the estimator's likelihood -> free run
 -> values or a refusal. Equations and limits are in docs/identify.md.
@@ -38,12 +38,12 @@ from agent.text import percent
 from agent.types import FloatArray
 
 PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
-"""Periods of the slowest mode in a window, windows of all recordings where they allow, most samples of a window."""
+"""Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
 SHORTEST = 128
 UNEXPLAINED = 0.02
 """Share of a motion, its sensor's noise taken off, beyond which the graph is not the machine's."""
 PULLED = 5.0
-"""Standard deviations of its data sheet beyond which a mass or gain that the data ask for is no mass or gain."""
+"""Data-sheet standard deviations beyond which a mass or gain that the data ask for is no mass or gain."""
 VAGUE = 0.33
 """Sd, as a share of the value, above which a parameter is not known."""
 INSEPARABLE = 0.95
@@ -56,7 +56,7 @@ LOOK_FOR = "look for an element, a force or a mass that the graph lacks, or for 
 
 @dataclass(frozen=True)
 class Found:
-    """Everything that was found: the configuration with it, the rig's parameters, windows, and what they explain."""
+    """Everything found: the configuration with it, the rig's parameters, windows, and what they explain."""
 
     config: RigConfig
     rig: RigModel
@@ -138,7 +138,10 @@ def require_motion_sensors(config: RigConfig) -> None:
     """Refuse what the weak form cannot begin with: a guess would be no identification."""
     names, nodes = hidden(mechanics(config))
     if names:
-        what = f"{', '.join(names)} cannot be started: no displacement or velocity of {', '.join(nodes)} is measured"
+        what = (
+            f"{', '.join(names)} cannot be started: "
+            f"no displacement or velocity of {', '.join(nodes)} is measured"
+        )
         raise ModelError.at(
             "channel", what, f"measure the displacement of {', '.join(nodes)}, or state these nominals"
         )
@@ -163,7 +166,7 @@ def read_records(config: RigConfig, recordings: Material, progress: Progress) ->
 
 
 def noise_of_sensors(config: RigConfig, records: Sequence[Recorded]) -> FloatArray:
-    """Noise of each output (p,), SI: as the high frequencies show it, else as stated, else the digits of a sensor."""
+    """Noise of each output (p,), SI: as high frequencies show it, else as stated, else a sensor's digits."""
     stated = np.array([(c.noise_sd or 0.0) * c.si_factor for c in config.outputs])
     seen = np.median([record.noise for record in records], axis=0)
     spread = np.max([record.y.std(axis=0) for record in records], axis=0)
@@ -179,7 +182,7 @@ def pieces_of(records: Sequence[Recorded]) -> list[tuple[FloatArray, FloatArray]
 
 
 def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
-    """Return the configuration with the start of the weak form for nominals. Raises ModelError, RecordingError."""
+    """Return the configuration with the weak form's start for nominals. Raises ModelError, RecordingError."""
     model = mechanics(config)
     sigma = noise_of_sensors(config, records)
     pieces = pieces_of(records)
@@ -252,7 +255,7 @@ def joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) ->
 def pool(
     begun: RigConfig, records: Sequence[Recorded], window: int, progress: Progress
 ) -> tuple[Pooled, RigConfig, int]:  # fmt: skip
-    """Join all windows of so many samples; return what they say, the configuration used, and how many there are."""
+    """Join all windows of so many samples; return what they say, the configuration used, and their number."""
     config, settings, windows = windowed(begun, records, window)
     noise = noise_of_sensors(config, records)
     known = np.isfinite(settings.sigma)
@@ -286,7 +289,7 @@ def windowed(
 
 
 def _weighed(config: RigConfig, said: Pooled, constants: Sequence[Constant]) -> RigConfig:
-    """Return the configuration with masses as the data have them: the values were found together with these."""
+    """Return the configuration with masses as the data have them: the values were found with these."""
     masses = (
         {mass.name: mass.value for mass in config.model.mass}
         if isinstance(config.model, MechanicsModel)

@@ -1,4 +1,4 @@
-"""Tuned numbers of commissioning: name, value, unit in the name or in the words, where from, and what needs it.
+"""Tuned numbers of commissioning: name, value, unit in the name or the words, where from, and what needs it.
 
 The tests that need these are tests/unit/commissioning (checks, channels, observer).
 """

@@ -1,4 +1,4 @@
-"""Channels that look swapped, turned round, mis-scaled or late: what the model makes of a recording, in words."""
+"""Channels that look swapped, reversed, mis-scaled or late: what the model makes of a recording, in words."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,7 +26,7 @@ Progress = Callable[[str], None]
 def findings(
     config: RigConfig, v: FloatArray, pieces: Sequence[tuple[int, int]], progress: Progress
 ) -> list[dict[str, Any]]:
-    """Return what is suspected of readings v (N, c), inputs first, with uninterrupted pieces as (first, end) rows.
+    """Return suspicions of readings v (N, c), inputs first, with uninterrupted pieces as (first, end) rows.
 
     What is plain without a model comes first. Of the rest one fault at a time: two that spoil each other's
     explanation are found one after the other, if at all.
@@ -48,7 +48,7 @@ def findings(
 
 
 def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
-    """Return the channel of which one constant, left free, explains readings v (N, c), inputs first, and how."""
+    """Return the channel whose one constant, left free, explains readings v (N, c), inputs first, and how."""
     examiner = _examiner(config, lambda _done, _all: None)
     asked = ConstantsAsked(
         model=examiner.model, inputs=examiner.inputs, period_s=examiner.period_s, hold=examiner.hold,
@@ -73,7 +73,10 @@ def _asked_words(asked: Asked, channel: Channel, drives: bool) -> str:
     name = channel.name
     if asked.kind == "offset":
         where = f"{number(abs(asked.size), 3)} {channel.si_unit} too {'high' if asked.size > 0 else 'low'}"
-        return f"{name} reads {where}, as if never zeroed: zero it, correct its offset, or set bias = true on that channel"
+        return (
+            f"{name} reads {where}, as if never zeroed: "
+            "zero it, correct its offset, or set bias = true on that channel"
+        )
     if asked.kind == "delay":
         late = "late" if asked.size > 0 else "early"
         whose = "that channel" if asked.size > 0 else "the others"
@@ -85,8 +88,8 @@ def _asked_words(asked: Asked, channel: Channel, drives: bool) -> str:
         return f"{name} reads {number(asked.size, 3)} times what moves there: correct its scale"
     other = number(1.0 / asked.size, 3)
     return (
-        f"{name} reads {number(asked.size, 3)} times what the motion asks for, or all that moves reads {other} times "
-        "what it should: correct the scale that is wrong"
+        f"{name} reads {number(asked.size, 3)} times what the motion asks for, "
+        f"or all that moves reads {other} times what it should: correct the scale that is wrong"
     )
 
 

@@ -1,4 +1,4 @@
-"""Nominal values in a configuration: put into it, and written into its file with the smallest edit of the text."""
+"""Nominal values in a configuration: put into it, and written to its file with the smallest text edit."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -14,7 +14,7 @@ KEYS = {"mass": "value", "spring": "nominal", "damper": "nominal", "friction": "
 
 
 def with_nominals(config: RigConfig, values: Mapping[str, float]) -> RigConfig:
-    """Return a configuration in which elements and masses have these values; names of others are passed over."""
+    """Return a configuration whose elements and masses have these values; names of others are passed over."""
     model = config.model
     if not isinstance(model, MechanicsModel):
         raise TypeError("not a mass-spring-damper model")

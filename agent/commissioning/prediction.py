@@ -1,4 +1,4 @@
-"""The standard deviations that a rig's windows can be expected to give: the Cramer-Rao bound under an excitation."""
+"""Standard deviations to expect of a rig's windows: the Cramer-Rao bound under an excitation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -62,7 +62,7 @@ class Prediction:
 
 
 def sampled(config: RigConfig, rig: RigModel) -> Discrete:
-    """Return the nominal model as the estimator samples it, but for a polynomial hold, which differs by little."""
+    """Return the nominal model as the estimator samples it, save a polynomial hold, which differs little."""
     continuous = rig.model.continuous(rig.model.nominal)
     return discretise(continuous, 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold))
 
@@ -119,7 +119,7 @@ def _expected(
 
 
 def assumed_excitation(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
-    """Return what moves a rig of which nothing is recorded: a white force, or a free decay where nothing drives it."""
+    """Return what moves a rig without a recording: a white force, or a free decay where nothing drives it."""
     if not config.inputs:
         return _decay(config, discrete, rig, longest)
     rng = np.random.default_rng(0)
@@ -248,5 +248,7 @@ def rows(predicted: Sequence[Prediction], config: RigConfig, rig: RigModel) -> l
             "unit": parameter.unit, "assumes": found.assumes,
         }
         for found in predicted
-        for parameter, sd, repeat in zip(rig.parameters, found.sd.tolist(), found.sd_repeat.tolist(), strict=True)
+        for parameter, sd, repeat in zip(
+            rig.parameters, found.sd.tolist(), found.sd_repeat.tolist(), strict=True
+        )
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""`deltak check --probe`: the sources of a rig are opened and listened to for some seconds; nothing is stored."""
+"""`deltak check --probe`: a rig's sources are opened and listened to for some seconds; nothing is stored."""
 
 import threading
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ def _listen(
 
 
 def _turn(gathering: Gathering, connections: Sequence[Connection], received: set[str]) -> None:
-    """Hand on what has arrived, in order of arrival; note which sources were heard, raise for those that cannot be."""
+    """Hand on what has arrived, in order; note which sources were heard, raise for those that cannot be."""
     taken = [(connection, *connection.take()) for connection in connections]
     for connection in connections:
         gathering.counts |= {use.source: connection.counts for use in connection.uses}

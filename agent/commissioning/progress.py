@@ -11,7 +11,10 @@ def silent(_words: str) -> None:
 
 
 def on_terminal() -> Progress:
-    """Return what writes words over the words before; an empty text clears the line. Silent without a terminal."""
+    """Return what writes words over the words before; an empty text clears the line.
+
+    It is silent without a terminal.
+    """
     return _show if sys.stderr.isatty() else silent
 
 

@@ -1,4 +1,4 @@
-"""Readings gathered for commissioning, from a recording or from the sources themselves, and what each channel shows."""
+"""Readings gathered for commissioning, from a recording or the sources, and what each channel shows."""
 
 from collections import Counter
 from collections.abc import Sequence

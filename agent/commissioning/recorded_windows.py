@@ -1,4 +1,4 @@
-"""What windows of a recording leave open, and what the paper's conditions and its re-centring come to there."""
+"""What windows of a recording leave open, and what the paper's conditions and re-centring come to there."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -168,6 +168,9 @@ def recentring_faults(found: Mapping[str, Any] | None) -> list[Fault]:
     """Warn where passes do not reach the right parameters."""
     if found is None or found["converges"]:
         return []
-    what = f"re-centred passes do not reach the right parameters: a step is {found['ratio']:.4g} of the one before"
+    what = (
+        "re-centred passes do not reach the right parameters: "
+        f"a step is {found['ratio']:.4g} of the one before"
+    )
     advice = 'take faster poles, measure more states, or method = "window-ml"; rows will say diverged'
     return [Fault("estimator.method", what, advice)]

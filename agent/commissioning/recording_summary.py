@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 @dataclass
 class Material:
-    """What a rig is identified from: recordings, and what its sources deliver for some seconds, listened to once."""
+    """What a rig is identified from: recordings, and what its sources deliver in some seconds, heard once."""
 
     paths: Sequence[Path]
     probe_s: float | None = None

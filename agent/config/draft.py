@@ -95,7 +95,7 @@ class Draft:
 
     @property
     def defaults(self) -> tuple[str, ...]:
-        """The parameters that are estimated when nothing is said: all but masses, and what keeps energy as they do."""
+        """The parameters estimated by default: all but masses, and what keeps energy as they do."""
         kinds = ("spring", "damper", "linear", "element")
         return tuple(name for name, parameter in self.parameters.items() if parameter.kind in kinds)
 
@@ -120,7 +120,7 @@ class Draft:
 
     @property
     def hold(self) -> Literal["first", "zero", "cubic", "quintic"]:
-        """How inputs run between samples: as configured, or from one sample to the next of a discrete model."""
+        """How inputs run between samples: as configured, or from sample to sample of a discrete model."""
         return "zero" if self.is_discrete else self.estimator.hold
 
     @property

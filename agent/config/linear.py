@@ -22,7 +22,7 @@ class State(Table):
 
 
 class LinearParameter(Table):
-    """A parameter of a linear model: A(θ) = A + Σ (θ - nominal) dA, B, C, D likewise; a matrix left out is zero."""
+    """A linear model's parameter: A(θ) = A + Σ (θ - nominal) dA, B, C, D likewise; omitted ones are zero."""
 
     name: Asked
     nominal: Number
@@ -39,7 +39,7 @@ class LinearParameter(Table):
 
 
 class LinearModel(Table):
-    """x' = A x + B u, y = C x + D u, x' the derivative or the next state; the channels are its inputs and outputs.
+    """x' = A x + B u, y = C x + D u, x' the derivative or next state; channels are its inputs and outputs.
 
     uncertain: entries such as "A[0,1]" (counted from zero) or whole matrices, each entry a parameter of that
     name. rate_hz: at which a model in discrete time was sampled.
@@ -71,7 +71,7 @@ class LinearModel(Table):
         return tuple(given) or tuple(f"state {i + 1}" for i in range(len(self.A or ())))
 
     def entries(self, text: str) -> Iterator[tuple[str, int, int]]:
-        """Yield matrix, row and column of what an uncertain text names; nothing where the matrices have no such."""
+        """Yield matrix, row and column of what an uncertain text names; nothing if the matrices lack it."""
         match = ENTRY.fullmatch(text)
         if match is not None:
             found = match["matrix"], int(match["row"]), int(match["column"])

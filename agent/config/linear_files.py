@@ -1,4 +1,4 @@
-"""Matrices of a linear model that stand in files: { file = "plant.mat", name = "A" } becomes lists of numbers."""
+"""Matrices of a linear model in files: { file = "plant.mat", name = "A" } becomes lists of numbers."""
 
 import hashlib
 import zipfile
@@ -24,7 +24,7 @@ class _UnreadableError(ValueError):
 
 
 def with_matrices(raw: Mapping[str, Any], folder: Path, faults: Faults) -> tuple[dict[str, Any], list[str]]:
-    """Return a raw [model] with the numbers in the place of files, and the SHA-256 of each file that was read.
+    """Return a raw [model] with numbers in the place of files, and the SHA-256 of each file that was read.
 
     A matrix that cannot be read is empty in what is returned, and noted with its key path.
     """

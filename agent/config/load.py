@@ -88,7 +88,7 @@ def parse(data: bytes, file: Path, *, identified: bool = False) -> RigConfig:
 
 
 def load_many(paths: Iterable[str | Path]) -> tuple[RigConfig, ...]:
-    """Read the configurations of one agent: rigs differ in name, and those of one store agree on all of [store].
+    """Read the configurations of one agent: rigs differ in name, and those of one store agree on [store].
 
     Raises ConfigError with every fault of every file, each path led by its file where there are several.
     """
@@ -129,7 +129,7 @@ def _conflicts(configs: list[RigConfig]) -> list[Fault]:
 
 
 def _other_targets(config: RigConfig, first: RigConfig) -> list[Fault]:
-    """Return a fault for each target and consumer that is another one in a configuration that shares the store."""
+    """Return a fault for each target and consumer that differs in a configuration that shares the store."""
     faults = []
     for table, what in (("notify", "target"), ("north", "consumer")):
         known = {one.name: one for one in getattr(first, table)}
@@ -186,7 +186,7 @@ def _check_names(raw: Mapping[str, Any], faults: Faults) -> None:
 
 
 def _without_later(raw: Mapping[str, Any], draft: Draft) -> dict[str, Any]:
-    """Complain of values that a later version brings and take them out, so that nothing else complains of them."""
+    """Complain of values of a later version and take them out, so that nothing else complains of them."""
     kept = dict(raw)
     for (table, key), values in LATER.items():
         rows = kept.get(table)
@@ -280,7 +280,7 @@ def _placed(metrics: Metrics, folder: Path) -> Metrics:
 
 
 def _store_path(path: Path) -> Path:
-    """Return the one name of a database, however its folder is written: who writes the same file shares a writer."""
+    """Return the one name of a database, however its folder is written: one file has one writer."""
     return Path(os.path.realpath(path.parent)) / path.name
 
 

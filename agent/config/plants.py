@@ -1,4 +1,4 @@
-"""Plants of other libraries as the text of a configuration: state spaces of scipy.signal and python-control."""
+"""Plants of other libraries as configuration text: state spaces of scipy.signal and python-control."""
 
 import json
 from collections.abc import Sequence

@@ -16,7 +16,7 @@ def driver_entries() -> dict[str, EntryPoint]:
 
 
 def driver_class(name: str) -> type[Driver]:
-    """Return the driver of that name; ConfigError (path "driver") names those there are, or what its import lacks."""
+    """Return the named driver; ConfigError (path "driver") names those known, or what its import lacks."""
     entries = driver_entries()
     if name not in entries:
         there = ", ".join(entry for entry in entries if entry not in _REPLAYED) or "none"

@@ -130,7 +130,7 @@ def _check_columns(draft: Draft) -> None:
 
 
 def split_channels(raw: object, faults: Faults) -> tuple[list[tuple[str, Any]], list[Entry[Covariate]]]:
-    """Return the raw tables of the model's channels with their key paths, and the channels that are covariates."""
+    """Return the raw tables of the model's channels with their key paths, and the covariate channels."""
     rows = raw if isinstance(raw, list) else []
     signals: list[tuple[str, Any]] = []
     covariates: list[Entry[Covariate]] = []

@@ -57,7 +57,8 @@ def _check_seed(draft: Draft) -> None:
     """Note what the paper's method cannot do: it needs a fast observer, and an output to lean on."""
     estimator, faults = draft.estimator, draft.faults
     if readable(estimator.observer, estimator.observer.gain) and estimator.observer.gain != "poles":
-        what = f'method = "seed" needs an observer given by its poles, not gain = {shown(estimator.observer.gain)}'
+        gain = shown(estimator.observer.gain)
+        what = f'method = "seed" needs an observer given by its poles, not gain = {gain}'
         count = f"{draft.states} poles" if draft.states else "one pole a state"
         advice = f"give {count} two to six times as fast as the rig's own"
         faults.add("estimator.observer", what, f'{advice}: {{ gain = "poles", poles = [...] }}')
@@ -77,7 +78,7 @@ def _check_seed_only(draft: Draft) -> None:
 
 
 def _check_sensors(draft: Draft) -> None:
-    """Note constants of sensors that the paper's method cannot estimate: offsets, and the gains of all outputs."""
+    """Note sensor constants that the paper's method cannot estimate: offsets, and gains of all outputs."""
     names = draft.estimator.estimate or ()
     asked = [f"{path}.bias" for path, channel in draft.channels if channel.bias]
     asked += [f"estimator.estimate[{i}]" for i, name in enumerate(names) if _is_offset(draft, name)]
@@ -110,7 +111,10 @@ def _check_hold(draft: Draft) -> None:
         what = f'{shown(hold)} goes with method = "window-ml": it takes readings that come after'
         draft.faults.add("estimator.hold", what, 'use "first" or "zero"')
     elif draft.is_discrete and "hold" in draft.estimator.model_fields_set and hold != "zero":
-        what = f"{shown(hold)} is for models in continuous time: one in discrete time was sampled with its own hold"
+        what = (
+            f"{shown(hold)} is for models in continuous time: "
+            "one in discrete time was sampled with its own hold"
+        )
         draft.faults.add("estimator.hold", what, "remove the key")
 
 
@@ -195,7 +199,7 @@ def _windows(draft: Draft) -> Iterator[tuple[str, float]]:
 
 
 def _least_samples(draft: Draft) -> int:
-    """Samples of all outputs must outnumber the unknowns: the parameters and the state that the window starts from."""
+    """Samples of all outputs must outnumber the unknowns: parameters and the window's initial state."""
     unknowns = len(draft.estimated) + (draft.states or 0)
     return unknowns // max(len(draft.outputs), 1) + 2
 
@@ -205,7 +209,7 @@ def _most_samples(draft: Draft) -> int:
 
 
 def most_samples(outputs: int, unknowns: int) -> int:
-    """Return the samples of the longest window: each is linearised in every parameter and state for every output."""
+    """Return the longest window's samples: each linearised in every parameter and state for every output."""
     return round(MOST_GB * 1e9 / (8 * COPIES * max(outputs, 1) * (unknowns + outputs + 1)))
 
 
@@ -291,7 +295,10 @@ def check_forecast(draft: Draft) -> None:
     """Note the faults of [forecast] that its values do not show by themselves."""
     asked = draft.forecast
     if readable(asked.every) and asked.every < LEAST_EVERY_S:
-        what = f"{asked.every:g} s is too often: a forecast takes a tenth of a second, and more on a small gateway"
+        what = (
+            f"{asked.every:g} s is too often: "
+            "a forecast takes a tenth of a second, and more on a small gateway"
+        )
         draft.faults.add("forecast.every", what, 'give "10s" or more')
     if asked.horizon is not None and math.isinf(asked.horizon):
         draft.faults.add("forecast.horizon", '"forever" is no horizon', 'write "90d", or leave it out')

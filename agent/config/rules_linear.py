@@ -36,7 +36,7 @@ def check_linear(draft: Draft, model: LinearModel) -> None:
 
 
 def _check_skews(draft: Draft, model: LinearModel) -> None:
-    """Note skews between sources that are to be measured: they show in how fast outputs change between samples."""
+    """Note skews to be measured between sources: they show in how fast outputs change between samples."""
     if model.time != "discrete":
         return
     measured = [path for path, source in draft.sources if source.skew_s == "auto"]

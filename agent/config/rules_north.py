@@ -1,4 +1,4 @@
-"""What must hold in [[north]]: keys that each kind needs and has, addresses without secrets, names that fit."""
+"""What must hold in [[north]]: keys each kind needs and has, addresses without secrets, names that fit."""
 
 import math
 import re

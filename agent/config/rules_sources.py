@@ -1,4 +1,4 @@
-"""What must hold in [[source]]: drivers and their own keys, names, who delivers which channel; and in [[notify]]."""
+"""What must hold in [[source]]: drivers, their keys, names, who delivers which channel; and in [[notify]]."""
 
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Final

@@ -148,7 +148,7 @@ class Observer(Table):
 
 
 class Stop(Table):
-    """When the descents of the paper's method end: the step or the cost falls so far, or after so many steps."""
+    """When descents of the paper's method end: the step or the cost falls so far, or after so many steps."""
 
     step: NotNegative = 1e-12
     cost: NotNegative = 0.0
@@ -256,7 +256,7 @@ class Source(Table):
         return (*self.map.values(), *self.covariates.values())
 
     def connection(self, folder: Path) -> str:
-        """Return a text that two sources share when they may share one connection: driver, keys, folder of paths.
+        """Return a text that sources share when they may share one connection: driver, keys, folder of paths.
 
         Covariates alone share none with signals, which would wait for them.
         """
@@ -274,7 +274,7 @@ class Keep(Table):
 
 
 class Recordings(Table):
-    """What the raw recordings of each source with `record = true` may take: megabytes and age, the oldest go first."""
+    """Limits of each source's raw recordings (`record = true`): megabytes and age, the oldest go first."""
 
     max_mb: Positive = 1024.0
     keep: Duration = float("inf")
@@ -295,7 +295,7 @@ class Events(Table):
 
 
 class Store(Table):
-    """Where and how densely results are kept; path is absolute, by default the rig's name with .db beside the file."""
+    """Where and how densely results are kept; path is absolute, by default <rig>.db beside the file."""
 
     path: FilePath = Path()
     every_s: NotNegative = 1.0
@@ -307,14 +307,14 @@ class Store(Table):
 
 
 class Columns(Table):
-    """The names that recordings give to channels (and to `t`), and what stands between columns; None is sniffed."""
+    """The names that recordings give to channels (and `t`), and what separates columns; None is sniffed."""
 
     names: dict[str, str] = Field(default_factory=dict)
     delimiter: str | None = None
 
 
 class Forecast(Table):
-    """When forecasts are made and how far ahead; like names histories of like machines, or a prior learnt of them.
+    """When forecasts are made and how far ahead; like names histories of like machines, or a learnt prior.
 
     every: from one forecast of a parameter to the next; infinite makes them at alarms only. horizon: what the
     chance is of; None for as long again as the history is.
@@ -330,7 +330,7 @@ class Forecast(Table):
 
 
 class Metrics(Table):
-    """Where the agent's figures can be read, in the text form of Prometheus; they are those of the whole agent."""
+    """Where the agent's figures can be read, in Prometheus text form; they are those of the whole agent."""
 
     unprotected: bool = False
     listen: Text | None = None
@@ -345,7 +345,8 @@ class Metrics(Table):
         is_local = host in {"localhost", "[::1]"} or host.startswith("127.")
         if not is_local and not info.data.get("unprotected"):
             raise ValueError(
-                f'"{listen}" is open to other machines, without a password; say unprotected = true, or use 127.0.0.1'
+                f'"{listen}" is open to other machines, without a password; '
+                "say unprotected = true, or use 127.0.0.1"
             )
         return _with_library(listen)
 
@@ -449,7 +450,7 @@ class RigConfig(Table):
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Everything that could be estimated, by name, in the file's order; `estimator.estimate` says what is."""
+        """All that could be estimated, by name, in the file's order; `estimator.estimate` says what is."""
         return parameters_of(self.model, self.channel)
 
 
@@ -517,7 +518,7 @@ def _units(channels: tuple[Channel, ...]) -> dict[str, str]:
 
 
 def learnt_key(config: RigConfig) -> str:
-    """Return the SHA-256, in hexadecimal, of the model, the channels, the rate, window, hop, hold and estimate.
+    """Return the SHA-256, in hexadecimal, of the model, channels, rate, window, hop, hold and estimate.
 
     An edit of alarms, store or sources leaves it as it is, so does a default that is written out; a key that
     a later version brings changes it only where it is used.

@@ -1,1 +1,1 @@
-"""Evaluation: the agent against known truth: demo, scored scenarios, the paper. Imported by the command line."""
+"""Evaluation: the agent against known truth: demo, scored scenarios, paper. Imported by the command line."""

@@ -1,4 +1,4 @@
-"""A thread a consumer: it sends what the consumer lacks, new rows first, and moves its cursors when it has them.
+"""A thread a consumer: sends what the consumer lacks, new rows first, and moves its cursors when it has them.
 
 It reads through a read-only connection and stores cursors through the database's single writer. A consumer
 that hangs, refuses or is gone holds up nobody: not the writer, not the other consumers, not the end of the
@@ -26,13 +26,13 @@ from agent.storage.write.store import Store
 from agent.types import HealthEvent
 
 PAUSE_S: Final = 1.0, 30.0
-"""After a failed attempt, at least and, doubled each time, at most; each is shortened by chance, by up to a half."""
+"""After a failed attempt, at least and, doubled each time, at most; each randomly shortened by up to half."""
 LATE_S: Final = 5.0
 """A consumer that has been behind for longer gets what is new first, and what it lacks as backfill."""
 KEEP_S: Final = 5.0
 """From one storing of cursors to the next: what was acknowledged since is sent again after a crash."""
 FILL_S: Final = 0.1, 0.4
-"""How long a batch of what is lacking is to take, at least and at most: what is new comes between two of them."""
+"""How long a batch of what is lacking is to take, at least and at most: what is new comes between two."""
 ROUND_S: Final = 5.0
 """A round begins after this where nothing is stored."""
 _IN_ORDER: Final = ("alarms",)
@@ -83,7 +83,7 @@ class Forwarder:
         self._numbers: dict[str, int] = {}
         self._topics: tuple[str, ...] = consumer.topics
         self._behind_ns: dict[str, int] = dict.fromkeys(self._topics, -(2**62))
-        """Since when the consumer is behind, by topic (monotonic); those of which it has what is new are not there."""
+        """Since when the consumer is behind, by topic (monotonic); topics that are up to date are absent."""
         self._late_to: dict[str, int] = {}
         """Up to which number rows of topics that are sent in order come late."""
         self._is_kept = True
@@ -114,7 +114,7 @@ class Forwarder:
         self._due.set()
 
     def stop(self, *, forget: bool = False) -> None:
-        """End the thread when it comes to it; no attempt under way is waited for: it is made again if need be.
+        """End the thread when it comes to it; no attempt under way is waited for: it is made again if needed.
 
         forget: store no cursor any more, not even one that was acknowledged: the consumer is none any more.
         """
@@ -191,7 +191,7 @@ class Forwarder:
         return max(0.05, min(ROUND_S, self._keep_in_s()))
 
     def _restored(self) -> dict[str, Position]:
-        """Return how far the consumer has each topic; one that is new begins with the oldest row, or the newest."""
+        """Return how far the consumer has each topic; a new one begins with the oldest row, or the newest."""
         firsts = {topic: 0 if self.consumer.backfill else self._feed.head(topic) for topic in self._topics}
         edges: dict[str, Edges] = self._ask(partial(begin, name=self.consumer.name, firsts=firsts))
         self._is_kept = False  # from now on rows are kept for it

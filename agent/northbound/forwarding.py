@@ -1,4 +1,4 @@
-"""The consumers of an agent as the configurations of its rigs name them; they follow one that is exchanged."""
+"""The consumers of an agent as the configurations of its rigs name them; they follow one that is replaced."""
 
 import logging
 import sqlite3
@@ -32,7 +32,7 @@ class _Wanted(NamedTuple):
 
 
 class Forwarding:
-    """A forwarder a database and name of a consumer: of rigs that share a file, consumers of one name are one."""
+    """A forwarder a database and consumer name: of rigs that share a file, consumers of one name are one."""
 
     def __init__(self) -> None:
         self._forwarders: dict[_Key, Forwarder] = {}
@@ -50,7 +50,7 @@ class Forwarding:
     def exchange(
         self, placed: Mapping[Path, Sequence[RigConfig]], writers: Mapping[Path, StoreWriter]
     ) -> None:
-        """Have the consumers of these configurations, by their database, supplied from now on; others no more.
+        """Have the consumers of these configurations, by database, supplied from now on; others no more.
 
         Consumers that stay as they are go on. The writers are open.
         """

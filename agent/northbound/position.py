@@ -7,7 +7,7 @@ MOST_GAPS: Final = 32
 
 
 class Position(NamedTuple):
-    """Edges, ascending, an odd number: all up to the first is acknowledged, then from each second to each third.
+    """Edges, ascending, an odd number: all up to the first acknowledged, then from each second to each third.
 
     The last is where live rows go on; what lies between is filled afterwards, the oldest first.
     """

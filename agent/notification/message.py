@@ -1,4 +1,4 @@
-"""A step of an alarm as it is sent: a document, a subject and a text, and the key by which a repetition is known."""
+"""A step of an alarm as sent: a document, a subject and a text, and the key by which a repeat is known."""
 
 import json
 import re

@@ -87,7 +87,7 @@ class Notifier:
         self._due.set()
 
     def stop(self) -> None:
-        """End the thread when it comes to it; nothing waits for an attempt under way: it is made again if need be."""
+        """End the thread when it comes to it; an attempt under way is not awaited but retried if needed."""
         self._stopping.set()
         self._due.set()
 
@@ -170,6 +170,6 @@ class Notifier:
 
 
 def _urgent(found: Sequence[Due]) -> Iterable[Due]:
-    """Return what goes out in quiet hours: everything up to the last critical one, so that the order is kept."""
+    """Return what goes out in quiet hours: everything up to the last critical one, to keep the order."""
     places = [place for place, one in enumerate(found) if one.facts["priority"] == "critical"]
     return found[: places[-1] + 1] if places else ()

@@ -9,7 +9,7 @@ from agent.types import AlarmTransition
 
 
 def is_announced(step: AlarmTransition) -> bool:
-    """Tell whether a step is one to notify of: what a silenced alarm's condition does is not, nor what design does."""
+    """Tell whether to notify of a step: not of a silenced alarm's condition, nor of what design does."""
     return step.from_state != step.to_state and "DSUPR" not in {step.from_state, step.to_state}
 
 

@@ -150,7 +150,7 @@ def _mail(target: Notify, message: Message) -> EmailMessage:
 
 
 def _apprise(target: Notify, message: Message, folder: Path) -> None:
-    """Hand the text to a service that the package apprise knows by its address; it says yes or no, and takes no key."""
+    """Hand the text to a service that apprise knows by its address; it says yes or no, and takes no key."""
     try:
         from apprise import Apprise
     except ImportError as error:

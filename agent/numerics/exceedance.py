@@ -31,7 +31,7 @@ class Deviations:
     down: BoolArray
 
     def beyond(self, level: FloatArray, at: tuple[NDArray[np.intp], ...]) -> FloatArray:
-        """Return the probability of lying beyond level (r,) at the elements (rows, columns); NaN without a number."""
+        """Return the probability beyond level (r,) at the elements (rows, columns); NaN without a number."""
         rows, columns = at
         delta, sd, dof, edge = self.delta[at], self.sd[at], self.dof[rows], level[columns]
         with np.errstate(divide="ignore", invalid="ignore"):

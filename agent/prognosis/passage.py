@@ -30,7 +30,7 @@ def first_passages(
     found: list[Particles], scale: Scale, newest: float, later: Student, rng: np.random.Generator,
     effort: Effort = FULL,
 ) -> FloatArray:  # fmt: skip
-    """Return (effort.paths,) times to the first passage, in spans of the history; inf where a path never gets there.
+    """Return (effort.paths,) times to the first passage, in spans of the history; inf where a path has none.
 
     Each path starts from a particle, drawn by its weight, with level and rate drawn from its Gaussian.
     newest: scaled level up to which the history shows the law; later: how much κ differs beyond.

@@ -1,4 +1,4 @@
-"""The law's parameters given a history: population Monte Carlo over what is not linear, Kalman filters over the rest.
+"""Posterior of the law's parameters: population Monte Carlo over nonlinear ones, Kalman filters for the rest.
 
 A Rao-Blackwellised particle set (Cappé et al. 2004): each particle is one (walk, wander, scatter, shape);
 level and rate given a particle are Gaussian and exact. The sum of the weights is the member's evidence.
@@ -14,7 +14,7 @@ from agent.prognosis.prior import Prior
 from agent.types import FloatArray
 
 WIDE = 960
-"""Particles that one filter takes along: fewer cost nearly as much; more take memory that a gateway may not have."""
+"""Particles of one filter: fewer cost nearly as much; more take memory that a gateway may not have."""
 AT_ONCE = 20
 """Readings whose numbers are made at once: of all 160 they took 12 MB while a forecast was made."""
 WITHIN = -40.0, 25.0
@@ -26,7 +26,7 @@ COMMON = ("walk", "wander", "scatter")
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What a forecast may cost: means of the history, particles of each member in each round, rounds, paths, steps."""
+    """Effort of a forecast: means of the history, particles per member and round, rounds, paths, steps."""
 
     means: int
     particles: int
@@ -37,7 +37,7 @@ class Effort:
 
 FULL = Effort(160, 800, 6, 4000, 120)
 BRIEF = Effort(48, 160, 3, 600, 60)
-"""For tables of many parts: a tenth of the cost, and rougher; which part to look at, not when to change it."""
+"""For tables of many parts: a tenth of the cost, rougher; which part to look at, not when to change it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class Particles:
 
 @dataclass(frozen=True, slots=True)
 class _Swarm:
-    """Particles of one member in one round: theta (N, d), their log density when drawn, and after it their weights."""
+    """Particles of one member in one round: theta (N, d), log density when drawn, and later weights."""
 
     member: str
     names: tuple[str, ...]
@@ -152,7 +152,7 @@ def _particles(found: _Weighed, prior: Prior) -> Particles:
 def _proposed(
     theta: FloatArray, log_weight: FloatArray, prior: Prior, names: tuple[str, ...], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return new particles of a t density about the old ones, a fifth of them of the prior, and their log density."""
+    """Return new particles of a t density about the old ones, a fifth from the prior, and log densities."""
     n, d = theta.shape
     weight = tempered(log_weight, 40.0 + 5.0 * d)
     mean = weight @ theta
@@ -195,7 +195,7 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
 
 
 def filtered(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> list[tuple[State, FloatArray]]:
-    """Return states at the newest reading and log likelihoods of the particles of each swarm, from one filter."""
+    """Return states at the newest reading and log likelihoods of each swarm's particles, from one filter."""
     columns = [_columns(readings, scale, swarm) for swarm in swarms]
     slopes = [np.zeros(len(swarm.theta)) for swarm in swarms]
     first = (_seen(readings, scale, column, slice(1))[0][0] for column in columns)
@@ -215,7 +215,7 @@ def filtered(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> list[tup
 
 
 def _summed(total: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return a sum that rows (n, N) are added to one after the other, so that it does not depend on their division."""
+    """Return a sum that rows (n, N) are added to one by one, so that it does not depend on their division."""
     summed: FloatArray = np.add.reduce([total, *rows])
     return summed
 
@@ -252,7 +252,7 @@ def _columns(readings: Readings, scale: Scale, swarm: _Swarm) -> dict[str, Float
 def _seen(
     readings: Readings, scale: Scale, column: dict[str, FloatArray], rows: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return readings and their variances in the scale in which each particle's law is a line, and its slope."""
+    """Return readings and their variances in the scale where each particle's law is a line, and its slope."""
     bend = column.get("bend", np.zeros(len(column["walk"])))
     smooth, sd = readings.smooth[rows, None], readings.sd[rows, None]
     u, slope = bent(smooth, bend, scale)

@@ -1,4 +1,4 @@
-"""How good forecasts were: coverage, probability integral transform, continuous ranked probability score (CRPS)."""
+"""Forecast scores: coverage, probability integral transform, continuous ranked probability score (CRPS)."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from agent.types import FloatArray
 
 
 def crps(draws: FloatArray, came: float) -> float:
-    """Return the CRPS of an ensemble (n,) of finite draws, in their unit (Gneiting & Raftery 2007, equation 21)."""
+    """Return the CRPS of finite draws (n,), in their unit (Gneiting & Raftery 2007, equation 21)."""
     ordered = np.sort(draws)
     n = len(ordered)
     pairs = float(ordered @ (2.0 * np.arange(1, n + 1) - n - 1.0)) / n**2

@@ -11,7 +11,7 @@ PARTS = 200
 ASIDE = 3
 """Means on each side of an instant that are held against each other."""
 APART = 7.0
-"""Standard deviations of that difference, as it scatters over the whole history, from which on it is a step."""
+"""Standard deviations of that difference, as it scatters over the whole history, from which it is a step."""
 MOST = 5
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from agent.storage.database.files import opened
 
 _SAVE_S = 600.0
-"""How often the time that ran is written down; a power cut loses no more of it, and files stay that much longer."""
+"""How often the time that ran is saved; a power cut loses no more of it, and files stay that much longer."""
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +42,7 @@ class Ages:
         self._save()
 
     def keep(self, names: Iterable[str]) -> None:
-        """Forget all other files, take up new ones, and write down what is known where it is time or that changed."""
+        """Forget all other files, take up new ones, and save what is known where it is due or changed."""
         now = self._now()
         before = self._ended
         self._ended = {name: before.get(name, now) for name in names}
@@ -70,7 +70,7 @@ def _truncated(path: str, _flags: int) -> int:
 
 
 def _read(path: Path) -> tuple[float, dict[str, float]]:
-    """Return seconds that ran and when files ended; nothing where the file says nothing that can be believed."""
+    """Return seconds that ran and when files ended; nothing where the file says nothing credible."""
     try:
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         ran_s = float(found["ran_s"])

@@ -1,4 +1,4 @@
-r"""Samples as they were delivered: the form of sources whose bus has no form of recording that other tools read.
+r"""Samples as delivered: the form of sources whose bus has no form of recording that other tools read.
 
 A file "NAME-NNNNNNNN.raw" is
 

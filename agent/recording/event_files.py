@@ -1,4 +1,4 @@
-"""The files of event records: what stands in them, and how they come and go so that a power cut leaves whole ones.
+"""The files of event records: what they hold, and how they come and go so that a power cut leaves whole ones.
 
 A rig with one source keeps one NPZ file an event, "RIG-NNNNNNNN-KIND-PARAMETER.npz", that `deltak replay`
 reads like any recording: `t` (datetime64, the time stamps of the live run) and an array of raw readings for
@@ -38,7 +38,7 @@ _PART = ".part"
 
 
 class Taken(NamedTuple):
-    """A block as the pipeline took it: its rows' numbers, which of them were taken, and how far the rig had come.
+    """A block as the pipeline took it: its rows' numbers, which were taken, and how far the rig had come.
 
     serial counts blocks; round is that in which it was computed.
     """
@@ -60,7 +60,7 @@ class Labels(NamedTuple):
 
 
 class Table(NamedTuple):
-    """Samples of one source in order: numbers (n,), time stamps (n,), readings (n, m), counters (n,) or None."""
+    """Samples of a source in order: numbers (n,), time stamps (n,), readings (n, m), counter (n,) or None."""
 
     number: IntArray
     t_ns: IntArray
@@ -109,7 +109,7 @@ def state_name(name: str) -> str:
 
 
 def alone(state: bytes) -> bytes:
-    """Return an NPZ file that holds the state of a record of several sources, with all that they delivered since."""
+    """Return an NPZ file with the state of a record of several sources, and all that they delivered since."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, state=np.frombuffer(state, np.uint8))
     return buffer.getvalue()

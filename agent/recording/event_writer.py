@@ -1,4 +1,4 @@
-"""Writes event records in a thread of its own, keeps them within their bounds and tells what became of each."""
+"""Writes event records in a thread of its own, keeps them within bounds and tells what became of each."""
 
 import logging
 import threading
@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What stays the same over the records of a rig: its name, its sources' channels, fields, and provenance."""
+    """What is the same in all records of a rig: its name, its sources' channels, fields, and provenance."""
 
     rig: str
     channels: dict[str, tuple[str, ...]]
@@ -235,7 +235,7 @@ class EventWriter:
     # ------------------------------------------------------------------------------------------------
 
     def _take_stock(self) -> None:
-        """See what earlier runs left: half-written files go, records that were cut say so, lost rows are made anew."""
+        """See what earlier runs left: half-written files go, cut records say so, lost rows are made anew."""
         try:
             self._folder.clean()
             self._rows = {row.file: row for row in self._known()}
@@ -250,7 +250,7 @@ class EventWriter:
             self._publish(rows)
 
     def _unlisted(self, name: str) -> EventRecord | None:
-        """Return the row of a file that the index does not know, because the power went before it was written."""
+        """Return the row of a file that the index does not know, as the power went before it was written."""
         file = f"{self._folder.folder.name}/{name}"
         path = self._folder.folder / name
         if file in self._rows or path.suffix != ".npz" or not (meta := read_meta(path)):
@@ -268,7 +268,7 @@ class EventWriter:
             self._delete(groups.pop(0))
 
     def _prune(self) -> None:
-        """Delete the oldest records until their number, size and age are within bounds; the newest one stays."""
+        """Delete the oldest records until their number, size and age are within bounds; the newest stays."""
         try:
             groups = list(self._folder.groups().values())
             sizes = [sum(path.stat().st_size for path in paths) for paths in groups]

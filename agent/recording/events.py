@@ -30,7 +30,7 @@ OBJECT_BYTES = 1024
 LONGEST = 4
 """Alarms raised meanwhile lengthen a record to at most so many times its after_s."""
 STATES = 3
-"""States of the pipeline that wait in memory for an alarm, more than a megabyte each: one for each half of what a
+"""States of the pipeline that wait in memory for an alarm, over a megabyte each: one for each half of what a
 record holds before it, and one for alarms of samples that are not the newest."""
 LEAST_STATE_S = 0.25
 """From one state to the next at least: each takes a few milliseconds."""
@@ -164,7 +164,7 @@ class EventKeeper:
         return remember
 
     def begin_round(self, snapshot: Callable[[], bytes | None]) -> None:
-        """Note that what is taken from now on is computed together, and from time to time what is known before it."""
+        """Note that what is taken from now on is computed together, and at times what is known before it."""
         self._round += 1
         if self._states is None or (
             self._states and self._moment - self._states[-1].moment < self._state_every
@@ -188,7 +188,7 @@ class EventKeeper:
             self._open.items.append(item)
 
     def see(self, records: Iterable[Record]) -> None:
-        """Begin a record where an alarm was raised, lengthen the one that is open, end it when its time has come."""
+        """Begin a record where an alarm was raised, lengthen the open one, end it when its time has come."""
         for record in records:
             if isinstance(record, EstimateBatch):
                 learnt = record.baseline_id or ()
@@ -244,7 +244,7 @@ class EventKeeper:
         self._submit(record)
 
     def _state_before(self, at: int, since: int) -> State | None:
-        """Return a state before an alarm at a sample, with all that came since in memory; it had come to `since`.
+        """Return a state before an alarm at a sample, with all since then in memory; it had come to `since`.
 
         Where rounds are long, the newest one before that.
         """
@@ -254,7 +254,7 @@ class EventKeeper:
         return recent[0] if recent else usable[-1] if usable else None
 
     def _may_begin(self, now: float) -> bool:
-        """Tell whether there may be one more record this hour; the first that may not be is told, once an hour."""
+        """Tell whether one more record may begin this hour; the first that may not is told, once an hour."""
         while self._begun and now - self._begun[0] > _HOUR_S:
             self._begun.popleft()
         if len(self._begun) < self._config.store.events.per_hour:

@@ -1,4 +1,4 @@
-"""The files of one recording: numbered, bounded by size and age, the oldest first; and room left on the disk."""
+"""The files of one recording: numbered, bounded by size and age, oldest first; and room left on the disk."""
 
 import os
 import re
@@ -17,7 +17,7 @@ AGES = ".ages"
 
 
 def room(folder: Path) -> int:
-    """Return how many bytes may be written before the disk is too full for recordings; negative when it is."""
+    """Return how many bytes may be written before the disk is too full for recordings; negative if it is."""
     disk = os.statvfs(folder)
     size, free = disk.f_blocks * disk.f_frsize, disk.f_bavail * disk.f_frsize
     return free - min(LEAST_FREE, size // 10)
@@ -80,7 +80,7 @@ class Shelf:
             self._ages.note(path.name)
 
     def prune(self, writing: Path | None = None) -> list[Path]:
-        """Delete the oldest files until size and age are within bounds, never the one being written; return them."""
+        """Delete the oldest files until size and age are in bounds, never the current one; return them."""
         there = [path for path in self.files() if path != writing]
         total = sum(map(self.size, there)) + (self.size(writing) if writing is not None else 0)
         gone = []

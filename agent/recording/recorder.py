@@ -24,7 +24,7 @@ SEGMENT_S = 3600.0
 
 
 class Limits(NamedTuple):
-    """What the recordings of one source may take: bytes of all files, their age, and when a new file begins."""
+    """What the recordings of a source may take: bytes of all files, their age, and when a new file begins."""
 
     max_bytes: float = float(1 << 30)
     max_age_s: float = float("inf")
@@ -43,7 +43,7 @@ class Segment(Protocol):
 
 
 class Recorder:
-    """Records one source: `record` never blocks, a failing or full disk costs recordings, which are counted and told.
+    """Records one source: `record` never blocks; a failing or full disk costs recordings, counted and told.
 
     Args:
         folder: made if missing.
@@ -140,7 +140,7 @@ class Recorder:
                 self._recovered()
 
     def _prune(self) -> None:
-        """Delete what is too old or too much; where that fails the disk fills, and `_make_room` will say so."""
+        """Delete what is too old or too much; where that fails the disk fills, and `_make_room` says so."""
         try:
             self._shelf.prune(None if self._segment is None else self._segment.path)
         except OSError as error:
@@ -215,7 +215,7 @@ class Recorder:
 
 
 def shelf(folder: Path, header: RawHeader, suffix: str | None, limits: Limits) -> Shelf:
-    """Return where the files of a source are; all forms count as one recording, so that none outlives its bounds."""
+    """Return where a source's files are; all forms count as one recording, so none outlives its bounds."""
     suffixes = (blocks.SUFFIX,) if suffix is None else (blocks.SUFFIX, suffix)
     name = f"{header.rig}-{header.source}" if header.rig else header.source
     return Shelf(folder, name, suffixes, (capture.INDEX,), limits.max_bytes, limits.max_age_s)

@@ -25,7 +25,7 @@ class RawSettings(DriverSettings):
 
 
 class OwnRecording(Driver):
-    """Plays recordings of one source, file after file, as it was received; `read` raises EOFError at the end."""
+    """Plays recordings of one source, file after file, as received; `read` raises EOFError at the end."""
 
     settings_model: ClassVar[type[DriverSettings]] = RawSettings
     finite: ClassVar[bool] = True
@@ -161,7 +161,7 @@ def own_recording(rig: RigConfig, path: Path) -> Driver:
 
 
 def _source_of(rig: RigConfig, path: Path) -> Source:
-    """Return the source that a recording is of: one whose fields it has, of the name it was recorded under if any."""
+    """Return the source of a recording: one whose fields it has, of the name it was recorded under if any."""
     try:
         header = _header(path)
     except DriverConfigError as error:
@@ -178,7 +178,7 @@ def _source_of(rig: RigConfig, path: Path) -> Source:
 
 
 def _driver(rig: RigConfig, source: Source, paths: Sequence[Path], fields: tuple[str, ...]) -> Driver:
-    """Return the driver that plays the recordings of a source, which are all of one form. Raises RecordingError."""
+    """Return the driver that plays a source's recordings, all of one form. Raises RecordingError."""
     request = SourceRequest(source.name, RawSettings(paths=tuple(paths)), fields)
     if all(path.suffix == blocks.SUFFIX for path in paths):
         return RawDriver(request)

@@ -1,4 +1,4 @@
-"""What a rig knew before the samples of an event record, so that its verdicts can be computed again to the same digits.
+"""What a rig knew before the samples of an event record, so its verdicts can be recomputed digit for digit.
 
 The state is a pickle of the pipeline and of the rounds in which its samples were computed. It is read by
 names: of classes and functions of the packages that only compute, of numpy's arrays and of a few of Python's
@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 
 
 class State(NamedTuple):
-    """A pipeline as it was before a round: its content, the first block after it, and how far the rig had come."""
+    """A pipeline before a round: its content, the first block after it, and how far the rig had come."""
 
     content: bytes
     serial: int
@@ -53,7 +53,7 @@ class StateError(Exception):
 
 
 class Rounds(NamedTuple):
-    """A pipeline, and what it was given since: blocks in their rounds, their time stamps, each source's modulus."""
+    """A pipeline and what it was given since: blocks by round, their time stamps, each source's modulus."""
 
     pipeline: Any
     items: Sequence[Taken]
@@ -72,7 +72,7 @@ def frozen(pipeline: object) -> bytes | None:
 
 
 def state_bytes(state: State, given: Rounds, span: tuple[int, int]) -> bytes:
-    """Return what a record holds beside the samples of a span; these are left out of what the pipeline was given."""
+    """Return what a record holds beside the samples of a span; these are left out of the pipeline's input."""
     bare = [_bare(item, span) for item in given.items if item.serial >= state.serial]
     stamps = [label for label in given.labels if len(label.number) and label.number[-1] >= state.moment]
     return pickle.dumps((state.content, bare, stamps, dict(given.moduli)), 5)

@@ -1,4 +1,4 @@
-"""A fault in the numerics of one rig is that rig's: it is reported, counted and survived, and no other rig notices.
+"""A fault in one rig's numerics is that rig's: it is reported, counted and survived, and no other notices.
 
 The numerics of the rig (quality, estimation) start anew; numbers, clocks and alarms go on. Samples on their
 way when it happened are counted as `failure`, as are those of the pause after it, which grows while the fault
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 
 class IsolatedPipeline:
-    """Drives a pipeline and raises nothing: an exception in it becomes records, and numerics that start anew."""
+    """Drives a pipeline and raises nothing: an exception becomes records, and numerics that start anew."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline

@@ -118,7 +118,7 @@ def writer_of(
 
 
 def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention, float]:
-    """Return the period of estimates that a shared file keeps, s, how long it keeps rows, and how often it commits."""
+    """Return a shared file's period of estimates, s, how long it keeps rows, and how often it commits."""
     return min(c.store.every_s for c in members), _retention(members), min(c.store.commit_s for c in members)
 
 

@@ -1,4 +1,4 @@
-"""A changed configuration while the agent runs: rigs whose file changed start anew, all others lose no sample.
+"""A changed configuration while the agent runs: rigs whose file changed start anew, others lose no sample.
 
 Everything that may fail is made and opened before the first rig is touched.
 """
@@ -163,7 +163,7 @@ def _compute(rigs: RigSet, leaving: Sequence[str], until: int, within: Within) -
 
 
 def _settle_databases(rigs: RigSet, wanted: Plan) -> None:
-    """End the runs of what leaves and begin those of what enters, in each database that goes on; close the others."""
+    """End the runs of what leaves and begin those of what enters, in each database kept; close the others."""
     for path, writer in list(rigs.writers.items()):
         leaving = [name for name in wanted.leaving if path_of(rigs.configs[name], rigs.db) == path]
         entering = [config for config in wanted.entering if path_of(config, rigs.db) == path]

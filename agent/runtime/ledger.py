@@ -1,4 +1,4 @@
-"""Ledger of a rig's samples: received = used + rejected by reason + dropped by reason, for every source, at any time.
+"""Sample ledger of a rig: received = used + rejected by reason + dropped by reason, per source, at any time.
 
 Driver, acquisition, quality and estimation each give their own count; they are added up here and nowhere
 else.
@@ -51,7 +51,7 @@ class Ledger:
         self._lost.setdefault(source, Counter())[reason] += max(0, taken - ended)
 
     def ends(self, source: str) -> Ends:
-        """Return how many of a source's samples were used or wait, and those refused after acquisition, by reason."""
+        """Return counts of a source's samples: used or waiting, and refused after acquisition, by reason."""
         used, rejected = self.acquisition.ends(source, self.through())
         return used, rejected + self._lost.get(source, Counter())
 

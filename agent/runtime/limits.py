@@ -1,4 +1,4 @@
-"""Tuned numbers of the running agent: name, value, unit in the name or in the words, where from, and what needs it.
+"""Tuned numbers of the running agent: name, value, unit in the name or words, origin, and what needs it.
 
 The tests that need these are tests/scenario (rounds, order of rounds, isolation, ends) and tests/replay
 (recordings that are of no use).
@@ -26,7 +26,7 @@ PAUSE_NS = 1_000_000_000, 60_000_000_000
 """Shortest and longest pause after a fault in a rig's numerics, ns."""
 RAISE_NS = 2_000_000_000
 CLEAR_NS = 500_000_000
-"""Computing is behind when the oldest sample has waited for longer, ns, and no more when it has waited for less."""
+"""Computing is behind when the oldest sample waited for longer, ns, and no more when it waited for less."""
 
 # ------------------------------------------------------------------ watching the threads
 SILENCE_S = 60.0
@@ -36,7 +36,7 @@ LOOK_S = 1.0
 WRITER_PATIENCE = 2.0
 """Intervals of the watchdog that a thread that writes may be silent, others one: a slow disk is no hang."""
 PEER_PATIENCE = 10.0
-"""Of those that supply consumers beyond the gateway: each wait for one is bounded by its timeout_s, 60 s at most."""
+"""Of those that feed consumers off the gateway: a wait for one is bounded by its timeout_s, 60 s at most."""
 
 # ------------------------------------------------------------------ exchanging rigs
 LEAVE_S = 3.0
@@ -48,7 +48,7 @@ LOG_LINES = 500
 # ------------------------------------------------------------------ the end
 FINISH_S = 2.0
 END_S = 2.8
-"""How long an agent that ends goes on with what waits (samples left then are dropped and counted), and takes in all."""
+"""How long an ending agent handles what waits (samples left are dropped and counted), and takes in all."""
 HURRY_S = 1.0
 ABANDON_S = 1.6
 """After being asked to end it begins no fit nor search any more, and then breaks off one under way."""
@@ -57,7 +57,7 @@ CLOSE_S = 0.6
 
 # ------------------------------------------------------------------ what is said of recordings and runs
 MOST_REPORTED = 10_000
-"""Activations of alarms, and words of advice, that the document of a run tells, the newest; the database has all."""
+"""Newest activations of alarms, and words of advice, that a run's document tells; the database has all."""
 WATCHED = 20_000
 """Rows of a recording whose time stamps are looked at."""
 MOST_REFUSED = 0.5

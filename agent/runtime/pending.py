@@ -1,4 +1,4 @@
-"""What waits for a rig's turn to compute, how long it waits, and what became of it where the agent ended first."""
+"""What waits for a rig's turn to compute, for how long, and what became of it where the agent ended first."""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -59,7 +59,7 @@ class Waiting:
         return events
 
     def counts(self, use: Use, connection: Connection) -> tuple[Counts, Counter[str]]:
-        """Return what a source's driver counted up to the newest block that does not wait, and what was dropped since.
+        """Return a source driver's counts up to the newest block that does not wait, and those dropped since.
 
         So the ledger balances at any time.
         """

@@ -100,7 +100,7 @@ class Pipeline:
         self._conditions_due: dict[int, int] = {}
 
     def adopt(self, learnt: Learnt | None, covariates: Sequence[CovariateMean] = ()) -> None:
-        """Begin with what earlier runs learnt of the rig and saw of its covariates, before the first sample."""
+        """Begin with what earlier runs learnt of the rig and saw of covariates, before the first sample."""
         if learnt is not None:
             self.stages.estimation.estimator.adopt(learnt.content)
         self.covariates.adopt(covariates)
@@ -126,7 +126,7 @@ class Pipeline:
         return self.compute()
 
     def take(self, source: str, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
-        """Number, convert and label a block of one source; `compute` makes of it and of others what it leads to.
+        """Number, convert and label a block of one source; `compute` makes of it and others what it leads to.
 
         label: time stamps of sample indices; None takes the block's own stamps (a recording's), or index /
         rate.
@@ -136,7 +136,7 @@ class Pipeline:
             self.clocks.observe(self.acquisition.sources[source], block.arrival_ns)
 
     def take_covariates(self, t_ns: IntArray, readings: Mapping[str, FloatArray]) -> None:
-        """Take readings (n,) of covariates at instants t_ns (n,); they make no row, and none waits for them."""
+        """Take covariate readings (n,) at instants t_ns (n,); they make no row, and none waits for them."""
         self.covariates.take(t_ns, readings)
 
     def compute(self) -> list[Record]:
@@ -158,7 +158,7 @@ class Pipeline:
         return records + events + list[Record](self.covariates.step(self.newest_ns))
 
     def foreseen(self, outlooks: Sequence[Outlook]) -> list[Record]:
-        """Return the alarms that outlooks on parameters lead to; they are made beside the samples, not of them."""
+        """Return alarms that outlooks on parameters lead to; made beside the samples, not of them."""
         return [change for outlook in outlooks for change in self.prognosis_alarms.step(outlook)]
 
     def finish(self) -> list[Record]:
@@ -168,12 +168,12 @@ class Pipeline:
         return records + list[Record](self.covariates.finish())
 
     def hurry(self) -> None:
-        """Begin no fit, search or measurement any more: what waits for one waits for ever. From any thread."""
+        """Begin no fit, search or measurement any more: what waits for one waits forever. From any thread."""
         self.stages.estimation.estimator.hurry()
         self.acquisition.hurry()
 
     def begin_anew(self, reason: str) -> None:
-        """Make the stages anew; what was used or refused stays counted, what was on its way is refused for a reason."""
+        """Make the stages anew; what was used or refused stays counted, the rest is refused for a reason."""
         self._taken.clear()
         self.acquisition.lose(reason, self.through())
         self.stages = make_stages(self.config, self._steps)
@@ -232,7 +232,7 @@ class Pipeline:
         ]
 
     def _conditions(self, estimated: Estimated) -> list[Record]:
-        """Return what the paper's conditions say of windows, of each length as often as estimates are kept."""
+        """Return what the paper's conditions say of windows, each length as often as estimates are kept."""
         times = estimated.times(sample for sample, _ in estimated.conditions)
         labels = self.stages.estimation.labels
         kept: list[Record] = []
@@ -244,7 +244,7 @@ class Pipeline:
         return kept
 
     def _learnt(self, estimated: Estimated) -> list[Record]:
-        """Return what windows taught of the rig: verdicts on its constants, and what the next start begins with."""
+        """Return what windows taught of the rig: verdicts on its constants, and what the next start uses."""
         if not estimated.beliefs:
             return []
         times = estimated.times(sample for sample, _ in estimated.beliefs)

@@ -85,7 +85,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
 
 
 def _keep_freed_memory() -> None:
-    """Let glibc's heap keep what is freed: blocks come and go in the same sizes, and fresh pages cost a tenth of all.
+    """Let glibc's heap keep what is freed: block sizes recur, and fresh pages cost a tenth of all.
 
     A long-lived agent gives it back instead, and so does what has no glibc.
     """
@@ -127,7 +127,7 @@ def _forecasts(rig: RigConfig, db: Path, writer: StoreWriter) -> ReplayedForecas
 
 
 def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
-    """Return the open drivers of recordings: the agent's own by source, played together, others one after the other.
+    """Return the open drivers of recordings: the agent's own by source, played together, others in turn.
 
     Raises RecordingError.
     """
@@ -166,7 +166,7 @@ def _track(rig: RigConfig, path: Path) -> Track:
 
 
 def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
-    """Build the pipeline that replays a rig's recordings, with the resolution of its sources' wires, else of the first.
+    """Build the pipeline that replays a rig, with the resolution of its sources' wires, else of the first.
 
     Raises ConfigError, RecordingError.
     """
@@ -189,7 +189,7 @@ def make_pipeline(rig: RigConfig, tracks: Sequence[Track] = ()) -> Pipeline:
 
 
 def _seen_steps(rig: RigConfig, recording: Driver) -> tuple[float, ...]:
-    """Return the steps of a recording's inputs and outputs; an input that is switched is known as well as it is."""
+    """Return the steps of a recording's inputs and outputs; a switched input is known as well as it is."""
     try:
         steps = recording.resolution()
     except DriverError as error:
@@ -276,7 +276,7 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
 def _whole_counts(
     pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence
 ) -> tuple[Counts, Counter[str]]:
-    """Return what all drivers counted and what acquisition refused; the drivers' remarks go to the evidence."""
+    """Return what all drivers counted and acquisition refused; the drivers' remarks go to the evidence."""
     total = Counts()
     refused = Counter[str]()
     for driver in (track.driver for track in tracks if track.signals or not track.covariates):

@@ -1,4 +1,4 @@
-"""What a run, replay or demo found, gathered from the records that pass: the JSON document of CONTRACT section 8."""
+"""What a run, replay or demo found, gathered from its records: the JSON document of CONTRACT section 8."""
 
 from collections import Counter
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""One rig while the agent runs: what arrives for it, its pipeline, its labels, its summary, its sources' alarms."""
+"""One rig while the agent runs: what arrives for it, its pipeline, labels, summary, its sources' alarms."""
 
 import logging
 from collections import Counter, deque
@@ -85,7 +85,7 @@ class RigRuntime:
         learnt: Learnt | None = None,
         covariates: Sequence[CovariateMean] = (),
     ) -> None:
-        """Go on with the alarms that the run before left standing, and with what it knew of rig and covariates."""
+        """Go on with the alarms that the run before left standing, and what it knew of rig and covariates."""
         self.pipeline.adopt(learnt, covariates)
         self.states.restore((kind_of(row), row.parameter, alarm_of(row)) for row in standing)
         levels = {row.parameter: {"state": detected(row)} for row in standing if row.kind == "level"}
@@ -105,7 +105,7 @@ class RigRuntime:
         self._lateness.standing = COMPUTING in lost
 
     def count_from(self, baselines: tuple[Baseline, ...]) -> None:
-        """Count changes from baselines, from the next row on; those of another graph are not used, and that is said."""
+        """Count changes from baselines, from the next row on; say which are of another graph and not used."""
         for words in self.pipeline.count_from(baselines):
             message = f"{words}; it is not used: learn it anew"
             log.warning("%s: %s", self.config.rig.name, message)
@@ -218,7 +218,7 @@ class RigRuntime:
             self._announce(step)
 
     def poll(self) -> None:
-        """Do what is due even where no samples come: commands, alarms that ask again, the end of an event record."""
+        """Do what is due even without samples: commands, alarms asking again, the end of an event record."""
         self._take_up()
         again = self._re_alarms.step(self.states.all(), monotonic_ns(), self._wall())
         if again:
@@ -262,7 +262,7 @@ class RigRuntime:
         self._emit(reported)
 
     def _note_steps(self) -> None:
-        """Publish what time stamps mean from now on, before the rows that carry them, and each step of the clock."""
+        """Publish what time stamps mean from now on, before rows that carry them, and each clock step."""
         rig = self.config.rig.name
         found: list[Record] = [
             ClockRecord(rig, a.label_ns, a.first, a.offset_ns) for a in self._labels.anchors

@@ -26,7 +26,7 @@ from agent.types import AlarmTransition
 MakeWriters = Callable[
     [Sequence[RigConfig], Path | None, RunKind, Mapping[str, Handler], Route], Mapping[Path, Writer]
 ]
-"""Makes one writer a database, of configurations, the common file if any, the kind of run, handlers and route."""
+"""Makes one writer a database, of configurations, the common file if any, run kind, handlers and route."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ class RigSet:
                 self.rigs[name].forecasts = self.forecasts
 
     def _commanded(self, step: AlarmTransition) -> None:
-        """Let the rig know what was done to an alarm; alarms of rigs that others ran in the same file are not ours."""
+        """Tell the rig what was done to an alarm; alarms of others' rigs in the same file are not ours."""
         rig = self.rigs.get(step.rig)
         if rig is not None:
             rig.commanded(step)

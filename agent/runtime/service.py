@@ -1,4 +1,4 @@
-"""`deltak run`: the agent in the foreground. One thread a bus, one that computes, one that writes to the database."""
+"""`deltak run`: the agent in the foreground. One thread a bus, one to compute, one to write the database."""
 
 import logging
 import threading
@@ -186,7 +186,7 @@ class Service:
             self._watch.stop()
 
     def _start(self, ended: Callable[[], bool] = lambda: False) -> None:
-        """Open the databases and the sources; nothing more where it `ended` before the databases were open."""
+        """Open the databases and sources; nothing more where it `ended` before the databases were open."""
         self._watch.start()
         opening = Opening(self.writers.values())
         if not opening.done(ended):
@@ -222,7 +222,7 @@ class Service:
         return self.take_up(self.prepare(configs))
 
     def prepare(self, configs: Sequence[RigConfig]) -> Prepared:
-        """Make and open what other configurations need; nothing that runs is touched. From any thread but `run`'s.
+        """Make and open what other configurations need; what runs is untouched. From any thread but `run`'s.
 
         Raises AgentError or DriverConfigError where something cannot be made or opened.
         """
@@ -293,7 +293,7 @@ class Service:
             self.rig_set.take()
 
     def _need_writers(self) -> None:
-        """Raise where nothing is stored any more: an agent started anew stores again, one that went on would not."""
+        """Raise where nothing is stored any more: a new agent stores again, one that went on would not."""
         for path, writer in self.writers.items():
             if writer.broken is not None:
                 raise RuntimeError(f"{path}: the thread that writes to it failed ({writer.broken})")
@@ -330,7 +330,7 @@ def _disk_thread(name: str, writer: Recorder | EventWriter) -> Thread:
 
 
 def _rest_s(spent_s: float, least_s: float) -> float:
-    """Return how long to let blocks gather after a round that took so long: three times as long where that may be.
+    """Return how long to let blocks gather after a round that took so long: three times as long if allowed.
 
     least_s: from one round to the next at least; the longest time between two grows and shrinks with it.
     """

@@ -30,7 +30,7 @@ class Arrival(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """One rig's use of a connection: its source, and which columns of the blocks are signals, which covariates."""
+    """One rig's use of a connection: its source, and which block columns are signals, which covariates."""
 
     rig: str
     source: str
@@ -123,7 +123,7 @@ class Connection:
         return self._recorder
 
     def serves(self, source: Source) -> bool:
-        """Tell whether a source of the same key can join while it is read: nothing of it need be opened anew."""
+        """Tell whether a source of the same key can join while it is read: nothing need be opened anew."""
         request = self._driver.request
         has_fields = set(source.fields) <= set(request.fields)
         is_patient = source.stale_s >= self._stale_s
@@ -208,7 +208,7 @@ class Connection:
         self._wake.set()
 
     def _count(self) -> None:
-        """Note what was counted by a read that brought no sample: refused frames and losses are told all the same."""
+        """Note what a read without samples counted: refused frames and losses are told all the same."""
         with self._lock:
             self._counted = self._driver.counts.copy()
 
@@ -282,7 +282,7 @@ def wire_steps(config: RigConfig) -> Mapping[str, float]:
 
 
 def source_hints(config: RigConfig) -> list[tuple[int, str]]:
-    """Return what the drivers say of settings that work but may disappoint: the source's number, and words."""
+    """Return what drivers say of settings that work but may disappoint: the source's number, and words."""
     return [
         (n, hint) for n, source in enumerate(config.source) for hint in _own_driver(config, source).hints()
     ]

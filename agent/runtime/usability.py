@@ -108,7 +108,7 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
 def assess(
     config: RigConfig, name: str, evidence: Evidence, counts: Counts, refused: Counter[str]
 ) -> list[Fault]:
-    """Return what to tell the user of a recording that was read; raise RecordingError where nothing of it is of use.
+    """Return what to tell the user of a recording read; raise RecordingError where nothing of it is of use.
 
     counts: of its drivers. refused: samples that acquisition refused, by reason.
     """

@@ -46,8 +46,10 @@ class Report:
     rows: dict[str, int]
 
 
-_COUNTED = ("v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events", "v_event_records",
-            "v_notifications", "v_covariates")  # fmt: skip
+_COUNTED = (
+    "v_runs", "v_estimates_windows", "v_alarms", "v_alarm_events", "v_health", "v_events", "v_event_records",
+    "v_notifications", "v_covariates",
+)  # fmt: skip
 
 
 @contextmanager
@@ -61,7 +63,7 @@ def reported(path: Path | str) -> Iterator[None]:
 
 
 def check(path: Path | str) -> Report:
-    """Read a whole database and say what is wrong with it; changes nothing, and may run while an agent writes.
+    """Read a whole database and say what is wrong with it; changes nothing and may run while an agent writes.
 
     Raises:
         StoreError: missing, not ours, newer.
@@ -83,7 +85,7 @@ def _count(connection: sqlite3.Connection, view: str) -> int:
 
 
 def repair(path: Path | str) -> Recovery | None:
-    """Replace a damaged database by one of the rows that prove themselves; None when nothing is wrong with it.
+    """Replace a damaged database by one of the rows that prove themselves; None if nothing is wrong with it.
 
     An agent that writes to it is asked to do it.
 
@@ -175,7 +177,7 @@ def store_baselines(path: Path | str, baselines: Sequence[Baseline]) -> list[int
 
 
 def ask_holder(path: Path, command: str, held: StoreHeldError, **arguments: Any) -> dict[str, Any]:
-    """Have the agent that owns a database do it; what owns it without a socket (a replay ...) cannot be asked.
+    """Have the agent that owns a database do it; an owner without a socket (a replay ...) cannot be asked.
 
     arguments: of `ask`.
     """
@@ -223,7 +225,7 @@ _EXPORTED = (
 
 
 def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[str], Iterator[Sequence[Any]]]:
-    """Return the columns and rows of a view for a file format; what: "estimates", "alarms" ... (without the v_).
+    """Return the columns and rows of a view for a file format; what: "estimates", "alarms" ... (without v_).
 
     Raises:
         StoreError: the file; UsageError: an unknown view or rig.
@@ -262,7 +264,7 @@ def export_csv(path: Path | str, what: str, output: "SupportsWrite[str]", rig: s
 
 
 def export_parquet(path: Path | str, what: str, target: Path | str, rig: str | None = None) -> int:
-    """Write a view as a Parquet file; returns the number of rows. Raises UsageError without the extra "parquet"."""
+    """Write a view as a Parquet file; return the row count. Raises UsageError without the extra "parquet"."""
     try:
         import pyarrow as arrow  # noqa: ICN001 - a word
         from pyarrow import parquet

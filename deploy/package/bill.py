@@ -1,4 +1,4 @@
-"""The bill of materials (CycloneDX 1.6, JSON) of what an environment holds: names, versions, licences, where from."""
+"""The bill of materials (CycloneDX 1.6, JSON) of an environment: names, versions, licences, where from."""
 
 import json
 import os
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def write(environment: Path, project: Path, version: str, to: Path, epoch: int) -> None:
-    """Write the bill of an environment; project: pyproject.toml, which names what the bill is of, in which version."""
+    """Write an environment's bill; project: pyproject.toml, which names what it is of, in which version."""
     tool = str(Path(sys.executable).with_name("cyclonedx-py"))
     form = [
         "--output-reproducible",

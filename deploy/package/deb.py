@@ -1,4 +1,4 @@
-"""The Debian package: the environment, the units and what belongs to them, documents; installed without a network."""
+"""The Debian package: the environment, the units and what belongs to them, documents; installed offline."""
 
 import gzip
 import os
@@ -28,7 +28,7 @@ _LINKS = {"opt/deltak/bin": "current/bin", "usr/bin/deltak": "/opt/deltak/bin/de
 
 
 def pack(work: Path, to: Path, version: str, epoch: int) -> Path:
-    """Build the package; work: the folder that holds tree, environment and manual; to: bill, page, and the package."""
+    """Build the package; work: the folder of tree, environment and manual; to: bill, page and the package."""
     root, tree = work / "deb", work / "tree"
     shutil.copytree(work / "manual", root)
     shutil.copytree(work / "environment", root / str(HOME)[1:] / "package", symlinks=True)

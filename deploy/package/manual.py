@@ -1,4 +1,4 @@
-"""deltak(1) and the shells' completion, made from the commands' own help, so that neither leaves anything out."""
+"""deltak(1) and the shells' completion, made from the commands' own help, so neither leaves anything out."""
 
 import sys
 import time
@@ -26,7 +26,10 @@ EXITS = (
     ("1", "unforeseen; or a scenario of score is not as expected; or an upgrade was taken back"),
     (
         "2",
-        "the command line, the configuration, a model that cannot be observed, a recording that cannot be used",
+        (
+            "the command line, the configuration, a model that cannot be observed, "
+            "a recording that cannot be used"
+        ),
     ),
     ("3", "the database: missing, not deltak's, damaged, newer than this version, locked, not to be written"),
     ("4", "a bus that cannot exist or be opened, in demo and check --probe"),

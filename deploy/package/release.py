@@ -16,7 +16,7 @@ INTERPRETER = Path("/usr/bin", PYTHON)
 HOME = Path("/opt/deltak")
 SITE = Path("lib", PYTHON, "site-packages")
 PLUGINS = HOME / "plugins"
-"""Where drivers and commands of others are installed to outlive upgrades; found after all that comes with deltak."""
+"""Where others' drivers and commands are installed to outlive upgrades; found after deltak's own."""
 # -I: neither PYTHONPATH nor the current folder brings another package of the name `agent`
 _COMMAND = """#!{place}/bin/python -I
 import sys

@@ -1,4 +1,4 @@
-"""Wheel and sdist from a clean tree: the files of a commit alone, the same bytes whoever builds them and when."""
+"""Wheel and sdist from a clean tree: a commit's files alone, the same bytes whoever builds them and when."""
 
 import gzip
 import io
@@ -65,7 +65,7 @@ def _run(command: list[str], epoch: int) -> None:
 
 
 def _repack(sdist: Path, epoch: int) -> None:
-    """Write an sdist anew without what tells when and by whom it was built: setuptools keeps times and owners."""
+    """Rewrite an sdist without traces of when and by whom it was built: setuptools keeps times and owners."""
     packed = io.BytesIO()
     with tarfile.open(sdist) as old, tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as new:
         for member in sorted(old.getmembers(), key=lambda member: member.name):

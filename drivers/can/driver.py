@@ -1,4 +1,4 @@
-"""CAN as a source of samples: frames decoded in batches by what a DBC file says. Nothing is sent to the bus."""
+"""CAN as a source of samples: frames decoded in batches as a DBC file says. Nothing is sent to the bus."""
 
 from typing import ClassVar
 

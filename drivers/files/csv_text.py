@@ -40,7 +40,7 @@ class Table:
     report: Callable[[int, int, str], None]
 
     def read(self, chunk: bytes) -> tuple[IntArray | None, FloatArray]:
-        """Return times in ns (n,) (NO_TIME where unreadable; None without a time column) and values (n, m)."""
+        """Return times in ns (n,) (NO_TIME if unreadable; None without a time column) and values (n, m)."""
         if b"\r" in chunk:
             chunk = chunk.replace(b"\r\n", b"\n")
         if not chunk.endswith(b"\n"):

@@ -17,7 +17,7 @@ from drivers.port import Driver, DriverIOError, DriverSettings, FloatArray, IntA
 
 TIME = "t"
 LEVELS, HELD = 8, 10
-"""Something is commanded if it has fewer levels than this, and stays at each for so many samples on average."""
+"""Something is commanded if it has fewer levels than this, and stays at each so many samples on average."""
 
 
 class RecordingSettings(DriverSettings):
@@ -84,7 +84,7 @@ class RecordingDriver(Driver):
         self._file = None
 
     def resolution(self) -> tuple[float, ...]:
-        """Return the step that all readings of the recording's first block are whole numbers of; 0.0 where none is."""
+        """Return the step that all readings of the first block are whole numbers of; 0.0 where none is."""
         if self._file is not None and self._ahead is None:
             self._ahead = next(self._rows, None)
         if self._ahead is None:
@@ -92,7 +92,7 @@ class RecordingDriver(Driver):
         return tuple(grid_step(column) for column in self._ahead[1].T)
 
     def switched(self) -> tuple[bool, ...]:
-        """Tell of each field whether it is held at a few levels: the step between two of them is no resolution.
+        """Tell of each field whether it is held at a few levels: the step between two is no resolution.
 
         Of the first block, before it is read, as `resolution` is; False where there is none.
         """
@@ -139,7 +139,7 @@ def _completed(rows: Iterator[Rows], present: Sequence[bool]) -> Iterator[Rows]:
 
 
 def _is_switched(values: FloatArray) -> bool:
-    """Tell whether readings (n,) are those of something that is commanded in a few levels and stays at each."""
+    """Tell if readings (n,) are those of something that is commanded in a few levels and stays at each."""
     finite = values[np.isfinite(values)]
     jumps = int(np.count_nonzero(np.diff(finite)))
     return HELD * jumps < len(finite) and len(np.unique(finite)) < LEVELS

@@ -105,7 +105,10 @@ class NpzFile(RecordedFile):
         sizes = self._zip.infolist()
         packed, whole = sum(one.compress_size for one in sizes), sum(one.file_size for one in sizes)
         if whole > _LARGE and whole > _PACKED_WELL * packed:
-            what = f"{packed} bytes that unpack to {whole}, {whole // max(packed, 1)} times as many, are no measurement"
+            what = (
+                f"{packed} bytes that unpack to {whole}, {whole // max(packed, 1)} times as many, "
+                "are no measurement"
+            )
             raise DriverConfigError(f"{self._wanted.path}: {what}; see where it comes from")
 
     def _column(self, name: str) -> _Column:

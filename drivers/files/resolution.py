@@ -1,4 +1,4 @@
-"""The step that recorded readings are whole multiples of: that of a converter, or of the decimals of a text."""
+"""The step that recorded readings are whole multiples of: that of a converter, or of a text's decimals."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ ON_GRID, MOST = 0.01, 0.99
 CLOSEST = 50
 """Differences of neighbouring levels, the smallest, whose common divisor is looked for."""
 FEW = 8
-"""Fewer levels than this are on a grid only if it goes through zero: two of them are always one length apart."""
+"""Fewer levels than this are on a grid only if it goes through zero: two are always one length apart."""
 REACHES = (1e5, 1e7, np.inf)
 """Steps from the origin, nearest first, over which a step is made more precise: the farther the more."""
 
@@ -37,7 +37,7 @@ def grid_step(values: FloatArray) -> float:
 
 
 def _divisor(lengths: FloatArray, least: float) -> float:
-    """Return the greatest common divisor of lengths (n,) as Euclid finds it, what is under `least` being nothing."""
+    """Return the greatest common divisor of lengths (n,) by Euclid, what is under `least` being nothing."""
     found = float(lengths[0])
     for length in lengths[1:].tolist():
         larger, rest = length, found

@@ -42,7 +42,7 @@ class Wanted:
         return tuple(name for name in self.names if name in present or name not in self.optional)
 
     def place(self, name: str, present: list[str]) -> int:
-        """Return where a column is; DriverConfigError names those there are, or says that it is there twice."""
+        """Return where a column is; DriverConfigError names those there are, or says it is there twice."""
         if present.count(name) == 1:
             return present.index(name)
         if name in present:

@@ -49,7 +49,8 @@ class Ring:
             )
         if self.address + self.slots * self.registers > 65536:
             raise DriverConfigError(
-                f"ring: {self.slots} slots of {self.registers} registers from {self.address} end beyond register 65535"
+                f"ring: {self.slots} slots of {self.registers} registers from {self.address} "
+                "end beyond register 65535"
             )
 
     @property
@@ -58,7 +59,7 @@ class Ring:
         return MAX_REGISTERS // self.registers
 
     def unwrap(self, raw: int, near: int) -> int:
-        """Return the number congruent to `raw` nearest to `near`: lower than it when the index ran backwards."""
+        """Return the number congruent to `raw` nearest to `near`: lower when the index ran backwards."""
         ahead = (raw - near) % self.modulus
         return near + ahead - (self.modulus if ahead >= self.modulus // 2 else 0)
 
@@ -74,7 +75,7 @@ class Ring:
         return max(0, head - self.slots + 1)
 
     def spans(self, first: int, end: int) -> Iterator[Span]:
-        """Yield the requests for samples first .. end - 1: as few as the ring's and the index's wrap allow."""
+        """Yield the requests for samples first .. end - 1: as few as the ring's and index's wrap allow."""
         while first < end:
             slot = self.slot(first)
             to_wrap = min(self.slots - slot, self.modulus - first % self.modulus)
@@ -83,7 +84,7 @@ class Ring:
             first += samples
 
     def overtaken(self, first: int, samples: int, head: int) -> NDArray[np.bool_]:
-        """Tell of each sample whether its slot was, or may just be being, overwritten when `head` are written.
+        """Tell of each sample if its slot was, or may just be being, overwritten when `head` are written.
 
         The slot of sample n is next used by sample n + slots, or sooner by the first sample after the index
         wraps that falls into it.
@@ -101,7 +102,7 @@ class Ring:
 
 
 def slot_layout(fields: Sequence[FieldSpec], orders: tuple[Order, Order]) -> Layout:
-    """Return the layout of one slot, in an order of bytes and of words; DriverConfigError unless it fills registers."""
+    """Return one slot's layout, in a byte and word order; DriverConfigError unless it fills registers."""
     layout = Layout(tuple(fields), *orders)
     if layout.size % 2:
         raise DriverConfigError(

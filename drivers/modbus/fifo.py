@@ -50,7 +50,8 @@ class FifoReader(Reader):
         if rest:
             self.counts.faults["queue"] += 1
             self.note(
-                f"the queue holds {len(data) // 2} registers, no whole number of samples; the last part is left"
+                f"the queue holds {len(data) // 2} registers, no whole number of samples; "
+                "the last part is left"
             )
         return slots_of(data[: len(data) - rest], self.layout)
 

@@ -58,7 +58,7 @@ _ADVICE = {
 
 
 class ReplyError(Exception):
-    """A reply that is not the answer to its request, or none: kind counts it, code is an exception's, data came."""
+    """A reply not answering its request, or none: kind counts it, code is an exception's, data came."""
 
     def __init__(self, kind: str, words: str, code: int = 0) -> None:
         super().__init__(words)
@@ -91,7 +91,7 @@ class Request:
 
 
 def check_reply(pdu: bytes, request: Request) -> ByteArray:
-    """Return the register bytes of a reply (function code first); raise ReplyError unless it answers the request."""
+    """Return a reply's register bytes (function code first); ReplyError unless it answers the request."""
     if not pdu:
         raise ReplyError("reply", "an empty reply")
     if pdu[0] == request.function | 0x80:
@@ -147,10 +147,10 @@ class Frames(ABC):
 
     @abstractmethod
     def reply(self, data: bytes, request: Request) -> ByteArray | None:
-        """Return the reply's register bytes, None while there is none; ReplyError when it is no good answer."""
+        """Return the reply's register bytes, None while there is none; ReplyError if it is no good answer."""
 
     def give_up(self) -> int:
-        """Wait for the last request's reply no longer: should it come, it is passed over. Return its number."""
+        """Wait for the last request's reply no longer: should it come, it is ignored. Return its number."""
         return 0
 
     def restart(self) -> None:  # noqa: B027 (where replies do not say what they answer, there is nothing to forget)
@@ -207,7 +207,7 @@ class TcpFrames(Frames):
         return check_reply(pdu, request)
 
     def _behind_late(self, data: bytes) -> tuple[bytes, tuple[int, ...]]:
-        """Return what stands behind the whole replies to requests that were given up, and the numbers of these."""
+        """Return what stands behind the whole replies to requests given up, and the numbers of these."""
         late: list[int] = []
         while len(data) >= 6 and (number := int.from_bytes(data[:2], "big")) in self._given_up:
             size = 6 + int.from_bytes(data[4:6], "big")
@@ -262,7 +262,7 @@ class RtuFrames(Frames):
         return None
 
     def _checked(self, pdu: bytes, request: Request) -> ByteArray | None:
-        """Return a sound reply's register bytes; None, noted as late, where it answers a request that was given up."""
+        """Return a sound reply's register bytes; None, noted as late, where it answers a request given up."""
         try:
             return check_reply(pdu, request)
         except ReplyError as error:
@@ -298,13 +298,13 @@ def request_pdu(request: Request) -> bytes:
 
 
 def _load_library() -> None:
-    """Import pymodbus from its top: threads that first meet it at different modules wait for each other's locks."""
+    """Import pymodbus from its top: threads that first meet it at different modules wait for each other."""
     with _LOADING:
         importlib.import_module("pymodbus")
 
 
 def _decoder() -> "DecodePDU":
-    """Return the library's table of replies, its size of a function 24 reply over RTU mended (two bytes short)."""
+    """Return the library's reply table, its size of a function 24 reply over RTU mended (two bytes short)."""
     from pymodbus.pdu import DecodePDU
     from pymodbus.pdu.file_message import ReadFifoQueueResponse
 

@@ -9,8 +9,8 @@ BUSY_FIRST_S = 0.05
 BUSY_MOST_S = 1.0
 """Pauses after "device busy": the first, doubled up to the last."""
 FASTEST_PACED = 22000
-"""Bit/s up to which the silence before a request is 3.5 characters; faster lines keep this rate's, about 1.75 ms
-(Modbus over serial line 1.02, section 2.5.1.1)."""
+"""Bit/s up to which the silence before a request is 3.5 characters; faster lines keep this rate's,
+about 1.75 ms (Modbus over serial line 1.02, section 2.5.1.1)."""
 LONGEST_NOISE = 2048
 """Bytes looked through for a reply; noise before them is forgotten."""
 UNANSWERED = 3
@@ -29,8 +29,8 @@ USUAL = 4.0
 """A unit is waited for so many times its slowest answer, and at least so long."""
 FULL_FROM = 64
 FULL_FROM_UNKNOWN = 16
-"""Silences in a row, of a unit whose pace is known and of one whose is not, at which, and at whose doubles, the whole
-time-out is waited for again."""
+"""Silences in a row, of a unit whose pace is known and of one whose is not, at which, and at whose doubles,
+the whole time-out is waited for again."""
 POLITE_S = 0.2
 """For how long a request to a lost unit lets others go first."""
 ACTIVE_S = 1.0
@@ -39,8 +39,8 @@ FOUND_S = 1.4
 GROWTH = 4.0
 RAREST = 99.0
 LEAST = 3.0
-"""A lost unit rests for what a request to it costs times GROWTH for each silence, at most RAREST times the cost, and no
-longer than lets it be found within FOUND_S, unless that were less than LEAST times the cost."""
+"""A lost unit rests for what a request to it costs times GROWTH for each silence, at most RAREST times the
+cost, and no longer than lets it be found within FOUND_S, unless that were less than LEAST times the cost."""
 ROUNDING_S = 1e-6
 """Times this near are the same: a wait may end so much early."""
 
@@ -54,6 +54,6 @@ GATHER_S = 0.02
 SLOW_S = 60.0
 """A link is taken for slow for so long after samples last came too late; it is told once until then."""
 HOPELESS = 2
-"""Reads in a row of which most came too late: after a mere stall the first is late, and the next one is not."""
+"""Reads in a row of which most came too late: after a mere stall the first is late, and the next is not."""
 NEAR = 2
-"""Reading goes on this part of the ring behind the newest sample at most: the rest is for the time that it takes."""
+"""Reading goes on this part of the ring behind the newest sample at most: the rest covers its duration."""

@@ -1,4 +1,4 @@
-"""One connection to the units behind it, shared by all sources that name it: a serial line, a gateway, a device.
+"""One connection to the units behind it, shared by all sources naming it: a serial line, a gateway, a device.
 
 Requests go out one at a time, the most urgent first. A unit that does not answer costs the others little:
 once it has failed it is given no longer than its answers used to take, but for now and then, and is asked
@@ -128,7 +128,7 @@ class ModbusLine:
     def _come_level(
         self, request: Request, unit: Unit, timeout_s: float, faults: Counter[str], spare: int
     ) -> None:
-        """Ask for a number of registers that the unit owes no answer of; with that, every late one has come."""
+        """Ask for a number of registers that the unit owes no answer of; with it, every late one has come."""
         probe = _unowed(request, unit, timeout_s, spare)
         if probe is not None:
             try:
@@ -184,7 +184,7 @@ class ModbusLine:
         return answer
 
     def _settle(self, pipe: Pipe, faults: Counter[str]) -> None:
-        """Leave the silence that RTU wants between frames, and forget what came unasked: whose turn it was sent it."""
+        """Leave RTU's silence between frames, and forget what came unasked: whose turn it was sent it."""
         if self._pause_s is None:
             return
         clock.sleep(max(0.0, self._received_at + self._pause_s - clock.monotonic()))

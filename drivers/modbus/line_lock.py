@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 class LineLock:
-    """Gives a line to one thread at a time, earliest deadline first; equal ones in the order in which they came.
+    """Gives a line to one thread at a time, earliest deadline first; equal ones in the order they came.
 
     A deadline stays what it was while its owner waits, so that nobody waits for ever, and on a line that
     cannot keep up all fall behind alike.

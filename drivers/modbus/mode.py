@@ -1,4 +1,4 @@
-"""What the three ways in which a Modbus device offers samples have in common: rings, registers to poll, queues.
+"""What the three ways a Modbus device offers samples have in common: rings, registers to poll, queues.
 
 Each reader is handed a function that asks for registers and answers with their bytes; it keeps its place over
 re-opens, so that a broken connection costs no sample that the device still holds.
@@ -69,7 +69,7 @@ class Reader(ABC):
         """Forget what may have changed while there was no connection."""
 
     def values(self, slots: ByteArray) -> FloatArray:
-        """Return the requested fields of samples' registers (n, bytes), (n, m); who looks on is shown both."""
+        """Return the requested fields of samples' registers (n, bytes), (n, m); who looks on sees both."""
         found = self.layout.values(slots, self.source.fields)
         if self.counts.trace is not None:
             shown = [f"registers {slot.tobytes().hex(' ', 2)}" for slot in slots[-Trace.NEWEST :]]

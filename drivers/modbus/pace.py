@@ -1,4 +1,4 @@
-"""Whether a link keeps up with a ring that is overwritten while it is read, and where to go on if it does not.
+"""Whether a link keeps up with a ring overwritten while it is read, and where to go on if it does not.
 
 Who reads the oldest slot next is always late on a link that is slower than the device's rate, and delivers
 nothing for ever. Reading that goes on near the newest sample instead has the whole ring to fall behind in: as
@@ -45,7 +45,7 @@ class Carried(NamedTuple):
 
     @property
     def keeps_up(self) -> bool:
-        """Whether the link is quick enough for the device, were it not for replies that were lost or came late."""
+        """Whether the link is quick enough for the device, were it not for replies lost or late."""
         return self.broken and self.carries >= self.needed
 
     def and_then(self, more: "Carried") -> "Carried":
@@ -59,8 +59,9 @@ class Carried(NamedTuple):
     def words(self) -> str:
         """What is wrong, in words."""
         return (
-            f"the link is too slow for the device: it carries about {self.carries:.0f} of the {self.needed:.0f} "
-            "samples a second that are written; those that come too late are left out, with gaps (a faster line, a "
+            f"the link is too slow for the device: it carries about {self.carries:.0f} "
+            f"of the {self.needed:.0f} samples a second that are written; "
+            "those that come too late are left out, with gaps (a faster line, a "
             "nearer gateway, shorter slots or a lower sample rate would help)"
         )
 
@@ -72,7 +73,7 @@ class Pace:
         self._ring = ring
         self._late = 0
         self.carried = Carried(0, 0, 0.0, 0.0)
-        """What the link carried in the newest read, or in all since the first of those that came too late in a row."""
+        """What the link carried in the newest read, or in all since the first that came too late in a row."""
         self._slow_until = self._reported_until = -inf
 
     @property
@@ -81,13 +82,13 @@ class Pace:
         return clock.monotonic() < self._slow_until
 
     def behind(self, late: NDArray[np.bool_], carried: Carried) -> bool:
-        """Take which samples (n,) of a read came too late; tell whether the oldest slots cannot be caught up with."""
+        """Take which samples (n,) came too late; tell whether the oldest slots cannot be caught up with."""
         self._late = self._late + 1 if 2 * late.sum() > len(late) else 0
         self.carried = self.carried.and_then(carried) if self._late > 1 else carried
         return bool(late.any()) and (self.slow or self._late >= HOPELESS)
 
     def fell_behind(self) -> bool:
-        """Take the link for slow from now on, unless lost replies are what it fell behind by; tell if that is news."""
+        """Take the link for slow from now on, unless it fell behind by lost replies; tell if that is news."""
         if self.carried.keeps_up:
             return False
         now = clock.monotonic()
@@ -99,7 +100,7 @@ class Pace:
         return news
 
     def resume(self, head: int) -> int:
-        """Return the sample to go on with when `head` are written: what one request holds, if the ring has room."""
+        """Return the sample to resume at when `head` are written: a request's worth, if the ring has room."""
         oldest = self._ring.oldest(head)
         if not self.slow:
             return oldest

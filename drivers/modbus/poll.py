@@ -111,7 +111,7 @@ class PollReader(Reader):
         return SampleBlock(values, clock.monotonic_ns(), counter, received_ns=received)
 
     def _rows(self, ask: Ask, deadline: float) -> Iterator[tuple[ByteArray, int]]:
-        """Poll until the deadline, with each answer's time; a failure after the first is kept for the next read."""
+        """Poll until the deadline, with each answer's time; a later failure is kept for the next read."""
         some = False
         while self.wait_until_due(deadline):
             try:

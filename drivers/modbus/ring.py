@@ -100,7 +100,7 @@ class RingReader(Reader):
         return self.due + self._pause_s
 
     def _plan(self, head: int, now: float) -> None:
-        """Plan when to ask for the index again: after the period, or sooner where the ring fills faster than that."""
+        """Plan when to ask for the index again: after the period, or sooner where the ring fills faster."""
         before, self._asked = self._asked, (head, now)
         if before is None:
             self._pause_s = min(self.settings.period_s, FIRST_S)
@@ -117,7 +117,7 @@ class RingReader(Reader):
         return int(self._index_layout.counter(data.reshape(1, -1), INDEX)[0])
 
     def _follow(self, raw: int) -> int:
-        """Return the index unwrapped, and move the place to read from when samples were lost or counting began anew."""
+        """Return the index unwrapped; move the read position when samples were lost or counting restarted."""
         head = raw if self._next is None else self._ring.unwrap(raw, self._next)
         if self._next is not None and head < self._next:
             head = self._restart(raw)
@@ -197,7 +197,7 @@ class RingReader(Reader):
         self._skip_to(self._pace.resume(head))
 
     def _deliver(self, first: int, data: ByteArray, late: NDArray[np.bool_]) -> SampleBlock:
-        """Return the samples from number `first` on but for those that came too late (n,), and count all of them."""
+        """Return the samples from number `first` on but for those too late (n,), and count all of them."""
         arrival_ns = clock.monotonic_ns()
         every = slots_of(data, self.layout)
         slots = every[~late]

@@ -1,4 +1,4 @@
-"""What is known of the units on a line: how long each is waited for, and when one that keeps silent is asked again.
+"""What is known of the units on a line: how long each is waited for, and when a silent one is asked again.
 
 A request to a silent unit holds the line for c seconds: until it is given up or its gateway says that nobody
 answers. After the n-th failure in a row, n >= 3, the unit is left alone for p seconds,

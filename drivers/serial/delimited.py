@@ -13,7 +13,7 @@ from drivers.serial.framing import Framing
 
 
 class EndedDecoder(SerialDecoder):
-    """Frames of one length once their coding is taken off: packed fields, check (low byte first, over the fields).
+    """Frames of one length once decoded: packed fields, check (low byte first, over the fields).
 
     Rejects by "crc", by "length" and by "coding" (a COBS length that leads out of the frame, a SLIP escape of
     nothing); what is no frame is counted by its bytes, as so many frames as they make up.
@@ -58,7 +58,7 @@ class EndedDecoder(SerialDecoder):
         return self._samples([frame for frame in frames if frame is not None])
 
     def _frame(self, piece: bytes) -> bytes | None:
-        """Return the fields and check of what stands between two ends; None when it is no frame of this length."""
+        """Return fields and check of what stands between two ends; None if it is no frame of this length."""
         overlong, self._overlong = self._overlong, False
         frame = None if overlong else self._framing.decode(piece)
         if frame is not None and len(frame) == self._size:
@@ -71,7 +71,7 @@ class EndedDecoder(SerialDecoder):
         return None
 
     def _shortened(self, rest: bytes) -> bytes:
-        """Return what may become a frame; what is too long for one is none, and neither is its end still to come."""
+        """Return what may become a frame; what is too long for one is none, nor is its end still to come."""
         if len(rest) <= self._longest and not self._overlong:
             return rest
         self._overlong = True

@@ -25,7 +25,7 @@ from drivers.serial.text import TextDecoder
 from drivers.serial_port import SerialKeys, port_hint
 
 _GATHER_S = 0.05
-"""A line that flows is read so often, unless there was much to be read: a read costs what hundreds of bytes do."""
+"""A flowing line is read so often, unless there was much to read: a read costs what hundreds of bytes do."""
 _FEW_BYTES = 1024
 _DOLLAR_FIRST = re.compile(r"\^?\(?(?:\\\$|\[\$\]|\$)")
 _NMEA = 'with checksum = "nmea" a line is $ADDRESS,cells*HH,'
@@ -78,7 +78,8 @@ class SerialSettings(SerialKeys):
         of_text = (self.columns, self.pattern, self.delimiter, self.counter_modulus, self.checksum != "none")
         if any(of_text):
             raise ValueError(
-                'format "binary" has no delimiter, columns, pattern, checksum or counter_modulus; its check is "crc"'
+                'format "binary" has no delimiter, columns, pattern, checksum or counter_modulus; '
+                'its check is "crc"'
             )
         if sum(field.size for field in self.fields) > 1024:
             raise ValueError("a frame may have up to 1024 bytes")

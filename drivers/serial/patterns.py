@@ -21,7 +21,7 @@ _ADVICE = r"say what lies between the values more narrowly, e.g. [^,]* or \s+ in
 
 
 class _Part(NamedTuple):
-    """A piece of a pattern: the characters it can begin with (a bit each), whether it can be empty, its effort."""
+    """A piece of a pattern: the characters it can begin with (a bit each), if it can be empty, its effort."""
 
     first: int
     empty: bool

@@ -1,4 +1,4 @@
-"""Lines of text on a serial line to samples: delimited cells, or what the groups of a pattern catch. Pure: no I/O."""
+"""Lines of serial text to samples: delimited cells, or what the groups of a pattern catch. Pure: no I/O."""
 
 import math
 import re
@@ -103,7 +103,9 @@ class TextDecoder(SerialDecoder):
         between = ", held against what lies between $ and *, the address included" if self._nmea else ""
         return {
             "length": f"more than {LONGEST} characters",
-            "checksum": 'checksum = "nmea" wants $ADDRESS,cells*HH, HH the exclusive or of what lies between $ and *',
+            "checksum": (
+                'checksum = "nmea" wants $ADDRESS,cells*HH, HH the exclusive or of what lies between $ and *'
+            ),
             "columns": f"{cells} cells{behind}; columns has {len(self._columns)}",
             "pattern": f"does not match the pattern{between}",
             "text": "a cell is no decimal number",

@@ -35,7 +35,7 @@ def virtual_can(interface: str, channel: str, key: str) -> None:
 
 
 def pty_link(port: str, folder: Path, key: str) -> Path:
-    """Return the path at which a link to a pseudo-terminal may be made; SimUsageError where something real may be.
+    """Return the path for a link to a pseudo-terminal; SimUsageError where something real may be.
 
     The path must be free, or a link that leads to a pseudo-terminal (or nowhere any more), and not under
     /dev.

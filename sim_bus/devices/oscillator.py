@@ -1,4 +1,4 @@
-"""Devices with clocks of their own: at another rate, a little too slowly or too fast, and never quite in time.
+"""Devices with clocks of their own: at another rate, a little too slow or too fast, and never quite in time.
 
 A device of r samples a second whose clock drifts takes its sample k at the rig's time k·(1 + drift) / r; what
 is read there lies between two samples of the rig. Displacements of nodes with mass are interpolated by
@@ -116,7 +116,7 @@ def _hermite(y: FloatArray, slope: FloatArray, i: NDArray[np.int64], s: FloatArr
 
 
 def _cubic(y: FloatArray, i: NDArray[np.int64], s: FloatArray) -> FloatArray:
-    """Return the cubic through the samples i − 1 .. i + 2 (at the very beginning 0 .. 3), s beyond sample i."""
+    """Return the cubic through the samples i − 1 .. i + 2 (at the beginning 0 .. 3), s beyond sample i."""
     first = np.maximum(i - 1, 0)
     x = s + (i - first)
     out = np.zeros(len(i))

@@ -106,7 +106,7 @@ class PtyLine:
 
 
 def join(outer: PtyLine, inner: PtyLine, stop: threading.Event) -> None:
-    """Carry bytes between a line that readers come to and go from and one that is always open, until told to stop."""
+    """Carry bytes between a line that readers come to and go from and one always open, until told to stop."""
     while not stop.is_set():
         if not outer.has_reader():
             stop.wait(0.005)

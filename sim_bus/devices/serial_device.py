@@ -1,4 +1,4 @@
-"""Simulated serial devices: binary frames or lines of text on a pseudo-terminal, sent at the samples' times."""
+"""Simulated serial devices: binary frames or text lines on a pseudo-terminal, sent at the samples' times."""
 
 import threading
 import time
@@ -24,7 +24,7 @@ from sim_bus.rig.rigfile import Source
 ADDRESS = "DKSIM"
 """What stands between $ and the first cell of a line with an NMEA checksum."""
 SETTLE_S = 0.2
-"""Readers throw away what has arrived when they have set up the line: nothing is sent so soon after it was opened."""
+"""Readers discard what has arrived when they set up the line: nothing is sent so soon after it was opened."""
 _STOP_S = 5.0
 _LINE_LOOK_S = 0.005
 
@@ -123,7 +123,7 @@ def binary_packer(settings: SerialSettings) -> Pack:
 
 
 def text_packer(settings: SerialSettings) -> Pack:
-    """Return what makes lines: the columns, shortest digits that give the number back; 0 where nobody fills one."""
+    """Return what makes lines: the columns, shortest round-trip digits; 0 where nobody fills one."""
     delimiter = settings.delimiter or ","
     nmea = settings.checksum == "nmea"
 

@@ -48,7 +48,7 @@ class Lateness:
 
 
 class Outlet(ABC):
-    """Somebody who is sent samples, or a line; keeps at most `limit` bytes that the other side does not take."""
+    """Somebody who is sent samples, or a line; keeps at most `limit` bytes the other side does not take."""
 
     limit = 1 << 20
 

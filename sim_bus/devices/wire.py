@@ -25,7 +25,7 @@ Pack = Callable[[Raw], Sequence[bytes]]
 
 @dataclass(frozen=True, slots=True)
 class WireNumber:
-    """One field on the wire: an integer between low and high, or, without them, a float; value = raw·scale + offset."""
+    """One field on the wire: an integer in low .. high, without them a float; value = raw·scale + offset."""
 
     name: str
     low: int | None
@@ -56,7 +56,7 @@ class WireNumber:
         return 1 if self.low is None or self.high is None else self.high - self.low + 1
 
     def encode(self, values: FloatArray) -> tuple[NumberArray, NDArray[np.bool_]]:
-        """Return the raw numbers of the field's values and where they had to be held at an end of the range."""
+        """Return raw numbers of the field's values and where they had to be held at an end of the range."""
         scaled = (values - self.offset) / self.scale
         if self.low is None or self.high is None:
             return scaled, np.zeros(len(values), dtype=np.bool_)
@@ -175,7 +175,7 @@ def _columns(rig: RigFile, source: Source, fields: set[str]) -> dict[str, int]:
 
 
 def _counters(source: Source, numbers: Sequence[WireNumber]) -> frozenset[str]:
-    """Return the fields that count samples: the configured one, and in every other message the signal of its name."""
+    """Return the fields that count samples: the configured one, and its namesake in every other message."""
     if source.counter is None:
         return frozenset()
     signal = source.counter.rpartition(".")[2]

@@ -1,4 +1,4 @@
-"""What a faulty device puts into its numbers: wrong values, and counters that stand still, leap or begin anew."""
+"""What a faulty device puts into its numbers: wrong values, counters that stand still, leap or begin anew."""
 
 from collections.abc import Callable, Sequence
 

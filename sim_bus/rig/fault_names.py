@@ -1,4 +1,4 @@
-"""Every fault that a device or a line can have, by name: how long it lasts, what it is, what a reader makes of it.
+"""Every fault a device or line can have, by name: how long it lasts, what it is, what a reader makes of it.
 
 `cause` is what a reader that counts everything can say of it ("" where there is nothing to be seen from its
 side).
@@ -156,7 +156,7 @@ SENSORS: Mapping[str, FaultKind] = {
     "flicker": FaultKind("the reading stands still but for its last digit", "", 2.0),
     "spikes": FaultKind("ten readings a second are off by twice the largest so far", "spike", 2.0),
 }
-"""What a sensor can do, of the last output channel or of the one named; the agent raises an alarm of the channel."""
+"""What a sensor can do, of the last output channel or the one named; the agent raises the channel's alarm."""
 
 KNOWN: Mapping[str, Mapping[str, FaultKind]] = {
     "can": {**LINES, **_ON_TEXT, **FRAMES, **COUNTERS, **NUMBERS},

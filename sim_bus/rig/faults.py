@@ -48,7 +48,7 @@ def strikes(scenario: Scenario, driver: str, source: str, sample_rate_hz: float)
 
 
 def check(scenario: Scenario, drivers: Mapping[str, str]) -> None:
-    """Raise SimUsageError for a fault that does not exist, or that none of the sources (name: driver) can have."""
+    """Raise SimUsageError for a fault that does not exist or that no source (name: driver) can have."""
     wrong = [text for fault in scenario.fault for text in _wrong(fault, drivers)]
     if wrong:
         raise SimUsageError(f"--fault: {text}" for text in wrong)
@@ -125,7 +125,7 @@ class LineFaults:
         return bool(hit)
 
     def at_time(self, name: str, sample: int) -> bool:
-        """Tell whether a fault that lasts by the clock lasts while `sample` is the newest; it is noted as planned."""
+        """Tell whether a fault timed by clock lasts while `sample` is the newest; it is noted as planned."""
         return bool(self._hit(name, sample))
 
     def _hit(self, name: str, sample: int) -> list[Strike]:

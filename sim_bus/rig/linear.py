@@ -1,4 +1,4 @@
-"""The true motion of a linear system x' = F x + G u, y = C x + D u, any entry of which may change at any sample.
+"""True motion of a linear system x' = F x + G u, y = C x + D u, any entry of which may change at any sample.
 
 In discrete time F x + G u is the next state. What drives it are the channels of quantity "input", in the
 file's order.

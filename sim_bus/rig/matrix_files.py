@@ -13,7 +13,7 @@ _KEYS = ("A", "B", "C", "D", "dA", "dB", "dC", "dD")
 
 
 def with_numbers(content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a configuration with the numbers in the place of files; SimUsageError where one cannot be read."""
+    """Return a configuration with the numbers in place of files; SimUsageError where one cannot be read."""
     model = content.get("model")
     if not isinstance(model, dict):
         return dict(content)

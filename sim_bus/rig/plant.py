@@ -79,7 +79,7 @@ class Graph:
         return equations(self, values)
 
     def incidence(self, links: Sequence[Link]) -> FloatArray:
-        """Return the incidence matrix (links, nodes): 1 where a link begins, −1 where it ends, ground left out."""
+        """Return the incidence matrix (links, nodes): 1 at a link's start, −1 at its end, ground left out."""
         rows = np.zeros((len(links), len(self.nodes)))
         for row, link in zip(rows, links, strict=True):
             for sign, end in zip((1.0, -1.0), link.ends, strict=True):
@@ -157,7 +157,7 @@ class Motion:
         return self.graph.node(name)
 
     def output(self, quantity: str, node: str) -> tuple[FloatArray, FloatArray]:
-        """Return the rows (h, j) with reading = h x + j u for displacement, velocity or acceleration of a node."""
+        """Return rows (h, j) with reading = h x + j u for a node's displacement, velocity or acceleration."""
         number = self.graph.node(node)
         nodes = len(self.graph.nodes)
         if quantity == "displacement":
@@ -171,7 +171,7 @@ class Motion:
 
 
 def equations(graph: Graph, values: Mapping[str, float]) -> Motion:
-    """Return the equations of motion for the given constants (masses kg, springs N/m, dampers N s/m, by name)."""
+    """Return the equations of motion for given constants (masses kg, springs N/m, dampers N s/m, by name)."""
     nodes = len(graph.nodes)
     heavy = graph.heavy
     light = graph.light
@@ -199,7 +199,7 @@ def _light_rates(damping: FloatArray, forces: FloatArray, names: list[str]) -> F
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a fixed length: x(t + τ) = A x(t) + B0 u_k + B1 u_(k+1), u at the samples before and after."""
+    """One fixed-length step: x(t + τ) = A x(t) + B0 u_k + B1 u_(k+1), u at the samples before and after."""
 
     A: FloatArray
     B0: FloatArray

@@ -1,4 +1,4 @@
-"""What the simulator needs of a rig's configuration: model, channels, sources. Other keys are left to the agent."""
+"""What the simulator needs of a rig's configuration: model, channels, sources. Other keys are the agent's."""
 
 import tomllib
 from collections.abc import Mapping
@@ -277,7 +277,7 @@ class RigFile(_Part):
 
     @property
     def source_names(self) -> tuple[str, ...]:
-        """Names of the sources; an unnamed one is called after its driver, a second of a kind gets a number."""
+        """Names of sources; an unnamed one is called after its driver, a second of a kind gets a number."""
         taken = {source.name for source in self.source if source.name}
         names: list[str] = []
         for source in self.source:
@@ -340,7 +340,7 @@ def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
 
 
 def without_covariates(content: dict[str, Any]) -> dict[str, Any]:
-    """Return a configuration without channels that are beside the model, and without sources of nothing else."""
+    """Return a configuration without channels beside the model, and without sources of nothing else."""
     channels, sources = content.get("channel", ()), content.get("source", ())
     beside = {row.get("name") for row in channels if isinstance(row, dict) and row.get("role") == "covariate"}
     if not beside:

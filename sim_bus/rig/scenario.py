@@ -117,13 +117,13 @@ class Scenario(BaseModel):
         return [(force, node) for force in self.force for node in ([force.at] if force.at else sensed)]
 
     def sensors_on(self, channels: Sequence[Channel]) -> list[Sensor]:
-        """Return what sensors get wrong, those included that a fault strikes: the channel named, or the last output."""
+        """Return what sensors get wrong, also by faults: of the channel named, or the last output."""
         last = next((c.name for c in reversed(channels) if not c.is_input), "")
         struck = [fault for fault in self.fault if fault.sensor in _BROKEN]
         return [*self.sensor, *(_broken(fault, fault.channel or last) for fault in struck)]
 
     def with_faults(self, texts: Sequence[str], duration_s: float | None = None) -> Self:
-        """Return the scenario with more faults, each as NAME[:TARGET]@SECONDS[+HOW_LONG], in the time that it lasts."""
+        """Return the scenario with more faults, each as NAME[:TARGET]@SECONDS[+HOW_LONG], within its time."""
         more = [_fault_of(text) for text in texts]
         end_s = self.duration_s if duration_s is None else duration_s
         late = [fault for fault in more if end_s and fault.at_s >= end_s]
@@ -149,7 +149,10 @@ class Scenario(BaseModel):
         ]
         wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
-        known = f"parameters are {', '.join(_first(sorted(constants)))}; channels are {', '.join(sorted(channels))}"
+        known = (
+            f"parameters are {', '.join(_first(sorted(constants)))}; "
+            f"channels are {', '.join(sorted(channels))}"
+        )
         lines = [
             f"{text}: the configuration has no such thing; {known}" for text in wrong
         ] + self._impossible(rig)
@@ -194,7 +197,7 @@ def load_scenario(
     environment: Mapping[str, str] = os.environ,
     known: Callable[[], Sequence[str]] = built_in_names,
 ) -> Scenario:
-    """Return a scenario by its built-in name or from a file; the seed in the environment goes before its own."""
+    """Return a scenario by its built-in name or from a file; the seed in the environment precedes its own."""
     path = scenario_path(name_or_file, known)
     content = read_toml(path) | {"folder": path.resolve().parent}
     return checked(Scenario, content | _seed_of(environment), str(path))

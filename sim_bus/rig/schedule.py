@@ -16,7 +16,7 @@ Values = Mapping[str, float]
 
 
 class Change(BaseModel):
-    """One [[change]]: from `at_s` on the named parameters move to nominal + delta, to value, or to nominal·(1 + %).
+    """One [[change]]: from `at_s` on the named parameters move to nominal + delta, value or nominal·(1 + %).
 
     With ramp_s > 0 they go there linearly, in steps of `every_s`.
     """
@@ -83,7 +83,7 @@ class Path(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Move:
-    """One parameter's way from sample `start` on: to `target` in `ramp` samples, moving every `every` samples."""
+    """A parameter's way from sample `start`: to `target` in `ramp` samples, moving every `every` samples."""
 
     start: int
     ramp: int
@@ -148,7 +148,7 @@ class Timeline:
         return math.fsum(path.offset(name, index) for path in self._wear)
 
     def summary(self, end: int) -> list[dict[str, str | int | float]]:
-        """Return every change before sample `end`: parameter, first sample, samples that it takes, from, to."""
+        """Return every change before sample `end`: parameter, first sample, samples it takes, from, to."""
         return [
             {
                 "parameter": name,

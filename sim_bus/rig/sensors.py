@@ -15,7 +15,7 @@ from sim_bus.rig.rigfile import Channel, Quantity
 
 
 class Sensor(BaseModel):
-    """One [[sensor]]: numbers are in the channel's unit; `from_s` .. `until_s` bounds bias, gain, drift, stuck, rail.
+    """One [[sensor]], in the channel's unit; `from_s` .. `until_s` bounds bias, gain, drift, stuck, rail.
 
     reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail
     and rounded to `step`; with `stuck` the reading of `from_s` stays, give or take `flicker`. `delay_s` is
@@ -128,7 +128,7 @@ class SensorChain:
         return np.where(live, railed, readings)
 
     def _measure(self, number: int, sensor: Sensor, before: FloatArray) -> float:
-        """Return what the sensor's numbers are counted in, the readings before it begins to fail having gone on."""
+        """Return what the sensor's numbers are counted in, the readings before it fails having gone on."""
         if sensor.measure == "unit":
             return 1.0
         peak = max(self._peaks.get(number, 0.0), float(np.abs(before).max(initial=0.0)))
@@ -136,7 +136,7 @@ class SensorChain:
         return peak
 
     def affected_before(self, end: int) -> dict[str, list[tuple[int, int]]]:
-        """Return, by kind, the runs (first, last) of samples before `end` that a fault of the sensor touched."""
+        """Return, by kind, the runs (first, last) of samples before `end` that a sensor fault touched."""
         touched = {kind: runs.before(end) for kind, runs in self._affected.items()}
         return {kind: runs for kind, runs in touched.items() if runs}
 

@@ -225,7 +225,7 @@ class Trajectory:
         self._made = 0
 
     def chunk(self, number: int) -> Chunk:
-        """Return samples number · CHUNK to (number + 1) · CHUNK − 1; LookupError when they are no longer kept."""
+        """Return samples number · CHUNK to (number + 1) · CHUNK − 1; LookupError if no longer kept."""
         with self._lock:
             while self._made <= number:
                 self._make()

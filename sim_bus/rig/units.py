@@ -1,4 +1,4 @@
-"""Units of channels: how many SI units one of them is. Text that is no known unit is kept as it is (factor 1)."""
+"""Channel units: how many SI units one of them is. Text that is no known unit is kept as it is (factor 1)."""
 
 import math
 from collections.abc import Mapping

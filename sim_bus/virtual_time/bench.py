@@ -29,7 +29,7 @@ from sim_bus.virtual_time.played import START_NS, Line, ModbusLine, PlayedSource
 
 
 class PlayedBench:
-    """The sources of a rig, each on a machine of its own, all playing the same scenario from the same time on.
+    """The sources of a rig, each on a machine of its own, all playing the same scenario from the same time.
 
     Args:
         config: the rig's configuration.

@@ -1,4 +1,4 @@
-"""Sources on a machine whose time stands still while nobody waits: the same devices, faults and bytes, without a bus.
+"""Sources on a machine whose time stops while nobody waits: the same devices, faults and bytes, no bus.
 
 A driver that lives on it (`drivers.clock.playing`) opens its line, waits and reads as ever; a wait moves the
 time to when something comes, or to its end. So what happens depends on configuration, scenario and seed

@@ -260,8 +260,14 @@ def reported(bus: str, found: Capacity) -> str:
     lost = ", ".join(f"{count} {reason}" for reason, count in found.lost.items()) or "none"
     share = f"{100 * sum(found.cost.values()):.0f} % of a core"
     head = f"{bus}: {found.rigs} rigs at 1 kHz {kept}: {share}; one core would carry {found.sustained:.0f}"
-    sent = f"the devices sent {100 * found.pace:.1f} % of what was due, at {100 * found.devices:.0f} % of another core"
-    return f"{head}, limited by {found.limit}\n  lost: {lost}; {found.lag_s:.2f} s behind\n  of a core: {costs}\n  {sent}"
+    sent = (
+        f"the devices sent {100 * found.pace:.1f} % of what was due, "
+        f"at {100 * found.devices:.0f} % of another core"
+    )
+    return (
+        f"{head}, limited by {found.limit}\n  lost: {lost}; {found.lag_s:.2f} s behind\n"
+        f"  of a core: {costs}\n  {sent}"
+    )
 
 
 def main(arguments: list[str]) -> None:

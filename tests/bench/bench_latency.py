@@ -159,7 +159,8 @@ def reported(bus: str, setting: str, what: str, found: Latency) -> str:
     """Return a measurement in words."""
     return (
         f"{bus}, {setting}: {found.n} {what}, {1e3 * found.p50:.0f} ms after their newest sample at p50, "
-        f"{1e3 * found.p99:.0f} ms at p99; {100 * found.cpu:.1f} % of a core, {found.bytes_a_day / 1e9:.2f} GB a day"
+        f"{1e3 * found.p99:.0f} ms at p99; {100 * found.cpu:.1f} % of a core, "
+        f"{found.bytes_a_day / 1e9:.2f} GB a day"
     )
 
 

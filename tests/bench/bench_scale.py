@@ -37,7 +37,7 @@ WINDOWS = ((0.25,), (0.25, 0.5, 1.0, 2.0, 4.0))
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A chain's readings, to be played round and round: force (N, 1) on its last mass, displacements (N, p)."""
+    """A chain's readings, played round and round: force (N, 1) on its last mass, displacements (N, p)."""
 
     u: FloatArray
     y: FloatArray
@@ -55,12 +55,14 @@ def text(masses: int, estimated: tuple[str, ...], windows: tuple[float, ...]) ->
         return ", ".join(rows)
 
     channels = "".join(
-        f'[[channel]]\nname = "x{i + 1}"\nquantity = "displacement"\nat = "m{i + 1}"\nunit = "m"\nnoise_sd = {NOISE}\n'
+        f'[[channel]]\nname = "x{i + 1}"\nquantity = "displacement"\nat = "m{i + 1}"\n'
+        f'unit = "m"\nnoise_sd = {NOISE}\n'
         for i in range(masses)
     )
     masses_text = ", ".join(f'{{ name = "m{i + 1}", value = 3.0 }}' for i in range(masses))
     return (
-        f'[rig]\nname = "chain"\nsample_rate_hz = 1000.0\nclock = "counter"\n[model]\nkind = "mass-spring-damper"\n'
+        '[rig]\nname = "chain"\nsample_rate_hz = 1000.0\nclock = "counter"\n'
+        '[model]\nkind = "mass-spring-damper"\n'
         f"mass = [{masses_text}]\nspring = [{links('k', 300.0)}]\ndamper = [{links('B', 5.0)}]\n"
         f'[[channel]]\nname = "force"\nquantity = "force"\nat = "m{masses}"\nunit = "N"\n{channels}'
         f"[estimator]\nwindow_s = {list(windows)}\nhop_s = 0.05\nestimate = {list(estimated)}\n"

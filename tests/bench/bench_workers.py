@@ -95,7 +95,8 @@ def reported(bus: str, found: Spread) -> str:
     cores = " + ".join(f"{100 * one:.0f}" for one in found.cores)
     mb = " + ".join(f"{one:.0f}" for one in found.mb)
     return (
-        f"{bus}: {found.rigs} rigs at 1 kHz in {max(1, len(found.cores) - 1)} processes that compute: {cores} % of a "
+        f"{bus}: {found.rigs} rigs at 1 kHz in {max(1, len(found.cores) - 1)} processes that compute: "
+        f"{cores} % of a "
         f"core, {mb} MB; one core would carry {found.carried(1):.0f}, two {found.carried(2):.0f}; "
         f"lost: {found.lost or 'none'}"
     )

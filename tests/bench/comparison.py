@@ -130,7 +130,7 @@ Result = tuple[Contender, Score, float, float]
 
 @cache
 def compare(sigma: float) -> list[Result]:
-    """Return each contender with its mean score, steady cost and shift by another past (per cent of nominal)."""
+    """Return each contender with its mean score, steady cost and shift by another past (% of nominal)."""
     tuning_record = play(schedule(), sigma, np.random.default_rng(TUNING_SEED))
     field = contenders(sigma, tuning_record, tuning_score(tuning_record))
     records = [play(schedule(), sigma, np.random.default_rng(seed)) for seed in SEEDS]

@@ -54,7 +54,7 @@ def schedule() -> FloatArray:
 
 
 def play(theta: FloatArray, sigma: float, rng: np.random.Generator) -> Record:
-    """Play parameters (N, 4) under a random force of 5 N rms, a straight line between samples; exact in time."""
+    """Play parameters (N, 4) under a random force of 5 N rms, straight between samples; exact in time."""
     u = rng.normal(scale=5.0, size=(len(theta), 1))
     step = _Steps()
     x, y = np.zeros(4), np.empty((len(theta), 2))

@@ -1,4 +1,4 @@
-"""What CAN costs: a frame of the kernel's bus, of a log, a line of an adapter, each beside the library's way."""
+"""What CAN costs: a frame of the kernel's bus, of a log, a line of an adapter, beside the library's way."""
 
 import subprocess
 import sys
@@ -71,7 +71,8 @@ def test_log_of_candump_replays_at_300000_frames_a_second_and_more(tmp_path: Pat
     count, path = 500_000, tmp_path / "a.log"
     digits = np.random.default_rng(0).bytes(8 * count).hex().upper()
     path.write_text("".join(
-        f"({1600000000 + i // 1000}.{i % 1000:03d}000) can0 100#{digits[16 * i : 16 * i + 16]}\n" for i in range(count)
+        f"({1600000000 + i // 1000}.{i % 1000:03d}000) can0 100#{digits[16 * i : 16 * i + 16]}\n"
+        for i in range(count)
     ))  # fmt: skip
     assert read_log(path) == count
     rate = count / least(3, lambda: read_log(path))
@@ -111,7 +112,8 @@ def test_line_of_an_adapter_costs_a_fraction_of_the_librarys() -> None:
 
     theirs = least(3, library) / 5000
     print(
-        f"\nslcan: {ours * 1e6:.2f} us a line; python-can's reader, the port's own cost apart, {theirs * 1e6:.2f}"
+        f"\nslcan: {ours * 1e6:.2f} us a line; python-can's reader, the port's own cost apart, "
+        f"{theirs * 1e6:.2f}"
     )
     assert ours < 0.5 * theirs
 
@@ -128,6 +130,7 @@ def test_batch_of_a_thousand_frames_is_decoded_50_times_cheaper_than_by_cantools
     ours = least(50, lambda: decoder.decode(frames))
     theirs = least(5, lambda: [message.decode(data) for data in datas])
     print(
-        f"\na thousand frames decoded: {ours * 1e6:.0f} us, by cantools {theirs * 1e6:.0f} us: {theirs / ours:.0f} x"
+        f"\na thousand frames decoded: {ours * 1e6:.0f} us, "
+        f"by cantools {theirs * 1e6:.0f} us: {theirs / ours:.0f} x"
     )
     assert theirs >= 50 * ours

@@ -32,7 +32,8 @@ def test_comparison_window_ml_costs_a_130th_of_the_ekf_and_an_800th_of_the_ukf(s
     for product in ("window-ml 0.25 s", "window-ml 0.5 s"):
         ekf, ukf = (steady[name] / steady[product] for name in ("joint EKF", "joint UKF"))
         print(
-            f"\nsteady at {sigma * 1e6:g} um: {product} {ekf:.0f} x cheaper than the EKF, {ukf:.0f} x than the UKF"
+            f"\nsteady at {sigma * 1e6:g} um: {product} {ekf:.0f} x cheaper than the EKF, "
+            f"{ukf:.0f} x than the UKF"
         )
         assert ekf >= 130.0
         assert ukf >= 800.0

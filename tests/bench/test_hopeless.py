@@ -1,4 +1,4 @@
-"""What a sample costs on a rig whose configuration is hopeless, against the same samples rightly configured."""
+"""What a sample costs on a rig with a hopeless configuration, against the same samples rightly configured."""
 
 import time
 from pathlib import Path
@@ -75,7 +75,8 @@ def test_first_minute_of_a_hopeless_rig_costs_at_most_three_times_the_right_one(
     path.write_text(text, encoding="utf-8")
     hopeless = first_minute_us(path, v)
     figure(
-        f"first minute of {wrong}: {hopeless:.0f} us a sample, {hopeless / right:.1f} x the right one's {right:.0f}"
+        f"first minute of {wrong}: {hopeless:.0f} us a sample, "
+        f"{hopeless / right:.1f} x the right one's {right:.0f}"
     )
     assert hopeless <= 3.0 * right
 

@@ -67,8 +67,8 @@ def year(path: Path) -> None:
             for first in range(0, days * DAY, 10 * DAY):
                 length = min(10 * DAY, days * DAY - first)
                 plan = Plan()
-                add_groups(plan, groups(first + (365 - days) * DAY, length, span, series), run_id, span, store.names,
-                           store.numbers)  # fmt: skip
+                add_groups(plan, groups(first + (365 - days) * DAY, length, span, series), run_id, span,
+                           store.names, store.numbers)  # fmt: skip
                 store.commit([plan])
         base = START + 358 * DAY * SECOND
         for first in range(0, 7 * DAY, 5000):
@@ -82,8 +82,9 @@ def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
     n = len(period)
     value = 25.0 - 1e-8 * (period - START) / SECOND + np.random.default_rng(first_s).normal(0, 0.01, n)
     whole, small = np.full(n, span), np.full(n, 0.01)
-    return Groups(period, np.tile(series, count), value, small, 0.7 * small, value - 0.1, value + 0.1, whole, whole,
-                  np.full(n, 256), np.full(n, 0.25), 250 * whole, np.zeros(n, dtype=np.int64))  # fmt: skip
+    return Groups(period, np.tile(series, count), value, small, 0.7 * small, value - 0.1, value + 0.1, whole,
+                  whole, np.full(n, 256), np.full(n, 0.25), 250 * whole,
+                  np.zeros(n, dtype=np.int64))  # fmt: skip
 
 
 def trend(path: Path, since: str) -> dict[str, object]:
@@ -125,11 +126,12 @@ def test_rig_year_is_small_and_its_trend_quicker_than_pandas(tmp_path: Path) -> 
     flat = flat_copy(path)
     took = {s: (best_ms(lambda s=s: trend(path, s)), trend(path, s)["n"]) for s in ("1d", "30d", "365d")}
     ours = ", ".join(f"{since}: {n} points in {ms:.0f} ms" for since, (ms, n) in took.items())
-    view, table = (best_ms(lambda p=p, t=t: trend_by_pandas(p, t), 2) for p, t in ((path, "v_estimates"),
-                                                                                 (flat, "estimates")))  # fmt: skip
+    view, table = (best_ms(lambda p=p, t=t: trend_by_pandas(p, t), 2)
+                   for p, t in ((path, "v_estimates"), (flat, "estimates")))  # fmt: skip
     say(f"rig-year of 4 parameters, all tiers: {size:.0f} MB (at most 210)")
-    say(f"trend: {ours} (365d at most 100 ms); a line by pandas over the year's rows: {view:.0f} ms from the view, "
-        f"{table:.0f} ms from one plain indexed table of {flat.stat().st_size / 1e6:.0f} MB")  # fmt: skip
+    say(f"trend: {ours} (365d at most 100 ms); a line by pandas over the year's rows: "
+        f"{view:.0f} ms from the view, {table:.0f} ms from one plain indexed table of "
+        f"{flat.stat().st_size / 1e6:.0f} MB")  # fmt: skip
     assert size <= 210
     assert took["365d"][0] <= 100
 
@@ -241,6 +243,6 @@ def test_fleet_of_twenty_machines_over_five_years_is_quick(tmp_path: Path) -> No
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # whether the rival converges is its own affair
         other = 80.0 * best_ms(rival, 1)
-    say(f"fleet: 20 machines of four parameters over five years {ours / 1e3:.1f} s (at most 3); pandas and statsmodels "
-        f"without a first passage {other / 1e3:.1f} s")  # fmt: skip
+    say(f"fleet: 20 machines of four parameters over five years {ours / 1e3:.1f} s (at most 3); "
+        f"pandas and statsmodels without a first passage {other / 1e3:.1f} s")  # fmt: skip
     assert ours <= 3000

@@ -134,7 +134,8 @@ def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
     overhead, ratio = cost["ekf"] / cost["filterpy"], cost["ekf"] / cost["window-ml"]
     print(f"\nwindow-ml {cost['window-ml']:.0f} ns a sample after a start of {start_of(samples, 1.0):.2f} s")
     print(
-        f"joint EKF {cost['ekf'] / 1e3:.1f} µs, {overhead:.2f} x filterpy's own predict + update: {ratio:.0f} x dearer"
+        f"joint EKF {cost['ekf'] / 1e3:.1f} µs, {overhead:.2f} x filterpy's own predict + update: "
+        f"{ratio:.0f} x dearer"
     )
     assert overhead <= 1.5
     assert ratio >= 120
@@ -149,7 +150,8 @@ def test_bank_costs_a_small_share_of_a_joint_ekf(samples: Record) -> None:
         cost = bench_bank.cost(rig, 1e-3 * v[:, :2], v[:, 2:], 1000)
         ratios[constants] = ekf / cost
         print(
-            f"\nbank, {constants} columns of constants: {cost:.0f} ns a sample, EKF {ratios[constants]:.0f} x dearer"
+            f"\nbank, {constants} columns of constants: {cost:.0f} ns a sample, "
+            f"EKF {ratios[constants]:.0f} x dearer"
         )
     assert ratios[0] >= 200
     assert ratios[3] >= 120
@@ -190,7 +192,8 @@ def test_whole_replay_of_a_recording_into_sqlite_keeps_far_ahead_of_time(
     )
     rate, of_processor = SAMPLES / min(walls), SAMPLES / min(processors)
     figure(
-        f"whole replay of NPZ into SQLite, {force} force: {rate:,.0f} samples a second, {of_processor:,.0f} of a core"
+        f"whole replay of NPZ into SQLite, {force} force: "
+        f"{rate:,.0f} samples a second, {of_processor:,.0f} of a core"
     )
     assert of_processor >= 300_000  # on a loaded machine too: a core that is shared takes half as long again
 

@@ -1,4 +1,4 @@
-"""Frames with ends over a serial line that socat plays: unplugged when it dies, found again when it is back."""
+"""Frames with ends over a serial line that socat plays: unplugged when it dies, found again when back."""
 
 import os
 import subprocess

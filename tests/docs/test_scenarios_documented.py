@@ -1,4 +1,4 @@
-"""Every key of a scenario, every fault and every scenario that comes along is in docs/scenarios.md, as it is."""
+"""Each key of a scenario, each fault and each scenario that comes along is in docs/scenarios.md, as it is."""
 
 import re
 

@@ -73,7 +73,10 @@ def found_in(wanted: set[str]) -> list[str]:
 def test_words_of_public_names_are_known() -> None:
     used = {word for _, name in names() for word in words_of(name)}
     unknown = used - glossary() - set(BOOKS.read_text(encoding="utf-8").split())
-    advice = f"take a word of the field's books, explain it in docs/glossary.md, or add plain English to {BOOKS.name}"
+    advice = (
+        "take a word of the field's books, explain it in docs/glossary.md, "
+        f"or add plain English to {BOOKS.name}"
+    )
     assert found_in(unknown) == [], advice
 
 

@@ -39,7 +39,8 @@ RING = """
 mode = "ring"
 index = {{ address = 0, type = "uint32" }}
 ring = {{ address = 16, slots = 512 }}
-fields = [{{ name = "F", type = "{type}", scale = {force} }}, {{ name = "X", type = "{type}", scale = {length} }}]
+fields = [{{ name = "F", type = "{type}", scale = {force} }}, \
+{{ name = "X", type = "{type}", scale = {length} }}]
 timeout_s = 0.2
 period_s = 0.02
 """

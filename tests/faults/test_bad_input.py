@@ -83,7 +83,8 @@ CONFIG_FAULTS = [
     ("duplicate element", 'name = "k2", b', 'name = "k1", b', "model.spring[1].name", '"k1"'),
     ("negative mass", "value = 5.0", "value = -5.0", "model.mass[0].value", "must"),
     ("rate 0", "sample_rate_hz = 1000.0", "sample_rate_hz = 0", "rig.sample_rate_hz", "must"),
-    ("both limits", "limit = 15.0", "limit_percent = 10\nlimit = 15.0", "alarm[0]", "both limit and limit_percent"),
+    ("both limits", "limit = 15.0", "limit_percent = 10\nlimit = 15.0", "alarm[0]",
+     "both limit and limit_percent"),
     ("no limit", "limit = 15.0", "", "alarm[0]", "has no limit"),
     ("channel that no source maps", ', x2 = "x2" }', " }", "channel[2]", 'no source maps "x2"'),
     ("alarm on what is not estimated", "hop_s = 0.05", 'hop_s = 0.05\nestimate = ["k2", "B1", "B2"]',
@@ -146,8 +147,8 @@ def test_unobservable_states_name_what_to_measure(place: Place, deltak: Run) -> 
     code, _, err = deltak("replay", str(config), str(place.recording), "--db", str(place.db))
     assert code == 2
     assert (
-        "no channel shows the displacement of m1 and displacement of m2; measure the displacement of m1 and m2"
-        in err
+        "no channel shows the displacement of m1 and displacement of m2; "
+        "measure the displacement of m1 and m2" in err
     )
     assert place.unchanged()
 

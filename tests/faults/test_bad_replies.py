@@ -164,7 +164,8 @@ def test_ring_with_one_bad_reply_in_twenty_is_read_as_well_as_pymodbus_with_retr
         shares[name] = len(results.get(name, set()) & set(there)) / len(there)
     figures.figure(
         f"rings with one bad reply in twenty, {devices[0].bad.total()} of them: deltak reads "
-        f"{100 * shares['deltak']:.1f} % of the samples, pymodbus with retries {100 * shares['pymodbus']:.1f} %"
+        f"{100 * shares['deltak']:.1f} % of the samples, "
+        f"pymodbus with retries {100 * shares['pymodbus']:.1f} %"
     )
     assert devices[0].bad.total() > 10
     assert shares["deltak"] >= 0.95

@@ -126,7 +126,7 @@ named."""
 
 
 def sensor_run(name: str) -> tuple[Assessment, dict[str, Any], list[tuple[int, int]]]:
-    """Play two masses at 1 kHz with a sensor that fails; return the verdict, and the runs of wrong readings."""
+    """Play two masses at 1 kHz with a sensor that fails; return the verdict and runs of wrong readings."""
     bench = open_bench("healthy", [f"{name}@1.5s+1.5s"])
     assess = Assessment(play(bench, lambda _share: None), bench.strikes())
     touched = assess.truth.ledger["sensors"]["x2"]["affected"]

@@ -100,7 +100,8 @@ def test_silent_unit_leaves_the_others_their_rate_and_is_back_in_time(
             link.close()
     others = [count for number, count in enumerate(counts) if number != 2]
     figures.figure(
-        f"1 of 8 Modbus units silent ({name}): the others keep {min(others)} of 300 polls, it is back in {back_s:.2f} s"
+        f"1 of 8 Modbus units silent ({name}): the others keep {min(others)} of 300 polls, "
+        f"it is back in {back_s:.2f} s"
     )
     assert min(others) >= 0.99 * 300
     assert counts[2] == 0
@@ -168,7 +169,8 @@ def test_line_that_cannot_keep_up_is_shared_evenly(tmp_path: Path) -> None:
         counts = [poller.samples for poller in pollers]
     device.close()
     figures.figure(
-        f"8 Modbus units ask for many times what their line carries: {min(counts)} to {max(counts)} polls each"
+        "8 Modbus units ask for many times what their line carries: "
+        f"{min(counts)} to {max(counts)} polls each"
     )
     assert min(counts) >= 0.8 * max(counts)
 

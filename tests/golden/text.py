@@ -39,7 +39,7 @@ def machine() -> str:
 
 
 def lines(records: Iterable[Record], ledger: Sequence[Health], every: int) -> list[str]:
-    """Return a run as lines: one row of estimates in `every`, all that is not a row, what all rows add up to."""
+    """Return a run as lines: one row of estimates in `every`, all that is no row, what all rows add up to."""
     digest, count, found = hashlib.sha256(), 0, []
     for record in records:
         if isinstance(record, EstimateBatch):
@@ -66,7 +66,8 @@ def _row(batch: EstimateBatch, at: int) -> list[str]:
     counts = f"used={int(batch.n_used[at])} missing={int(batch.n_missing[at])} dof={_number(batch.dof[at])}"
     return [
         f"row {int(batch.index[at])} {int(batch.t_ns[at])} {name} {_code(Status, batch.status[at, i])}"
-        f" {_code(Reason, batch.reason[at, i])} value={_number(batch.value[at, i])} sd={_number(batch.sd[at, i])}"
+        f" {_code(Reason, batch.reason[at, i])} value={_number(batch.value[at, i])}"
+        f" sd={_number(batch.sd[at, i])}"
         f" held={_number(batch.held[at, i])} window_s={_number(batch.window_s[at, i])}"
         + (f" {counts}" if i == 0 else "")
         for i, name in enumerate(batch.parameters)

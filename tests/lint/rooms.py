@@ -31,7 +31,7 @@ def floors() -> dict[str, int]:
 
 
 def rooms(graph: Graph, depth: int) -> Graph:
-    """Return which rooms, named down to a depth, import which others; files beside whole rooms are rooms too."""
+    """Return which rooms, named to a depth, import which others; files beside whole rooms are rooms too."""
     packages = {name for name in graph if (ROOT / Path(*name.split("."))).is_dir()}
     found: dict[str, set[str]] = {}
     for name, imported in graph.items():

@@ -130,8 +130,8 @@ def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
             shutil.chown(one, "nobody", "nogroup")
     user = {"user": "nobody", "group": "nogroup", "extra_groups": []} if os.getuid() == 0 else {}
     way = "scram-sha-256" if password else "trust"
-    subprocess.run([initdb, "-D", home / "data", "-U", "deltak", "-A", way, "--pwfile", word, "-N", "-E", "UTF8"],
-                   check=True, capture_output=True, cwd=home, **user)  # fmt: skip
+    subprocess.run([initdb, "-D", home / "data", "-U", "deltak", "-A", way, "--pwfile", word, "-N", "-E",
+                    "UTF8"], check=True, capture_output=True, cwd=home, **user)  # fmt: skip
     command = [server, "-D", home / "data", "-p", str(port), "-k", home, "-h", "127.0.0.1", "-F", "-c",
                "shared_buffers=1MB", "-c", "logging_collector=off"]  # fmt: skip
     with subprocess.Popen(
@@ -203,6 +203,7 @@ def certificates(folder: Path) -> None:
             "req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}", *alternative
         )
         first, last = spans.get(name, spans["server"])
-        run("ca", "-batch", "-config", "ca.cnf", "-cert", "ca.pem", "-keyfile", "ca.key", "-in", f"{name}.csr", "-out",
-            f"{name}.pem", "-notext", "-startdate", first, "-enddate", last)  # fmt: skip
+        run("ca", "-batch", "-config", "ca.cnf", "-cert", "ca.pem", "-keyfile", "ca.key",
+            "-in", f"{name}.csr", "-out", f"{name}.pem",
+            "-notext", "-startdate", first, "-enddate", last)  # fmt: skip
     shutil.copy(folder / "ca.pem", folder / "ca-copy.pem")

@@ -1,4 +1,4 @@
-"""An agent that stores instants up to a number, until its two consumers have all: DB, and the rest as JSON."""
+"""An agent that stores instants up to a number, until its two consumers have all: DB, the rest as JSON."""
 
 import json
 import sys
@@ -17,8 +17,8 @@ def main(path: Path, given: dict[str, int]) -> None:
     broker, server, total = given["broker"], given["server"], given["total"]
     word = Secret(file=path.parent / "word")
     consumers = [
-        North(name="plant", kind="mqtt", url=f"mqtt://127.0.0.1:{broker}", client_id="press-7", topics=("estimates",),
-              timeout_s=1.0),
+        North(name="plant", kind="mqtt", url=f"mqtt://127.0.0.1:{broker}", client_id="press-7",
+              topics=("estimates",), timeout_s=1.0),
         North(name="history", kind="postgres", url=f"postgresql://127.0.0.1:{server}/postgres", user="deltak",
               password=word, prefix="soaked", topics=("estimates",), timeout_s=2.0),
     ]  # fmt: skip

@@ -200,7 +200,10 @@ def test_rows_purged_before_they_were_sent_are_counted_and_said_once(memory: Pat
         assert first > 101
     with supplied(path, [PLANT], Archive().make):
         wait_until(lambda: bool(events(path)), "the event", 10)
-    lost = f"plant: {first - 101} instants or rows were purged before it had them; the database had reached its bound"
+    lost = (
+        f"plant: {first - 101} instants or rows were purged before it had them; "
+        "the database had reached its bound"
+    )
     assert events(path) == [("purged unsent", lost)]
     with supplied(path, [PLANT], Archive().make) as (writer, _):
         writer.publish([batch(1, first=9000)])

@@ -29,7 +29,10 @@ def config(folder: Path, north: str, rig: str = "press-7") -> RigConfig:
 
 def table(name: str, **keys: Any) -> str:
     lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
-    return f'\n[[north]]\nname = "{name}"\nkind = "mqtt"\nurl = "mqtt://127.0.0.1"\ntopics = ["estimates"]\n{lines}\n'
+    return (
+        f'\n[[north]]\nname = "{name}"\n'
+        f'kind = "mqtt"\nurl = "mqtt://127.0.0.1"\ntopics = ["estimates"]\n{lines}\n'
+    )
 
 
 @contextmanager

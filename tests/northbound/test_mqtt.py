@@ -95,8 +95,8 @@ def test_rows_arrive_as_json_on_topics_of_their_own_with_discovery_and_last_will
     steps = [
         json.loads(payload) for topic, payload, _ in seen.messages if topic == "deltak/press-7/alarms/k1"
     ]
-    assert [(one["seq"], one["from_state"], one["to_state"]) for one in steps] == [(1, "NORM", "UNACK"),
-                                                                                   (2, "UNACK", "RTNUN")]  # fmt: skip
+    assert [(one["seq"], one["from_state"], one["to_state"]) for one in steps] == [
+        (1, "NORM", "UNACK"), (2, "UNACK", "RTNUN")]  # fmt: skip
     about = json.loads(seen.last("homeassistant/sensor/deltak_press-7/estimates_k1/config") or b"")
     assert about["state_topic"] == "deltak/press-7/estimates/k1"
     assert (about["unit_of_measurement"], about["availability_topic"]) == ("N/m", "deltak/status/press-7")

@@ -72,8 +72,8 @@ def test_hundred_cuts_and_twenty_kills_in_hundred_thousand_rows_lose_and_double_
             sent = list(dict.fromkeys(row["seq"] for row in seen.rows(backfill=backfill)))
             assert sent == sorted(sent)
         twice = len(seen.rows()) - len(expected)
-    figure(f"northbound: {len(expected)} rows, {cuts} cuts, {kills} kills: 0 lost, 0 twice in PostgreSQL, {twice} "
-                         "twice over MQTT")  # fmt: skip
+    figure(f"northbound: {len(expected)} rows, {cuts} cuts, {kills} kills: 0 lost, 0 twice in PostgreSQL, "
+           f"{twice} twice over MQTT")  # fmt: skip
 
 
 @pytest.mark.soak

@@ -44,8 +44,8 @@ def decoded(messages: list[tuple[str, bytes, bool]]) -> Decoded:
         (topic, payload) for topic, payload, _ in messages if "/STATE/" not in topic and "/NCMD/" not in topic
     ]
     lines = "".join(f"{payload.hex()}\n" for _, payload in wanted)
-    made = subprocess.run([node, "tests/northbound/decode.js"], input=lines, capture_output=True, text=True, check=True,
-                          cwd=ROOT, env={**os.environ, "NODE_PATH": str(modules)})  # fmt: skip
+    made = subprocess.run([node, "tests/northbound/decode.js"], input=lines, capture_output=True, text=True,
+                          check=True, cwd=ROOT, env={**os.environ, "NODE_PATH": str(modules)})  # fmt: skip
     found = [json.loads(line) for line in made.stdout.split("\n") if line]
     return [(topic, one) for (topic, _), one in zip(wanted, found, strict=True)]
 

@@ -25,7 +25,7 @@ LATE_S = 0.3
 
 @dataclass
 class Post:
-    """A receiver that knows repetitions by their key, as receivers do; script: what becomes of each attempt."""
+    """A receiver that knows repetitions by key, as receivers do; script: what becomes of each attempt."""
 
     script: list[str] = field(default_factory=list)
     attempts: list[str] = field(default_factory=list)
@@ -46,7 +46,7 @@ class Post:
 
 @contextmanager
 def webhook(post: Post) -> Iterator[str]:
-    """Serve on loopback: "500", "late" (taken, answered after the timeout), "lost" (taken, closed), "hang"."""
+    """Serve on loopback: "500", "late" (taken, answer after the timeout), "lost" (taken, closed), "hang"."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:

@@ -66,6 +66,6 @@ def test_each_step_reaches_each_target_once_over_twenty_kills_and_fifty_failures
     assert hook.accepted == keys
     assert room.post.accepted == [f"<{key}@deltak>" for key in keys]
     tries = len(hook.attempts) + len(room.post.attempts)
-    figure(f"{KILLS} agents killed among {tries - count} failed or repeated tries: {count} notifications, each once, "
-           f"in order; {left} of them were left to the last agent")  # fmt: skip
+    figure(f"{KILLS} agents killed among {tries - count} failed or repeated tries: {count} notifications, "
+           f"each once, in order; {left} of them were left to the last agent")  # fmt: skip
     assert tries - count >= FAILURES

@@ -87,8 +87,8 @@ def test_mail_refused_for_now_is_sent_again_with_the_same_message_id(memory: Pat
     room = MailRoom(Post(["451", "451"]))
     path = memory / "rig.db"
     with mail_server(room) as port:
-        target = Notify(name="mail", kind="smtp", host="127.0.0.1", port=port, tls="none", sender="rig@example.org",
-                        recipients=("shift@example.org",))  # fmt: skip
+        target = Notify(name="mail", kind="smtp", host="127.0.0.1", port=port, tls="none",
+                        sender="rig@example.org", recipients=("shift@example.org",))  # fmt: skip
         with agent(path, [target]) as (writer, _):
             writer.publish([step("NORM", "UNACK", advice="check the hub bolts")])
             wait_until(lambda: settled(path, 1), "the mail to be taken", 20)

@@ -101,7 +101,10 @@ def test_agent_runs_without_root_and_capabilities_on_a_read_only_root(root: Path
 
 
 def test_container_can_write_nothing_but_its_data(root: Path, tmp_path: Path) -> None:
-    script = f"id -u; grep CapEff /proc/self/status; for f in /opt/deltak/x /etc/x {DATA}/x; do touch $f && echo $f; done"
+    script = (
+        "id -u; grep CapEff /proc/self/status; "
+        f"for f in /opt/deltak/x /etc/x {DATA}/x; do touch $f && echo $f; done"
+    )
     done = run(root, tmp_path / "probe", "/bin/sh", "-c", script)
     uid, *shown = done.stdout.split()
     assert int(uid) > 0

@@ -22,7 +22,8 @@ DB = "/var/lib/deltak/rig.db"
 INSTALLED = """
 import json, sys, agent
 from importlib.metadata import distributions
-print(json.dumps({"packages": {d.name: d.version for d in distributions()}, "agent": agent.__file__, "path": sys.path}))
+print(json.dumps({"packages": {d.name: d.version for d in distributions()}, "agent": agent.__file__,
+    "path": sys.path}))
 """
 
 

@@ -1,4 +1,4 @@
-"""`deltak upgrade`: what a version would do is said beforehand, and one without valid rows takes itself back."""
+"""`deltak upgrade`: what a version would do is said beforehand; one without valid rows takes itself back."""
 
 import gzip
 import json
@@ -32,7 +32,7 @@ EXAMPLE = ROOT / "deploy/examples/modbus.toml"
 
 
 def mark_newer(db: Path) -> None:
-    """Do what a later version does at its start: bring the file to a version that this program does not read."""
+    """Do what a later version does at its start: bring the file to a version this program does not read."""
     with closing(sqlite3.connect(db, isolation_level=None)) as connection:
         connection.execute(f"PRAGMA user_version = {version_mark(SCHEMA_VERSION + 1)}")
 
@@ -96,7 +96,8 @@ def test_version_whose_rows_are_not_valid_is_taken_back_and_it_is_said(tmp_path:
     with pytest.raises(TakenBackError) as raised:
         upgrade(switch, [db])
     assert str(raised.value) == (
-        "upgrade to 2.0.0: taken back: no valid row of press-7 within 0.3 s; 1.0.0 runs again and gives valid rows"
+        "upgrade to 2.0.0: taken back: no valid row of press-7 within 0.3 s; "
+        "1.0.0 runs again and gives valid rows"
     )
     assert raised.value.exit_code == 1
     assert agents.steps == ["stop", "2.0.0", "stop", "1.0.0"]

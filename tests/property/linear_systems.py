@@ -45,7 +45,7 @@ class System:
         return replace(self, **new)
 
     def motion(self, u: FloatArray, x0: FloatArray) -> FloatArray:
-        """Return y (N, p): inputs u (N + 1, m) are straight between samples of a system in continuous time."""
+        """Return y (N, p): inputs u (N + 1, m) are straight between samples of a continuous-time system."""
         A, B0, B1 = self._step()
         x, y = x0, np.empty((len(u) - 1, len(self.C)))
         for k in range(len(y)):
@@ -75,7 +75,7 @@ class System:
 
 
 def random_system(rng: np.random.Generator) -> System:
-    """Return a system whose motions last from a few samples to some seconds; of a third one does not decay."""
+    """Return a system whose motions last a few samples to some seconds; of a third one does not decay."""
     n, m, p = int(rng.integers(2, 9)), int(rng.integers(1, 4)), int(rng.integers(1, 4))
     blocks = []
     left = n

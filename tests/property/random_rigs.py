@@ -113,7 +113,8 @@ def configuration(rig: Rig, noise: FloatArray) -> str:
     lines.append(_rows("mass", [f'name = "m{i}", value = {m!r}' for i, m in enumerate(rig.masses, 1)]))
     for kind, letter in (("spring", "k"), ("damper", "B")):
         rows = [
-            f'name = "{letter}{i}", between = {[name(end) for end in e.ends]}, nominal = {getattr(e, letter)!r}'
+            f'name = "{letter}{i}", between = {[name(end) for end in e.ends]}, '
+            f"nominal = {getattr(e, letter)!r}"
             for i, e in enumerate(rig.elements, 1)
         ]
         lines.append(_rows(kind, rows))

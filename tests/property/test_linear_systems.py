@@ -35,7 +35,7 @@ NOISE_SHARE = 1e-3
 
 
 def recovered(seed: int) -> None:
-    """Fit one noise-free window, entries up to 5 % of their matrix off, or 2 % where it says it did not rest."""
+    """Fit one noise-free window, entries up to 5 % of their matrix off, 2 % where it says it did not rest."""
     rng = np.random.default_rng([seed, 19])
     system = random_system(rng)
     u, x0 = rng.standard_normal((SAMPLES + 1, system.B.shape[1])), rng.standard_normal(len(system.A))

@@ -1,4 +1,4 @@
-"""Whatever rig is written down, `check` and `replay` end with 0, or with 2 and what is wrong at its key path."""
+"""Whatever rig is written, `check` and `replay` end with 0, or with 2 and what is wrong at its key path."""
 
 import json
 import re

@@ -88,7 +88,7 @@ def sent_pieces() -> list[bytes]:
 
 
 def lost_pieces(folder: Path, acknowledged: list[str]) -> int:
-    """Return how many acknowledged pieces are not there; what is there must be what was heard, in its order."""
+    """Return how many acknowledged pieces are missing; what is there must be what was heard, in its order."""
     sent, got = sent_pieces(), recorded_pieces(folder)
     there = set(got)
     assert [text for text in got if text] == [text for text in sent if text in there]

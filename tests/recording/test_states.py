@@ -1,4 +1,4 @@
-"""What a record holds of the estimation leads to the same alarm again, also where several sources delivered."""
+"""What a record holds of the estimation leads to the same alarm again, also with several sources."""
 
 from functools import partial
 from pathlib import Path

@@ -93,7 +93,10 @@ def test_record_of_an_alarm_replays_to_the_same_alarm_and_the_same_change(live: 
     (before,) = asked(live.db, "SELECT * FROM v_alarms WHERE id = ?", record["alarm_id"])
     # two estimates, the replayed one without what the live run had learnt before
     assert abs(again["delta"] - before["delta"]) <= 3 * np.hypot(again["sd"], before["sd"])
-    shown = "SELECT value, sd FROM v_estimates WHERE parameter = ? AND status = 'valid' AND t_ns <= ? ORDER BY 1 - t_ns"
+    shown = (
+        "SELECT value, sd FROM v_estimates WHERE parameter = ? "
+        "AND status = 'valid' AND t_ns <= ? ORDER BY 1 - t_ns"
+    )
     (ours, *_), (theirs, *_) = (
         asked(name, shown, record["parameter"], record["to_ns"]) for name in (db, live.db)
     )

@@ -137,7 +137,8 @@ def test_fifty_alarms_of_random_changes_are_explained_to_the_same_digits(
             assert document["same"], (seed, alarm, document["words"])
             digits.append(document["digits"])
     figure(
-        f"{len(digits)} alarms of random changes over three buses explained: all the same, to {min(digits)} digits"
+        f"{len(digits)} alarms of random changes over three buses explained: "
+        f"all the same, to {min(digits)} digits"
     )
     assert len(digits) >= 50
     assert min(digits) >= 12

@@ -57,7 +57,7 @@ def equations(rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def played(rig: Rig, seconds: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return forces (n, m) and readings (n, p) of a run under smooth random forces, straight between samples."""
+    """Return forces (n, m) and readings (n, p) under smooth random forces, straight between samples."""
     slope, V, acceleration = equations(rig)
     nodes = list(rig.masses)
     heavy = [node for node in nodes if rig.masses[node] > 0]

@@ -1,4 +1,4 @@
-"""Recorded plants whose springs, dampers and friction nobody states: identify comes to the published figures."""
+"""Recorded plants whose springs, dampers and friction nobody states: identify finds the published figures."""
 
 import re
 from pathlib import Path

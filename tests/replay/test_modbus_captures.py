@@ -22,7 +22,7 @@ def capture(name: str) -> Path:
 
 
 def packets(path: Path) -> Iterator[tuple[bool, Way, bytes]]:
-    """Yield what each packet carried, whether it went to the device, and the connection seen from the reader."""
+    """Yield what each packet carried, if it went to the device, and the connection seen from the reader."""
     for segment in segments(path):
         asks = segment.target[1] == PORT
         way = (segment.source, segment.target) if asks else (segment.target, segment.source)

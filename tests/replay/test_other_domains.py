@@ -75,7 +75,7 @@ DOMAINS = [
 
 
 def play(domain: Domain, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return t, u, y of a run in which the parameters change half-way, integrated sample by sample to 1e-9."""
+    """Return t, u, y of a run whose parameters change half-way, integrated sample by sample to 1e-9."""
     t = np.arange(domain.samples) * domain.period_s
     u, x = domain.drive(t, rng), np.array(domain.start)
     y = np.empty((len(t), 2))

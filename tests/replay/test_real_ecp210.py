@@ -36,7 +36,8 @@ def test_ecp210_runs_agree_with_each_other_and_with_the_reference(
     shares = [row["sd"] / row["value"] for row in (a, b)]
     percent = np.round(100.0 * np.array([*errors, *shares]), 1)
     figure(
-        f"ECP-210 {name}: a {a['value']:.4g}, b {b['value']:.4g} {a['unit']}; errors, then sd, of a and b {percent} %"
+        f"ECP-210 {name}: a {a['value']:.4g}, b {b['value']:.4g} {a['unit']}; "
+        f"errors, then sd, of a and b {percent} %"
     )
     assert abs(a["value"] / b["value"] - 1.0) < NEAR[name]
     assert max(map(abs, errors)) < NEAR[name]

@@ -90,8 +90,8 @@ def test_emps_without_the_friction_element_has_no_valid_row_and_no_alarm(tmp_pat
 
 SHORT = pytest.mark.xfail(
     strict=True,
-    reason="38 of 38 rows are unexcited, none named: within 6 s dry friction looks like a slow unknown force, "
-    "which widens the sd of Fv beyond what counts as excited instead",
+    reason="38 of 38 rows are unexcited, none named: within 6 s dry friction looks like a slow unknown "
+    "force, which widens the sd of Fv beyond what counts as excited instead",
 )
 
 

@@ -1,4 +1,4 @@
-"""A magnetorheological damper whose damping truly switches with its command voltage, every 15 ms on average."""
+"""A magnetorheological damper whose damping truly switches with its command voltage, some 15 ms apart."""
 
 import csv
 from itertools import pairwise
@@ -16,7 +16,7 @@ RECORD = "mr_damper/ranran_50_converted.csv"
 
 
 def dwells(record: Path, least: int) -> list[tuple[int, int, bool]]:
-    """Return (first, end, high) of each stretch of at least `least` samples at one of the two command levels."""
+    """Return (first, end, high) of each stretch of at least `least` samples at one of two command levels."""
     with record.open(encoding="utf-8") as file:
         high = np.array([float(row["Y"]) for row in csv.DictReader(file)]) > 1.125
     edges = [0, *(np.flatnonzero(np.diff(high.astype(int))) + 1).tolist(), len(high)]

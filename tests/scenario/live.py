@@ -89,7 +89,7 @@ def counts(db: Path) -> dict[str, int]:
 
 
 def example(name: str, folder: Path, **changes: str) -> Path:
-    """Copy an example rig into a folder: on a free port, every row kept, and with text replaced as asked for."""
+    """Copy an example rig into a folder: on a free port, every row kept, text replaced as asked for."""
     text = (EXAMPLES / f"{name}.toml").read_text(encoding="utf-8")
     text = text.replace("port = 1502", f"port = {free_port()}").replace(
         "port = 29536", f"port = {free_port()}"

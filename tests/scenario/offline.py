@@ -97,7 +97,7 @@ def _records(pipeline: Pipeline, values: FloatArray, cut: int) -> Any:
 
 
 def called_for(played: Played) -> list[tuple[str, int]]:
-    """(parameter, segment) of every change that carries a parameter beyond its limit, that was within before."""
+    """(parameter, segment) of every change that carries a parameter from within its limit to beyond it."""
     limits = {alarm.parameter: alarm.limit for alarm in played.config.alarm}
     nominal = {name: played.config.parameters[name].nominal for name in limits}
     found = []
@@ -111,7 +111,7 @@ def called_for(played: Played) -> list[tuple[str, int]]:
 
 
 def bounds(played: Played, last: int) -> Mapping[str, float]:
-    """The Cramer-Rao bound of the window that ends at sample `last`, noise of 1 um and the wire's rounding."""
+    """The Cramer-Rao bound of the window ending at sample `last`, noise of 1 um and the wire's rounding."""
     config, rig = played.config, rig_model(played.config)
     names = [p.name for p in rig.parameters]
     start = last + 1 - round(config.estimator.windows_s[0] * config.rig.sample_rate_hz)

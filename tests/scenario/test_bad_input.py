@@ -1,4 +1,4 @@
-"""Recordings that nobody would wish for: a clear status or advice, never an exception, an infinity or a NaN."""
+"""Recordings that nobody would wish for: a clear status or advice, never an exception, infinity or NaN."""
 
 import sqlite3
 from collections import Counter

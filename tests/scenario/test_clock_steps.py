@@ -24,7 +24,7 @@ YEAR = 365 * 86_400 * SECOND
 
 
 class Agent:
-    """One rig's part of an agent, played for some seconds at a time with a wall clock of the test's choice."""
+    """One rig's part of an agent, played some seconds at a time with a wall clock of the test's choice."""
 
     def __init__(self, config: RigConfig, db: Path) -> None:
         self.config, self.db = config, db

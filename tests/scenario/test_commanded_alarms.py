@@ -1,4 +1,4 @@
-"""A rig that runs, and an operator who acts on its alarms: both know the same state, and say what happened."""
+"""A rig that runs, and an operator who acts on its alarms: both know the same state and say what happened."""
 
 import json
 import logging

@@ -54,8 +54,8 @@ def default(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def test_demo_document_is_complete_and_no_sample_is_lost(default: dict[str, Any]) -> None:
-    keys = {"rig", "db", "run_id", "samples", "span_s", "windows", "estimates", "alarms", "seconds", "samples_per_s",
-            "bus", "scenario", "truth", "alarm_delays"}  # fmt: skip
+    keys = {"rig", "db", "run_id", "samples", "span_s", "windows", "estimates", "alarms", "seconds",
+            "samples_per_s", "bus", "scenario", "truth", "alarm_delays"}  # fmt: skip
     assert keys <= default.keys()
     assert_nothing_lost(default)
     assert (default["windows"], default["span_s"]) == (ROWS, 3.0)

@@ -1,4 +1,4 @@
-"""Templates of other domains: each example is checked, played, and its physical parameters are found again."""
+"""Templates of other domains: each example is checked, played, its physical parameters found again."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What `deltak sim` played, as a CSV, gives back its springs and dampers to a configuration that states none."""
+"""What `deltak sim` played, as a CSV, gives back its springs and dampers to a configuration that has none."""
 
 import json
 import re

@@ -34,7 +34,7 @@ PIECE = 50
 
 
 class Broken:
-    """An estimator that raises from a sample on, once or at every call; otherwise as the one it stands for."""
+    """An estimator that raises from a sample on, once or at each call; otherwise as the one it stands for."""
 
     def __init__(self, real: Any) -> None:
         self._real = real

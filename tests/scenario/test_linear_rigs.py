@@ -66,7 +66,8 @@ port = "loop.tty"
 baudrate = 115200
 format = "binary"
 sync = "AA55"
-fields = [{ name = "drive", type = "float64" }, { name = "y1", type = "float64" }, { name = "y2", type = "float64" }]
+fields = [{ name = "drive", type = "float64" }, { name = "y1", type = "float64" }, \
+{ name = "y2", type = "float64" }]
 map = { drive = "drive", y1 = "y1", y2 = "y2" }
 """
 SCENARIO = {

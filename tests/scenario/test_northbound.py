@@ -13,7 +13,8 @@ from tests.peers import ROOT
 from tests.scenario.live import agent, example, rows, wait_until
 from tests.sim.rigs import simulator
 
-NUMBERS = """SELECT e.seq FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
+NUMBERS = """SELECT e.seq FROM hops h CROSS JOIN estimates e
+  ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN fits f ON f.seq = e.fit_id WHERE h.span = 0 AND f.chosen = 1"""
 
 

@@ -86,13 +86,14 @@ def test_sources_of_different_rates_are_estimated_live_without_bias_and_not_at_a
     samples = {name: document["samples"][name] for name in ("received", "gaps", "dropped")}
     assert samples == {"received": (1000 + 500) * SECONDS, "gaps": 0, "dropped": {}}
     assert ledger["sources"]["can"]["sent"] == 500 * SECONDS
-    ((skew_s,),) = rows(tmp_path / "live.db", "SELECT skew_s FROM v_health WHERE source = 'can' AND skew_s NOT NULL "
-                        "ORDER BY t_ns DESC LIMIT 1")  # fmt: skip
+    ((skew_s,),) = rows(tmp_path / "live.db", "SELECT skew_s FROM v_health WHERE source = 'can' AND "
+                        "skew_s NOT NULL ORDER BY t_ns DESC LIMIT 1")  # fmt: skip
     count, bias = found(tmp_path / "live.db")
     left, _ = found(replayed(config, tmp_path, "0.0"))
     figure(
         f"force at 1 kHz, displacement at 500 Hz and 3.7 ms late, live: {1e3 * skew_s:.2f} ms measured; "
-        f"{_words(count)} valid rows of k1, k2, B1, B2; bias {_words(bias)} sd; delay left alone: {_words(left)} rows"
+        f"{_words(count)} valid rows of k1, k2, B1, B2; bias {_words(bias)} sd; "
+        f"delay left alone: {_words(left)} rows"
     )
     assert np.abs(bias).max() < 1.0
     assert count.min() > 15 * (SECONDS - 1)

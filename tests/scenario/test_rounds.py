@@ -1,4 +1,4 @@
-"""What is computed at once changes no row; how often a bus is read and how often a round of computing begins."""
+"""What is computed at once changes no row; how often a bus is read and a round of computing begins."""
 
 import re
 import signal

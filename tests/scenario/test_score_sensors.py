@@ -18,8 +18,9 @@ def scored(path: Path) -> dict[str, Any]:
 
 
 def test_estimates_are_valid_again_a_window_after_a_faulty_sensor_is_sound(tmp_path: Path) -> None:
-    path = changed("stuck-sensor", tmp_path, stuck="gain = -2.0", from_s="from_s = 1.5", until_s=f"until_s = {UNTIL_S}",
-                   duration_s="duration_s = 4.0", sensors="valid_percent = 50")  # fmt: skip
+    path = changed("stuck-sensor", tmp_path, stuck="gain = -2.0", from_s="from_s = 1.5",
+                   until_s=f"until_s = {UNTIL_S}", duration_s="duration_s = 4.0",
+                   sensors="valid_percent = 50")  # fmt: skip
     found = scored(path)
     # from the first whole window on all rows but those that hold the fault are valid
     rows, spoilt = (4.0 - WINDOW_S) / HOP_S, (UNTIL_S - 1.5 + WINDOW_S) / HOP_S

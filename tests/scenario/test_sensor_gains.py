@@ -49,7 +49,8 @@ driver = "serial"
 port = "press.tty"
 format = "binary"
 sync = "AA55"
-fields = [{ name = "force", type = "float64" }, { name = "x1", type = "float64" }, { name = "x2", type = "float64" }]
+fields = [{ name = "force", type = "float64" }, { name = "x1", type = "float64" }, \
+{ name = "x2", type = "float64" }]
 map = { force = "force", x1 = "x1", x2 = "x2" }
 """
 SEED = """method = "seed"

@@ -139,7 +139,8 @@ def test_skew_of_devices_with_clocks_of_their_own_is_followed_and_the_drift_is_t
     found = {name: row for name, *row in rows(db, f"SELECT source, {columns} FROM v_health ORDER BY t_ns")}
     drift, sd, skew, _ = found["modbus"]
     figure(
-        f"clock slow by 200 ppm, live: {drift:+.1f} ± {sd:.1f} ppm; skew {1e3 * skew:.2f} ms beside the transport's"
+        f"clock slow by 200 ppm, live: {drift:+.1f} ± {sd:.1f} ppm; "
+        f"skew {1e3 * skew:.2f} ms beside the transport's"
     )
     assert abs(drift + 200.0) < 3 * sd + 10.0
     assert abs(found["can"][0]) < 3 * found["can"][1] + 10.0

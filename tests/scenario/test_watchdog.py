@@ -1,4 +1,4 @@
-"""Every thread of a running agent is watched by itself: where one hangs its progress stops, and no other's."""
+"""Each thread of a running agent is watched by itself: where one hangs its progress stops, and no other's."""
 
 import threading
 from collections.abc import Callable, Iterator

@@ -106,7 +106,7 @@ def test_demo_on_a_bus_finds_what_was_played(tmp_path: Path, bus: str, scenario:
 
 
 def assert_demo_held(document: Mapping[str, Any]) -> None:
-    """3000 samples received and used, estimates within 3 sd of the truth, the schedule's alarms and no other."""
+    """3000 samples received and used, estimates within 3 sd of the truth, the schedule's alarms alone."""
     samples = document["samples"]
     assert samples == {"received": 3000, "used": 3000, "rejected": {}, "dropped": {}, "gaps": 0}
     for segment in document["truth"]:

@@ -1,4 +1,4 @@
-"""Rigs over worker processes: what ends one worker costs its rigs alone, is counted, and is over by itself."""
+"""Rigs over worker processes: what ends one worker costs only its rigs, is counted, and is over by itself."""
 
 import os
 import signal

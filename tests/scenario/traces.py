@@ -1,4 +1,4 @@
-"""What a process wrote to buses, as strace saw it: every write that is to no file, pipe or output of its own."""
+"""What a process wrote to buses, as strace saw it: every write to no file, pipe or output of its own."""
 
 import re
 from dataclasses import dataclass

@@ -99,7 +99,7 @@ def readings(config: Path, seconds: float, skew_s: float, seed: int, noise_m: fl
 
 
 def play(path: Path, values: FloatArray, order: tuple[str, ...] = ("can", "modbus")) -> Outcome:
-    """Let both devices deliver their readings in blocks, in an order of their own, and let the agent compute."""
+    """Let both devices deliver their readings in blocks, in their own order, and let the agent compute."""
     config: RigConfig = load(path)
     pipeline = Pipeline(config, STEPS, {source.name: source.map for source in config.source})
     records: list[Record] = []

@@ -98,7 +98,7 @@ def devices(config: Path, scenario: str = "default") -> Iterator[Player]:
 
 
 def agent(configs: Sequence[Path], db: Path, trace: Path | None = None) -> list[str]:
-    """Return the command that runs the agent, its writes traced by the kernel where a file for them is named."""
+    """Return the command that runs the agent, its writes traced by the kernel if a file for them is named."""
     command = [sys.executable, "-m", "agent", "run", *map(str, configs), "--db", str(db), "--json"]
     if trace is None:
         return command

@@ -212,7 +212,7 @@ def test_sim_lists_every_fault_with_what_is_told_of_it() -> None:
 
 
 def answers(line: socket.socket) -> bytes:
-    """Ask for the index and return what comes until it is whole; raises OSError when the connection breaks."""
+    """Ask for the index and return what comes until it is whole; raises OSError if the connection breaks."""
     line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 2))
     reply = b""
     while len(reply) < 13:

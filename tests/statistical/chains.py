@@ -130,7 +130,8 @@ def _text(chain: Chain, said: Mapping[str, object]) -> str:
     for kind, letter, values in (("spring", "k", chain.springs), ("damper", "B", chain.dampers)):
         lines += ["]", f"{kind} = ["]
         lines += [
-            f'{{ name = "{letter}{i + 1}", between = ["{nodes[i]}", "{nodes[i + 1]}"], nominal = {value!r} }},'
+            f'{{ name = "{letter}{i + 1}", between = ["{nodes[i]}", "{nodes[i + 1]}"], '
+            f"nominal = {value!r} }},"
             for i, value in enumerate(values)
         ]
     lines += ["]", "[[channel]]", 'name = "force"', 'quantity = "force"', f'at = "{nodes[-1]}"']

@@ -61,7 +61,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Shares over runs and windows, one a parameter: valid windows; windows whose interval holds the truth."""
+    """Shares over runs and windows, one a parameter: valid windows; windows whose interval has the truth."""
 
     valid: FloatArray
     covered: FloatArray

@@ -1,4 +1,4 @@
-"""Random machines whose configured graph is right, lacks an element, or has one too many, and what is chosen."""
+"""Random machines whose configured graph is right, lacks an element, or has one too many; what is chosen."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -36,7 +36,10 @@ class Chosen:
             if self.right
             else f"false {more or '-'}; missed {less or '-'}{' (tie)' if self.tied else ''}"
         )
-        return f"{self.masses} masses, {words}{'; ' + self.refused if self.refused else ''}, {self.seconds:.1f} s"
+        return (
+            f"{self.masses} masses, {words}{'; ' + self.refused if self.refused else ''}, "
+            f"{self.seconds:.1f} s"
+        )
 
 
 def true_elements(one: Machine) -> Elements:

@@ -42,7 +42,7 @@ def rig(seed: int) -> Chain:
 
 @dataclass(frozen=True)
 class Errors:
-    """Disjoint windows of one rig, (WINDOWS, q) each: error and stated sd in units of the bound; valid, held."""
+    """Disjoint windows of one rig, (WINDOWS, q) each: error, stated sd in units of the bound; valid, held."""
 
     error: FloatArray
     sd: FloatArray

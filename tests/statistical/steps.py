@@ -1,4 +1,4 @@
-"""Parameters that step, flicker or stay: what the product raises, when, and what it says of broken windows."""
+"""Parameters that step, flicker or stay: what the product raises, when, and says of broken windows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -27,8 +27,9 @@ def assess(found: list[Shift], request: pytest.FixtureRequest) -> None:
     # no event in so many days: three over them is the 95 % bound of a Poisson rate
     say(
         request,
-        f"{days:.2f} rig-days of normal operation: {len(alarms)} alarms {alarms[:5]} (with 95 % confidence fewer than "
-        f"{3.0 / days:.2g} a day if none), largest displacement {1e3 * max(part.peak for part in found):.0f} mm; "
+        f"{days:.2f} rig-days of normal operation: {len(alarms)} alarms {alarms[:5]} (with 95 % confidence "
+        f"fewer than {3.0 / days:.2g} a day if none), "
+        f"largest displacement {1e3 * max(part.peak for part in found):.0f} mm; "
         f"rows {100 * valid:.1f} % valid, {100 * unexcited:.1f} % unexcited, {100 * invalid:.2f} % invalid",
     )
     assert not alarms

@@ -88,8 +88,9 @@ def measured(runs: range, request: pytest.FixtureRequest) -> None:
     spoilt, refused, valid, inside, alarms = np.array(each(assessed, runs)).T
     say(
         request,
-        f"spikes of {SPIKE_N:g} N in the force, {len(runs)} runs: {refused.sum():.0f} of {spoilt.sum():.0f} refused, "
-        f"{100 * valid.mean():.1f} % valid, of which {100 * inside.mean():.1f} % cover, {alarms.sum():.0f} alarms",
+        f"spikes of {SPIKE_N:g} N in the force, {len(runs)} runs: "
+        f"{refused.sum():.0f} of {spoilt.sum():.0f} refused, {100 * valid.mean():.1f} % valid, "
+        f"of which {100 * inside.mean():.1f} % cover, {alarms.sum():.0f} alarms",
     )
     # one that did not matter to the estimates is none of the estimator's business
     assert 0.8 * spoilt.sum() <= refused.sum() <= spoilt.sum()

@@ -84,8 +84,9 @@ def assess(where: str, runs: list[Run], request: pytest.FixtureRequest) -> None:
     alarms = sum(run.alarms > 0 for run in runs)
     say(
         request,
-        f"forces of {STRONG_N:g} N on {where} that begin, {len(runs)} runs: after 13 windows {understood:.1f} % of "
-        f"the rows understood, {100 * hold / valid:.1f} % of {valid:.0f} intervals hold the truth, alarms in {alarms}",
+        f"forces of {STRONG_N:g} N on {where} that begin, {len(runs)} runs: "
+        f"after 13 windows {understood:.1f} % of the rows understood, "
+        f"{100 * hold / valid:.1f} % of {valid:.0f} intervals hold the truth, alarms in {alarms}",
     )
     assert understood >= 98.0
     assert hold >= 0.90 * valid
@@ -107,7 +108,8 @@ def test_forces_that_cease_are_forgotten() -> None:
     v = pushed(np.random.default_rng(5), WEIGHTS["m1"], after=100 * SECOND)
     rows = Rows.of(records(pipeline(), v))
     sd = {when: np.median(rows.sd[(rows.index >= at) & (rows.index < at + 5 * SECOND)], axis=0)
-          for when, at in {"healthy": SECOND, "forced": LASTS, "after": len(v) - 5 * SECOND}.items()}  # fmt: skip
+          for when, at in {"healthy": SECOND, "forced": LASTS,
+                           "after": len(v) - 5 * SECOND}.items()}  # fmt: skip
     assert (sd["forced"] > 2.0 * sd["healthy"])[[0, 2]].all()
     assert (sd["after"] < 1.6 * sd["healthy"]).all()
 

@@ -71,8 +71,9 @@ def assess(kind: str, found: list[tuple[bool, bool, float]], request: pytest.Fix
     named, right, delays = zip(*found, strict=True)
     say(
         request,
-        f"{kind}, {len(found)} runs: named and nothing else in {sum(named)}, after {np.median(delays):.2f} s in the "
-        f"median and {max(delays):.2f} s at most; every row right in {sum(right)}",
+        f"{kind}, {len(found)} runs: named and nothing else in {sum(named)}, "
+        f"after {np.median(delays):.2f} s in the median and {max(delays):.2f} s at most; "
+        f"every row right in {sum(right)}",
     )
     assert sum(named) >= 0.95 * len(found)
     assert sum(right) >= 0.95 * len(found)

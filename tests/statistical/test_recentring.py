@@ -1,4 +1,4 @@
-"""Every parameter jumps to half, one and a half or twice its value: the estimator follows, whatever the gain."""
+"""Every parameter jumps to half, 1.5 times or twice its value: the estimator follows, whatever the gain."""
 
 from functools import partial
 

@@ -20,7 +20,10 @@ def hold(found: list[Errors], share: tuple[float, float], request: pytest.Fixtur
     rmse = float(np.sqrt(np.mean(error**2)))
     first = np.concatenate([e.held[0] for e in found])
     late = np.concatenate([e.sd[SETTLED:].ravel() for e in found])
-    text = f"{len(found)} random rigs of {WINDOWS} windows: RMSE / bound {rmse:.3f}, {100 * held.mean():.1f} % of"
+    text = (
+        f"{len(found)} random rigs of {WINDOWS} windows: RMSE / bound {rmse:.3f}, "
+        f"{100 * held.mean():.1f} % of"
+    )
     text += f" {held.size} intervals hold ({100 * first.mean():.0f} % of {first.size} of first windows)"
     say(request, f"{text}, sd / bound after {SETTLED} windows {np.median(late):.3f} (mean {late.mean():.3f})")
     assert valid.mean() >= 0.99

@@ -1,4 +1,4 @@
-"""A sensor that goes wrong is named, or nobody is; a sound spring is not blamed for it (200 runs under soak)."""
+"""A sensor that goes wrong is named, or nobody is; no sound spring is blamed for it (200 runs under soak)."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,9 @@ def assess(kind: str, found: list[Blame], request: pytest.FixtureRequest) -> Non
     delays = [run.delay for run in named if run.delay is not None]
     say(
         request,
-        f"{kind}, {len(found)} runs: the right sensor named in {len(named)}, after {np.median(delays) / 1000:.2f} s "
-        f"in the median, nobody in {sum(not run.sensors and run.right for run in found)}, a sound spring or damper "
+        f"{kind}, {len(found)} runs: the right sensor named in {len(named)}, "
+        f"after {np.median(delays) / 1000:.2f} s in the median, "
+        f"nobody in {sum(not run.sensors and run.right for run in found)}, a sound spring or damper "
         f"alarmed in {len(blamed)}; wrong: {'; '.join(wrong) or 'none'}",
     )
     assert len(wrong) <= 0.05 * len(found)

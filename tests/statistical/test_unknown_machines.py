@@ -12,7 +12,7 @@ from tests.statistical.unknown_machines import SPAN_S, written
 
 
 def is_right(folder: Path, seed: int, nominal: str, share_of_span: float) -> bool:
-    """Tell whether one machine's values are within 3 sd and 2 % of the truth, in a share of the data's span."""
+    """Tell whether a machine's values are within 3 sd and 2 % of the truth, in a share of the data's span."""
     one, config, recording = written(folder, seed, nominal)
     document, _ = identify(config=config, recordings=[recording])
     rows = document["parameters"]
@@ -20,7 +20,8 @@ def is_right(folder: Path, seed: int, nominal: str, share_of_span: float) -> boo
     shares = {name: abs(error) / one.truth[name] for name, error in errors.items()}
     sds = {name: abs(error) / rows[name]["sd"] for name, error in errors.items()}
     figure(
-        f"machine {seed}: {len(one.masses)} masses, {100 * max(shares.values()):.2f} %, {max(sds.values()):.1f} sd, "
+        f"machine {seed}: {len(one.masses)} masses, {100 * max(shares.values()):.2f} %, "
+        f"{max(sds.values()):.1f} sd, "
         f"{document['unexplained_percent']:.3f} % unexplained, {document['seconds']:.1f} s of {SPAN_S:.0f} s"
     )
     recording.unlink()

@@ -1,4 +1,4 @@
-"""A channel that is wrong from the first sample on: no valid row is wrong, and no sound parameter is alarmed."""
+"""A channel that is wrong from the first sample on: no valid row is wrong, no sound parameter alarmed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

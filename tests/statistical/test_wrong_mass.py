@@ -36,7 +36,8 @@ def judge_right(found: list[Said], request: pytest.FixtureRequest) -> None:
     valid = 100 * np.mean([run.valid for run in found])
     say(
         request,
-        f"right masses, {len(found)} runs: something accused in {len(accused)}; {valid:.1f} % valid {accused}",
+        f"right masses, {len(found)} runs: something accused in {len(accused)}; "
+        f"{valid:.1f} % valid {accused}",
     )
     assert len(accused) <= 0.01 * len(found)
     assert valid >= 99.0

@@ -102,7 +102,7 @@ def configuration(
     nominal: str = "",
     without: int | None = None,
 ) -> str:
-    """Write down what is known of a machine; nominal: text behind each element; without: an element left out."""
+    """Write what is known of a machine; nominal: text behind each element; without: an element left out."""
     kept = [i for i in range(len(one.ends)) if i != without]
     rate = float(1.0 / columns["t"][1])
     lines = [f'[rig]\nname = "unknown"\nsample_rate_hz = {rate!r}\nclock = "uniform"\n\n[model]']

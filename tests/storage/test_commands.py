@@ -1,4 +1,4 @@
-"""Commands that change a database: through its agent's socket while one runs, by themselves when none does."""
+"""Commands that change a database: through its agent's socket while one runs, by themselves if none does."""
 
 import threading
 from collections.abc import Iterator

@@ -101,8 +101,9 @@ def test_full_disk_loses_nothing_acknowledged_and_resumes_alone(disk: Path, cycl
         == cycles * 100
     )
     counted = select(path, "SELECT sum(count) FROM counters")[0][0] or 0
-    assert writer.written == select(path, "SELECT (SELECT count(*) FROM estimates WHERE seq >> 10 IN (SELECT seq FROM "
-                                          "hops WHERE span = 0)) + (SELECT count(*) FROM alarm_events) + (SELECT "
+    assert writer.written == select(path, "SELECT (SELECT count(*) FROM estimates WHERE seq >> 10 IN (SELECT "
+                                          "seq FROM hops WHERE span = 0)) + (SELECT count(*) FROM "
+                                          "alarm_events) + (SELECT "
                                           "count(*) FROM events)")[0][0] + counted  # fmt: skip
     assert "disk full" in {e["cause"] for e in queries.events(path)}
     assert beside(path, ".ballast").exists()

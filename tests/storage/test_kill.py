@@ -1,4 +1,4 @@
-"""kill -9 of the writing process at any moment. What was acknowledged is noted by the reader of its output."""
+"""kill -9 of the writing process at any moment. The reader of its output notes what was acknowledged."""
 
 import os
 import select
@@ -86,8 +86,9 @@ def missing_of(reader: sqlite3.Connection, run_id: int, hops: int, profile: str)
         "SELECT coalesce(full_from_ns, -9e18) FROM runs WHERE seq = ?", (run_id,)
     ).fetchone()[0]
     query = (
-        "SELECT count(*), sum((SELECT count(*) FROM estimates e WHERE e.seq BETWEEN h.seq << 10 AND (h.seq << 10) + "
-        "1023)) FROM hops h WHERE h.run_id = ? AND h.span = 0 AND h.t_ns >= ? AND h.t_ns < ?"
+        "SELECT count(*), sum((SELECT count(*) FROM estimates e "
+        "WHERE e.seq BETWEEN h.seq << 10 AND (h.seq << 10) + 1023)) "
+        "FROM hops h WHERE h.run_id = ? AND h.span = 0 AND h.t_ns >= ? AND h.t_ns < ?"
     )
     end = START + hops * hop_ns
     found, cells = reader.execute(query, (run_id, kept, end)).fetchone()

@@ -189,8 +189,9 @@ def lost(db: Path, reported: Told) -> int:
     reader = connect_reader(db)
     missing = 0
     query = (
-        "SELECT count(*), sum((SELECT count(*) FROM estimates e WHERE e.seq BETWEEN h.seq << 10 AND (h.seq << 10) + "
-        "1023)) FROM hops h WHERE h.run_id = ? AND h.span = 0 AND h.t_ns <= ?"
+        "SELECT count(*), sum((SELECT count(*) FROM estimates e "
+        "WHERE e.seq BETWEEN h.seq << 10 AND (h.seq << 10) + 1023)) "
+        "FROM hops h WHERE h.run_id = ? AND h.span = 0 AND h.t_ns <= ?"
     )
     for run, instants in reported.instants.items():
         found, cells = reader.execute(query, (run, reported.newest[run])).fetchone()
@@ -271,7 +272,8 @@ def test_agent_has_its_first_sample_two_seconds_after_a_kill(bus: Path, starts: 
         assert lost(db, reported) == 0
     alone = os.getloadavg()[0] < (os.cpu_count() or 1)
     figure(
-        f"first sample after the start of the agent, {starts} starts after kill -9: {np.median(took):.2f} s (2 s), "
+        f"first sample after the start of the agent, {starts} starts after kill -9: "
+        f"{np.median(took):.2f} s (2 s), "
         f"{np.median(worked):.2f} s of it work{'' if alone else '; the machine was busy with other things'}"
     )
     assert np.median(worked) <= SLOWEST_START_S

@@ -98,6 +98,7 @@ def test_answered_acknowledgement_outlives_five_hundred_kills(
     cut_off = kill(lives, tmp_path / "rig.db", KILLS)
     seconds = time.monotonic() - begun
     figure(
-        f"{KILLS} agents killed while they acknowledged: {cut_off} answers cut off, none lost, {seconds:.0f} s"
+        f"{KILLS} agents killed while they acknowledged: {cut_off} answers cut off, "
+        f"none lost, {seconds:.0f} s"
     )
     assert cut_off > KILLS // 10

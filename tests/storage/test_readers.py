@@ -40,7 +40,8 @@ def test_reader_that_never_ends_bounds_the_log_and_costs_no_row(
     for i in range(1, batches):
         writer.publish([batch(1000, first=1000 * i)])
         assert writer.flush(30)
-        largest = max(largest, beside(path, "-wal").stat().st_size, beside(spill_path(path), "-wal").stat().st_size
+        largest = max(largest, beside(path, "-wal").stat().st_size,
+                      beside(spill_path(path), "-wal").stat().st_size
                       if spill_path(path).exists() else 0)  # fmt: skip
     writer.publish([step("NORM", "UNACK")])
     assert writer.flush(30)

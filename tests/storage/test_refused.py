@@ -37,8 +37,8 @@ def deltak(*arguments: object) -> tuple[int, str]:
         f"--inh-caps={drop}",
         sys.executable,
     ]
-    done = subprocess.run([*command, "-m", "agent", *map(str, arguments)], cwd=peers.ROOT, capture_output=True,
-                          text=True, check=False, timeout=100)  # fmt: skip
+    done = subprocess.run([*command, "-m", "agent", *map(str, arguments)], cwd=peers.ROOT,
+                          capture_output=True, text=True, check=False, timeout=100)  # fmt: skip
     return done.returncode, done.stderr
 
 

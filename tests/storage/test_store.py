@@ -26,21 +26,21 @@ from agent.types import EstimateBatch, HealthEvent, Learnt, LearntRecord, Reason
 from tests.storage.rows import HOP, PARAMETERS, START, batch, ledger, run_info, select, step, verdict, warming
 
 CONTRACT = {
-    "v_estimates": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper status reason "
-    "held held_age_s window_s n_used n_missing span_s method sd_repeat",
-    "v_latest": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper status reason "
-    "held held_age_s window_s n_used n_missing span_s method sd_repeat",
-    "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by shelved_until "
-    "delta sd limit_value probability message advice percent site labels",
+    "v_estimates": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper "
+    "status reason held held_age_s window_s n_used n_missing span_s method sd_repeat",
+    "v_latest": "rig run_id time t_ns parameter unit value delta reference baseline_id sd lower upper "
+    "status reason held held_age_s window_s n_used n_missing span_s method sd_repeat",
+    "v_alarms": "id rig run_id kind parameter priority state raised_at cleared_at acked_at acked_by "
+    "shelved_until delta sd limit_value probability message advice percent site labels",
     "v_alarm_events": "id alarm_id t_ns time from_state to_state cause by comment",
     "v_notifications": "id alarm_event_id target state attempts last_error done_at",
-    "v_health": "rig source t_ns time received used rejected dropped gaps lag_s drift_ppm drift_sd_ppm skew_s "
-    "skew_sd_s",
+    "v_health": "rig source t_ns time received used rejected dropped gaps lag_s drift_ppm drift_sd_ppm "
+    "skew_s skew_sd_s",
     "v_health_reasons": "rig source t_ns kind reason count",
     "v_runs": "run_id rig kind started_at code_version config_sha256 baseline_id boot_id",
     "v_verdicts": "rig run_id t_ns time hypothesis size sd unit probability",
-    "v_baselines": "baseline_id rig parameter unit reference sd spread_sd within_sd days_sd correlation_s n_effective "
-    "covariates learnt_from learnt_until n newest from_ns until_ns graph",
+    "v_baselines": "baseline_id rig parameter unit reference sd spread_sd within_sd days_sd correlation_s "
+    "n_effective covariates learnt_from learnt_until n newest from_ns until_ns graph",
     "v_meta": "key value",
 }
 
@@ -111,8 +111,8 @@ def test_estimates_written_come_back_to_the_last_bit(path: Path) -> None:
         name: rows[0][name]
         for name in ("status", "reason", "held", "window_s", "n_used", "n_missing", "span_s")
     }
-    assert facts == {"status": "valid", "reason": None, "held": None, "window_s": 0.25, "n_used": 250, "n_missing": 0,
-                     "span_s": 0}  # fmt: skip
+    assert facts == {"status": "valid", "reason": None, "held": None, "window_s": 0.25, "n_used": 250,
+                     "n_missing": 0, "span_s": 0}  # fmt: skip
 
 
 def test_estimates_with_bounds_that_are_not_students_keep_them(path: Path) -> None:
@@ -175,7 +175,8 @@ def test_commit_twice_stores_nothing_twice(path: Path) -> None:
         store.commit(plans)
         store.commit(plans)
     counts = select(path, "SELECT (SELECT count(*) FROM v_estimates), (SELECT count(*) FROM v_alarms), "
-                          "(SELECT count(*) FROM v_alarm_events), (SELECT count(*) FROM v_health)")  # fmt: skip
+                          "(SELECT count(*) FROM v_alarm_events), "
+                          "(SELECT count(*) FROM v_health)")  # fmt: skip
     assert counts == [(40, 1, 1, 1)]
 
 
@@ -195,11 +196,11 @@ def test_write_refused_by_the_disk_leaves_nothing_and_can_be_repeated(path: Path
 
 def test_checksums_of_every_row_agree_with_zlib(path: Path) -> None:
     learnt = LearntRecord("press-7", START, Learnt("ab", "{}"))
-    stored(path, warming(2), batch(3, first=2), step("NORM", "UNACK"), ledger(), ledger(rejected={}, dropped={}),
-           learnt, verdict(),
+    stored(path, warming(2), batch(3, first=2), step("NORM", "UNACK"), ledger(),
+           ledger(rejected={}, dropped={}), learnt, verdict(),
            HealthEvent("press-7", "can", START, "unplugged", "it's \x1f gone"))  # fmt: skip
-    for table in ("rigs", "runs", "series", "fits", "verdicts", "alarms", "alarm_events", "health", "events", "meta",
-                  "learnt", "hypotheses"):  # fmt: skip
+    for table in ("rigs", "runs", "series", "fits", "verdicts", "alarms", "alarm_events", "health", "events",
+                  "meta", "learnt", "hypotheses"):  # fmt: skip
         rows = select(path, f"SELECT {', '.join(columns_of(table))} FROM {table}")
         assert rows, table
         for row in rows:
@@ -512,5 +513,8 @@ def test_fits_that_were_named_long_ago_take_no_memory(path: Path, monkeypatch: p
         assert len(store.names._fits) <= 100
         run_id = store.begin_run(run_info())
         store.write(run_id, [batch(1, first=1000)])
-    query = "SELECT f.n_missing FROM hops h JOIN estimates e ON e.seq = h.seq * 1024 JOIN fits f ON f.seq = e.fit_id"
+    query = (
+        "SELECT f.n_missing FROM hops h JOIN estimates e ON e.seq = h.seq * 1024 "
+        "JOIN fits f ON f.seq = e.fit_id"
+    )
     assert [n for (n,) in select(path, f"{query} ORDER BY h.t_ns")] == [*range(1000), 0]

@@ -87,7 +87,7 @@ def test_minute_of_overlapping_windows_claims_no_more_than_independent_ones() ->
 
 
 def test_what_the_constants_leave_open_is_not_averaged_away(path: Path) -> None:
-    """3/5 of the sd is of this window alone; the other share is that of the masses, the same in every window."""
+    """3/5 of the sd is of this window alone; the other share is of the masses, the same in every window."""
     batches = [
         replace(b, sd=np.full_like(b.sd, 0.5), sd_repeat=np.full_like(b.sd, 0.3)) for b in spaced(3600, 1)
     ]
@@ -209,7 +209,8 @@ def test_replay_is_not_purged_by_a_later_live_run(path: Path) -> None:
     fill(path, spaced(4 * 3600, 10, start=START + 86_400 * 10 * SECOND), keep)
     fill(path, spaced(600, 10, start=START + 86_400 * 20 * SECOND), keep)
     spans = select(path, "SELECT r.kind, e.span_s, count(*) FROM v_estimates e JOIN v_runs r USING (run_id) "
-                         "WHERE parameter = 'k1' GROUP BY e.run_id, e.span_s ORDER BY e.run_id, e.span_s")  # fmt: skip
+                         "WHERE parameter = 'k1' GROUP BY e.run_id, e.span_s "
+                         "ORDER BY e.run_id, e.span_s")  # fmt: skip
     assert spans == [("replay", 0, 180), ("live", 0, 360), ("live", 60, 180), ("live", 0, 60)]
 
 

@@ -138,8 +138,8 @@ def test_flipped_bit_anywhere_shows_no_changed_row(
             if found[name] is not None and truth[name] != found[name]
         ]
         flip(path, place, bit)
-    figure(f"bits flipped anywhere: {count}, {reported} said so by a question, {len(wrong)} answers with a changed "
-           f"row, {len(silent)} with one left out and nothing said")  # fmt: skip
+    figure(f"bits flipped anywhere: {count}, {reported} said so by a question, {len(wrong)} answers with a "
+           f"changed row, {len(silent)} with one left out and nothing said")  # fmt: skip
     assert wrong == []
     assert silent == []
 
@@ -249,7 +249,8 @@ def test_rows_that_are_refused_are_counted(whole: Path, memory: Path) -> None:
     shutil.copy(whole, path)
     with closing(sqlite3.connect(path)) as file:
         file.execute(
-            "UPDATE estimates SET value = 9 WHERE seq IN (SELECT seq FROM estimates ORDER BY seq DESC LIMIT 3)"
+            "UPDATE estimates SET value = 9 "
+            "WHERE seq IN (SELECT seq FROM estimates ORDER BY seq DESC LIMIT 3)"
         )
         file.commit()
     program = (sys.executable, "-m", "agent", "estimates", path, "--json")
@@ -265,7 +266,10 @@ def test_rows_that_are_refused_are_counted(whole: Path, memory: Path) -> None:
         "UPDATE clocks SET offset_ns = offset_ns + 3600000000000",
         "UPDATE clocks SET part_of = run_id",
         "UPDATE runs SET kind = 'replay'",
-        "UPDATE hops SET t_ns = t_ns + 60000000000 WHERE t_ns = (SELECT max(t_ns) FROM hops h WHERE h.run_id = 5)",
+        (
+            "UPDATE hops SET t_ns = t_ns + 60000000000 "
+            "WHERE t_ns = (SELECT max(t_ns) FROM hops h WHERE h.run_id = 5)"
+        ),
     ],
 )
 def test_damage_to_what_orders_the_parts_of_a_run_is_not_shown_as_time(
@@ -368,7 +372,10 @@ def test_damaged_newest_row_of_other_answers_is_counted(
     with closing(sqlite3.connect(path)) as file:
         if table == "events":
             file.execute("INSERT INTO events VALUES (1, 1, 'clock', 1, 'a', 'b', 7)")
-        newest = f"(SELECT max(seq) FROM {table} WHERE seq NOT IN (SELECT run_id FROM clocks WHERE run_id <> part_of))"
+        newest = (
+            f"(SELECT max(seq) FROM {table} "
+            "WHERE seq NOT IN (SELECT run_id FROM clocks WHERE run_id <> part_of))"
+        )
         file.execute(f"UPDATE {table} SET crc = crc + 1 WHERE seq = {newest}")
         file.commit()
     assert ask(path).refused >= 1

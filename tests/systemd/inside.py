@@ -85,7 +85,8 @@ map = { force = "force", x1 = "x1" }
 }  # fmt: skip
 PYTHON = """
 [Service]
-Environment=PYTHONHOME=/opt/python PYTHONPATH=/opt/project:/opt/packages:/opt/hanging LD_LIBRARY_PATH=/opt/python/lib
+Environment=PYTHONHOME=/opt/python PYTHONPATH=/opt/project:/opt/packages:/opt/hanging \
+LD_LIBRARY_PATH=/opt/python/lib
 StandardOutput=null
 StandardError=append:/run/deltak.log
 """

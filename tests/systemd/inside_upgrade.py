@@ -16,7 +16,8 @@ from tests.systemd import inside
 HOME = Path("/opt/deltak")
 UNIT = "deltak-upgrade@2.0.0.service"
 PROGRAM = """#!/bin/sh
-[ "$1" = run ] && exec /opt/python/bin/{python} -m tests.systemd.inside_upgrade {status} "$STATE_DIRECTORY/deltak.db"
+[ "$1" = run ] && exec /opt/python/bin/{python} -m tests.systemd.inside_upgrade {status} \
+"$STATE_DIRECTORY/deltak.db"
 exec /opt/python/bin/{python} -m agent "$@"
 """
 DROP_IN = """

@@ -1,4 +1,4 @@
-"""The service under a real systemd, in a User-Mode Linux guest: it starts, tells, reloads, hangs, and ends."""
+"""The service under real systemd, in a User-Mode Linux guest: it starts, tells, reloads, hangs, and ends."""
 
 import json
 import sys

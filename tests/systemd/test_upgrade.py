@@ -21,5 +21,6 @@ def test_version_without_valid_rows_is_taken_back_by_its_unit_and_the_former_one
     assert (found["current"], found["state"]) == ("1.0.0", "active")
     assert found["runs"] == [[3], [2]]
     figures.figure(
-        f"a version without valid rows: the former one runs again after {found['seconds']:.0f} s, 30 of them waited"
+        f"a version without valid rows: the former one runs again after {found['seconds']:.0f} s, "
+        "30 of them waited"
     )

@@ -12,7 +12,7 @@ SECOND = 1_000_000_000
 def play(
     labels: SampleLabels, seconds: float, drift: float = 0.0, start: int = 0, rate: float = 1000.0
 ) -> np.ndarray:  # type: ignore[type-arg]
-    """Blocks of 50 samples from a device whose clock runs 1 + drift as fast; arrivals are late by up to 5 ms."""
+    """Blocks of 50 samples from a device whose clock runs 1 + drift as fast; arrivals late by up to 5 ms."""
     rng, pieces = np.random.default_rng(0), []
     for first in range(start, start + round(seconds * rate), 50):
         index = np.arange(first, first + 50, dtype=np.int64)

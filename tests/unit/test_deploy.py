@@ -1,4 +1,4 @@
-"""Files for the gateway: the unit is one that systemd takes and finds tight, the runbook names what exists."""
+"""Files for the gateway: the unit is one systemd takes and finds tight, the runbook names what exists."""
 
 import json
 import re

@@ -56,7 +56,10 @@ def run(
         if not status.exists():
             return (
                 DIED,
-                f"the guest died:\n{done.stdout.decode(errors='replace')}{done.stderr.decode(errors='replace')}",
+                (
+                    f"the guest died:\n{done.stdout.decode(errors='replace')}"
+                    f"{done.stderr.decode(errors='replace')}"
+                ),
             )
         return int(status.read_text()), output.read_text(errors="replace")
 

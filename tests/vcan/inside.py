@@ -55,7 +55,7 @@ def request(
 
 
 class KernelLine(can_lines.DaemonLine):
-    """The same samples, as frames on the kernel's bus; whatever else appears on it was written by the driver."""
+    """The same samples, as frames on the kernel's bus; all else on it was written by the driver."""
 
     protocol = "can"
     bus = "vcan0"

@@ -52,7 +52,7 @@ def wear(folder: Path) -> None:
 
 
 def forecasts(start: int) -> list[ForecastRecord]:
-    """Return what the agent forecast of k1 every five days: 14 N/m under its reference is reached on day 84."""
+    """Return what the agent forecast of k1 every 5 days: 14 N/m under its reference is reached on day 84."""
     rng = np.random.default_rng(2)
     made = []
     for day in range(20, 61, 5):
@@ -78,7 +78,8 @@ def take(folder: Path, target: Path) -> None:
         driver.get(f"http://localhost:{client.port}/")
         time.sleep(2)
         driver.execute_script("""document.querySelector('#parameter-list [data-key="k1"] button').click();
-            [...document.querySelectorAll("#chart-bar button")].find((b) => b.textContent === "all").click()""")
+            [...document.querySelectorAll("#chart-bar button")]
+                .find((b) => b.textContent === "all").click()""")
         time.sleep(2)
         for name, (width, scheme) in PICTURES.items():
             features = [{"name": "prefers-color-scheme", "value": scheme}]

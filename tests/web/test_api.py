@@ -1,4 +1,4 @@
-"""The HTTP API: the same numbers as SQL and as --json, ETags, headers, sessions, and nothing that breaks it."""
+"""The HTTP API: the same numbers as SQL and as --json, ETags, headers, sessions, nothing that breaks it."""
 
 import json
 import re
@@ -288,7 +288,10 @@ def test_rows_that_are_too_many_for_one_answer_are_refused(folder: Path) -> None
 
 def test_points_are_the_valid_rows_of_sql(client: Client, folder: Path) -> None:
     points = client.get("points?rig=press-7&parameter=B2&points=1000")
-    query = "SELECT t_ns, value, sd FROM v_estimates WHERE rig = 'press-7' AND parameter = 'B2' AND status = 'valid'"
+    query = (
+        "SELECT t_ns, value, sd FROM v_estimates WHERE rig = 'press-7' AND parameter = 'B2' "
+        "AND status = 'valid'"
+    )
     connection = sqlite3.connect(folder / "rig.db")
     said = connection.execute(f"{query} ORDER BY t_ns").fetchall()
     connection.close()

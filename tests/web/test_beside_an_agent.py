@@ -90,7 +90,8 @@ def test_agent_loses_nothing_to_a_crowd_and_a_killed_server(tmp_path: Path) -> N
         document = agent.document()
     samples = document["samples"]
     figure(
-        f"agent beside {LISTENERS} slow listeners: {samples}, {used[1] / used[0]:.2f} of the processor time without"
+        f"agent beside {LISTENERS} slow listeners: {samples}, "
+        f"{used[1] / used[0]:.2f} of the processor time without"
     )
     assert samples["received"] == samples["used"] > 2 * SECONDS * 500
     assert (samples["dropped"], samples["gaps"]) == ({}, 0)

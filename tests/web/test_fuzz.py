@@ -1,4 +1,4 @@
-"""Requests of any kind: no answer of 500 or more, no traceback, and no write without a session and its token."""
+"""Requests of any kind: no answer of 500 or more, no traceback, no write without a session and its token."""
 
 import random
 import select
@@ -52,7 +52,7 @@ HEADERS = [
 
 
 def request(rng: random.Random, cookie: bytes) -> bytes:
-    """Return the bytes of one request, mostly well formed; cookie: of a session, whose token no request has."""
+    """Return the bytes of a request, mostly well formed; cookie: of a session, whose token no request has."""
     method = rng.choice(
         ["GET"] * 6 + ["POST"] * 4 + ["DELETE", "PUT", "HEAD", "OPTIONS", "TRACE", "BREW", "get"]
     )

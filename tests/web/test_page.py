@@ -86,7 +86,8 @@ def texts(browser: webdriver.Chrome, css: str) -> list[str]:
 def test_numbers_on_the_page_are_those_of_sql(browser: webdriver.Chrome, folder: Path) -> None:
     until(lambda: texts(browser, "#parameter-list data"))
     script = """return [...document.querySelectorAll("#parameter-list li")].map((li) => [li.dataset.key,
-        Number(li.querySelector("data").value), Number(li.querySelector("data").dataset.sd), li.textContent])"""
+        Number(li.querySelector("data").value), Number(li.querySelector("data").dataset.sd),
+            li.textContent])"""
     shown = browser.execute_script(script)
     connection = sqlite3.connect(folder / "rig.db")
     said = connection.execute(
@@ -243,5 +244,6 @@ def test_two_hundred_rows_are_shown_with_the_numbers_of_sql_as_they_are_committe
 def shown(browser: webdriver.Chrome) -> list[list[Any]]:
     """Return name, value and standard deviation of each parameter, as the page has them."""
     script = """return [...document.querySelectorAll("#parameter-list li")].map((li) =>
-        [li.dataset.key, Number(li.querySelector("data").value), Number(li.querySelector("data").dataset.sd)])"""
+        [li.dataset.key, Number(li.querySelector("data").value),
+         Number(li.querySelector("data").dataset.sd)])"""
     return list(browser.execute_script(script))

@@ -1,4 +1,4 @@
-"""Data acquisition of rigs whose channels do not come together: several devices, delays, clocks and rates of their own.
+"""Data acquisition of rigs with several devices, whose channels have delays, clocks and rates of their own.
 
 Rows follow the samples of one source, the reference. Every other channel is read where the reference's
 instant lies in its own source: at the same number where devices share a counter, at the place that both
@@ -38,7 +38,7 @@ from drivers.port import SampleBlock
 
 @dataclass(slots=True)
 class Span:
-    """Rows from number `since` on, between which no device began to count anew, and what measures their skews."""
+    """Rows from number `since` on, in which no device began to count anew, and what measures their skews."""
 
     since: int
     watch: SkewWatch | None
@@ -109,7 +109,7 @@ class Alignment(Acquisition):
         return max(self._made + 1, number if not stream.plan.own_clock else self.reference.newest)
 
     def _parted(self) -> bool:
-        """Whether the counters of sources that have a count in common say no longer which samples go together."""
+        """Whether the counters of sources that share a count no longer say which samples go together."""
         counting = [stream for stream in self.streams.values() if not stream.plan.own_clock]
         return len({stream.state.indexer.generation for stream in counting}) > 1
 
@@ -174,7 +174,7 @@ class Alignment(Acquisition):
         return pieces
 
     def _finished(self, last: int, pieces: list[Aligned], *, end: bool) -> bool:
-        """Make the rows of the oldest span, which ends with `last`, as far as they are due; tell whether that is all.
+        """Make the rows that are due of the oldest span, which ends with `last`; tell whether that is all.
 
         What was not known of its skews will not be known any more.
         """
@@ -217,7 +217,10 @@ class Alignment(Acquisition):
         counting = [stream for stream in self.streams.values() if not stream.plan.own_clock]
         newest = max(counting, key=lambda stream: stream.state.indexer.generation).state.plan.name
         others = " and ".join(s.state.plan.name for s in counting if s.state.plan.name != newest)
-        words = f"{newest}: its device began to count anew and {others} did not; how they go together is measured anew"
+        words = (
+            f"{newest}: its device began to count anew and {others} did not; "
+            "how they go together is measured anew"
+        )
         self._events.append(SourceEvent(newest if newest != against else others, "realigning", words))
 
     def _delays(self) -> FloatArray:
@@ -261,7 +264,7 @@ class Alignment(Acquisition):
         return int(np.ceil(here.place(there.time_s(np.array([first])))[0]))
 
     def _places(self, stream: Stream, rows: IntArray, delay_s: float) -> tuple[IntArray, FloatArray]:
-        """Return where rows (n,) lie among a source's samples, for a channel that is so late: whole and part."""
+        """Return where rows (n,) lie among a source's samples for a channel this late: whole and part."""
         late = delay_s * stream.plan.rate_hz
         here, there = self.reference.clock, stream.clock
         if not self._apart(stream) or here is None or there is None:
@@ -270,7 +273,7 @@ class Alignment(Acquisition):
         return split(there.place(here.time_s(rows.astype(np.float64))) + late)
 
     def _read(self, rows: IntArray, delays: FloatArray) -> FloatArray:
-        """Return readings (n, c) of rows, each channel's as late as it is configured to be and `delays` (c,) more."""
+        """Return readings (n, c) of rows, each channel's as late as configured and `delays` (c,) more."""
         late = self.plan.delay_s + delays
         joined = np.full((len(rows), self.plan.channels), np.nan)
         for stream in self.streams.values():

@@ -1,4 +1,4 @@
-"""Which sample is it, where nothing but its arrival says so: samples are counted, and time tells of those that lack.
+"""Which sample is it, where only its arrival says so: samples are counted, and time tells of missing ones.
 
 An arrival is never early and often late: rounding each one by itself makes repeats and gaps of what is only
 jitter. So samples follow one another, and a line of the most punctual arrivals says when the next one is due.
@@ -42,7 +42,7 @@ class ArrivalCount:
     _stayed: int = 0
 
     def take(self, block: SampleBlock, origin_ns: int | None) -> tuple[IntArray, int]:
-        """Return the numbers (n,) of a block's samples, and when number 0 was received: origin_ns, if there is one."""
+        """Return numbers (n,) of a block's samples and when number 0 was received: origin_ns, if given."""
         if block.received_ns is not None:
             found = []
             for received in block.received_ns.tolist():
@@ -63,7 +63,7 @@ class ArrivalCount:
         return origin
 
     def _arrive(self, count: int, now_ns: int, origin_ns: int, *, own: bool) -> IntArray:
-        """Return the numbers (count,) of samples that arrived together; those beyond what time allows are repeats."""
+        """Return numbers (count,) of samples that arrived together; more than time allows are repeats."""
         period = 1e9 / self.rate_hz
         late = (now_ns - self._line) / period - count
         skipped = self._skipped(late, now_ns, own=own)

@@ -1,4 +1,4 @@
-"""Which sample is it: counters unwrapped and time stamps rounded to indices, repeats and steps back refused."""
+"""Which sample is it: counters unwrapped, time stamps rounded to indices, repeats and steps back refused."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ Clock = Literal["counter", "device", "uniform", "arrival"]
 
 
 class Anew(NamedTuple):
-    """Where a source that was the first to count anew stood: a sample's number and counter, and where that wraps."""
+    """Where the first source to count anew stood: a sample's number and counter, and where that wraps."""
 
     number: int
     raw: int
@@ -25,7 +25,7 @@ class Anew(NamedTuple):
 
 @dataclass(slots=True)
 class Origin:
-    """Counter value or time stamp of index 0; shared by the sources of one rig, set by the first sample of any.
+    """Counter value or time stamp of index 0; shared by the sources of a rig, set by the first sample of any.
 
     Attributes:
         shared: several sources count from here, so that one whose count leaps must not part from the others.
@@ -57,7 +57,7 @@ class Origin:
 
 
 def _joined(other: Anew, by_time: int, raw: int, modulus: int | None, reach: float) -> int | None:
-    """Return the index of a sample by the count of another source that began anew; None where that may be chance."""
+    """Return a sample's index by the count of another source that began anew; None if that may be chance."""
     wrap = gcd(other.modulus or 0, modulus or 0)
     count = other.number + raw - other.raw
     if wrap:
@@ -102,7 +102,7 @@ class Indexer:
     _arrivals: ArrivalCount | None = None
 
     def take(self, block: SampleBlock) -> tuple[IntArray, BoolArray]:
-        """Return the indices of a block's samples (n,) and which of them go forward (n,); count the others."""
+        """Return the indices of a block's samples (n,) and which go forward (n,); count the others."""
         if not len(block):
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
         counted = self.clock == "counter" and block.counter is not None
@@ -242,7 +242,7 @@ class Indexer:
         return max(1, round((arrival_ns - self._received_ns) * self.rate_hz / 1e9))
 
     def _count_anew(self, raw: IntArray, arrival_ns: int) -> None:
-        """Go on with another count, whose counters (n,) have just come: by time, or with a source that did so as well.
+        """Go on with a new count, whose counters (n,) have just come: by time, or with a source that did too.
 
         The newest of them is as old as the newest of any block, whatever came before it.
         """

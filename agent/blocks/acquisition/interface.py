@@ -77,7 +77,7 @@ class Through:
 
 
 class Acquisition(ABC):
-    """Blocks of sources in, uninterrupted samples of the rig out; and a count of where each source's samples ended."""
+    """Source blocks in, uninterrupted rig samples out; and a count of where each source's samples ended."""
 
     @property
     @abstractmethod
@@ -99,7 +99,7 @@ class Acquisition(ABC):
 
     @abstractmethod
     def lose(self, reason: str, through: Through) -> None:
-        """Refuse the rows that are on their way: what comes after is made anew, with counts that begin at 0."""
+        """Refuse the rows on their way: what comes after is made anew, with counts that begin at 0."""
 
     def finish(self) -> Acquired:
         """Return the rows that wait for samples that will not come."""

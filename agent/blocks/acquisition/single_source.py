@@ -22,13 +22,13 @@ from agent.types import Aligned, BoolArray, FloatArray, IntArray
 from drivers.port import SampleBlock
 
 LARGEST = 1e30
-"""No instrument means more, in SI: marks of "no value" (the greatest float32 is 3.4e38) and torn bytes are beyond it, \
-the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so nothing
-overflows."""
+"""No instrument means more, in SI: marks of "no value" (the greatest float32 is 3.4e38) and torn bytes are
+beyond it, the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so
+nothing overflows."""
 
 
 class SingleSource(Acquisition):
-    """The acquisition of a rig with one source whose channels are read together; `Alignment` is that of all others.
+    """Acquisition of a rig with one source whose channels are read together; `Alignment` is for all others.
 
     Args:
         plan: its source.
@@ -86,7 +86,7 @@ class SingleSource(Acquisition):
 def intake(
     state: SourceState, block: SampleBlock, modulus: int | None
 ) -> tuple[IntArray, FloatArray, IntArray | None]:
-    """Take a block of a source: return the numbers (n,) of samples that go forward, SI values (n, c), stamps (n,).
+    """Take a source's block: return numbers (n,) of samples that go forward, SI values (n, c), stamps (n,).
 
     What is not finite or beyond `LARGEST` is NaN; what goes backwards is left out; all are counted.
     """

@@ -193,7 +193,7 @@ class SkewWatch:
     def _try(
         self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, index: int
     ) -> Delays | None:
-        """Measure a stretch that ends with sample number `index` from one start; None where it tells nothing."""
+        """Measure a stretch that ends with sample `index` from one start; None where it tells nothing."""
         if self.budget is None or not self.budget.allows(index):
             return None
         done = WORK.done

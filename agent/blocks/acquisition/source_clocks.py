@@ -1,4 +1,4 @@
-"""The clocks of a rig's devices against the gateway's, and how late their sources are read: for people and reports."""
+"""Clocks of a rig's devices against the gateway's, and how late sources are read: for people and reports."""
 
 from dataclasses import dataclass, field
 

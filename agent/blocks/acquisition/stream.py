@@ -19,7 +19,7 @@ from drivers.port import SampleBlock
 
 @dataclass(frozen=True, slots=True)
 class StreamPlan:
-    """One source: its columns, the rate at which its device samples, and whether the device counts for itself."""
+    """One source: its columns, its device's sampling rate, and whether the device counts for itself."""
 
     source: SourcePlan
     rate_hz: float
@@ -89,7 +89,7 @@ class Stream:
         )
 
     def take(self, block: SampleBlock, modulus: int | None, label: Label | None) -> None:
-        """Keep a block's samples, those that lack a reading too, with the stamps of `label` or else their own."""
+        """Keep a block's samples, also those lacking a reading, with stamps of `label` or else their own."""
         restarts = self.state.indexer.restarts
         index, values, stamps = intake(self.state, block, modulus)
         if self.clock is not None and self.state.indexer.restarts > restarts:

@@ -1,4 +1,4 @@
-"""Where the samples of sources end up whose readings are resampled: each sample goes with the row nearest to it."""
+"""Where samples of sources that are resampled end up: each sample goes with the row nearest to it."""
 
 from collections import Counter
 from dataclasses import dataclass, field

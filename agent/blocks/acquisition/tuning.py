@@ -7,7 +7,7 @@ tests/unit/blocks/acquisition or tests/scenario.
 # ------------------------------------------------------------------ numbers of samples by counter and by time
 # stamp
 WIDEST = 1 << 62
-"""A counter of more values does not wrap in any lifetime, and one of 64 bits wraps with the numbers themselves."""
+"""A larger counter does not wrap in any lifetime, and one of 64 bits wraps with the numbers themselves."""
 RESTART_AFTER_S = 0.1
 """A device that keeps counting from behind for this long has restarted; a single late frame has not."""
 PUNCTUAL_S = 0.1
@@ -15,7 +15,7 @@ PUNCTUAL_S = 0.1
 JOIN_S = 0.1
 """Counts that agree with the clock to this began anew together."""
 LEAK = 2e-3
-"""Share by which a device may be slower than its nominal rate before its samples are taken for late ones: the line of
+"""Share by which a device may be slower than its nominal rate before its samples count as late: the line of
 punctual arrivals follows that much."""
 
 # ------------------------------------------------------------------ numbers of samples by arrival
@@ -27,7 +27,7 @@ STAYS_LATE_S = 1.0
 STAYS_LATE_SAMPLES = 8
 """... and as many as stay late for so long, by that much."""
 PAUSE_READ_S = 0.06
-"""Lines that flow are read less often than samples come; where one pauses, its newest sample waited as long as this:
+"""Lines that flow are read less often than samples come; where one pauses, its newest sample waited so long:
 the drivers' longest gathering, 0.05 s on a serial line, and a turn of the reader."""
 BACKLOG_S = 1.0
 FASTER = 0.02
@@ -39,7 +39,7 @@ SETTLE_S = 2.0
 LINE_EVERY_S = 10.0
 """The line is drawn anew after twice the time again and again, and in the end this often."""
 TRUSTED_S = 7.0
-"""A slope is taken from arrivals over at least this long; before, the device is taken to keep its nominal rate."""
+"""A slope is taken from arrivals over at least this long; before that, the nominal rate is assumed."""
 STEEPEST = 2e-3
 """Pieces run at most this much faster or slower than nominal."""
 
@@ -67,7 +67,7 @@ SKEW_PATIENCE_ANEW_S = 5.0
 """Rows wait no longer than this for the skew, at a start and after a device began to count anew."""
 EVALUATIONS = 2000
 RATE = 1.0
-"""Evaluations of a first stretch that may be spent at once, and what each sample adds (in samples of work)."""
+"""Evaluations a first stretch may spend at once, and what each sample adds (in samples of work)."""
 SKEW_EVERY_S = 10.0
 """A skew that is known is measured again this often."""
 REMEMBERED = 6

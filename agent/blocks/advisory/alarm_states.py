@@ -1,4 +1,4 @@
-"""Advisory: the states of a rig's alarms while it runs. Detectors say what the process did, operators what they want.
+"""Advisory: alarm states of a running rig. Detectors say what the process did, operators what they want.
 
 The store decides each step once more from the row that it holds, so where a command and the process cross,
 both take the same two causes and come to the same state.
@@ -29,7 +29,7 @@ class AlarmStates:
         return self._alarms.get(key, Alarm())
 
     def step(self, records: Sequence[Record]) -> list[Record]:
-        """Return records with the steps of alarms as their states have them; what an operator silenced stays silent."""
+        """Return records with alarm steps as the states have them; what an operator silenced stays silent."""
         return [step for record in records for step in self._stepped(record)]
 
     def _stepped(self, found: Record) -> list[Record]:

@@ -1,4 +1,4 @@
-"""Watching the watcher: alarms of parameters that are not estimated, and of a model that explains the machine no more.
+"""Watching the watcher: alarms of parameters not estimated, and of models that explain the machine no more.
 
 A parameter with an alarm that got no valid row for its time is blind, whatever its readings say: a fault from
 the first sample on, or one that comes and goes faster than a window, is not silent. Time counts sample
@@ -32,7 +32,7 @@ _OF_CHANNELS: Final = frozenset(
 
 
 class BlindRule(Protocol):
-    """What an `[[alarm]]` table says of a parameter that is not estimated; None stands for the key's default."""
+    """What an `[[alarm]]` table says of a parameter that is not estimated; None is the key's default."""
 
     @property
     def parameter(self) -> str: ...
@@ -140,7 +140,7 @@ class BlindAlarms:
         return [self._transition(group, t_ns, _over_words(group), stands=False) for group in over]
 
     def _raise(self, due: Sequence[str], t_ns: int) -> list[AlarmTransition]:
-        """Raise one alarm for all parameters that are due for one reason, unless one stands that they join."""
+        """Raise one alarm for all parameters due for one reason, unless one stands that they join."""
         standing = {name for group in self._groups for name in group.members}
         fresh: dict[str, list[str]] = {}
         for name in due:

@@ -1,4 +1,4 @@
-"""Prognostic assessment: alarms where a forecast has a limit reached soon, and where a parameter drifts too fast.
+"""Prognostic assessment: alarms where a forecast reaches a limit soon, and where a parameter drifts too fast.
 
     forecast   raise  P50 of the first passage is nearer than `within`, status ok
                clear  it is a tenth farther than that, or nothing leads there any more
@@ -63,7 +63,7 @@ class StandingRow(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Finding:
-    """Whether an alarm is to be raised or cleared (neither where it cannot be said), its figures and its words."""
+    """Whether to raise or clear an alarm (neither where it cannot be said), its figures and its words."""
 
     raised: bool
     cleared: bool

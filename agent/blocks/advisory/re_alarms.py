@@ -1,4 +1,4 @@
-"""Advisory: an alarm that was acknowledged, and stands for long after, asks again (ISA-18.2 clause 5.4: C to B)."""
+"""Advisory: an acknowledged alarm that stands for long after asks again (ISA-18.2 clause 5.4: C to B)."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
@@ -31,7 +31,7 @@ class ReAlarms:
     def step(
         self, alarms: Iterable[tuple[AlarmKind, str, Alarm]], now_ns: int, t_ns: int
     ) -> list[AlarmTransition]:
-        """Return who asks again: alarms by kind and parameter; now_ns monotonic, t_ns the time that steps get."""
+        """Return who asks again: alarms by kind and parameter; now_ns monotonic, t_ns the time of steps."""
         if not self._rules:
             return []
         acked = [

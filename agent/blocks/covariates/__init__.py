@@ -1,1 +1,1 @@
-"""Covariates as they come: means of minutes, and references that are moved by what the machine feels of them."""
+"""Covariates as they come: means of minutes, and references moved by what the machine feels of them."""

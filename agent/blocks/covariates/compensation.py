@@ -1,4 +1,4 @@
-"""References that move with covariates: rows are cut where they change, each with the one that holds at its instant."""
+"""References that move with covariates: rows are cut where they change, each with the one of its instant."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

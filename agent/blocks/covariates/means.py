@@ -55,7 +55,7 @@ class CovariateMeans:
             self._add(name, periods[there], value[there])
 
     def _add(self, name: str, periods: IntArray, value: FloatArray) -> None:
-        """Add readings to their periods; those of a period that rows rest on already come too late for them."""
+        """Add readings to their periods; those of a period that rows already rest on come too late."""
         table, known = self._open[name], self.known[name]
         numbers, place = np.unique(periods, return_inverse=True)
         totals, counts = np.bincount(place, value, len(numbers)), np.bincount(place, minlength=len(numbers))

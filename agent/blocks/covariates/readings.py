@@ -9,7 +9,7 @@ from drivers.port import SampleBlock
 
 
 def instants(block: SampleBlock, rate_hz: float, before: int = 0) -> IntArray:
-    """Return when the samples (n,) of a block were taken, ns: as received where that is known, else as recorded.
+    """Return when a block's samples (n,) were taken, ns: as received where that is known, else as recorded.
 
     before: samples of the recording before it, for one without time stamps.
     """

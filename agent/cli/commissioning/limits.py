@@ -18,7 +18,7 @@ WRITTEN = ("limit", "on_delay_s")
 def proposed(
     place: Path, rig: str | None, per_year: float, config: Path | None, *, write: bool
 ) -> dict[str, Any]:
-    """Return proposed limits, written into the configuration where asked. Raises UsageError without a file for them."""
+    """Return proposed limits, written to the configuration where asked. Raises UsageError without a file."""
     own = place.suffix.lower() == ".toml"
     file = place if own else config
     if write and file is None:
@@ -41,7 +41,8 @@ def print_limits(document: Document) -> None:
     for name, row in document["parameters"].items():
         if row["compensated"]:
             show(
-                f"{name}: what {', '.join(row['compensated'])} does is taken out of these, as of rows and alarms"
+                f"{name}: what {', '.join(row['compensated'])} does is taken out of these, "
+                "as of rows and alarms"
             )
     written = document["written"]
     show(

@@ -1,4 +1,4 @@
-"""Which agent a command means: named by a database, a configuration, a folder of them, or the only one there is."""
+"""Which agent a command means: named by a database, a configuration, a folder of them, or the only one."""
 
 from collections.abc import Mapping
 from pathlib import Path

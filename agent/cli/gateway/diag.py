@@ -96,7 +96,7 @@ def _versions() -> Document:
 
 
 def _query(db: Path, query: str, *, any_schema: bool = False) -> Callable[[], bytes]:
-    """Return what makes a part; any_schema: where a schema that is not ours may do no harm, since no view is asked."""
+    """Return what makes a part; any_schema: where a foreign schema does no harm, since no view is asked."""
 
     def rows() -> bytes:
         with closing(connect_reader(db, any_schema=any_schema)) as connection:

@@ -1,4 +1,4 @@
-"""Secrets out of texts: what stands under a secret's key, what a reference leads to, passwords in addresses."""
+"""Secrets out of texts: what is under a secret's key, what a reference leads to, passwords in addresses."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""`deltak status` and `deltak reload`: what a running agent says of itself, and its configuration taken up anew."""
+"""`deltak status` and `deltak reload`: what a running agent says of itself, its configuration reloaded."""
 
 from collections.abc import Mapping
 from pathlib import Path

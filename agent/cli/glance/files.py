@@ -38,7 +38,7 @@ class Watched:
 
 
 def one(target: Path | None) -> Watched:
-    """Return the database of a configuration or the database itself; without a target the only one in this folder.
+    """Return a configuration's database or the database itself; without a target the only one in this folder.
 
     Raises ConfigError for a configuration with faults, UsageError where no database or several are here.
     """

@@ -1,4 +1,4 @@
-"""The state of rigs: newest estimates against their limits, alarms that need somebody, sources, lag; worst first."""
+"""State of rigs: newest estimates against limits, alarms that need somebody, sources, lag; worst first."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -16,7 +16,7 @@ _STALE_S = 30.0  # a source writes a row of its ledger every 10 s
 
 
 def overview(watched: Iterable[Watched], now_ns: int) -> dict[str, Any]:
-    """Return {"rigs": [...], "refused": rows with wrong checksums, "errors": [...]}: of all databases, the worst first.
+    """Return {"rigs": [...], "refused": rows with bad checksums, "errors": [...]} of all files, worst first.
 
     One file that cannot be read does not hide the rigs of others. Raises StoreError where none can be.
     """
@@ -108,7 +108,7 @@ def urgency(alarm: Row) -> tuple[int, int, int]:
 
 
 def _severity(rig: Mapping[str, Any]) -> list[float]:
-    """Return what rigs are ordered by: alarms that nobody has acknowledged, standing ones, lack of data, margins."""
+    """Return what rigs are ordered by: unacknowledged alarms, standing ones, lack of data, margins."""
     standing = [a for a in rig["alarms"] if a["state"] in {"UNACK", "ACKED", "RTNUN"}]
     worst = [
         max((urgency(a)[1] + 1 for a in standing if a["state"] == state), default=0)

@@ -75,7 +75,7 @@ def _clock() -> str:
 
 
 def _pressed(seconds: float) -> str:
-    """Return the key that is pressed within so many seconds; "" for none, end of input for a terminal that has gone."""
+    """Return the key pressed within so many seconds; "" for none, end of input for a lost terminal."""
     ready, _, _ = select.select([sys.stdin], [], [], seconds)
     return (sys.stdin.read(1) or "\x04") if ready else ""
 

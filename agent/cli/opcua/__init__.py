@@ -1,1 +1,1 @@
-"""`deltak opcua`: parameters and alarms as an OPC UA server, a process of its own that only reads the databases."""
+"""`deltak opcua`: parameters and alarms as an OPC UA server, a separate process that only reads databases."""

@@ -1,4 +1,4 @@
-"""Who may do what: users of a file with hashes of their passwords, and who makes the request that is answered."""
+"""Who may do what: users in a file with their password hashes, and who makes the request that is answered."""
 
 import getpass
 import os
@@ -61,7 +61,7 @@ def read_trusted(folder: Path) -> Mapping[bytes, int]:
 
 
 def add_user(path: Path | None, name: str) -> None:
-    """Ask for a user's password, twice on a terminal, and add it to the file or replace it. Raises UsageError."""
+    """Ask for a user's password, twice on a terminal; add it to the file or replace it. Raises UsageError."""
     if path is None:
         raise UsageError.at("--new-user", "needs --users", "name the file that it is added to")
     if _NAME.fullmatch(name) is None:

@@ -1,4 +1,4 @@
-"""An alarm as the fields of an AlarmConditionType (OPC UA Part 9): what its ISA-18.2 state is called there."""
+"""An alarm as fields of an AlarmConditionType (OPC UA Part 9): what its ISA-18.2 state is called there."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -14,7 +14,7 @@ _MOST_SHELVED_MS: Final = 7 * 86_400_000.0
 
 
 def states_of(alarm: Row) -> dict[str, bool]:
-    """Return the two-state variables of an alarm's state: Active, Acked, Confirmed, Suppressed, OutOfService, Shelved.
+    """Return an alarm's two-state variables: Active, Acked, Confirmed, Suppressed, OutOfService, Shelved.
 
     A silenced alarm is active while its condition stands (nothing has cleared it) and acked if somebody did
     so before. The life cycle has one step by which somebody says that he knows, so Confirmed is as Acked.

@@ -1,4 +1,4 @@
-"""Alarms as conditions: a node for each activation that is not back to normal, and an event for each of its steps."""
+"""Alarms as conditions: a node for each activation not back to normal, and an event for each of its steps."""
 
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
@@ -19,7 +19,7 @@ ADDED: Final = ("Confirm", "RemoveFromService", "PlaceInService")
 
 @dataclass(slots=True)
 class Condition:
-    """One activation of an alarm: its database, its newest row, the id of its newest event, its node and event."""
+    """One activation of an alarm: its database, newest row, newest event's id, node and event."""
 
     db: str
     alarm: Row
@@ -48,7 +48,7 @@ class Conditions:
         return self._by_name.get(str(node_id.Identifier).removesuffix(".ShelvingState"))
 
     async def step(self, db: str, alarm: Row, step: Row) -> None:
-        """Take in a step of an alarm (`id`, `t_ns`, `by`, `comment`): write its node, and say it to whoever listens."""
+        """Take in an alarm's step (`id`, `t_ns`, `by`, `comment`): write its node, tell whoever listens."""
         name = _name(db, alarm["id"])
         found = self._by_name.get(name)
         if found is None:
@@ -134,7 +134,7 @@ class Conditions:
                 await server.write_attribute_value(node_id, ua.DataValue(value))
 
     async def _say(self, found: Condition, fields: Mapping[str, Any]) -> None:
-        """Send the event to those who listen at the rig, and at the server; that one is what a refresh repeats."""
+        """Send the event to listeners at the rig and at the server; that one is what a refresh repeats."""
         from asyncua import ua
 
         for name, value in fields.items():

@@ -1,4 +1,4 @@
-"""What is committed, once a second, into the address space: rows of the overview, and each step of each alarm."""
+"""What is committed, once a second, into the address space: overview rows, and each step of each alarm."""
 
 import asyncio
 import logging
@@ -23,7 +23,7 @@ _PAGE: Final = 500
 
 @dataclass(slots=True)
 class _Look:
-    """What one look at a database found: its rigs, steps of alarms, the cursor after them, whether it is the first."""
+    """What one look at a database found: rigs, alarm steps, the cursor after them, if it is the first."""
 
     rigs: Sequence[Mapping[str, Any]]
     steps: list[Change]

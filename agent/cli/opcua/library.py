@@ -1,4 +1,4 @@
-"""What is asked of asyncua beyond its plain use: discovery without a session, and the server's certificate."""
+"""What asyncua is asked beyond plain use: discovery without a session, and the server's certificate."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from agent.errors import UsageError
 
 
 class DiscoverableServer(Server):  # type: ignore[misc] # the library is not followed by the type checker
-    """A server whose endpoints can be asked for without encryption, where nothing else can be (Part 4, 5.4)."""
+    """A server whose endpoints can be asked for unencrypted, where nothing else can be (Part 4, 5.4)."""
 
     async def _setup_server_nodes(self) -> None:
         await super()._setup_server_nodes()

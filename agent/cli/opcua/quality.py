@@ -1,4 +1,4 @@
-"""What an estimate is worth in OPC UA's words: the value that is given, its instant, a status code (Part 8, 6.3)."""
+"""What an estimate is worth in OPC UA's words: the value given, its instant, a status code (Part 8, 6.3)."""
 
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple

@@ -159,7 +159,7 @@ async def _made(options: Options, users: Users) -> Any:
 
 
 async def _policies(server: Any, options: Options) -> list[Any]:
-    """Return the security policies; with a certificate the encrypting ones, on this machine alone also none."""
+    """Return the security policies; with a certificate encrypting ones, on this machine alone also none."""
     from asyncua import ua
 
     plain = [ua.SecurityPolicyType.NoSecurity] if options.is_local else []
@@ -178,7 +178,7 @@ async def _policies(server: Any, options: Options) -> list[Any]:
 
 
 def _watched(targets: Sequence[Path]) -> list[Watched]:
-    """Return the databases that are named, or that configurations name. Raises UsageError, ConfigError, StoreError."""
+    """Return the databases named, or named by configurations. Raises UsageError, ConfigError, StoreError."""
     if not targets:
         raise UsageError.at("opcua", "no database is named", "give databases or configurations")
     databases = [target for target in targets if not (target.suffix == ".toml" or target.is_dir())]

@@ -69,7 +69,7 @@ class Space:
         return self.node_id(*key) if key in self._parameters else None
 
     async def show(self, rig: Row, now_ns: int) -> None:
-        """Write what the overview says of a rig's parameters; a value that is as before is not written again."""
+        """Write what the overview says of a rig's parameters; an unchanged value is not written again."""
         for row in rig["parameters"]:
             key = Key(rig["db"], rig["rig"], row["parameter"])
             if key not in self._parameters:

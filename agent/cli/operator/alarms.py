@@ -50,7 +50,7 @@ def alarms(db: Path, rig: str | None, form: str, *, active: bool) -> None:
 
 
 def _standing(rows: Sequence[Row], kinds: Mapping[int, str]) -> list[Row]:
-    """Return the alarms that stand: of one parameter the newest that runs of one kind (kinds: of each run) left so.
+    """Return standing alarms: of one parameter the newest that runs of one kind (kinds: of each run) left so.
 
     One replay after another may leave an alarm standing; none of them may hide one of the live machine.
     """

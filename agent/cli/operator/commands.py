@@ -58,5 +58,6 @@ def print_taken(document: Mapping[str, Any]) -> None:
         until = f" until {short_time(alarm['shelved_until'])}" if alarm["shelved_until"] else ""
         what = f"{alarm['rig']} {alarm['kind']} {alarm['parameter']}"
         show(
-            f"alarm {alarm['id']} ({what}): {alarm['from_state']} -> {alarm['to_state']}{until} by {alarm['by']}"
+            f"alarm {alarm['id']} ({what}): "
+            f"{alarm['from_state']} -> {alarm['to_state']}{until} by {alarm['by']}"
         )

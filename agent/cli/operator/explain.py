@@ -36,7 +36,7 @@ def print_explained(document: Mapping[str, Any]) -> None:
 
 
 def draw(found: Explained, path: Path) -> None:
-    """Draw the samples and the estimate around an alarm. Raises UsageError: no matplotlib, no samples, no place."""
+    """Draw samples and estimate around an alarm. Raises UsageError: no matplotlib, no samples, no place."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

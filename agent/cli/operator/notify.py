@@ -1,4 +1,4 @@
-"""`deltak notify list`, `resend` and `test`: what became of notifications, and whether targets can be reached."""
+"""`deltak notify list`, `resend` and `test`: what became of notifications, and if targets can be reached."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,7 +20,7 @@ COLUMNS: Final = ("id", "alarm_event_id", "target", "state", "attempts", "last_e
 
 
 def listed(db: Path, form: str, *, dead: bool) -> None:
-    """Print the notifications of a file, oldest first; dead: only those that were given up. Raises StoreError."""
+    """Print a file's notifications, oldest first; dead: only those given up. Raises StoreError."""
     rows = queries.notifications(db, "dead" if dead else None)
     if form != "table":
         print_rows("notifications", COLUMNS, rows, form, rows.refused)
@@ -49,7 +49,7 @@ def print_resent(document: Mapping[str, Any]) -> None:
 
 
 def test(config: Path) -> dict[str, Any]:
-    """Send a message to each target, whatever its hours and priorities. Raises ConfigError; UsageError without any."""
+    """Message each target, whatever its hours and priorities. Raises ConfigError; UsageError without any."""
     rig = load(config)
     if not rig.notify:
         raise UsageError.at("notify", f"{config} has no [[notify]]", "add one for each target")

@@ -1,4 +1,4 @@
-"""`deltak fleet`: the parts of many machines in one table, the most urgent first; and what like machines teach."""
+"""`deltak fleet`: parts of many machines in one table, most urgent first; and what like machines teach."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -35,7 +35,7 @@ def fleet(files: Sequence[Path], within: str, parameter: str | None, limit_perce
 
 
 def databases(files: Sequence[Path]) -> list[Path]:
-    """Return the databases meant, those of a folder in the alphabet's order. Raises UsageError where there is none."""
+    """Return the databases meant, a folder's in alphabetical order. Raises UsageError where there is none."""
     found: list[Path] = []
     for path in files:
         found += sorted(path.glob("*.db")) if path.is_dir() else [path]
@@ -144,5 +144,6 @@ def learn_prior(
 def print_learnt(found: Document) -> None:
     """Print what was learnt of how many."""
     show(
-        f"{found['prior']}: learnt of {found['histories']} histories; use it by deltak trend --like {found['prior']}"
+        f"{found['prior']}: learnt of {found['histories']} histories; "
+        f"use it by deltak trend --like {found['prior']}"
     )

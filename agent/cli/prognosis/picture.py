@@ -15,7 +15,7 @@ MOST_PAST = 100
 
 
 def draw(found: Document, path: Path, past: Sequence[Document] = ()) -> None:
-    """Draw a trend, and past forecasts faintly. Raises UsageError where matplotlib or the file's place is missing."""
+    """Draw a trend, and past forecasts faintly. Raises UsageError without matplotlib or the file's place."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""`deltak trend`: whether a parameter changes and when it reaches a limit, as sentences, JSON, CSV or a picture."""
+"""`deltak trend`: whether a parameter changes and when it reaches a limit, as text, JSON, CSV or picture."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ _BARS = "▁▂▃▄▅▆▇█"
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """What is asked of the future: like machines, how far ahead, and the value that a limit is counted from."""
+    """What is asked of the future: like machines, how far ahead, and the value a limit is counted from."""
 
     like: tuple[Path, ...] = ()
     horizon: str | None = None
@@ -50,7 +50,7 @@ def trend(
     plot: Path | None,
     ahead: Ahead | None = None,
 ) -> None:
-    """Print a parameter's trend. Raises StoreError; UsageError for a parameter, rig, time or picture that cannot be."""
+    """Print a parameter's trend. Raises StoreError; UsageError for a bad parameter, rig, time or picture."""
     if parameter is None and not is_table(db):
         _print_all(db, rig, times, form)
         return
@@ -64,7 +64,7 @@ def trend(
 def document(
     db: Path, parameter: str, rig: str | None, times: tuple[str | None, str | None], limit: float | None
 ) -> dict[str, Any]:
-    """Return the document of one history of a database, as --json prints it. Raises StoreError, UsageError."""
+    """Return the document of one database history, as --json prints it. Raises StoreError, UsageError."""
     return _asked(db, parameter, rig, times, limit, Ahead())[0]
 
 
@@ -82,7 +82,7 @@ def _asked(
     limit: float | None,
     ahead: Ahead,
 ) -> tuple[dict[str, Any], Sequence[Document]]:  # fmt: skip
-    """Return what is said of one history, of a database or a table, and the forecasts that the agent made of it."""
+    """Return what is said of one history, of a database or a table, and the agent's forecasts of it."""
     if parameter is not None and not is_table(db):
         found = compensated(db, queries.points(db, rig, parameter, *times))
         past = queries.forecasts(db, found.points.rig, parameter)
@@ -180,7 +180,8 @@ def _sentences(found: Document) -> str:
     _, newest, sd = found["points"][-1]
     lines = [f"{name}: newest {with_sd(newest, sd)} {unit} at {short_time(found['until'])}"]
     lines.append(
-        f"{found['n']} rows since {short_time(found['since'])}, {found['n_disjoint']} of them share no samples"
+        f"{found['n']} rows since {short_time(found['since'])}, "
+        f"{found['n_disjoint']} of them share no samples"
     )
     if found["backward"]:
         lines.append(
@@ -249,7 +250,7 @@ def _print_all(db: Path, rig: str | None, times: tuple[str | None, str | None], 
 
 
 def _share(found: Document) -> tuple[bool, float]:
-    """Return what trends are ordered by: whether there is one, and the share of the value that changes in a day."""
+    """Return the sort key of trends: whether there is one, and the share of the value changed in a day."""
     slope, value = found["slope_per_day"], found["value"]
     return bool(found["trend"]), abs(slope / value) if slope is not None and value else 0.0
 

@@ -26,7 +26,7 @@ def print_line(line: Line) -> None:
 
 
 def print_summary(document: Mapping[str, Any]) -> None:
-    """Print rates and ranges by channel, then each source's ledger with the first unit rejected for each reason."""
+    """Print rates and ranges by channel, then source ledgers with the first unit rejected for each reason."""
     columns = ("channel", "unit", "source", "field", "samples a second", "last", "least", "most")
     rows = (
         (

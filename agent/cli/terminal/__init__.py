@@ -1,4 +1,4 @@
-"""What all commands share: documents and tables on the terminal, streams, signals, logs, errors and exit codes.
+"""What all commands share: documents and tables on the terminal, streams, signals, logs, errors, exit codes.
 
 Imported by the other rooms of the command line.
 """

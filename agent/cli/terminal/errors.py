@@ -1,4 +1,4 @@
-"""From exceptions to lines and exit codes: 2 usage, 3 database, 4 bus as their types say, 1 unforeseen, 130 SIGINT."""
+"""From exceptions to lines and exit codes: 2 usage, 3 database, 4 bus by type, 1 unforeseen, 130 SIGINT."""
 
 import sys
 import traceback
@@ -51,7 +51,7 @@ def _code(app: typer.Typer, args: Sequence[str], flags: Flags) -> int:
 
 
 def take_flags(argv: Sequence[str]) -> tuple[list[str], Flags]:
-    """Take -v and --debug out of a command line, wherever they stand before `--`, and see whether it asks for JSON."""
+    """Take -v and --debug out of a command line, anywhere before `--`, and see whether it asks for JSON."""
     end = argv.index("--") if "--" in argv else len(argv)
     head, tail = argv[:end], argv[end:]
     verbose = sum(len(arg) - 1 for arg in head if arg in {"-v", "-vv", "-vvv"}) + head.count("--verbose")
@@ -72,7 +72,7 @@ def report(error: Exception, flags: Flags) -> int:
 
 
 def faults_of(error: Exception) -> tuple[Sequence[Fault], int]:
-    """Return an exception's faults and exit code; any exception that has both attributes may bring its own."""
+    """Return an exception's faults and exit code; any exception with both attributes may bring its own."""
     if hasattr(error, "faults") and hasattr(error, "exit_code"):
         return error.faults, int(error.exit_code)
     if hasattr(error, "format_message"):

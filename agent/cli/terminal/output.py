@@ -18,7 +18,7 @@ PLAIN_WIDTH = 250
 
 
 def json_ready(value: Any) -> Any:
-    """Return a value as JSON carries it: null for NaN and inf, numpy as plain values, `time` beside `t_ns`."""
+    """Return a value as in JSON: null for NaN and inf, numpy as plain values, `time` beside `t_ns`."""
     if hasattr(
         value, "tolist"
     ):  # numpy scalars and arrays, without importing numpy for documents that have none

@@ -16,7 +16,7 @@ class Terminated(BaseException):
 
 @contextmanager
 def done_when_terminated() -> Iterator[None]:
-    """Turn SIGTERM into an exception inside, and that into exit code 0; a command with a better end has its own."""
+    """Turn SIGTERM into an exception inside, and that into exit code 0; a command may have its own end."""
     previous = signal.signal(signal.SIGTERM, _terminate)
     try:
         yield

@@ -1,4 +1,4 @@
-"""stdout and stderr as a command line meets them: closed, full, or without a reader; none of these is unforeseen."""
+"""stdout and stderr as a command line meets them: closed, full, or without a reader; none is unforeseen."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ class ReaderGoneError(Exception):
 
 
 class _Output:
-    """A stream whose failures are what `failed` makes of them; libraries would end the process by themselves."""
+    """A stream whose failures are what `failed` makes of them; libraries would end the process themselves."""
 
     def __init__(self, stream: TextIO, failed: Callable[[OSError], None]) -> None:
         self._stream, self._failed = stream, failed
@@ -46,7 +46,7 @@ class _Output:
 
 @contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Have stdout raise ReaderGoneError or UsageError where it fails, and stderr be silent; closed ones take all."""
+    """Have stdout raise ReaderGoneError or UsageError on failure, stderr be silent; closed ones take all."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = _watched(sys.stdout, _stdout_failed), _watched(sys.stderr, _ignore)
     try:

@@ -1,4 +1,4 @@
-"""The agents of this machine, to be stopped and started: units of systemd, or commands that somebody names."""
+"""The agents of this machine, to be stopped and started: systemd units, or commands that somebody names."""
 
 import subprocess
 from collections.abc import Sequence

@@ -111,7 +111,7 @@ def _plan(path: Path) -> dict[str, Any]:
 
 
 def _version(path: Path) -> int:
-    """Return the version of a file; one of this version is looked at as every reader does. Raises StoreError."""
+    """Return a file's version; one of this version is looked at as every reader does. Raises StoreError."""
     version = int.from_bytes(_head(path)[62:64], "big")
     if version == SCHEMA_VERSION:
         connect_reader(path).close()

@@ -25,7 +25,7 @@ class Options:
 
 
 def checked(named: Sequence[Path], *, asked: bool, as_json: bool) -> int:
-    """Print what this version would do; return the exit code. Raises UsageError where nothing is asked for."""
+    """Print what this version would do; return the exit code. Raises UsageError where nothing is asked."""
     if not asked:
         raise UsageError.at("upgrade", "asks for nothing", "say --check, or --to VERSION")
     document = check.check(named)

@@ -1,4 +1,4 @@
-"""Copies of databases from before a migration: kept beside them, and put in their place when it is taken back."""
+"""Copies of databases from before a migration: kept beside them, and put back when it is undone."""
 
 import os
 import sqlite3
@@ -54,7 +54,7 @@ def keep(path: Path, version: str) -> Path:
 
 
 def restore(path: Path, version: str) -> Path:
-    """Put the copy from before a version in the database's place; return where the version's own file lies now.
+    """Put the copy from before a version in the database's place; return where the version's file lies now.
 
     What belongs to that file goes first, so that a power cut on the way never leaves the copy beside
     another's log. Raises StoreHeldError where an agent writes to it, OSError where the disk refuses.

@@ -1,4 +1,4 @@
-"""Which configurations and databases an upgrade concerns: those that are named, else those of the services."""
+"""Which configurations and databases an upgrade concerns: those named, else those of the services."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class Places:
 
 
 def places_of(named: Sequence[Path]) -> Places:
-    """Return what is named by path (*.toml and folders are configurations), or for nothing what the services have."""
+    """Return what paths name (*.toml and folders are configurations); without any what the services have."""
     if not named:
         return _of_services()
     configs = tuple(path for path in named if path.suffix == ".toml" or path.is_dir())

@@ -1,4 +1,4 @@
-"""Versions of the program side by side: HOME/releases/VERSION, and HOME/current, a link to the one that runs."""
+"""Program versions side by side: HOME/releases/VERSION, and HOME/current, a link to the one that runs."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Which rigs give valid rows: by the views that every version has, since the file may be of another one than this."""
+"""Which rigs give valid rows: by the views every version has, since the file may be of another version."""
 
 import sqlite3
 from collections.abc import Iterable, Mapping

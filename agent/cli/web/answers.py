@@ -1,4 +1,4 @@
-"""Answers to questions: made once for each state of a database, with an ETag by which nothing is sent twice."""
+"""Answers to questions: made once per state of a database, with an ETag by which nothing is sent twice."""
 
 import asyncio
 import hashlib

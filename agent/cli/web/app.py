@@ -36,7 +36,7 @@ _OPEN_PATHS: Final = ("/", "/static", "/api/v1/session")
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a server is: databases, the secret for sessions, whether reading needs one too, names that it goes by."""
+    """What a server is: databases, the session secret, whether reading needs one too, names it goes by."""
 
     watched: tuple[Watched, ...]
     secret: Secret | None = None
@@ -100,7 +100,7 @@ def _routes(settings: Settings, hub: Hub, writes: Writes) -> "list[Route]":
 
 
 def _static() -> Mapping[str, tuple[bytes, str]]:
-    """Return the page's files by name with their types; they are read once and nothing else can be asked for."""
+    """Return the page's files by name with types; they are read once, nothing else can be asked for."""
     folder = files("agent.cli.web") / "static"
     found = ((file.name, file) for file in folder.iterdir())
     return {

@@ -1,4 +1,4 @@
-"""The documents of the API, by name: what each may be asked, and how it is made of the database; JSON as of --json."""
+"""API documents by name: what each may be asked, and how it is made of the database; JSON as of --json."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ PARAMETERS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """One document: what it is, which of `PARAMETERS` it takes, how it is made, whether it changes with the clock."""
+    """One document: what it is, which `PARAMETERS` it takes, how it is made, if it changes with the clock."""
 
     summary: str
     takes: tuple[str, ...]
@@ -75,7 +75,7 @@ def _needed(asked: Asked, name: str) -> str:
 
 
 def _rows_of(key: str, ask: Callable[[Watched, Asked], Rows]) -> Make:
-    """Return what makes a document of the rows of all databases that are meant, each with the database's name."""
+    """Return what makes a document of the rows of all databases meant, each with the database's name."""
 
     def make(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
         rows: list[dict[str, Any]] = []
@@ -162,7 +162,7 @@ def _columns(points: Points) -> "np.ndarray[Any, np.dtype[Any]]":
 
 
 def thinned(table: "np.ndarray[Any, np.dtype[Any]]", most: int) -> list[list[float]]:
-    """Return rows [t_ns, value, sd, lowest, highest] of rows (n, 3) of t_ns, value, sd: at most `most`, in order.
+    """Return [t_ns, value, sd, lowest, highest] of rows (n, 3) of t_ns, value, sd: at most `most`, in order.
 
     A row that stands for several is of the time of the middle one and has the mean value and sd; no spike is
     lost, since lowest and highest are those of all it stands for.
@@ -242,7 +242,8 @@ DOCUMENTS: Final[Mapping[str, Document]] = {
     ),
     "baselines": Document("Rows of v_baselines, oldest first.", _RIG, _rows_of("baselines", _baselines)),
     "forecasts": Document(
-        "Stored forecasts, oldest first, the newest and at most 99 before it of each parameter; and their record.",
+        "Stored forecasts, oldest first, the newest and at most 99 before it of each parameter; "
+        "and their record.",
         (*_RIG, "parameter"),
         _forecasts,
     ),

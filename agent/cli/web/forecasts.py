@@ -44,7 +44,7 @@ _parts: dict[tuple[Path, str | None, str | None], _Part] = {}
 
 
 def _kept(database: Watched, rig: str | None, parameter: str | None) -> _Part:
-    """Return what a database says; it is read anew when a forecast is made or scored, which is once an hour or so."""
+    """Return what a database says; read anew when a forecast is made or scored, which is about hourly."""
     key = (database.path, rig, parameter)
     mark = recent.forecasts_mark(database.path)
     part = _parts.get(key)

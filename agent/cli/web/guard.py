@@ -1,4 +1,4 @@
-"""What holds for every request and answer: hosts, headers that confine the page, errors that are documents."""
+"""What holds for every request and answer: hosts, headers confining the page, errors that are documents."""
 
 import asyncio
 import logging
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 _PATIENCE_S = 30.0  # for whoever does not read an answer; a listener that is slow costs its place
 POLICY: Final = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; form-action 'none'; "
-    "base-uri 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
 )
 HEADERS: Final = {
     "content-security-policy": POLICY,
@@ -42,13 +42,13 @@ def refusal(status: int, path: str, message: str, advice: str = "") -> "Response
 
 
 def of_error(error: AgentError) -> "Response":
-    """Return the answer to what cannot be done: 400 for what makes no sense, 409 for what the database refuses."""
+    """Return the answer to what cannot be done: 400 for nonsense, 409 for what the database refuses."""
     status = 400 if isinstance(error, UsageError) else 409 if isinstance(error, StoreError) else 500
     return document(status, {"errors": [fault_document(fault) for fault in error.faults]})
 
 
 class Guard:
-    """The outermost layer: refuses foreign hosts, adds the headers, and turns the unforeseen into a plain answer.
+    """The outermost layer: refuses foreign hosts, adds headers, and turns the unforeseen into a plain answer.
 
     Args:
         inner: the application.

@@ -40,7 +40,10 @@ def _operation(name: str, summary: str, responses: Mapping[str, Any], **more: An
 
 
 def _events() -> Mapping[str, Any]:
-    summary = "Server-sent events: hello, alarm, estimates, reset (read all anew); Last-Event-ID goes on without a gap."
+    summary = (
+        "Server-sent events: hello, alarm, estimates, reset (read all anew); "
+        "Last-Event-ID goes on without a gap."
+    )
     header = {"name": "Last-Event-ID", "in": "header", "schema": {"type": "string"}}
     stream = {"description": "Events.", "content": {"text/event-stream": {"schema": {"type": "string"}}}}
     return _operation("events", summary, {"200": stream, "429": _REFUSED}, parameters=[header])

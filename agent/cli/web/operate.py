@@ -1,4 +1,4 @@
-"""What an operator does to an alarm from the page: one line to the agent's socket, answered once it is committed."""
+"""What an operator does to an alarm from the page: a line to the agent's socket, answered once committed."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -31,7 +31,7 @@ class Secret:
     token: bytes | None = None
 
     def is_known_by(self, text: str) -> bool:
-        """Tell whether a text is the password or the token; takes as long for a wrong one as for the right one."""
+        """Tell whether a text is the password or the token; takes equally long for right and wrong ones."""
         said = text.encode("utf-8", "replace")[:_MOST_BYTES_OF_SECRET]
         if self.password is not None:
             salt, known = self.password
@@ -68,7 +68,7 @@ class Secret:
 
 
 def from_files(password: Path | None, token: Path | None) -> Secret | None:
-    """Return the secret that a file holds; None without one. Raises UsageError for a file that cannot be used."""
+    """Return the secret a file holds; None without one. Raises UsageError for an unusable file."""
     if password is not None and token is not None:
         raise UsageError.at("--token-file", "cannot go with --password-file", "give one of them")
     if password is not None:
@@ -77,7 +77,7 @@ def from_files(password: Path | None, token: Path | None) -> Secret | None:
 
 
 def write_password(path: Path, text: str) -> None:
-    """Write a password's hash to a file that only its owner can read. Raises UsageError where that cannot be."""
+    """Write a password's hash to a file only its owner can read. Raises UsageError where that cannot be."""
     write_closed(path, f"{Secret.of_password(text).line()}\n")
 
 
@@ -100,7 +100,7 @@ def _hash(text: bytes, salt: bytes) -> bytes:
 
 
 def closed_content(path: Path) -> str:
-    """Return what a file of secrets holds. Raises UsageError where it cannot be read, or others can read it."""
+    """Return what a secrets file holds. Raises UsageError where it cannot be read, or others can read it."""
     try:
         with path.open(encoding="utf-8") as file:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)

@@ -103,7 +103,7 @@ def _check(options: Options, secret: Secret | None) -> None:
 
 
 def _hosts(options: Options) -> frozenset[str] | None:
-    """Return the names under which the server may be asked; None for any, where it is bound to no loopback address."""
+    """Return the names the server may be asked by; None for any, where it is bound to no loopback address."""
     if options.hostnames or _is_loopback(options.host):
         return LOCAL | {name.lower() for name in options.hostnames} | {_shown(options.host).lower()}
     return None

@@ -1,4 +1,4 @@
-"""What is committed, to any number of listeners: one reader of each database, cursors that survive a restart."""
+"""What is committed, to any number of listeners: one reader a database, cursors that survive a restart."""
 
 import asyncio
 import os
@@ -49,7 +49,7 @@ class Position(tuple[Cursor, ...]):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What a listener gets: kind "hello", "reset", "alarm", "estimates" or "alive", where it stands, what it says."""
+    """What a listener gets: kind "hello", "reset", "alarm", "estimates" or "alive", position, content."""
 
     kind: str
     position: Position
@@ -63,7 +63,7 @@ def stamp(path: Path) -> Stamp:
 
 
 def is_settled(seen: Stamp) -> bool:
-    """Tell whether any later commit changes a stamp: the log may keep its size, and the clock of files is coarse."""
+    """Tell whether any later commit changes a stamp: the log may keep its size, and file times are coarse."""
     return wall_ns() - max(seen[2], seen[5]) > _COARSE_NS
 
 
@@ -77,7 +77,7 @@ def _stat(path: Path) -> Stamp:
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """What was found: the file, its stamp if settled, changes, the cursor after them, whether the file is another."""
+    """What was found: file, its stamp if settled, changes, the cursor after them, if the file is another."""
 
     file: int
     stamp: Stamp
@@ -109,7 +109,7 @@ class _Tail:
         return _Look(now[0], known, *changes(self.path, self.head, _PAGE))
 
     def take(self, look: "_Look") -> None:
-        """Take in what was read; in the thread of those who listen, so that none of them sees a part of it."""
+        """Take in what was read; in the listeners' thread, so that none of them sees a part of it."""
         if look.anew:
             self.generation += bool(self.file)
             self.file = look.file
@@ -156,7 +156,7 @@ class Hub:
         self.listeners = 0
 
     async def run(self) -> None:
-        """Read for ever, five times a second where something was committed; a file that fails is tried again."""
+        """Read for ever, five times a second where something was committed; a failing file is tried again."""
         while True:
             news = [await _read(tail) for tail in self._tails]
             if any(news):
@@ -214,7 +214,7 @@ async def _read(tail: _Tail) -> bool:
 
 
 async def _now(tail: _Tail) -> Cursor:
-    """Return the cursor of whoever has read all that there is; of a file that cannot be read, all that was seen."""
+    """Return the cursor of whoever has read all there is; of an unreadable file, all that was seen."""
     try:
         return await run_sync(newest, tail.path)
     except StoreError:

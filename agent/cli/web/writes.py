@@ -48,7 +48,7 @@ class Writes:
         return document(200, _shown(self.session_of(request), possible=self.secret is not None))
 
     async def sign_in(self, request: "Request") -> "Response":
-        """Answer POST /api/v1/session with {"name", "password"}; five wrong ones a minute from an address, then 429."""
+        """Answer POST /api/v1/session {"name", "password"}; 429 after 5 wrong ones a minute per address."""
         try:
             asked = await _object(request)
             name = _name(asked)
@@ -118,7 +118,7 @@ class Writes:
         return document(200, done)
 
     def _signed_in(self, request: "Request") -> Session:
-        """Return the session of a request that may write: its cookie is known, and its token is that of the session."""
+        """Return the session of a request that may write: its cookie is known, its token the session's."""
         session = self.session_of(request)
         if session is None:
             raise _RefusedError(401, "session", "is needed for that", "sign in")
@@ -138,7 +138,7 @@ def _shown(session: Session | None, *, possible: bool) -> dict[str, Any]:
 
 
 async def _object(request: "Request") -> Mapping[str, Any]:
-    """Return the object that a request brings; other types than JSON, which a foreign form could send, are refused."""
+    """Return a request's object; types other than JSON, which a foreign form could send, are refused."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise _RefusedError(415, "content-type", "is not application/json", "send JSON")
     body = b""

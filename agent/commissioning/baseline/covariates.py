@@ -1,4 +1,4 @@
-"""Covariates of a healthy stretch: what was read of them, what they still have to show, what parameters depend on."""
+"""Covariates of a healthy stretch: what was read, what they still have to show, what parameters depend on."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ HELD = 3
 PRESENT = 0.5
 """Share of the periods with rows in which a covariate must be known."""
 EDGES = (0.005, 0.995)
-"""Quantiles between which a covariate was learnt, and of its history where nothing says what it runs through."""
+"""Quantiles between which a covariate was learnt, and of its history where nothing states its range."""
 T95 = 1.96
 
 

@@ -21,7 +21,7 @@ VERSION = 1
 
 
 def exported(path: Path, rig: str | None) -> dict[str, Any]:
-    """Return the baselines that a rig counts from as a document that `import` takes. Raises UsageError for none."""
+    """Return the baselines a rig counts from, as a document for `import`. Raises UsageError for none."""
     target = target_of(path, rig)
     found = baselines.standing(target.db, target.rig)
     if not found:

@@ -32,7 +32,7 @@ DOUBTFUL = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What to learn from: which parameters (none: all with valid rows), since when, until when, hours at least.
+    """What to learn from: parameters (none: all with valid rows), since when, until when, hours at least.
 
     hours: None for what the configuration says.
     """
@@ -74,7 +74,7 @@ def _ends(found: Sequence[Points]) -> tuple[int, int]:
 
 
 def _covariates(target: Target, table: BaselineTable, found: Sequence[Points], hours: float) -> list[Ready]:
-    """Return the covariates of a stretch. Raises UsageError with all that parameters and covariates still want."""
+    """Return a stretch's covariates. Raises UsageError with all that parameters and covariates still want."""
     faults = [fault for points in found if (fault := _unready(points, hours))]
     stretches = [points for points in found if len(points.t_ns)]
     ready, unusable = read(target, table, *_ends(stretches)) if stretches else ([], [])

@@ -97,7 +97,7 @@ LITTLE = 10.0
 
 
 def healthy_of(target: Target, one: Baseline) -> Healthy | None:
-    """Return how a parameter moves while healthy, the sd of its rows as the newest say; None without a valid row."""
+    """Return how a parameter moves while healthy, its rows' sd by the newest; None without a valid row."""
     for since in RECENT:
         rows = queries.estimates(target.db, target.rig, one.parameter, since)
         valid = [
@@ -138,7 +138,7 @@ def _confidence(config: RigConfig | None, parameter: str) -> float:
 
 
 def limit_warnings(config: RigConfig) -> Iterator[Fault]:
-    """Warn of limits that a healthy machine would cross more than once a year, where its store has a baseline."""
+    """Warn of limits a healthy machine would cross more than once a year, if its store has a baseline."""
     target = Target(config.store.path, config.rig.name, config)
     try:
         known = (

@@ -18,7 +18,7 @@ class Target:
     config: RigConfig | None = None
 
     def graph(self, first_ns: int | None = None, last_ns: int | None = None) -> str:
-        """Return the graph that its rows of a stretch are of, empty where no run states one. Raises UsageError."""
+        """Return the graph of its rows in a stretch, empty where no run states one. Raises UsageError."""
         if first_ns is None or last_ns is None:
             found = baselines.graphs(self.db, self.rig)
         else:
@@ -60,7 +60,7 @@ def configured(db: Path, config: Path) -> Target:
 
 
 def one_rig(db: Path, rig: str | None) -> str:
-    """Return the rig that is meant. Raises StoreError; UsageError for none, several, or one that is not there."""
+    """Return the rig that is meant. Raises StoreError; UsageError for none, several, or an unknown one."""
     known = queries.rigs(db)
     meant = known if rig is None else [name for name in known if name == rig]
     if len(meant) == 1:

@@ -55,7 +55,9 @@ def tried(place: Path, rig: str | None, file: Path, since: str | None, until: st
     return {
         "rig": target.rig, "tried": str(file), "rows": rows, "would": would, "were": stored,
         "more": _without(would, stored), "fewer": _without(stored, would), "without_rows": unknown,
-        "counted_from_baseline": sorted(name for name in known if any(rule.parameter == name for rule in rules)),
+        "counted_from_baseline": sorted(
+            name for name in known if any(rule.parameter == name for rule in rules)
+        ),
     }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ Values = Mapping[str, float]
 
 
 def write_limits(file: Path, limits: Mapping[str, Values]) -> None:
-    """Write limits and on-delays by parameter into a file; comments and all else stay, absent alarms are added.
+    """Write limits and on-delays by parameter to a file; comments and all else stay, absent alarms are added.
 
     Raises UsageError where the file cannot be written, the text has no place for one, or what comes out is
     faulty; nothing is changed then.
@@ -59,7 +59,7 @@ def _wanted(raw: dict[str, Any], parameter: str, values: Values) -> dict[str, An
 
 
 def _candidates(text: str, parameter: str, values: Values) -> Iterator[str]:
-    """Yield the text with the values in each table where the parameter stands, and in one of their own at its end."""
+    """Yield the text with the values in each table of the parameter, and in one of their own at its end."""
     for place in re.finditer(rf"""\bparameter[ \t]*=[ \t]*["']{re.escape(parameter)}["']""", text):
         start, end = table_around(text, place.start(), place.end())
         inline = text[start] == "{"

@@ -22,7 +22,7 @@ def reads_as(text: str, wanted: dict[str, Any], file: Path) -> bool:
 
 
 def table_around(text: str, start: int, end: int) -> tuple[int, int]:
-    """Return where the table that holds a place begins and ends: braces, or the lines up to the next header."""
+    """Return where the table around a place begins and ends: braces, or the lines up to the next header."""
     opening = text.rfind("{", 0, start)
     closing = text.find("}", end)
     if opening > text.rfind("}", 0, start) and closing >= 0:

@@ -1,4 +1,4 @@
-"""`deltak excite`: the force that would teach most within what the machine allows, as a file for the operator's shaker.
+"""`deltak excite`: the most telling force that the machine allows, as a file for the operator's shaker.
 
 model -> information of each line -> optimal powers -> multisine of small peak -> scaled to force and stroke
 -> CSV
@@ -32,7 +32,7 @@ from agent.text import number, percent
 from agent.types import FloatArray
 
 MOST_SAMPLES = 400_000
-"""Of a signal, and of a recording that is looked at: the information of each sample is computed one by one."""
+"""Of a signal, and of a recording looked at: the information of each sample is computed one by one."""
 SHOWN = 0.05
 """Share of the power from which a line is named."""
 MOVING = 3.0
@@ -44,7 +44,7 @@ DIGITS = 9
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What the machine allows: greatest force and stroke in their channels' units, None for any; band, Hz; seconds."""
+    """What the machine allows: most force and stroke in channel units, None for any; band, Hz; seconds."""
 
     seconds: float
     force: float | None = None
@@ -159,7 +159,7 @@ def _designed(
 
 
 def _design(rig: _Rig, lines: Lines, count: int) -> tuple[Design, FloatArray]:
-    """Return the best powers, and which parameters lines teach at all: offsets and dry friction they do not."""
+    """Return the best powers, and which parameters lines teach at all: no offsets and no dry friction."""
     information = np.zeros((len(lines.periods), *(2 * [rig.discrete.model.q])))
     omega = 2.0 * np.pi * lines.periods / (count * rig.discrete.period_s)
     for column in np.unique(lines.column):
@@ -211,7 +211,7 @@ def _force(rig: _Rig, u: FloatArray) -> float:
 
 
 def _stroke(rig: _Rig, u: FloatArray) -> float:
-    """Return the greatest displacement from rest, of all masses, or of all outputs of a model that has none."""
+    """Return the greatest displacement from rest: of all masses, or of all outputs where there are none."""
     columns = [i for i, name in enumerate(rig.model.model.state_names) if name.startswith("displacement")]
     whole = np.zeros((len(u), rig.discrete.model.m))
     whole[:, : u.shape[1]] = u  # without offsets and dry friction
@@ -240,7 +240,7 @@ def _straight(rig: _Rig) -> Any:
 
 
 def _of_recording(rig: _Rig, recorded: Recorded) -> FloatArray:
-    """Return the sds (q,) to expect of the whole recording, of its pieces together; masses and gains as they are."""
+    """Return sds (q,) to expect of the whole recording, all pieces together; masses and gains as they are."""
     u = with_constant(recorded.u, rig.discrete.model.m)
     found = []
     for first, end in recorded.pieces:

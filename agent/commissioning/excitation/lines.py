@@ -56,7 +56,7 @@ def candidate_lines(discrete: Discrete, count: int, inputs: int, band: tuple[flo
 
 
 def _modes(discrete: Discrete) -> FloatArray:
-    """Return frequency and half-power bandwidth (k, 2) of the modes, Hz, slowest first; of none, a slow one."""
+    """Return frequency and half-power bandwidth (k, 2) of modes, Hz, slowest first; of none, a slow one."""
     z = np.linalg.eigvals(discrete.model.A)
     with np.errstate(divide="ignore"):
         s = np.log(z.astype(complex)) / discrete.period_s

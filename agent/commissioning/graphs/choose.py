@@ -31,7 +31,7 @@ from agent.runtime.assembly.model_check import model_faults
 LEAST_WINDOWS = 8
 """Windows that the jackknife needs."""
 TINY, SMALL = 1e-3, 0.02
-"""Of the largest of its kind: an element of the file, and one that is proposed, begin at 0 where they are less."""
+"""Of the largest of its kind: an element of the file, and a proposed one, begin at 0 where they are less."""
 MOST_ROUNDS = 8
 """Graphs that are fitted in turn."""
 LISTED = 8
@@ -119,7 +119,7 @@ class _Search:
         return without(self.full, _absent(self.names, choice))
 
     def explained(self, recordings: Material) -> "_Explained":
-        """Return the graph that is found from the file's; where that explains too little, from all elements at once."""
+        """Return the graph found from the file's; if that explains too little, from all elements at once."""
         first = self._found(self.rig, recordings)
         if first is not None and first.is_good:
             return first
@@ -201,7 +201,7 @@ class _Explained:
 
 
 def _window(configs: Sequence[RigConfig], records: Sequence[Recorded]) -> int:
-    """Return the samples of a window of the first graph that the weak form can begin. Raises RecordingError."""
+    """Return samples of a window of the first graph that the weak form can begin. Raises RecordingError."""
     lengths = [b - a for record in records for a, b in record.pieces]
     window = max(lengths)
     for config in configs:
@@ -248,7 +248,9 @@ def _graphs(rig: RigConfig, selector: Selector, best: Choice, names: Sequence[st
     ranked = sorted(rows.values(), key=lambda choice: (choice is not best, -choice.score))
     return [
         {
-            "elements": [n for n, kept, e in zip(names, c.kept, selector.elective, strict=True) if kept and e],
+            "elements": [
+                n for n, kept, e in zip(names, c.kept, selector.elective, strict=True) if kept and e
+            ],
             "score": c.score - best.score, "chosen": c is best,
             "tie": c is not best and c.score > best.score - TIE and _is_physical(c, selector),
             "configured": bool(np.array_equal(c.kept, own)),
@@ -266,7 +268,8 @@ def _toml(config: RigConfig) -> list[str]:
     lines = []
     for kind in KINDS:
         rows = [
-            f'    {{ name = "{e.name}", between = ["{e.between[0]}", "{e.between[1]}"], nominal = {e.nominal:.6g} }},'
+            f'    {{ name = "{e.name}", between = ["{e.between[0]}", "{e.between[1]}"], '
+            f"nominal = {e.nominal:.6g} }},"
             for e in getattr(config.model, kind)
         ]
         lines += [f"{kind} = [", *rows, "]"]

@@ -1,4 +1,4 @@
-"""The graph with every spring and damper that could be: between any two masses, and between each and the ground."""
+"""The graph with every possible spring and damper: between any two masses, and from each to the ground."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations

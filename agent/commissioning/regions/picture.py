@@ -1,4 +1,4 @@
-"""`deltak check --plot`: poles over the region, where in it condition (3) holds, where today's estimate lies."""
+"""`deltak check --plot`: poles over the region, where condition (3) holds, where today's estimate lies."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

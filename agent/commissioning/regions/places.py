@@ -1,4 +1,4 @@
-"""What a picture of the region shows: poles over the box, spectral radii over a plane of two parameters, estimates."""
+"""What a region's picture shows: poles over the box, spectral radii over a two-parameter plane, estimates."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -24,7 +24,7 @@ BEYOND = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Today:
-    """The newest valid estimates of a database: (q,) values and sd, nominal and NaN where there is none; their time."""
+    """The newest valid estimates of a database: (q,) values and sd (nominal and NaN if none); their time."""
 
     theta: FloatArray
     sd: FloatArray
@@ -48,7 +48,7 @@ class Plane:
 
 
 def newest(config: RigConfig, rig: RigModel, db: Path) -> Today:
-    """Return today's estimates of a rig. Raises StoreError; UsageError where there is none of its parameters."""
+    """Return today's estimates of a rig. Raises StoreError; UsageError if there is none of its parameters."""
     rows = {row["parameter"]: row for row in queries.latest(db, config.rig.name) if row["status"] == "valid"}
     found = [rows.get(parameter.name) for parameter in rig.parameters]
     if not any(found):
@@ -64,7 +64,7 @@ def newest(config: RigConfig, rig: RigModel, db: Path) -> Today:
 
 
 def poles_over(config: RigConfig, rig: RigModel, gain: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return poles in discrete time of model and observer, (k, n) each, at points of the box; the first is nominal."""
+    """Return discrete-time poles of model and observer, (k, n) each, at points of the box, nominal first."""
     rng = np.random.default_rng(19)
     half = np.maximum(rig.limits, 0.0)
     # half of the points on edges of the box, where poles reach furthest
@@ -86,7 +86,7 @@ def _poles(
 
 
 def plane(config: RigConfig, rig: RigModel, gain: FloatArray, around: FloatArray) -> Plane | None:
-    """Return the plane of the two parameters by which the radius changes most; None with fewer than two limits.
+    """Return the plane of the two parameters that change the radius most; None with fewer than two limits.
 
     around: (q,) where the other parameters are.
     """

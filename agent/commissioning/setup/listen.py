@@ -1,4 +1,4 @@
-"""`deltak listen`: what comes over the buses of a rig, unit by unit, beside what it decodes to; nothing is stored.
+"""`deltak listen`: what comes over a rig's buses, unit by unit, beside what it decodes to; nothing is stored.
 
 Frames, lines and registers are those that the drivers themselves read; nothing is sent but what reading
 needs.
@@ -28,7 +28,7 @@ from drivers.port import Trace, Unit
 from drivers.reconnect import LinkEvent
 
 SHOWN_EVERY_S = 0.5
-"""A source's good units are shown so often, the newest of them; those that are rejected at once, but for floods."""
+"""A source's good units are shown so often, the newest of them; rejected ones at once, but for floods."""
 MOST_BAD = 5
 """Rejected units of a source that are shown at a time."""
 KEPT = 50
@@ -58,7 +58,7 @@ Say = Callable[[Line], None]
 
 
 def listen(config: Path, duration_s: float | None, say: Say) -> dict[str, Any]:
-    """Listen until the duration is over or Ctrl-C; say each line, and return rates, ledger and the newest lines.
+    """Listen for the duration or until Ctrl-C; say each line, and return rates, ledger and the newest lines.
 
     Raises ConfigError, UsageError without sources, BusError where a source could not be opened and nothing
     came.
@@ -103,7 +103,7 @@ class _Ear:
 
 @dataclass
 class _Watch:
-    """Everything that is listened to: per source the ledger and rates, per channel what it showed last and in all."""
+    """All that is listened to: per source ledger and rates, per channel what it showed last and in all."""
 
     rig: RigConfig
     gathering: Gathering
@@ -214,11 +214,15 @@ class _Watch:
             source |= {"faults": dict(counts.faults), "first_rejected": first}
         return {
             "rig": self.rig.rig.name, "seconds": self._now(), "sources": sources,
-            "channels": [self._channel(source, name) for source in _sources(self.rig) for name in _fields(source)],
+            "channels": [
+                self._channel(source, name) for source in _sources(self.rig) for name in _fields(source)
+            ],
             "lines": [
                 {
                     "at_s": line.at_s, "source": line.source, "raw": line.raw, "reason": line.reason,
-                    "values": None if line.values is None else {name: v for name, (v, _) in line.values.items()},
+                    "values": (
+                        None if line.values is None else {name: v for name, (v, _) in line.values.items()}
+                    ),
                 }
                 for line in self.lines
             ],

@@ -60,7 +60,7 @@ class Plan:
     keys: dict[str, Any] = field(default_factory=dict)
 
     def links(self, kind: str) -> list[Link]:
-        """Return the elements of a kind; springs and dampers not spoken of join ground and the masses in order."""
+        """Return the elements of a kind; springs and dampers not named join ground and masses in order."""
         stated = self.elements.get(kind)
         if stated is not None or kind not in CHAINED:
             return stated or []
@@ -77,7 +77,10 @@ class Plan:
                 Fault("--mass", "is missing", "one for each mass in kg, such as --mass m1=5 --mass m2=3")
             )
         if not any(channel.quantity != "force" for channel in self.channels):
-            advice = "one for each signal: [NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as --channel x1=displacement@m1:mm"
+            advice = (
+                "one for each signal: [NAME=]QUANTITY@MASS[:UNIT[:FIELD]], "
+                "such as --channel x1=displacement@m1:mm"
+            )
             found.append(Fault("--channel", "nothing that is measured of the motion is named", advice))
         return found + [Fault(flag, "is missing", advice) for flag, advice in self._missing_keys()]
 
@@ -94,7 +97,10 @@ class Plan:
         if "port" not in has:
             yield "--port", "the line's device, such as --port /dev/serial/by-id/..."
         if not has & {"columns", "fields"}:
-            advice = "lines of text: --columns n,force,x1; binary frames: --sync AA55 --fields force:int16:1e-3,..."
+            advice = (
+                "lines of text: --columns n,force,x1; "
+                "binary frames: --sync AA55 --fields force:int16:1e-3,..."
+            )
             yield "--columns or --fields", advice
         if "fields" in has and "sync" not in has:
             yield "--sync", "the bytes that every binary frame begins with, such as --sync AA55"

@@ -20,7 +20,7 @@ def dbc_signals(file: Path) -> list[str]:
 
 
 def placed(wanted: str, signals: list[str], what: str) -> str:
-    """Return the signal that is called so, its message left out or not, whatever the case. Raises UsageError."""
+    """Return the signal called so, its message left out or not, whatever the case. Raises UsageError."""
     same = [
         signal
         for signal in signals

@@ -1,4 +1,4 @@
-"""A channel of role "covariate" and the table [baseline] as frozen models; attribute names are the file's keys."""
+"""A channel of role "covariate" and the table [baseline] as frozen models; attributes are the file's keys."""
 
 from typing import Annotated, Literal
 
@@ -13,7 +13,7 @@ DAYS = 1.0
 
 
 class Covariate(Table):
-    """What a healthy parameter may depend on: value = (field * scale) + offset in its unit; no signal of the model."""
+    """What a healthy parameter may depend on: value = field * scale + offset in its unit; no model signal."""
 
     name: Name
     role: Literal["covariate"] = "covariate"
@@ -27,7 +27,7 @@ class Covariate(Table):
 
 
 class BaselineTable(Table):
-    """What `baseline learn` wants: covariates (None: all there are), days with valid rows, classes of each."""
+    """What `baseline learn` wants: covariates (None: all), days with valid rows, classes of each."""
 
     covariates: Annotated[tuple[Name, ...], Strict(False)] | None = None
     days: Positive = DAYS

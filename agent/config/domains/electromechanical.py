@@ -1,4 +1,4 @@
-"""Electromechanical: a voltage moves a rotor or a coil; what lies between the two domains need not be measured."""
+"""Electromechanical: a voltage moves a rotor or a coil; what lies between the two need not be measured."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""Frames in a plane of beams that bend and do not stretch (Euler-Bernoulli): what is watched is EI of each beam.
+"""Frames in a plane of beams that bend and do not stretch (Euler-Bernoulli): EI of each beam is watched.
 
 Cubic shapes between nodes give each beam its stiffness EI and its mass a metre (Przemieniecki, Theory of
 Matrix Structural Analysis, 1968, chapters 5 and 11); that no beam changes its length leaves fewer motions
@@ -68,7 +68,7 @@ class Frame(Domain):
             yield Fact("beam", "nothing can move", "add a beam, or leave a node free")
 
     def _motions(self) -> "FloatArray":
-        """Return (3 nodes, f) how every node moves with each of the f motions that no support and no beam forbids."""
+        """Return (3 nodes, f) how every node moves with each of f motions that no support or beam forbids."""
         import numpy as np
 
         rows = [

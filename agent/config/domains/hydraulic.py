@@ -1,4 +1,4 @@
-"""Hydraulic: tanks and vessels joined by restrictions and lines; a pressure given from outside is a boundary."""
+"""Hydraulic: tanks and vessels joined by restrictions and lines; an imposed pressure is a boundary."""
 
 from collections.abc import Iterator
 from typing import Annotated, Final, Literal

@@ -1,4 +1,4 @@
-"""The equations of a plant as they are put together: states, elements, what drives it and what can be read."""
+"""The equations of a plant as they are assembled: states, elements, what drives it and what can be read."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -109,7 +109,9 @@ class Plant:
         self.reads.setdefault(place, []).append(Entry(state, factor, tuple((powers or {}).items())))
 
     def across(self, one: int | None, other: int | None, powers: Powers, ratio: float = 1.0) -> None:
-        """Add a two-terminal element: powers · (x_one - ratio x_other) leaves `one` and enters `other`, ratio times.
+        """Add a two-terminal element between `one` and `other`.
+
+        The flow, powers · (x_one - ratio x_other), leaves `one` and enters `other`, ratio times.
 
         None is ground.
         """
@@ -119,7 +121,7 @@ class Plant:
                     self.flow(row, column, into * seen, powers)
 
     def place(self, quantity: str, at: str) -> Place | None:
-        """Return the place of a channel; without `at` the only one of its quantity; None where there is none."""
+        """Return the place of a channel; without `at` the only one of its quantity; None if there is none."""
         places = [place for place in (*self.drives, *self.reads) if place[0] == quantity]
         if at == "" and len(set(places)) == 1:
             return places[0]

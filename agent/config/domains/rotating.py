@@ -17,7 +17,7 @@ class Turning(Link):
 
 
 class Torsional(Domain):
-    """J_i w_i' = torque - sum of ratios times k (a_i - ratio a_j) and c (w_i - ratio w_j); ground stands still."""
+    """J_i w_i' = torque - sum of ratios times k (a_i - ratio a_j) and c (w_i - ratio w_j); ground at rest."""
 
     kind: Literal["torsional"]
     inertia: tuple[Store, ...] = ()

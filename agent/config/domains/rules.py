@@ -1,4 +1,4 @@
-"""What must hold in a template and in the channels of its rig, each of which drives or is read at some place of it."""
+"""What must hold in a template and its rig's channels, each of which drives or is read at a place of it."""
 
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
@@ -37,7 +37,7 @@ class Signal(Protocol):
 
 
 def check_template(model: Domain, estimated: Iterable[str], faults: Faults) -> None:
-    """Note the faults of a template that could be read; estimated: the names that estimator.estimate lists."""
+    """Note the faults of a template that could be read; estimated: the names in estimator.estimate."""
     for key, what, advice in model.facts():
         faults.add(f"model.{key}", what, advice)
     if not any(fault.path.startswith("model") for fault in faults.found):

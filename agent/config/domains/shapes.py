@@ -46,7 +46,7 @@ def unit(place: int, count: int) -> "FloatArray":
 
 
 def kernel(rows: "FloatArray") -> "FloatArray":
-    """Return a basis (count, f) of what rows @ z = 0 leaves free, each vector 1 at a place where all others are 0."""
+    """Return a basis (count, f) of what rows @ z = 0 leaves free, each vector 1 where all others are 0."""
     import numpy as np
 
     left = rows.copy()

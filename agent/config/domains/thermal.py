@@ -1,4 +1,4 @@
-"""Thermal: heat capacities joined by conductances or resistances; a temperature given from outside is a boundary."""
+"""Thermal: heat capacities joined by conductances or resistances; an imposed temperature is a boundary."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal

@@ -47,6 +47,6 @@ class North(Table):
 
     @property
     def at_once(self) -> int:
-        """Instants or rows of a batch: where nothing is said, many of an archive, whose files are not to be small."""
+        """Instants or rows of a batch: by default many for an archive, whose files are not to be small."""
         is_stated = "batch" in self.model_fields_set
         return _ARCHIVED if self.is_periodic and not is_stated else self.batch

@@ -1,4 +1,4 @@
-"""Units of other domains than mechanics; a temperature keeps its own, degC or K, since only differences matter."""
+"""Units of other domains than mechanics; temperatures keep degC or K, since only differences matter."""
 
 from collections.abc import Mapping
 from typing import Final

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidato
 LONGEST_SKEW_S: Final = 0.5
 LEAST: Final = 1e-30
 GREATEST: Final = 1e30
-"""Sizes of numbers beside 0: any quantity in any unit, far from where squares leave the floating-point numbers."""
+"""Sizes of numbers beside 0: any quantity in any unit, far from where squares leave floating point."""
 NAME: Final = r"^[A-Za-z][A-Za-z0-9_.-]{0,63}$"
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*([smhdwy])")
 _HOURS: Final = re.compile(r"([01]\d|2[0-3]):([0-5]\d)-([01]\d|2[0-3]):([0-5]\d)")
@@ -106,7 +106,8 @@ def _duration(value: object) -> float:
     match = _DURATION.fullmatch(value) if isinstance(value, str) else None
     if not match or not (seconds := float(match[1]) * _SECONDS[match[2]]):
         raise ValueError(
-            f'must be a duration such as "7d", not {shown(value)}; units are s, m, h, d, w, y, or write "forever"'
+            f'must be a duration such as "7d", not {shown(value)}; '
+            'units are s, m, h, d, w, y, or write "forever"'
         )
     return seconds
 

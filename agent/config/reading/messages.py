@@ -88,7 +88,7 @@ def join(path: str, *parts: str | int) -> str:
 
 
 def faults_of(error: ValidationError, path: str, raw: object, known: Sequence[str] = ()) -> list[Fault]:
-    """Translate what pydantic found below `path`; of several faults at one place (branches of a choice) the first.
+    """Translate what pydantic found below `path`; of several at one place (branches of a choice) the first.
 
     known: the keys to choose the nearest from where a key is unknown.
     """
@@ -100,7 +100,7 @@ def faults_of(error: ValidationError, path: str, raw: object, known: Sequence[st
 
 
 def _within(raw: object, detail: ErrorDetails) -> list[str | int]:
-    """Keep of pydantic's location what exists in the file; it also names validators and branches of choices."""
+    """Keep of pydantic's location what is in the file; it also names validators and branches of choices."""
     kept: list[str | int] = []
     for part in detail["loc"]:
         is_key = isinstance(raw, dict) and part in raw

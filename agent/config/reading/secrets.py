@@ -23,7 +23,7 @@ _PLACES: Final = ("file", "env", "credential")
 
 
 class Secret(Table):
-    """Where a secret is: a file, an environment variable or a credential of systemd, never in the configuration."""
+    """Where a secret is: a file, an environment variable or a systemd credential, never the configuration."""
 
     file: FilePath | None = None
     env: Text | None = None

@@ -61,7 +61,7 @@ def read_bytes(file: Path) -> bytes:
 
 
 def parse_toml(data: bytes, file: Path) -> dict[str, Any]:
-    """Return the tables of a TOML text (a byte-order mark and CR LF are taken); ConfigError names file and line."""
+    """Return the tables of a TOML text (a BOM and CR LF are taken); ConfigError names file and line."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -75,12 +75,12 @@ _OTHER_KINDS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def normal(unit: str) -> str:
-    """Return one spelling of a unit: both micro signs become u, superscript two becomes 2, no outer blanks."""
+    """Return one spelling of a unit: both micro signs become u, superscript two 2, no outer blanks."""
     return unit.strip().translate({0xB5: "u", 0x3BC: "u", 0xB2: "2", 0xB7: "*"})
 
 
 def conversion(quantity: Quantity, unit: str) -> tuple[float, str]:
-    """Return (factor, SI unit) of a channel; factor 1.0 and the text itself where the unit is not a known one."""
+    """Return (factor, SI unit) of a channel; factor 1.0 and the text itself where the unit is unknown."""
     factor = _KNOWN.get(quantity, {}).get(normal(unit))
     return (1.0, unit.strip()) if factor is None else (factor, _SI[quantity])
 
@@ -100,7 +100,7 @@ def wrong_kind(quantity: Quantity, unit: str) -> str | None:
 
 
 def near_miss(quantity: Quantity, unit: str) -> str:
-    """Return the unit that unknown text of a channel looks like: another case, or misspelt; empty where it is none.
+    """Return the unit that unknown text of a channel looks like: another case, or misspelt; empty if none.
 
     Such text is kept as a unit of its own, so that every parameter comes out in it.
     """
@@ -125,7 +125,7 @@ def examples(quantity: Quantity) -> str:
 
 
 def base_length(displacement: str | None, velocity: str | None, acceleration: str | None) -> str:
-    """Return the length that parameters count in, from the SI units of what is measured; metres where nothing is."""
+    """Return the length unit of parameters, from the SI units of what is measured; metres if nothing is."""
     if displacement:
         return displacement
     for unit, ending, power in ((velocity, "/s", "s"), (acceleration, "/s2", "s2")):
@@ -135,6 +135,6 @@ def base_length(displacement: str | None, velocity: str | None, acceleration: st
 
 
 def element_units(force: str, length: str) -> dict[str, str]:
-    """Return the units of a mass, a spring, a damper and a dry friction for given units of force and length."""
+    """Return the units of mass, spring, damper and dry friction for given units of force and length."""
     mass = "kg" if (force, length) == ("N", "m") else f"{force} s2/{length}"
     return {"mass": mass, "spring": f"{force}/{length}", "damper": f"{force} s/{length}", "friction": force}

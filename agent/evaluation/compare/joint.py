@@ -1,4 +1,4 @@
-"""Joint extended and unscented Kalman filters of filterpy: the parameters are further states with a random walk.
+"""Joint extended and unscented Kalman filters of filterpy: parameters are further states with a random walk.
 
 Imported where it is used: filterpy takes 0.7 s to import.
 """
@@ -58,7 +58,7 @@ class JointEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         self.x = np.concatenate([W[:n] @ xu, change])
 
     def look(self, u: FloatArray) -> None:
-        """Set H to the Jacobian of the reading under inputs u (m,); where it depends on no parameter it stays."""
+        """Set H to the reading's Jacobian under inputs u (m,); where it depends on no parameter it stays."""
         n, xu = self.polynomial.n, self._xu
         xu[:n], xu[n:] = self.x[:n], u
         self.H[:, :n] = self._matrix[n:, :n]

@@ -1,4 +1,4 @@
-"""The methods by name: each tuned as its book says on the first part of the recording, then run over all of it.
+"""The methods by name: each tuned as its book says on the first part of a recording, then run over all of it.
 
 window-ml   not tuned: its configuration's window, noise learnt.
 ekf, ukf    joint filters; the random walks of parameters and states that make the innovations most likely
@@ -40,7 +40,7 @@ SLOW = 0.1
 """Of the fastest pole: what a slower one counts as where poles are placed."""
 T975 = 1.96
 BLOCK, PARTS = 65_536, 12
-"""Samples that a method of the product is given at once, as a replay reads them; and into how many parts at least.
+"""Samples that a method of the product is given at once, as in a replay; and into how many parts at least.
 
 Its cost is that of the scored part: the first fit and the search for unknown forces happen once in an agent's
 life.
@@ -95,8 +95,8 @@ def _seed(trial: Trial) -> Tuned:
         "observer": Observer(gain="poles", poles=poles or tuple(_poles(trial, SPEEDS[1]))),
     }  # fmt: skip
     estimator = trial.config.estimator.model_copy(update=update)
-    seeded = Trial(trial.config.model_copy(update={"estimator": estimator}), trial.rig, trial.y, trial.u, trial.noise,
-                  trial.window, trial.size)  # fmt: skip
+    config = trial.config.model_copy(update={"estimator": estimator})
+    seeded = Trial(config, trial.rig, trial.y, trial.u, trial.noise, trial.window, trial.size)
     return Tuned(lambda: of_product(seeded, "seed"), f"{words}, {estimator.passes} passes")
 
 

@@ -1,4 +1,4 @@
-"""The estimators that window-ml is compared with, and what they share: the sampled model as a function of theta.
+"""Estimators that window-ml is compared with, and what they share: the sampled model as a function of theta.
 
 Here are recursive least squares with forgetting, on the regression of `agent.numerics.paper.seed`, and the
 adaptive observer; the joint Kalman filters are in `joint`. All know the model, the force and the noise of the
@@ -68,7 +68,7 @@ class Polynomial:
         return (self._flat + change @ self._second).reshape(self._shape)
 
     def matrix(self, change: FloatArray, derivatives: FloatArray) -> FloatArray:
-        """[A B; C D] at nominal + change from the derivatives there: Taylor asks their mean with nominal ones."""
+        """[A B; C D] at nominal + change from derivatives there: Taylor asks their mean with nominal ones."""
         mean = 0.5 * (self._flat + derivatives.reshape(-1))
         return self.zeroth + (change @ mean.reshape(self.q, -1)).reshape(self.zeroth.shape)
 
@@ -82,7 +82,7 @@ class Start:
 
 
 def start_of(polynomial: Polynomial, y: FloatArray, u: FloatArray) -> Start:
-    """Return the state that the first reading shows, as uncertain as the states of a rig so moved are large."""
+    """Return the state the first reading shows, as uncertain as the states of a rig so moved are large."""
     x = np.linalg.pinv(polynomial.C) @ (y[0] - polynomial.D @ u[0])
     states, _ = simulate(polynomial.base, x + polynomial.base.B1 @ u[0], u[:SETTLING])
     return Start(x, np.sqrt(np.mean(states**2, axis=0)) + 1e-3 * float(np.abs(states).max()) + 1e-300)
@@ -109,7 +109,7 @@ def run_rls(
     hold: Hold = "first",
     size: FloatArray | None = None,
 ) -> Track:  # fmt: skip
-    """Recursive least squares with forgetting on b(k) = sum (dA_i x + dB_i u) theta_i of the seed's regression."""
+    """Recursive least squares with forgetting on the seed's b(k) = sum (dA_i x + dB_i u) theta_i."""
     s = discretise(model.continuous(model.nominal), period_s, hold).model
     x = observe(s, gain, y, u, np.zeros(s.n))
     b = x[1:] - x[:-1] @ s.A.T - u @ s.B.T

@@ -1,4 +1,4 @@
-"""One recording, and what every method is given of it; how well an estimate predicts a window that it has not seen."""
+"""One recording, and what every method is given of it; how well an estimate predicts an unseen window."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ LEAST_WINDOWS = 3
 MOST_SCORED = 40
 """Windows that are predicted, spread over the scored part."""
 FASTER = 1e3
-"""How many times more than the fastest pole of nominal, a pole is no machine's: such an estimate predicts nothing."""
+"""Multiple of nominal's fastest pole beyond which a pole is no machine's: the estimate predicts nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +101,14 @@ class Trial:
         return slice(0, min(len(self.y) // TUNED, MOST_TUNED))
 
     def scored(self, part: slice | None = None) -> list[int]:
-        """Return where windows begin that are predicted from what was known before: after the tuning, or in a part."""
+        """Return where windows begin that are predicted from the past: after the tuning, or in a part."""
         first, end = (len(self.y) // TUNED, len(self.y)) if part is None else (part.start, part.stop)
         starts = np.arange(max(first, self.window), end - self.window + 1, self.window)
         chosen = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), MOST_SCORED)).round().astype(int))
         return [int(starts[i]) for i in chosen.tolist()] if len(starts) else []
 
     def left(self, found: Estimates, starts: Sequence[int]) -> FloatArray:
-        """Return (p,) the mean square that predictions leave, in units of the sensors' noise, over windows."""
+        """Return (p,) the mean square predictions leave, in units of the sensors' noise, over windows."""
         squares = [self._left(found.known(start - 1, self.nominal), start) for start in starts]
         return np.asarray(np.mean(squares, axis=0))
 
@@ -136,7 +136,7 @@ class Trial:
 
 
 def trial_of(config: RigConfig, recorded: Recorded) -> Trial:
-    """Return what is compared over: the longest piece of a recording. Raises RecordingError where it is too short."""
+    """Return what is compared over: the longest piece of a recording. Raises RecordingError if too short."""
     rig = rig_model(config)
     first, end = max(recorded.pieces, key=lambda piece: piece[1] - piece[0])
     end = min(end, first + MOST)

@@ -12,7 +12,7 @@ Marks = dict[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """One number on the wire: its channel, its name in a CAN frame, its unit; an input or what is measured."""
+    """One number on the wire: its channel, its name in a CAN frame, its unit; an input or a measurement."""
 
     channel: str
     signal: str
@@ -22,7 +22,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class DemoRig:
-    """A rig of the demo: its template, what its wire carries, and the scenario that is played where none is named."""
+    """A rig of the demo: its template, what its wire carries, and the scenario played by default."""
 
     template: str
     numbers: tuple[Number, ...]

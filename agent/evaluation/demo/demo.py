@@ -1,4 +1,4 @@
-"""`deltak demo`: a simulated device and the agent as two processes on a real local bus, held against the truth.
+"""`deltak demo`: a simulated device and the agent as two processes on a real local bus, held against truth.
 
 This process starts both, waits, and compares afterwards; only it reads what the device played. Device and
 agent share the bus and the configuration.
@@ -29,7 +29,9 @@ GRACE_S = 20.0
 def demo(
     *, bus: str, scenario: str | None, fast: bool, db: Path | None, rig: str = "two-mass"
 ) -> dict[str, Any]:
-    """Run the demo; return the document of CONTRACT section 8. Without db the database is left in a folder of its own.
+    """Run the demo; return the document of CONTRACT section 8.
+
+    Without db the database is left in a folder of its own.
 
     Raises what the process says that fails, by its exit code: UsageError, StoreError, else BusError.
     """

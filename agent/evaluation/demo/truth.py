@@ -22,7 +22,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What was played: forces (n, nodes), states (n, s) and parameters (n, k) by name, noise sd of each channel."""
+    """What was played: forces (n, nodes), states (n, s), parameters (n, k) by name, noise sd by channel."""
 
     forces: Mapping[str, FloatArray]
     states: Mapping[str, FloatArray]
@@ -48,7 +48,7 @@ def read_truth(path: Path) -> Truth:
 
 
 def segments(config: RigConfig, truth: Truth, rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return each stretch of constant parameters with the last estimates in it beside the truth and the bound."""
+    """Return each stretch of constant parameters with its last estimates beside the truth and the bound."""
     rate = config.rig.sample_rate_hz
     edges = _edges(config, truth)
     index = _indices(config, rows)
@@ -90,7 +90,7 @@ def _assessed(name: str, truth: Truth, at: int, row: Row, bounds: Mapping[str, f
 
 
 def _bounds(config: RigConfig, truth: Truth, last: int) -> dict[str, float]:
-    """The Cramer-Rao bound of the window that ends at sample `last`, for the noise and the rounding played."""
+    """The Cramer-Rao bound of the window that ends at sample `last`, for the noise and rounding played."""
     plan = hop_plan(config)
     rig = rig_model(config)
     start = last + 1 - plan.window

@@ -1,1 +1,1 @@
-"""Why an alarm was raised: its verdict computed again from the samples kept around it, beside what was stored."""
+"""Why an alarm was raised: its verdict recomputed from the samples kept around it, beside what was stored."""

@@ -22,7 +22,7 @@ FIGURES: Final = ("delta", "sd", "probability")
 EXACT: Final = 17
 """Digits of two figures that are the same number."""
 _NEAR: Final = 1e-9
-"""Of the standard deviation: how far the same verdict may be off, however its samples were cut into blocks."""
+"""Of the standard deviation: how far the same verdict may be off, however samples were cut into blocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ def _same_step(steps: Sequence[AlarmTransition], alarm: Row, raised_ns: int) -> 
 
 
 def agreeing(stored: Row, found: Row) -> int:
-    """Return how many significant digits of all figures agree; those of an alarm without figures are its words."""
+    """Return how many significant digits of all figures agree; without figures, the message decides."""
     pairs = [
         (stored[name], found[name]) for name in FIGURES if stored[name] is not None or found[name] is not None
     ]

@@ -19,7 +19,7 @@ from drivers.port import SampleBlock
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """The samples of a record: numbers and time stamps (n,), readings (n, c) by channel, and the state before them.
+    """A record's samples: numbers and time stamps (n,), readings (n, c) by channel, the state before them.
 
     Of several sources there are none beside the state.
     """

@@ -1,4 +1,4 @@
-"""What else could have been the cause, at the instant of an alarm: other parameters, and the rig's constants."""
+"""What else could have been the cause, at an alarm's instant: other parameters, and the rig's constants."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -16,7 +16,8 @@ def stored(alarm: Row) -> str:
     said = f"Alarm {alarm['id']}: {alarm['message']}, raised at {with_local(alarm['raised_at'])}."
     if alarm["probability"] is None:
         return said
-    return f"{said} It is beyond {number(alarm['limit_value'])} with a probability of {_sure(alarm['probability'])}."
+    limit = number(alarm["limit_value"])
+    return f"{said} It is beyond {limit} with a probability of {_sure(alarm['probability'])}."
 
 
 def compared(alarm: Row, found: Row | None, digits: int, *, same: bool) -> str:
@@ -65,13 +66,17 @@ def samples(record: Row, seen: Tested) -> str:
     if seen.n_used is None:
         return f"{said}."
     lost = f", {seen.n_missing} lost" if seen.n_missing else ""
-    return f"{said}; the verdict rests on the {seen.n_used} of the last {number(seen.window_s)} s before it{lost}."
+    window_s = number(seen.window_s)
+    return f"{said}; the verdict rests on the {seen.n_used} of the last {window_s} s before it{lost}."
 
 
 def no_record(kind: str) -> str:
     """Say why there are no samples of an alarm."""
     if kind == "live":
-        return "No samples were kept around it: records were switched off, or too many were made within the hour."
+        return (
+            "No samples were kept around it: "
+            "records were switched off, or too many were made within the hour."
+        )
     return f"A {kind} keeps no samples: replay the recording again, or explain an alarm of a live run."
 
 

@@ -1,4 +1,4 @@
-"""The paper's rig, its two cases and what it printed of them; the samples are made anew, nothing else is typed in."""
+"""The paper's rig, two cases and what it printed of them; samples are made anew, nothing else typed in."""
 
 from dataclasses import dataclass
 
@@ -69,7 +69,7 @@ def rig() -> MassSpringDamper:
 
 
 def free_decay(changes: tuple[FloatArray, ...], hold: Hold) -> FloatArray:
-    """Return the displacements (N, 2) of the rig released from `START`, 1000 samples a change, states carried over.
+    """Return displacements (N, 2) of the rig released at `START`, 1000 samples a change, states carried over.
 
     hold: "euler" for the paper's first-order model (23), anything else for the exact one (the force is zero).
     """

@@ -48,7 +48,7 @@ def new_figure(file: Path) -> "Figure":
 
 
 def draw(figure: "Figure", document: dict[str, Any], file: Path) -> None:
-    """Draw observer against measurement (figure 3) and the sliding estimates of case 2 (figure 4) to a file."""
+    """Draw observer against measurement (figure 3) and sliding estimates of case 2 (figure 4) to a file."""
     window, case = document["window"], document["case_1"]
     grid = figure.add_gridspec(4, 2, width_ratios=(1.0, 1.75))
     _figure_3([figure.add_subplot(grid[:2, 0]), figure.add_subplot(grid[2:, 0])])
@@ -137,7 +137,7 @@ def _tidy(axis: "Axes") -> None:
 
 
 def _seed_curve(changes: tuple[FloatArray, ...], window: int, passes: int) -> tuple[IntArray, FloatArray]:
-    """Return sample numbers and changes; every pass runs the observer from the first sample on, as in the tables."""
+    """Return sample numbers and changes; passes run the observer from the first sample, as in the tables."""
     y = cases.free_decay(changes, "euler")
     u = np.zeros((len(y), 1))
     settings = replace(seed_settings(window, passes), stopping=PATIENCE)

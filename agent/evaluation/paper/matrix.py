@@ -11,7 +11,7 @@ from agent.types import FloatArray
 
 
 def matrices(change: FloatArray, fit: SeedFit, recentred: FloatArray) -> dict[str, Any]:
-    """Return ΔA of case 1: exact, as published, of one pass, and of the re-centred passes with the structure imposed.
+    """Return ΔA of case 1: exact, as published, of one pass, and of re-centred passes with imposed structure.
 
     Args:
         change: (4,) the actual one.
@@ -29,7 +29,7 @@ def matrices(change: FloatArray, fit: SeedFit, recentred: FloatArray) -> dict[st
 
 
 def in_range(matrix: FloatArray) -> dict[str, float]:
-    """Say how a matrix lies to the range of K_e, in which every ΔA of one pass is, its regressand being K_e ε.
+    """Say how a matrix lies to the range of K_e, in which every one-pass ΔA is, its regressand being K_e ε.
 
     outside: share of its norm beyond the range. lower_rows: its last two rows over its first two.
     """

@@ -19,7 +19,7 @@ ROUNDING_M = 1e-9
 
 
 def seed_settings(window: int, passes: int, hop: int = 1, settled: float = 1e-9) -> SeedSettings:
-    """Return the method as printed: Euler model, printed gain, Z = 0, parameters from the first row of (24)."""
+    """Return the method as printed: Euler model, printed gain, Z = 0, parameters from row 1 of (24)."""
     return SeedSettings(
         period_s=cases.PERIOD_S, plan=HopPlan(window, hop), hold="euler", gain=cases.GAIN, passes=passes,
         scale=cases.NOMINAL, enough_sd=0.033 * cases.NOMINAL, settled=settled, rank=1, read=_read,

@@ -1,4 +1,4 @@
-"""`deltak paper`: the paper's tables computed anew by its own method, by that method re-centred and by the product."""
+"""`deltak paper`: the paper's tables recomputed by its own method, that method re-centred and the product."""
 
 from math import gcd
 from pathlib import Path
@@ -87,7 +87,7 @@ def _document(window: int, passes: int) -> dict[str, Any]:
 
 
 def seed_fits(changes: tuple[FloatArray, ...], window: int, passes: int) -> list[SeedFit]:
-    """Run the paper's method on Euler data; the last window of each segment, the observer from the first sample on."""
+    """Run the paper's method on Euler data; each segment's last window, observer from the first sample."""
     y = cases.free_decay(changes, "euler")
     u = np.zeros((len(y), 1))
     settings = seed_settings(window, passes)
@@ -96,7 +96,7 @@ def seed_fits(changes: tuple[FloatArray, ...], window: int, passes: int) -> list
 
 
 def product_estimates(changes: tuple[FloatArray, ...], window: int) -> FloatArray:
-    """Run window-ml over exact data; return its changes (segments, 4) at each segment's end, NaN where not valid."""
+    """Run window-ml over exact data; return changes (segments, 4) at segment ends, NaN where not valid."""
     # a hop that divides both makes a row fall on the last sample of every segment
     rows = product_rows(cases.free_decay(changes, "zero"), window, gcd(cases.SEGMENT, window, 50))
     last = np.searchsorted(rows.index, np.arange(1, len(changes) + 1) * cases.SEGMENT - 1)
@@ -104,7 +104,7 @@ def product_estimates(changes: tuple[FloatArray, ...], window: int) -> FloatArra
 
 
 def _exact_model_on_euler_data(change: FloatArray, window: int) -> dict[str, float | None]:
-    """Fit the exact model to the last window of Euler data, alone: longer, the two models part from each other."""
+    """Fit the exact model to the last window of Euler data, alone: longer, the two models diverge."""
     y = cases.free_decay((change,), "euler")[-window:]
     found = valid_changes(product_rows(y, window, window))[-1]
     return {name: _number(value) for name, value in zip(cases.PARAMETERS, found, strict=True)}
@@ -161,18 +161,23 @@ def remarks(document: dict[str, Any]) -> list[str]:
     case = document["case_1"]
     worst = _worst_stiffness(case["rows"])
     as_printed = (
-        "As printed, the right side of the regression is the observer's own correction K_e (y - C x), so that one pass "
-        f"sees only the part of the change that the correction shows: stiffness is up to {worst:.0f} % off in case 1."
+        "As printed, the right side of the regression is the observer's own correction K_e (y - C x), "
+        "so that one pass sees only the part of the change that the correction shows: "
+        f"stiffness is up to {worst:.0f} % off in case 1."
     )
     recentred = (
-        f"Re-centred on the parameters it has found, {case['passes']} passes in all, the same method leaves the "
-        "observer less and less to correct; in case 1 it comes to the true values but for "
-        f"{_remaining(case['rows'])}. Of these passes number {_nearest_pass(case)} is nearest to the published table."
+        f"Re-centred on the parameters it has found, {case['passes']} passes in all, "
+        "the same method leaves the observer less and less to correct; "
+        "in case 1 it comes to the true values but for "
+        f"{_remaining(case['rows'])}. "
+        f"Of these passes number {_nearest_pass(case)} is nearest to the published table."
     )
     product = (
-        "Both columns run on the paper's first-order model and on data made with it; the product fits the exactly "
-        "sampled model by maximum likelihood to exactly sampled data, so that only round-off is left (on the "
-        f"first-order data of case 1 it gives {_listed(case['exact_model_on_euler_data'])}, near the published row)."
+        "Both columns run on the paper's first-order model and on data made with it; "
+        "the product fits the exactly sampled model by maximum likelihood to exactly sampled data, "
+        "so that only round-off is left "
+        f"(on the first-order data of case 1 it gives {_listed(case['exact_model_on_euler_data'])}, "
+        "near the published row)."
     )
     return [as_printed, recentred, product, _evidence(case["range_of_gain"])]
 
@@ -180,10 +185,12 @@ def remarks(document: dict[str, Any]) -> list[str]:
 def _evidence(found: dict[str, Any]) -> str:
     """Say why the published matrix is not one that the method as printed gives."""
     return (
-        "The published matrix cannot come from the method as printed: its regressand is K_e times the innovation, so "
-        "that one pass gives K_e times some matrix, in which the last two rows are at least "
-        f"{found['least_lower_rows']:.3f} of the first two (ours: {found['as_printed']['lower_rows']:.3f}); those "
-        f"published are {found['published']['lower_rows']:.0e} of them, and "
+        "The published matrix cannot come from the method as printed: "
+        "its regressand is K_e times the innovation, so that one pass gives K_e times some matrix, "
+        "in which the last two rows are at least "
+        f"{found['least_lower_rows']:.3f} of the first two "
+        f"(ours: {found['as_printed']['lower_rows']:.3f}); "
+        f"those published are {found['published']['lower_rows']:.0e} of them, and "
         f"{100 * found['published']['outside']:.1f} % of that matrix lies outside the range of K_e."
     )
 
@@ -215,7 +222,7 @@ def _worst_stiffness(rows: list[dict[str, Any]]) -> float:
 
 
 def _nearest_pass(case: dict[str, Any]) -> int:
-    """Return the pass whose parameters lie nearest to the published ones, each counted in its nominal value."""
+    """Return the pass whose parameters lie nearest the published ones, each counted in its nominal value."""
     published = np.array([row["published"] for row in case["rows"]])
     trail = np.array([[entry[name] for name in cases.PARAMETERS] for entry in case["by_pass"]])
     return int(np.argmin(np.max(np.abs(trail - published) / cases.NOMINAL, axis=1))) + 1

@@ -21,7 +21,10 @@ def table(document: dict[str, Any]) -> "RenderableType":
     counts = f"by pass {', '.join(str(count) for count in case['iterations_by_pass'])}"
     lines = [
         f"window of {window} samples; as printed and re-centred on Euler data, product on exact data",
-        f"iterations of descent: {case['iterations']} as printed (the paper: {case['iterations_published']}), {counts}",
+        (
+            f"iterations of descent: {case['iterations']} as printed "
+            f"(the paper: {case['iterations_published']}), {counts}"
+        ),
         _end_line(case),
         _poles_line(case["observer_poles"]),
         _margin_line(case),
@@ -87,6 +90,7 @@ def _margin_line(case: dict[str, Any]) -> str:
     three, eight = case["condition_3"], case["condition_8"]
     verdict = "covers it" if eight["holds"] else "sufficient but not necessary, says nothing of it"
     return (
-        f"condition (3) {'holds' if three['holds'] else 'fails'} in case 1; condition (8) bears perturbations below "
+        f"condition (3) {'holds' if three['holds'] else 'fails'} in case 1; "
+        "condition (8) bears perturbations below "
         f"{eight['delta']:.5g}, case 1 is one of {eight['perturbation_norm']:.3g}: (8) {verdict}"
     )

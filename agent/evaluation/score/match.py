@@ -22,7 +22,7 @@ _SEARCHED = 8
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """What was played, by sample number: parameters by name, readings (n, channels) SI, inputs first; the ledger."""
+    """What was played, by sample: parameters by name, readings (n, channels) SI, inputs first; the ledger."""
 
     parameters: Mapping[str, FloatArray]
     readings: FloatArray
@@ -30,7 +30,7 @@ class Played:
     ledger: Mapping[str, Any]
 
     def room(self, readings: FloatArray) -> FloatArray:
-        """Return by how much a reading that came over the wire may differ from the sensor's: 32 bits hold 7 digits."""
+        """Return by how much a reading from the wire may differ from the sensor's: 32 bits hold 7 digits."""
         return np.asarray(0.51 * self.step + np.where(self.step > 0, 1e-9, 2e-7) * np.abs(readings))
 
 

@@ -192,8 +192,9 @@ class Assessment:
             first = min((numbers[k] for k in own), default=None)
             found["delay_s"] = None if first is None else max(0, first - found["first"]) / self._rate
         false = [alarm.parameter for k, alarm in enumerate(raised) if k not in met]
-        return {"excursions": [_shown(found, self._rate) for found in excursions], "false": false,
-                "missed": [found["parameter"] for found in excursions if found["delay_s"] is None]}  # fmt: skip
+        missed = [found["parameter"] for found in excursions if found["delay_s"] is None]
+        shown = [_shown(found, self._rate) for found in excursions]
+        return {"excursions": shown, "false": false, "missed": missed}
 
     def _raised_at(self, raised: Sequence[AlarmTransition]) -> list[int]:
         if self.rows is None or not raised:
@@ -219,7 +220,7 @@ class Assessment:
         ]
 
     def faults(self) -> list[dict[str, Any]]:
-        """Return how each fault was overcome: s from its end until samples came, and until every estimate was valid."""
+        """Return each fault's recovery: s from its end to new samples, and until every estimate was valid."""
         return [self._overcome(*strike) for strike in self._strikes]
 
     def _overcome(self, source: str, name: str, first: int, end: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""One scenario from end to end on simulated time: the configured drivers on played lines, the agent's own pipeline.
+"""One scenario end to end on simulated time: configured drivers on played lines, the agent's own pipeline.
 
 The simulator is a plug-in (entry-point group `deltak.simulators`): it plays each source's device, faults
 included, to the driver that the configuration names. No clock is read and no bus is opened, so two runs are
@@ -120,7 +120,7 @@ def _simulator() -> Simulator:
 
 
 def shipped() -> Sequence[str]:
-    """Return the names of the scenarios that ship with an expectation. Raises UsageError without a simulator."""
+    """Return the names of scenarios that ship with an expectation. Raises UsageError without a simulator."""
     return _simulator().scored()
 
 

@@ -10,7 +10,7 @@ from agent.northbound.interface.peer import PeerError
 
 _TIME = rb"(?:\x17\x0d(\d{12})Z|\x18\x0f(\d{14})Z)"
 _VALIDITY = re.compile(rb"\x30." + _TIME + _TIME, re.DOTALL)
-"""Validity ::= SEQUENCE { notBefore Time, notAfter Time }, each UTCTime or GeneralizedTime (RFC 5280, 4.1.2.5)."""
+"""Validity ::= SEQUENCE { notBefore Time, notAfter Time }, UTCTime or GeneralizedTime (RFC 5280, 4.1.2.5)."""
 
 
 def refuse_expired(file: Path) -> None:

@@ -41,7 +41,9 @@ class Discovery:
             "unique_id": f"{node}_{thing}", "object_id": f"{node}_{thing}",
             "state_topic": self._topic_of(topic, row), "json_attributes_topic": self._topic_of(topic, row),
             "availability_topic": self._status,
-            "device": {"identifiers": [node], "name": rig, "manufacturer": "deltak", "sw_version": __version__},
+            "device": {
+                "identifiers": [node], "name": rig, "manufacturer": "deltak", "sw_version": __version__,
+            },
             "origin": {"name": "deltak", "sw_version": __version__},
         }  # fmt: skip
         about |= _VALUE if topic == "estimates" else _PROBLEM

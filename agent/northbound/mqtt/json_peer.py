@@ -1,4 +1,4 @@
-"""Rows as JSON: each on a topic that names its rig, kind and parameter or source; older rows on topics of their own.
+"""Rows as JSON: each on a topic naming its rig, kind and parameter or source; older rows on their own topics.
 
 <prefix>/<rig>/<estimates or alarms>/<parameter> and <prefix>/<rig>/<events or health>/<source>; what is sent
 after newer rows on <prefix>/<rig>/backfill/... (but for alarms, whose order is kept); and

@@ -1,4 +1,4 @@
-"""Rows into files of an archive: <folder>/<topic>/rig=<rig>/day=<day of UTC>/<number before the first row>.parquet.
+"""Rows as archive files: <folder>/<topic>/rig=<rig>/day=<day of UTC>/<number before the first row>.parquet.
 
 A file is written beside its name, synced and renamed; a batch that is delivered again has the same names, so
 that no row is there twice.

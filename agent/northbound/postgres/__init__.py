@@ -1,1 +1,1 @@
-"""PostgreSQL by psycopg: a table a topic, each row once by rig and seq; hypertables where TimescaleDB is present."""
+"""PostgreSQL by psycopg: a table a topic, each row once by rig and seq; hypertables with TimescaleDB."""

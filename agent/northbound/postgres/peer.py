@@ -19,8 +19,10 @@ from agent.northbound.interface.certificate import refuse_expired
 from agent.northbound.interface.layout import COLUMNS, NAMES, STEADY
 from agent.northbound.interface.peer import Batch, Credentials, PeerError, Place
 
-_CAUSES: Final = {"28P01": "credentials", "28000": "credentials", "53100": "full", "53200": "full", "53300": "full",
-                  "42501": "credentials"}  # fmt: skip
+_CAUSES: Final = {
+    "28P01": "credentials", "28000": "credentials", "42501": "credentials",
+    "53100": "full", "53200": "full", "53300": "full",
+}  # fmt: skip
 _Statement = sql.Composed
 
 
@@ -123,7 +125,7 @@ class PostgresPeer:
         return sql.SQL(words).format(self._table(topic), columns, columns, _staged(topic))
 
     def _refuse_others(self, cursor: psycopg.Cursor[Any], topic: str) -> None:
-        """Raise PeerError where the table has other rows under these numbers: those would be left out in silence."""
+        """Raise PeerError where the table has other rows under these numbers: they would be lost silently."""
         words = "SELECT s.rig, s.seq FROM {} s JOIN {} t USING (rig, seq) WHERE t.t_ns <> s.t_ns LIMIT 1"
         found = cursor.execute(sql.SQL(words).format(_staged(topic), self._table(topic))).fetchone()
         if found is not None:

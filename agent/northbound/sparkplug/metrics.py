@@ -1,4 +1,4 @@
-"""Rows as metrics of a device, which is the rig: `<parameter>/value`, `Alarms/<parameter>/state` and so on."""
+"""Rows as metrics of a device, the rig: `<parameter>/value`, `Alarms/<parameter>/state` and so on."""
 
 import math
 from collections.abc import Iterator, Mapping

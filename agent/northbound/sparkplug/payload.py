@@ -70,7 +70,7 @@ def encode(metrics: Sequence[Metric], t_ms: int | None = None, seq: int | None =
 
 
 def commands(payload: bytes) -> dict[str, bool]:
-    """Return the names of the metrics of a payload that a host sent, and whether each is true. Raises ValueError."""
+    """Return the metric names of a host's payload, and whether each is true. Raises ValueError."""
     found = {}
     for number, content in fields(payload):
         if number == _PAYLOAD["metrics"] and isinstance(content, bytes):

@@ -148,7 +148,7 @@ def node_of(place: Place) -> str:
 
 
 def _newer(known: tuple[int, bool] | None, payload: bytes) -> tuple[int, bool] | None:
-    """Return when a host was in which state (ms, online); what is older than what is known, or none, says nothing."""
+    """Return when a host was in which state (ms, online); what is older than known, or none, says nothing."""
     try:
         said = json.loads(payload)
         found = int(said["timestamp"]), said["online"] is True

@@ -14,13 +14,13 @@ from agent.numerics.window.stream import Stream
 
 UNITS_LEAST = 32
 UNITS_MOST = 2560
-"""Hops that the bank is given at once: few after the operating point moved, which throws the rest of them away."""
+"""Hops that the bank is given at once: few after the operating point moved, which throws the rest away."""
 DULLED = 1.05
-"""Growth of the sharpest sd seen each time that the operating point moves: it follows what the machine does."""
+"""Growth of the sharpest sd seen each time the operating point moves: it follows what the machine does."""
 
 
 class Bank:
-    """Rows of a record's windows from the stream of `agent.numerics.window`, at one operating point at a time.
+    """Rows of a record's windows from the stream of `agent.numerics.window`, one operating point at a time.
 
     Args:
         settings: what is modelled, hops and windows.

@@ -13,7 +13,7 @@ BURST = 480
 FIRST = 192
 """Evaluations besides, once: the first 32 windows, which take six each where the model fits."""
 LONGEST = 200
-"""Evaluations after which what was begun goes no further down: one solve takes three to ten where the model fits."""
+"""Evaluations after which what was begun goes no further down: a solve takes 3 to 10 where the model fits."""
 SAMPLES_AN_EVALUATION = 512
 """Samples that pay for one evaluation: what bounds the cost of a rig that nothing fits."""
 EVALUATIONS_A_WINDOW = 8

@@ -1,4 +1,4 @@
-"""Readings of inputs that may be spikes: the window takes them for unknown, and the motion says what they were.
+"""Input readings that may be spikes: the window takes them for unknown, and the motion says what they were.
 
 A suspect reading u is replaced by the newest trusted one, h; what that is wrong by is an unknown of the
 window with prior N(0, (u − h)²). A blow that moved the rig comes out near u − h, a spike near 0. A confirmed
@@ -40,7 +40,7 @@ class Found:
         return cls((), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
 
     def share(self, sizes: Mapping[Place, float]) -> tuple[float, float]:
-        """Return which share of these sizes, all of them alike, the window alone finds in the readings, and its sd."""
+        """Return what share of these sizes, all alike, the window alone finds in the readings, and its sd."""
         which = [self.places.index(place) for place in sizes]
         size = np.array(list(sizes.values()))
         precision = np.linalg.inv(self.covariance[np.ix_(which, which)])
@@ -52,7 +52,7 @@ class Found:
 
 
 class Doubts:
-    """The suspect readings of the newest samples of a segment: (sample, channel) -> reading less its replacement."""
+    """Suspect readings of a segment's newest samples: (sample, channel) -> reading less its replacement."""
 
     def __init__(self) -> None:
         self.size: dict[Place, float] = {}
@@ -67,7 +67,7 @@ class Doubts:
         self._trusted = None
 
     def replaced(self, index: int, u: FloatArray, suspect: BoolArray | None, outputs: int) -> FloatArray:
-        """Return inputs u (N, m), the first of them sample `index`, with trusted readings in place of suspect ones."""
+        """Return inputs u (N, m), from sample `index` on, with trusted readings in place of suspect ones."""
         if not len(u):
             return u
         trusted = np.zeros(u.shape[1]) if self._trusted is None else self._trusted
@@ -82,11 +82,11 @@ class Doubts:
         return out
 
     def among(self, lost: IntArray, first: int) -> BoolArray:
-        """Return which (l,) of a window's lost readings (l, 2) are suspect ones; `first` is its first sample."""
+        """Return which (l,) of a window's lost readings (l, 2) are suspect; `first` is its first sample."""
         return np.array([(first + row, channel) in self.size for row, channel in lost.tolist()], dtype=bool)
 
     def due(self, newest: int, window: int) -> set[Place]:
-        """Return the undecided ones that a window ending with sample `newest` holds with a quarter of it after them.
+        """Return the undecided ones in a window ending with sample `newest`, a quarter of it after them.
 
         Those that follow at once on one of them are part of the same event.
         """
@@ -96,7 +96,7 @@ class Doubts:
         return whole
 
     def first_due(self, window: int) -> int | None:
-        """Return the newest sample of the first window with a quarter of it after an undecided one; None: no such."""
+        """Return the newest sample of the first window with a quarter after an undecided one, or None."""
         return min((p[0] + window // 4 for p in self._undecided), default=None)
 
     def lapse(self, oldest: int) -> None:
@@ -129,7 +129,7 @@ class Doubts:
 
 
 def _runs(places: set[Place]) -> list[list[Place]]:
-    """Return readings that follow at once on each other together: the motion tells their sum, not each of them."""
+    """Return readings that follow at once on each other together: the motion tells their sum, not each."""
     runs: list[list[Place]] = []
     for sample, channel in sorted(places, key=lambda place: (place[1], place[0])):
         if runs and runs[-1][-1] == (sample - 1, channel):

@@ -30,13 +30,13 @@ from agent.numerics.inference.verdicts import Belief, beliefs
 from agent.types import BoolArray, FloatArray
 
 VERDICT_WINDOWS = 3
-"""Windows that must have been learnt from before verdicts are given: the first tell of noise and constants at once."""
+"""Windows to be learnt from before verdicts are given: the first tell of noise and constants at once."""
 REFILLS = 2
 """Times that suspect inputs are put where the motion asks for them before a window is solved."""
 MOVING = 8
 """What moving the bank costs, in evaluations."""
 MOVED_SD = 0.3
-"""Difference between learner and bank, in sds, from which on the bank moves: twice what the bins left out may make."""
+"""Difference of learner and bank, in sds, from which the bank moves: twice what omitted bins may make."""
 MOVED_LOG_SD = 0.1
 """The same for the logarithm of a sd."""
 
@@ -93,12 +93,12 @@ class Explainer:
         self._adopted = self.known is not None
 
     def take_beliefs(self) -> tuple[tuple[int, tuple[Belief, ...]], ...]:
-        """Return (sample, beliefs about the rig's constants) of the windows learnt from since the last call."""
+        """Return (sample, beliefs about the rig's constants) of windows learnt from since the last call."""
         beliefs, self._beliefs = self._beliefs, []
         return tuple(beliefs)
 
     def begin(self, record: Record, newest: int) -> bool:
-        """Learn from a segment's first whole window, and start the bank there; False where nothing fits it."""
+        """Learn from a segment's first whole window, and start the bank there; False if nothing fits it."""
         if not self._may_begin(newest):
             return False
         begun = self._begun(record, newest)
@@ -122,7 +122,7 @@ class Explainer:
         return True
 
     def _first(self, window: Window) -> tuple[Posterior, Knowledge]:
-        """Learn from a segment's first window; what an earlier run learnt and does not explain it is learnt anew.
+        """Learn from a segment's first window; what was learnt before and does not explain it is learnt anew.
 
         A sensor that was replaced by a worse one would else have its noise taken for that of single bins.
         """
@@ -158,7 +158,7 @@ class Explainer:
         self.bank.move(record, self.known, posterior, newest)
 
     def window(self, record: Record, newest: int) -> tuple[Window, FloatArray]:
-        """Return the window that ends with a sample, suspect inputs near what the motion asks of them, and by how much.
+        """Return the window ending with a sample, suspect inputs near what the motion asks, and by how much.
 
         A blow moves what the window is linearised about, so it must be in before anything is solved.
         """
@@ -174,7 +174,7 @@ class Explainer:
         return window, moved
 
     def due(self, reading: Reading) -> BoolArray:
-        """(N,) rows whose windows are to be learnt from: it is time, or there is far less noise than was learnt."""
+        """(N,) rows whose windows are to be learnt from: it is time, or noise is far less than was learnt."""
         index = reading.index
         whole = reading.index >= self.schedule.tried + self.settings.plan.window
         quiet = (reading.excess < -tuning.MISMATCH_SD) & whole
@@ -219,7 +219,7 @@ class Explainer:
         return True
 
     def _may_begin(self, newest: int) -> bool:
-        """Whether there is something left to spend at sample `newest`; what is begun then ends with `_pay`."""
+        """Whether something is left to spend at sample `newest`; what is begun then ends with `_pay`."""
         if not self.budget.allows(newest):
             return False
         lineariser = self.learner.lineariser
@@ -244,7 +244,7 @@ class Explainer:
         return bool((moved | own | whole).any())
 
     def centre(self, record: Record, newest: int, theta: FloatArray) -> bool:
-        """Move the bank to theta (q,), which a longer window found; return whether there was a token for it."""
+        """Move the bank to theta (q,), which a longer window found; return whether there was a token."""
         if self.known is None or self.posterior is None or not self._may_begin(newest):
             return False
         self.known = replace(self.known, theta=np.maximum(theta, self.settings.rig.lower))
@@ -278,7 +278,7 @@ class Explainer:
         return posterior
 
     def _is_the_same(self, posterior: Posterior) -> bool:
-        """Whether a window that nothing broke says what the one learnt from last said: only the point was poor."""
+        """Whether an unbroken window says what the one learnt from last said: only the point was poor."""
         if self.posterior is None or self.disturbance.onset is not None or self.faults.is_active:
             return False
         apart = np.abs(posterior.theta - self.posterior.theta)
@@ -287,7 +287,7 @@ class Explainer:
     def _is_a_channel(
         self, record: Record, window: Window, newest: int, theta: FloatArray, rests: bool
     ) -> bool:
-        """Whether a channel may be what is wrong with a window; asked where it is whole, or other parameters fit it."""
+        """Whether a channel may be wrong in a window; asked where it is whole, or other parameters fit it."""
         onset, faults, known = self.disturbance.onset, self.faults, self.known
         whole = onset is not None and newest - onset >= WHOLE * self.settings.plan.window
         is_asked = any((rests, whole, faults.is_active))
@@ -297,7 +297,7 @@ class Explainer:
         return faults.follow(newest, found, onset, rests)
 
     def explain(self, record: Record, newest: int) -> bool:
-        """Try to explain a broken row: other parameters, lines, or a whole window after its onset other noise."""
+        """Try to explain a broken row: other parameters, lines, or a whole window after onset other noise."""
         disturbance, length = self.disturbance, self.settings.plan.window
         disturbance.at(newest)
         disturbance.tried(newest, length)
@@ -316,7 +316,7 @@ class Explainer:
         return self._explain_otherwise(record, newest)
 
     def _take_change(self, record: Record, newest: int) -> None:
-        """Go on with the other parameters that fit a window; where they change too often, with other noise."""
+        """Go on with other parameters that fit a window; where they change too often, with other noise."""
         assert self.known is not None  # noqa: S101 - known since the first window
         if self.disturbance.is_more_than_a_change(newest, self.settings.plan.window):
             self._relearn(record, *self._last, newest, jumps=False)
@@ -325,7 +325,7 @@ class Explainer:
         self.schedule.follow(newest)
 
     def _explain_otherwise(self, record: Record, newest: int) -> bool:
-        """Explain a window that no other parameters fit by lines, or a whole window after its onset by other noise."""
+        """Explain a window no other parameters fit by lines, or a whole window after onset by other noise."""
         disturbance, length = self.disturbance, self.settings.plan.window
         window, posterior = self._last
         early = newest - (disturbance.onset or newest) < length
@@ -355,7 +355,7 @@ class Explainer:
         return True
 
     def _runs_on(self, window: Window, newest: int) -> bool:
-        """Whether parameters that run straight lines explain a window; its row then says where they are at its end."""
+        """Whether parameters on straight lines explain a window; its row then says where they end."""
         assert self.known is not None  # noqa: S101 - known since the first window
         line = self.learner.line(window, self.known)
         self._moves = line.holds

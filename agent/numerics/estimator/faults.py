@@ -1,4 +1,4 @@
-"""Channels that read wrongly: suspected, named as long as that is what explains the rows, and cleared when they hold.
+"""Channels that read wrongly: suspected, named as long as that explains the rows, and cleared when they hold.
 
 A suspicion is a window that a channel explains better than other parameters do. It becomes a fault once a
 window lies all but wholly behind its onset. Until rows agree with what held before nothing is learnt, and no
@@ -91,7 +91,7 @@ class Faults:
         return np.asarray((np.abs(reading.theta - known.theta) < AGREES_SD * reading.sd_repeat).all(axis=1))
 
     def learnt(self, window: Window) -> None:
-        """Note what channels are like in a window that was learnt from: whether no output can repeat itself at all."""
+        """Note what channels are like in a window learnt from: whether no output can repeat itself at all."""
         grain = [float(np.diff(np.unique(column)).min(initial=np.inf)) for column in window.y.T]
         self._alive = bool(np.all(sensor_noise(window.y) > np.maximum(grain, NOISY * self.floor)))
         self._usual = np.asarray(window.u.std(axis=0))
@@ -104,7 +104,7 @@ class Faults:
                 self._rests.add((number, record.newest_input(int(index[row]), number)))
 
     def frozen_in(self, record: Record, index: IntArray, still: BoolArray) -> BoolArray:
-        """(N,) windows that end at samples `index` in whose newer half no output changes, though each has noise."""
+        """(N,) windows that end at samples `index` in whose newer half no output changes, though noisy."""
         if not self._alive or not still.any():
             return np.zeros(len(index), dtype=bool)
         return np.asarray(still & (record.changes_in(index, self.learner.window // 2) == 0))
@@ -115,7 +115,7 @@ class Faults:
         self._name(newest, Fault(0, "stood", float(record.outputs(newest, newest + 1)[0, 0]), 0.0))
 
     def begun(self, record: Record, newest: int, noise: Noise) -> None:
-        """Name an input that stood at one value all through a first window whose motion asks for unknown forces."""
+        """Name an input that held one value through a first window whose motion asks for unknown forces."""
         self.over(newest)
         forces = np.array([source.kind == "force" for source in self.learner.sources], dtype=bool)
         asked = noise.is_started and np.any(
@@ -127,7 +127,7 @@ class Faults:
     def reads_wrongly(
         self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge, found: Posterior
     ) -> bool:
-        """Whether one channel, and not what a first window is taken to say, explains it; that channel is named.
+        """Whether one channel, not what a first window is taken to say, explains it; that channel is named.
 
         Asked where a parameter found is many times its nominal, or unknown forces are as large as those that
         are measured. The contest is between the stated noise and nominal parameters with one channel wrong,
@@ -176,7 +176,7 @@ class Faults:
         solved: FloatArray,
         first: bool = False,
     ) -> Contest:  # fmt: skip
-        """Put the window that ends with sample `newest` to a contest of explanations; solved: its own best θ."""
+        """Put the window ending with sample `newest` to a contest of explanations; solved: its own best θ."""
 
         def late(channel: int, lag: int) -> Window | None:
             return record.late(newest, self.learner.window, channel, lag, self.learner.rig) if lag else window
@@ -194,7 +194,7 @@ class Faults:
         return found
 
     def follow(self, newest: int, found: Contest, onset: int | None, rests: bool) -> bool:
-        """Take what a contest says; return whether a channel may be what is wrong, so that no parameter moves.
+        """Take what a contest says; return whether a channel may be wrong, so that no parameter moves.
 
         onset: of broken rows, None where they hold; rests: other parameters fit the window.
         """

@@ -28,7 +28,7 @@ class Ready:
 
 
 class LookAhead:
-    """Holds back the newest samples of a segment until their later taps are there; none where the hold needs none."""
+    """Holds back a segment's newest samples until their later taps are there; none if the hold needs none."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -43,7 +43,7 @@ class LookAhead:
     def step(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None, suspect: BoolArray | None
     ) -> Ready:
-        """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return those complete now."""
+        """Take consecutive samples y (N, p), u (N, m), from number `index` on; return those complete now."""
         u = with_constant(u, len(self._rig.measured))
         if not self._rig.shifts:
             return Ready(index, y, u, missing, suspect)
@@ -68,7 +68,7 @@ class LookAhead:
 
 
 def _widened(mark: BoolArray | None, count: int, width: int) -> BoolArray:
-    """Return marks (N, width) of all readings, none where there are no marks and for inputs that no channel reads."""
+    """Return marks (N, width) of all readings, none without marks and for inputs that no channel reads."""
     out = np.zeros((count, width), dtype=bool)
     if mark is not None:
         out[:, : mark.shape[1]] = mark

@@ -1,4 +1,4 @@
-"""Where the bank works: the model with what is known of the constants, its noise, and what rows take from the learner.
+"""Where the bank works: the model with what is known of constants, noise, and what rows take of the learner.
 
 The constants enter rows through the few directions of their posterior that move the parameters: with P = L Lᵀ
 the covariance, Z = dθ/dη and s the parameters' own sds, the right singular vectors v of diag(1/s) Z L give
@@ -31,7 +31,7 @@ MOST_LINES = 4
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """How the mixture of the constants differs from one Gaussian, in units of the sd (q,) that it gives a parameter.
+    """How the constants' mixture differs from one Gaussian, in units of the sd (q,) it gives a parameter.
 
     Attributes:
         mean, centre: (q,) mean of the mixture and middle of its interval, from the Gaussian's mean.
@@ -105,7 +105,7 @@ def operating_point(
 
 
 def taps_of(rig: Rig, outputs: int, slopes: bool) -> list[list[tuple[int, int, float]]]:
-    """Return where a reading of each channel, outputs then inputs, enters the bank's samples (`window.lost.Taps`)."""
+    """Return where each channel, outputs then inputs, enters the bank's samples (`window.lost.Taps`)."""
     m = len(rig.driven)
     each: list[list[tuple[int, int, float]]] = [[(0, column, 1.0)] for column in range(outputs)]
     for number in range(len(rig.measured)):
@@ -119,7 +119,7 @@ def taps_of(rig: Rig, outputs: int, slopes: bool) -> list[list[tuple[int, int, f
 
 
 class _Seen:
-    """The model as it is seen through gains and delay at η; inputs are followed by slopes where there is a delay."""
+    """The model as seen through gains and delay at η; inputs are followed by slopes if there is a delay."""
 
     def __init__(self, rig: Rig, eta: FloatArray, width: int) -> None:
         self.rig, self.eta = rig, eta

@@ -112,7 +112,7 @@ class Outcome:
         which: NDArray[np.bool_],
         enough: FloatArray,
     ) -> None:
-        """Take estimates of rows (k,) from another window's reading, where `wanted` (k, q); which: its k windows."""
+        """Take estimates of rows (k,) from another window, where `wanted` (k, q); which: its k windows."""
         for name in ("theta", "sd", "lower", "upper", "sd_repeat"):
             mine = getattr(self, name)
             other = getattr(found, name)[which]

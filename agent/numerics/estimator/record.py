@@ -19,7 +19,7 @@ PLACES = 8
 
 
 class Record:
-    """Samples y (N, p), u (N, m) of one uninterrupted stretch from number `first` on, and which were filled in."""
+    """Samples y (N, p), u (N, m) of one unbroken stretch from number `first` on, and which were filled in."""
 
     def __init__(self, first: int, outputs: int, inputs: int, doubts: Doubts | None = None) -> None:
         self.first, self.p = first, outputs
@@ -63,7 +63,7 @@ class Record:
         return self._v[start - self.first : stop - self.first]
 
     def samples_with_slopes(self, start: int, stop: int) -> FloatArray:
-        """Return y, u and the change of u since the sample before, side by side; 0 for the stretch's first sample."""
+        """Return y, u and u's change since the sample before, side by side; 0 for the stretch's first."""
         u = self.inputs(start, stop)
         before = self.inputs(start - 1, start) if start > self.first else u[:1]
         return np.hstack([self.samples(start, stop), np.diff(u, axis=0, prepend=before)])
@@ -73,7 +73,7 @@ class Record:
         return self._count(self._holed, index, window)
 
     def changes_in(self, index: IntArray, window: int) -> IntArray:
-        """Return in how many samples (N,) of the windows that end at samples `index` some output shows another code."""
+        """Return in how many samples (N,) of windows ending at samples `index` some output changes code."""
         return self._count(self._changed, index, window - 1)
 
     def _count(self, marks: BoolArray, index: IntArray, samples: int) -> IntArray:
@@ -86,7 +86,7 @@ class Record:
         return np.asarray(total[stop] - total[np.maximum(stop - samples, 0)])
 
     def spread_in(self, index: IntArray, window: int) -> FloatArray:
-        """Return the standard deviation (N, p) of each output over the windows that end at samples `index`."""
+        """Return the standard deviation (N, p) of each output over windows that end at samples `index`."""
         stop = index + 1 - self.first
         start = np.maximum(stop - window, 0)
         edges = np.union1d(start, stop)
@@ -99,7 +99,7 @@ class Record:
         return np.asarray(np.sqrt(np.maximum(square - mean**2, 0.0)))
 
     def quiet_in(self, index: IntArray, window: int, least: FloatArray) -> BoolArray:
-        """(N,) windows that end at samples `index` and in which every output spreads by less than `least` (p,).
+        """(N,) windows that end at samples `index` in which every output spreads by less than `least` (p,).
 
         Two of a window's W samples that differ by d make its standard deviation d/√(2W) or more: most windows
         show so.
@@ -133,7 +133,7 @@ class Record:
         return Lost(sample, bridge.channel, sd, doubted).between(start, stop)
 
     def _doubted(self, sample: IntArray, bridge: Bridge) -> tuple[FloatArray, BoolArray]:
-        """Return the prior sd (l,) of lost readings, suspect ones as wide as they are large, and which are suspect."""
+        """Return the prior sd (l,) of lost readings, for suspect ones their size, and which are suspect."""
         places = zip(sample.tolist(), bridge.channel.tolist(), strict=True)
         sizes = np.array([abs(self.doubts.size.get(place, 0.0)) for place in places])
         return np.maximum(bridge.sd, sizes), sizes > 0
@@ -150,7 +150,7 @@ class Record:
                 self._v[sample + offset - self.first, column] += weight * change
 
     def resting_in(self, index: IntArray, span: int, driven: BoolArray) -> BoolArray:
-        """Return which of the driven inputs (N, m) read one value in the last `span` samples up to samples `index`."""
+        """Return which driven inputs (N, m) read one value in the `span` samples up to samples `index`."""
         newest = index - self.first
         inputs = np.flatnonzero(driven)
         oldest = np.maximum(newest - span + 1, 0)
@@ -170,7 +170,7 @@ class Record:
         return float(self._v[index - self.first, self.p + number])
 
     def late(self, newest: int, length: int, channel: int, lag: int, rig: Rig) -> Window | None:
-        """Return the window of `length` samples that ends with number `newest` - lag, a channel read `lag` later.
+        """Return the window of `length` samples ending at number `newest` - lag, a channel read `lag` later.
 
         None where samples of it are not kept, or lost.
         """

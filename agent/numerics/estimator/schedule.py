@@ -1,4 +1,4 @@
-"""When a window is learnt from, and when a broken one is tried again; all counted in samples, so replay agrees."""
+"""When a window is learnt from, and when a broken one is retried; counted in samples, so replay agrees."""
 
 from dataclasses import dataclass
 
@@ -63,7 +63,7 @@ class Schedule:
 
 @dataclass(slots=True)
 class Disturbance:
-    """A stretch of broken rows: since which sample, None outside of one; `again`: the sample it is next tried at."""
+    """A stretch of broken rows: since which sample, None outside one; `again`: the sample of the next try."""
 
     onset: int | None = None
     again: int = -(1 << 60)
@@ -76,7 +76,7 @@ class Disturbance:
             self.onset = index
 
     def is_more_than_a_change(self, index: int, window: int) -> bool:
-        """Note that other parameters fit; return whether it took longer than one change, or came too soon after one."""
+        """Note that other parameters fit; return whether too slowly for one change, or too soon after one."""
         before, self.changed = self.changed, index
         return index - before < AGAIN * window or index - (self.onset or index) > LASTS * window
 

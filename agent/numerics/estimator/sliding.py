@@ -32,7 +32,7 @@ from agent.types import BoolArray, FloatArray, IntArray, Reason
 RETRY = 4
 """Tries a window length to find a first window that fits."""
 MOST_LOST = 0.1
-"""Share of a window's samples that may have lost readings; beyond it a window says too little for what it costs."""
+"""Share of a window's samples that may lack readings; beyond it a window says too little for its cost."""
 
 
 @dataclass(slots=True)
@@ -105,7 +105,7 @@ class SlidingEstimator:
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
         suspect: BoolArray | None = None,
     ) -> Outcome:  # fmt: skip
-        """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end.
+        """Take consecutive samples y (N, p), u (N, m), from number `index` on; return the rows they end.
 
         missing (N, p+m): readings (outputs, then inputs) that were filled in. suspect (N, p+m): inputs that
         may be spikes: they count as lost, and the motion says which of them were.
@@ -152,7 +152,7 @@ class SlidingEstimator:
 
     # ------------------------------------------------------------------ the rows
     def _settled(self, record: Record, arrived: BankRows) -> Outcome:
-        """Read a batch of rows and act at the first that asks for it; later rows of the batch are then void."""
+        """Read a batch of rows and act at the first that asks for it; later rows of it are then void."""
         windowed, point = arrived.windows[0], self.explainer.bank.point
         if windowed is None or point is None:
             return Outcome.warming(arrived.index, self.settings.rig.q)
@@ -205,7 +205,7 @@ class SlidingEstimator:
         return self._centred(record, batch, stop) if waits else stop, False
 
     def _next_event(self, batch: _Batch, start: int) -> int:
-        """Return the first row from `start` on at which something is to be done; the number of rows if none."""
+        """Return the first row from `start` on where something is to be done; the number of rows if none."""
         if not self.explainer.faults.is_active:
             return self._first_event(batch, start)
         if batch.sound[start] and not batch.agrees[start]:
@@ -225,7 +225,7 @@ class SlidingEstimator:
         return [None if windowed is None else read(windowed, point, samples) for samples, windowed in each]
 
     def _still(self, record: Record, index: IntArray) -> BoolArray:
-        """(N,) windows that end at samples `index` which teach nothing: codes rest, or show nothing but noise."""
+        """(N,) windows that end at samples `index` which teach nothing: codes rest, or show only noise."""
         window, known = self.settings.plan.window, self.explainer.known
         rests = np.asarray(record.changes_in(index, window) < min(tuning.LEAST_CHANGES, window // 8))
         if known is None or not known.noise.is_started or not len(index):
@@ -241,7 +241,7 @@ class SlidingEstimator:
         return np.asarray(record.lost_in(index, window) > MOST_LOST * window)
 
     def _decide(self, record: Record, reading: Reading, i: int, broken: bool) -> bool:
-        """Tell spikes from blows among the suspect inputs due at a row; return whether the bank runs again."""
+        """Tell spikes from blows among suspect inputs due at a row; return whether the bank runs again."""
         newest = int(reading.index[i])
         self.explainer.doubts.lapse(newest - self.settings.plan.window)
         due = self.explainer.doubts.due(newest, self.settings.plan.window)
@@ -268,7 +268,7 @@ class SlidingEstimator:
         return Found(places, values + moved, covariance, whole.lost_sd)
 
     def _centred(self, record: Record, batch: _Batch, stop: int) -> int:
-        """Move the point to what the longest window says that is too sharp for it; return how many rows stand."""
+        """Move the point to what the longest window, too sharp for it, says; return how many rows stand."""
         for found in reversed(batch.longer):
             if found is None:
                 continue
@@ -302,7 +302,7 @@ class SlidingEstimator:
         )
 
     def _meet(self, record: Record, batch: _Batch, i: int) -> bool:
-        """Decide about spikes and solve, learn or explain at row i; return whether the bank moved or runs again."""
+        """Decide on spikes and solve, learn or explain at row i; return whether the bank moved or reruns."""
         if self._decide(record, batch.reading, i, bool(batch.broken[i])):
             return True
         mute = batch.hollow | batch.still
@@ -310,7 +310,7 @@ class SlidingEstimator:
         return bool(calls[i]) and self._act(record, batch.reading, i, batch.broken)
 
     def _mark(self, record: Record, batch: _Batch, stop: int) -> None:
-        """Write on the rows up to `stop` what broke them: a change for a window's length after its onset, a mismatch.
+        """Write on rows up to `stop` what broke them: a change for a window's length after onset, a mismatch.
 
         Filled beside them: the sample at which the last stretch of broken rows before each of them ended.
         """

@@ -1,4 +1,4 @@
-"""Several windows: each estimate is of the shortest one that is sharp enough, among those that hold no change."""
+"""Several windows: each estimate is of the shortest one sharp enough, among those that hold no change."""
 
 from dataclasses import replace
 

@@ -51,7 +51,7 @@ def responses(discrete: Discrete, omega: FloatArray) -> tuple[ComplexArray, Comp
 
 
 def line_information(discrete: Discrete, omega: FloatArray, column: int, sigma: FloatArray) -> FloatArray:
-    """Return the information (F, q, q) a sample of a unit of power of one input; sigma (p,) noise of the outputs."""
+    """Return the information (F, q, q) a sample of unit power of one input; sigma (p,) output noise."""
     S = responses(discrete, omega)[1][..., column] / sigma
     return np.asarray(np.einsum("fkp,flp->fkl", S.conj(), S).real)
 

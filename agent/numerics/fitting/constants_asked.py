@@ -71,7 +71,7 @@ class ConstantsAsked:
     complete: Callable[[FloatArray, FloatArray], FloatArray]
 
     def find(self, v: FloatArray) -> tuple[float, Sequence[Asked]]:
-        """Return what readings v (N, c), inputs first, leave as they are, and what explains them, the best first."""
+        """Return what readings v (N, c), inputs first, leave as is, and what explains them, best first."""
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         noise = np.maximum(sensor_noise(y), 1e-12 * np.abs(y).max(axis=0) + 1e-300)
         rms = np.maximum(np.sqrt(np.mean(y**2, axis=0)), 1e-300)

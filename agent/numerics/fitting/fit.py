@@ -1,4 +1,4 @@
-"""One window, fitted alone: Gauss-Newton by output error, begun with unknown forces that may explain everything.
+"""One window, fitted alone: Gauss-Newton by output error, begun with unknown forces that may explain all.
 
 With forces on every mass the problem is nearly the equation error's, which is linear in springs and dampers,
 so that a start far away does no harm; without them it is the maximum likelihood under white sensor noise
@@ -126,7 +126,7 @@ def _descended(
 
 
 def _anchored(at: _Point, anchor: FloatArray) -> _Point:
-    """Return a point whose step knows that parameters lie about where the fit began, delays and offsets of 0 aside."""
+    """Return a point whose step knows parameters lie near the fit's start, delays and offsets of 0 aside."""
     precision = inverse(at.covariance)
     held = np.diag(np.where(anchor != 0, FARTHEST**-2, 0.0))
     covariance = inverse(precision + held)
@@ -191,7 +191,7 @@ def _covariance(problem: Problem, cells: Cells) -> ComplexArray:
 
 
 def _directions(problem: Problem, response: Response, window: Window, *, pushed: bool) -> ComplexArray:
-    """Return (C, p, d) what forces add to the outputs, each as much as the outputs hold; nothing when not pushed."""
+    """Return (C, p, d) what forces add to the outputs, each as much as these hold; nothing if not pushed."""
     if not pushed:
         return np.zeros((len(response.z), len(problem.sigma), 0), dtype=complex)
     H = response.CR @ (problem.period_s * problem.push)
@@ -201,7 +201,7 @@ def _directions(problem: Problem, response: Response, window: Window, *, pushed:
 
 
 def sized(scale: FloatArray, column: IntArray | None, v: FloatArray) -> FloatArray:
-    """Return sizes (q,) of parameters; offsets, whose scale is NaN, have that of their column of v (N, p + m)."""
+    """Return sizes (q,) of parameters; offsets, with scale NaN, have that of their column of v (N, p + m)."""
     rms = np.sqrt(np.mean(v**2, axis=0))
     own = rms[np.zeros(len(scale), dtype=np.int64) if column is None else np.minimum(column, len(rms) - 1)]
     return np.where(np.isfinite(scale), scale, np.where(own > 0, own, 1.0))

@@ -47,7 +47,7 @@ def window_information(discrete: Discrete, x0: FloatArray, u: FloatArray, sigma:
 
 
 def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> PredictedSd:
-    """Return the sds to expect of a window at nominal; x0 (n,) shifted state, u (W, m) the measured inputs, in SI."""
+    """Return a window's expected sds at nominal; x0 (n,) shifted state, u (W, m) measured inputs, in SI."""
     at = sampled(rig, rig.nominal, np.zeros(rig.masses))
     states = _run(at.A, (u @ at.B.T)[None], x0[None])[0]
     columns = _parameters(at.A, at.C, (at.dA, at.dB, at.dC, at.dD), states, u)
@@ -127,7 +127,7 @@ def _sensor(rig: Rig, at: Sampled, constant: Constant, states: FloatArray, u: Fl
 
 
 def _information(columns: FloatArray, free: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return the information (k, k) of columns (k, W, p) with those of the initial state, (n, W, p), projected out."""
+    """Return the information (k, k) of columns (k, W, p) with the initial state's (n, W, p) projected out."""
     psi = (columns / sigma).reshape(len(columns), -1).T
     gamma = (free / sigma).reshape(len(free), -1).T
     length = np.linalg.norm(gamma, axis=0)

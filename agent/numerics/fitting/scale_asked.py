@@ -1,4 +1,4 @@
-"""How many times too large a channel reads if the nominal model is right, roughly: a first guess for a search."""
+"""How many times too large a channel reads if the nominal model is right, roughly: a search's first guess."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ LEAST, MOST = 1e-9, 1e9
 
 
 def factor_of_output(sampled: Discrete, y: FloatArray, u: FloatArray, output: int) -> float | None:
-    """Return the factor of one of the outputs y (N, p) under all of the model's inputs u (N, m); None if unclear.
+    """Return the factor of one output of y (N, p) under all of the model's inputs u (N, m); None if unclear.
 
     The initial state and 1 / factor are fitted by linear least squares, the parameters as they are.
     """
@@ -21,7 +21,7 @@ def factor_of_output(sampled: Discrete, y: FloatArray, u: FloatArray, output: in
 
 
 def factor_of_input(sampled: Discrete, y: FloatArray, u: FloatArray, without: FloatArray) -> float | None:
-    """Return the factor of an input that is zero in `without` (N, m) and is not in u; else as `factor_of_output`."""
+    """Return the factor of an input zero in `without` (N, m) and not in u; else as `factor_of_output`."""
     rest = _forced(sampled, without)
     return _factor(sampled, y, y - rest, _forced(sampled, u) - rest)
 

@@ -26,7 +26,7 @@ MOST_FITS = 8
 """Fits at most; a delay of a third of the fastest period needs five."""
 DELAY_SCALE_S = 0.01
 MOTION_SEEN = 30.0
-"""Times what chance alone explains by the unknowns: a stretch of which the model explains no more tells no delay."""
+"""Times what chance explains by the unknowns: a stretch that the model explains no better tells no delay."""
 CLOSE = 0.05
 """Of its sd: a delay that moved by less is found."""
 
@@ -40,7 +40,7 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class DelayedModel:
-    """A model whose groups of channels are read late; theta is the model's own, then a delay (s) for each group.
+    """A model whose groups of channels are read late; theta is the model's own, then a delay (s) per group.
 
     Its inputs are the model's, then the rates of change of its first `rates` ones.
     """

@@ -1,4 +1,4 @@
-"""Which channel is wired, signed or scaled wrongly, told by the model: what would explain the readings far better?
+"""Which channel is wired, signed or scaled wrongly, told by the model: what explains the readings far better?
 
 Each hypothesis mends the readings (two channels exchanged, one turned round, one divided by a factor) and
 fits the model to them; what it leaves of each output is compared, as a share of that output, so that no unit
@@ -24,13 +24,13 @@ from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import FloatArray, IntArray
 
 FACTORS = (2.0, 10.0, 100.0, 1000.0, 1e6, 25.4, 39.3700787, 9.80665, 4.4482216)
-"""How many times too large a reading may be, or too small: twice, prefixes, inches, kilograms and pounds of force."""
+"""How many times too large or small a reading may be: twice, prefixes, inches, kilogram- and pound-force."""
 BETTER = 2.0
-"""A hypothesis must leave less than this part of what the readings as they are leave, over all outputs together."""
+"""A hypothesis must leave less than this part of what the readings as they are leave, over all outputs."""
 NEAR = 1.1
 """Explanations that leave no more than this many times what the best one leaves cannot be told from it."""
 WORTH = 3.0
-"""Explanations that leave more than this many times what the best one leaves of one stretch are not tried further."""
+"""Explanations that leave over this many times what the best leaves of a stretch are not tried further."""
 EXPLAINED = 0.5
 """Share of an output that an explanation may leave at most."""
 FITS = 1.5
@@ -127,7 +127,7 @@ class Examiner:
     progress: Callable[[int, int], None] = field(default=lambda _done, _all: None)
 
     def examine(self, stretches: Sequence[FloatArray]) -> Finding | None:
-        """Return what is suspected of stretches of readings (N, c), inputs first; one fault at a time, None if none."""
+        """Return one suspected fault of stretches of readings (N, c), inputs first; None if none."""
         moving = [v for v in stretches if self._moves(v)]
         return self._finding(moving) if moving else None
 
@@ -163,7 +163,7 @@ class Examiner:
         return Finding(tuple(t.hypothesis for t in near), plain.left, best.left)
 
     def _oddity(self, trial: Trial) -> float:
-        """How far the springs and dampers of an explanation lie from nominal; the likelier explanation has less."""
+        """How far an explanation's springs and dampers lie from nominal; the likelier one has less."""
         return float(np.abs(self._ratios(trial.theta)).mean())
 
     def _ratios(self, theta: FloatArray) -> FloatArray:
@@ -186,7 +186,7 @@ class Examiner:
         return bool(np.all(plain.share <= np.maximum(FITS * stated / rms, LEAST_SHARE)))
 
     def _candidates(self, v: FloatArray) -> Iterator[Hypothesis]:
-        """Every exchange, and for each channel the signs and factors near what the nominal model asks of it."""
+        """Every exchange, and for each channel signs and factors near what the nominal model asks of it."""
         count = v.shape[1]
         if count < 2:
             return  # a single channel has nothing to contradict it
@@ -200,7 +200,7 @@ class Examiner:
                     yield Hypothesis("scale", (channel,), factor)
 
     def _asked(self, v: FloatArray, channel: int) -> float | None:
-        """How many times too large a channel is if the nominal model is right, roughly; None where that is unclear."""
+        """How many times too large a channel is if the nominal model is right, roughly; None if unclear."""
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         sampled = discretise(self.model.continuous(self.model.nominal), self.period_s, self.hold)
         if channel >= self.inputs:
@@ -222,7 +222,7 @@ class Examiner:
         return Trial(hypothesis, np.where(np.isfinite(share), share, np.inf), theta)
 
     def _left(self, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return sums of squares left of each output and of the output itself (p,), and the parameters there."""
+        """Return sums of squares (p,) of output residuals and of outputs, and the parameters there."""
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         power = np.sum(y**2, axis=0)
         # no output is weighed more than a thousand times its size, or its noise alone would decide

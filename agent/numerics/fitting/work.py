@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 EVALUATION = 1500
-"""What one evaluation of a window costs whatever its length (gain, lifted filters), in samples of normal work."""
+"""What one evaluation of a window costs at any length (gain, lifted filters), in samples of normal work."""
 
 
 @dataclass(slots=True)
 class Work:
-    """Work done so far in this process, in samples of normal work; what it grows by is what was done meanwhile."""
+    """Work done so far in this process, in samples of normal work; its growth is what was done meanwhile."""
 
     done: int = 0
 

@@ -1,1 +1,1 @@
-"""Identification: springs, dampers, dry friction and masses from motion alone, before any nominal is known."""
+"""Identification: springs, dampers, dry friction and masses from motion alone, before nominal is known."""

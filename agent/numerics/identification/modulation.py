@@ -55,7 +55,7 @@ class Modulation:
         return np.asarray(self.period_s * np.array(rows), dtype=np.complex128)
 
     def _window(self) -> FloatArray:
-        """(order + 1, length) w and its derivatives, from the cosines that an even power of a sine is made of."""
+        """(order + 1, length) w and its derivatives, from the cosines of an even power of a sine."""
         power = 2 * (self.order // 2 + 1)
         k = np.arange(-power // 2, power // 2 + 1)
         weight = np.array([(-1.0) ** abs(j) * comb(power, power // 2 + j) for j in k.tolist()]) / 2.0**power

@@ -24,7 +24,7 @@ from agent.types import FloatArray, IntArray
 TAUGHT = 3
 """Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
 FARTHEST = 10.0
-"""Standard deviations of its data sheet that a constant may move: beyond, it is the graph that does not fit."""
+"""Standard deviations of its data sheet that a constant may move: beyond, the graph does not fit."""
 MOST_STEPS, RESTS_SD = 8, 0.05
 """Steps, and the step in standard deviations at which they end."""
 Progress = Callable[[str], None]
@@ -32,7 +32,7 @@ Progress = Callable[[str], None]
 
 @dataclass
 class Costs:
-    """What each window says of deviations d = (parameters in `unit`, constants) from a point: dᵀ H d - 2 hᵀ d.
+    """What windows say of deviations d = (parameters in `unit`, constants) from a point: dᵀ H d - 2 hᵀ d.
 
     Attributes:
         theta, unit: (q,) the point, and what a deviation of 1 means.
@@ -91,7 +91,7 @@ def pooled(
     floor: FloatArray,
     progress: Progress,
 ) -> Pooled:
-    """Estimate from disjoint windows of one length, begun at the rig's nominal; sigma, spread, floor (p,) of its noise.
+    """Estimate from disjoint windows of one length, begun at nominal; sigma, spread, floor (p,) of noise.
 
     progress: is called with words for how far it is.
     """
@@ -123,7 +123,7 @@ def pooled(
 def costs_of(
     rig: Rig, windows: Sequence[Window], said: Pooled, theta: FloatArray, floor: FloatArray
 ) -> tuple[Costs, float]:
-    """Return what each window says about theta (q,) of a rig with more parameters than `said` is of, and the scatter.
+    """Return what windows say of theta (q,) of a rig with more parameters than `said` is of, and the scatter.
 
     The noise is that which was learnt with fewer; constants stand where they were found.
     """
@@ -145,7 +145,7 @@ def _bounded(step: FloatArray, theta: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Sum:
-    """The windows' costs added up at one point: step and covariance in units of the parameters, then the constants."""
+    """The windows' costs added at one point: step and covariance in units of parameters, then constants."""
 
     unit: FloatArray
     step: FloatArray

@@ -21,7 +21,7 @@ LEVEL = 0.02
 RIDGE = 1e-12
 """Of what is known of a parameter: what no window shows would have no answer without."""
 TIE = 2.0
-"""Difference of scores, natural logarithms, below which two graphs are near one another: odds of seven to one."""
+"""Difference of scores, natural logarithms, below which two graphs are close: odds of seven to one."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Selector:
         return self._known[key]
 
     def best(self) -> Choice:
-        """Drop elements from all, the least certain first, until each is certain; then take back what is certain."""
+        """Drop elements from all, least certain first, until each is certain; then re-add what is certain."""
         kept = np.ones(len(self.elective), dtype=bool)
         while (weakest := self._weakest(kept)) is not None:
             kept[weakest] = False
@@ -106,7 +106,7 @@ class Selector:
         return i if z >= self.needed else None
 
     def _at(self, kept: BoolArray) -> tuple[BoolArray, FloatArray]:
-        """Return which deviations are free (q + c,), and all of them with the others where the elements are 0."""
+        """Return which deviations are free (q + c,), and all with the others where the elements are 0."""
         constants = len(self._costs.offset) - len(kept)
         free = np.concatenate([kept, np.ones(constants, dtype=bool)])
         return free, np.concatenate([-self._costs.theta / self._costs.unit, np.zeros(constants)])
@@ -155,5 +155,5 @@ def _solved(H: FloatArray, h: FloatArray) -> FloatArray:
 
 
 def _variances(H: FloatArray) -> FloatArray:
-    """Return the diagonal of H⁻¹ (n, n): columns differ by their units, and a pseudo-inverse would drop small ones."""
+    """Return the diagonal of H⁻¹ (n, n): columns differ in units, so a pseudo-inverse drops small ones."""
     return np.diagonal(_solved(np.broadcast_to(H, (len(H), *H.shape)), np.eye(len(H)))).copy()

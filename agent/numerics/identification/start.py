@@ -29,7 +29,7 @@ STILL = 1.5
 
 
 def hidden(model: MassSpringDamper) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the parameters that no equation with measured motion only holds, and the nodes that nothing measures."""
+    """Return the parameters that no equation with measured motion only holds, and the unmeasured nodes."""
     sensing = Sensing.of(model)
     usable = usable_nodes(model, sensing)
     s = model.structure
@@ -46,7 +46,7 @@ def start(
     sigma: FloatArray,
     *, straight: bool, standing: bool,
 ) -> FloatArray:  # fmt: skip
-    """Return the parameters (q,) of records (y (N, p), u (N, m), the signs of frictions last); sigma (p,): sensor sds.
+    """Return parameters (q,) of records (y (N, p), u (N, m), friction signs last); sigma (p,): sensor sds.
 
     Raises ValueError where no piece is long enough.
     """
@@ -75,7 +75,7 @@ def _joined(
 
 
 def _stretches(samples: int, scales: Sequence[int]) -> Iterator[slice]:
-    """Yield stretches, half over one another, of so many samples divided by each scale; none that is too short."""
+    """Yield stretches, half overlapping, of so many samples divided by each scale; none that is too short."""
     lengths = [samples // scale for scale in scales]
     for length in (length for length in lengths if length >= SHORTEST):
         for first in range(0, samples - length + 1, max(1, length // 2)):
@@ -85,7 +85,7 @@ def _stretches(samples: int, scales: Sequence[int]) -> Iterator[slice]:
 def still(
     model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], sigma: FloatArray
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the elements that nothing stretches, and the nodes that do not move beyond their sensors' noise."""
+    """Return the elements that nothing stretches, and nodes that do not move beyond their sensors' noise."""
     sensing = Sensing.of(model)
     s = model.structure
     names = [mass.name for mass in s.masses]
@@ -105,7 +105,7 @@ def still(
 
 @dataclass
 class _Solver:
-    """The weak form of all stretches: equations, sensors, transforms `at`, variances (v,) of the sensors' noise."""
+    """The weak form of all stretches: equations, sensors, transforms `at`, variances (v,) of sensor noise."""
 
     equations: Equations
     sensing: Sensing
@@ -130,14 +130,14 @@ class _Solver:
         return np.asarray(theta[:q])
 
     def _scattered(self) -> FloatArray:
-        """(b, v) variance that the sensors' noise gives the transforms of the measured nodes' displacements."""
+        """(b, v) variance that sensor noise gives the transforms of the measured nodes' displacements."""
         r = self.sensing.highest
         lowest = float(np.min(self.at.omega[self.at.omega > 0]))
         w = np.maximum(self.at.omega, lowest)[:, None]
         return np.asarray(self.noise * self.at.energy[:, None] * w ** (2.0 * (r - self.sensing.order)))
 
     def _first_weight(self) -> ComplexArray:
-        """N (b, n, n) before anything is known: of masses, and of stiffness as large at the motion's own frequency."""
+        """N (b, n, n) before anything is known: of masses and equal stiffness at the motion's frequency."""
         power = np.abs(self.at.motion[0]) ** 2
         rows = self.equations.usable
         w = self.at.omega
@@ -186,7 +186,7 @@ class _Solver:
     def _solved(
         self, Z: ComplexArray, P: ComplexArray, b: ComplexArray, N: ComplexArray, *, compensated: bool
     ) -> FloatArray:
-        """Return the unknowns from Re Zᴴ N⁻¹ (P θ - b) = 0, what noise adds to the columns' products taken out."""
+        """Return the unknowns from Re Zᴴ N⁻¹ (P θ - b) = 0, noise in the columns' products taken out."""
         W: ComplexArray = np.asarray(np.linalg.inv(N), dtype=np.complex128)
         A = np.einsum("bnc,bnm,bmd->cd", Z.conj(), W, P, optimize=True).real
         g = np.einsum("bnc,bnm,bm->c", Z.conj(), W, b, optimize=True).real

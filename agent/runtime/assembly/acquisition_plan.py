@@ -64,13 +64,13 @@ def channels_of(config: RigConfig) -> list[Channel]:
 
 
 def reference_source(config: RigConfig) -> Source | None:
-    """Return the source whose samples make rows: the one of the first input, else the first; None without sources."""
+    """Return the source whose samples make rows: the first input's, else the first; None without sources."""
     first = config.inputs[0].name if config.inputs else ""
     return next((s for s in config.source if first in s.map), config.source[0] if config.source else None)
 
 
 def configured_delays(config: RigConfig) -> FloatArray:
-    """Return how late each channel is read (c,), s: its own delay, and the skew of its source where that is given."""
+    """Return how late each channel is read (c,), s: its own delay, plus its source's skew where given."""
     given = {name: s.skew_s for s in config.source for name in s.map if isinstance(s.skew_s, float)}
     return np.array([channel.delay_s + given.get(channel.name, 0.0) for channel in channels_of(config)])
 
@@ -120,7 +120,7 @@ def _watch(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatAr
 def complete_inputs(
     config: RigConfig, resolution: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return what makes all of the model's inputs of outputs and measured inputs: signs of dry friction, the 1."""
+    """Return what makes all model inputs of outputs and measured inputs: signs of dry friction, the 1."""
     model = rig_model(config).model
     return _Complete(friction_inputs(config, resolution), model.continuous(model.nominal).m)
 
@@ -139,7 +139,7 @@ class _Complete:
 
 
 def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewMeter:
-    """Return what measures the skews of groups of channels; resolution (p,) is that of the outputs' wires, SI."""
+    """Return what measures the skews of channel groups; resolution (p,) is that of the outputs' wires, SI."""
     rig = rig_model(config)
     inputs = len(config.inputs)
     nominal = rig.model.nominal
@@ -161,7 +161,7 @@ def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: Flo
 
 
 def stretch_samples(config: RigConfig) -> tuple[int, int]:
-    """Return how long a stretch that tells a skew is at first, as the shortest window, and at most, half a period."""
+    """Return how long a stretch that tells a skew is: first the shortest window, at most half a period."""
     model, rate = rig_model(config).model, config.rig.sample_rate_hz
     speeds = np.abs(modes(model.continuous(model.nominal), 1.0 / rate))
     slowest = float(np.min(speeds[speeds > 1e-9 * speeds.max()], initial=speeds.max()))

@@ -1,4 +1,4 @@
-"""Whether a rig's channels show its states and let its parameters be told apart; what `run` and `replay` insist on."""
+"""Whether a rig's channels show its states and tell its parameters apart; what `run` and `replay` require."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -103,7 +103,7 @@ def _silent_advice(rig: RigModel, measured: int, number: int) -> str:
 
 
 def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Identifiability) -> str:
-    """Say what would separate a blend: another measurement, a known load or length, or fixing one of its parameters."""
+    """Say what would separate a blend: another measurement, a known load or length, or fixing a parameter."""
     chosen = [p for p, change in zip(rig.parameters, blend, strict=True) if change]
     ways = []
 
@@ -124,7 +124,7 @@ def _blend_advice(config: RigConfig, rig: RigModel, blend: FloatArray, found: Id
 
 
 def _side_by_side(rig: RigModel, names: set[str]) -> bool:
-    """Tell whether some springs, or some dampers, of these names join the same two nodes: they always move alike."""
+    """Tell whether springs, or dampers, of these names join the same two nodes: they always move alike."""
     mechanics = mechanics_of(rig.model)
     if mechanics is None:
         return False
@@ -150,7 +150,7 @@ def _measuring(rig: RigModel, helped: Callable[[Model], bool]) -> str:
 
 
 def further_outputs(rig: RigModel) -> list[tuple[str, Model]]:
-    """Return the masses whose displacement, or the states that, could be measured as well, each with that model."""
+    """Return masses whose displacement, or states that, could also be measured, each with that model."""
     inner = rig.model.model if isinstance(rig.model, SensedModel) else rig.model
     if isinstance(inner, AffineModel):
         states = enumerate(inner.state_names)

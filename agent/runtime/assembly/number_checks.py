@@ -1,4 +1,4 @@
-"""Whether a rig can be computed with: its model is a number, an observer of it exists, its windows fit into memory."""
+"""Whether a rig can be computed: its model is a number, an observer exists, its windows fit into memory."""
 
 from collections.abc import Callable, Iterator
 from typing import TypeVar
@@ -67,5 +67,8 @@ def _window_faults(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     longest = max(windows_s(config)) * config.rig.sample_rate_hz
     most = most_samples(len(config.outputs), len(rig.parameters) + len(rig.model.state_names))
     if longest > most:
-        what = f'"auto" comes to {longest:.3g} samples, which take about {longest / most * MOST_GB:.2g} GB of memory'
+        what = (
+            f'"auto" comes to {longest:.3g} samples, '
+            f"which take about {longest / most * MOST_GB:.2g} GB of memory"
+        )
         yield Fault("estimator.window_s", what, "give the length in seconds")

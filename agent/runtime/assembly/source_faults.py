@@ -10,7 +10,7 @@ from drivers.port import DriverConfigError, SourceRequest
 
 
 def source_error(configs: Sequence[RigConfig], error: DriverConfigError) -> ConfigError:
-    """Return a driver's error with the key paths of all sources that cannot work, led by the file where several are."""
+    """Return a driver's error with the key paths of all faulty sources, led by the file where several are."""
     led = [(f"{config.file}: " if len(configs) > 1 else "", config) for config in configs]
     faults = [
         Fault(lead + fault.path, fault.message, fault.advice) for lead, c in led for fault in source_faults(c)

@@ -1,4 +1,4 @@
-"""Stages of one rig that know its samples: quality, dry friction, estimation, channels, constants; made anew together.
+"""Stages that know a rig's samples: quality, dry friction, estimation, channels, constants; remade together.
 
 A failure in one of them costs what all of them know, and nothing that stands before or behind them.
 """

@@ -1,1 +1,1 @@
-"""Forecasts of a database's histories: made for whoever asks, by the agent while it runs, in replays; and scored."""
+"""Forecasts of a database's histories: made on request, by the running agent, in replays; and scored."""

@@ -21,7 +21,7 @@ BEFORE_NS = 5 * 86_400 * 10**9
 
 @dataclass(frozen=True, slots=True)
 class Compensated:
-    """Rows of a parameter, the covariates that were taken out of them, and how many rows those are unknown at."""
+    """Rows of a parameter, the covariates taken out of them, and how many rows those are unknown at."""
 
     points: Points
     covariates: tuple[str, ...] = ()
@@ -29,7 +29,7 @@ class Compensated:
 
 
 def compensated(db: Path, points: Points) -> Compensated:
-    """Return rows with what a standing baseline says of covariates taken out; as they are where it says nothing.
+    """Return rows with what a standing baseline says of covariates removed; unchanged where it says nothing.
 
     Rows at which a covariate is not known are less well known. Raises StoreError.
     """

@@ -1,4 +1,4 @@
-"""Histories of a parameter in a database or of a table, what like machines teach, and a forecast as a document."""
+"""Histories of a parameter in a database or table, what like machines teach, and a forecast as a document."""
 
 import json
 import math
@@ -28,7 +28,7 @@ _LATEST_NS = 253_402_300_799 * 10**9
 
 
 def history_of(points: queries.Points, window_s: float) -> History:
-    """Return the rows that share no samples and are no outliers, or means of runs of them; t in days before now."""
+    """Return rows without shared samples or outliers, or means of runs of them; t in days before now."""
     rows = disjoint(points.t_ns, np.maximum(points.span_s, window_s))
     if not len(rows):
         return History(np.empty(0), np.empty(0), np.empty(0))
@@ -109,7 +109,7 @@ def forecast_document(
     history: History, newest_ns: int, limit: float | None, horizon: float | None, like: Learnt | None,
     past: Sequence[Row] = (), effort: Effort = FULL,
 ) -> dict[str, Any] | None:  # fmt: skip
-    """Return a forecast as it stands in JSON, beside those made in the past; None without a limit or a row."""
+    """Return a forecast as it stands in JSON, beside those made in the past; None without a limit or row."""
     if limit is None or not len(history):
         return None
     found = forecast(history, limit, horizon, like, effort)

@@ -172,7 +172,7 @@ def _way(rule: Alarm, reference: float) -> float:
 
 
 def _side(rule: Alarm, asked: Change | None, delta: float) -> float:
-    """Return the side on which the limit lies that matters: the one asked for, else that to which it moves."""
+    """Return the side on which the limit that matters lies: the one asked for, else that it moves to."""
     if rule.side != "both":
         return -1.0 if rule.side == "low" else 1.0
     moves = delta if asked is None else asked.newest

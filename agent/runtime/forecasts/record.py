@@ -38,7 +38,7 @@ def _is_good(row: Row) -> bool:
 
 
 def _horizon_s(reached: Sequence[Row]) -> float | None:
-    """Return the prognostic horizon (Saxena et al. 2010) of the newest passage; None where no median became good."""
+    """Return the newest passage's prognostic horizon (Saxena et al. 2010); None if no median became good."""
     newest = max((row["crossed_ns"] for row in reached), default=None)
     good = None
     for row in reversed([row for row in reached if row["crossed_ns"] == newest]):

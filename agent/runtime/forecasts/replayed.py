@@ -1,4 +1,4 @@
-"""Forecasts of a replay: made in the time of its samples, of the rows up to then and of none that come later."""
+"""Forecasts of a replay: made in the time of its samples, of the rows up to then and none that come later."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property

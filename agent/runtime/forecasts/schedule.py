@@ -26,7 +26,7 @@ class Schedule:
         self._alarmed: dict[str, int] = {}
 
     def due(self, now_ns: int) -> list[int]:
-        """Return the instants up to now at which forecasts are due; the first is one time after the first call."""
+        """Return instants up to now when forecasts are due; the first is one time after the first call."""
         if self._every_ns is None:
             return []
         if self._due_ns is None:
@@ -36,7 +36,7 @@ class Schedule:
         return [first + i * self._every_ns for i in range(max(0, count - _MOST), count)]
 
     def at_alarms(self, records: Iterable[Record], now_ns: int | None = None) -> list[tuple[int, str]]:
-        """Return when level alarms changed, and of which parameters; not those that changed a moment ago as well."""
+        """Return when level alarms changed, and of what; not those that changed a moment ago as well."""
         found = []
         steps = [
             record for record in records if isinstance(record, AlarmTransition) and record.kind == "level"

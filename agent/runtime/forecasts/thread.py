@@ -15,7 +15,7 @@ from agent.runtime.forecasts.making import Forecaster, Made
 SETTLE_S = 2.0
 """How long after it was asked a forecast is begun, so that the rows that led to it are stored."""
 _NICER = 5
-"""Less priority than the agent's other threads, in steps of nice(2). At the lowest this thread would be put aside
+"""Less priority than the agent's other threads, in steps of nice(2). At the lowest it would be put aside
 while it holds the interpreter's lock, and a thread that reads a bus would wait for it."""
 _MOST_WAITING = 64
 """What was made and not fetched; the oldest goes."""

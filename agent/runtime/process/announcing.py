@@ -13,7 +13,7 @@ logging.addLevelName(_ALARM, "ALARM")
 
 
 def announce(step: AlarmTransition) -> None:
-    """Log a transition, at a level that is always shown; what a suppressed alarm's condition does is not announced."""
+    """Log a transition at a level always shown; what a suppressed alarm's condition does is not announced."""
     if step.from_state == step.to_state and step.to_state in SUPPRESSED:
         return
     log.log(_ALARM, "%s", line_of(step))

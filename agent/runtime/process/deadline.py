@@ -9,7 +9,7 @@ _ON_ITS_WAY_S = 0.5
 
 
 class OverdueError(BaseException):
-    """Raised amid what is computed when there is no more time; like KeyboardInterrupt it passes `except Exception`."""
+    """Raised amid computing when the time is over; like KeyboardInterrupt it passes `except Exception`."""
 
 
 class Deadline:
@@ -35,7 +35,7 @@ class Deadline:
             timer.cancel()
 
     def within(self, act: Callable[[], object]) -> bool:
-        """Do something unless the time is over; False where it was not begun, or was broken off and is half done."""
+        """Do something unless the time is over; False where it was not begun, or broken off half done."""
         try:
             if not self._enter():
                 return False

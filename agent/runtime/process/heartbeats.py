@@ -24,7 +24,7 @@ class Thread(NamedTuple):
 
 @dataclass(slots=True)
 class Beat:
-    """What is known of one thread: its progress, when that last grew (monotonic, ns), for how long it has not, s."""
+    """State of one thread: its progress, when that last grew (monotonic, ns), for how long it has not, s."""
 
     progress: int
     last_ns: int
@@ -57,7 +57,7 @@ class Heartbeats:
         self.beats: dict[str, Beat] = {}
 
     def look(self, now_ns: int) -> list[str]:
-        """Take note of every thread's progress at a monotonic instant; return the names of those that stall."""
+        """Note every thread's progress at a monotonic instant; return the names of those that stall."""
         passed_s = 0.0 if self._looked_ns is None else (now_ns - self._looked_ns) / 1e9
         self._looked_ns = now_ns
         counted_s = min(passed_s, 2 * self._period_s)

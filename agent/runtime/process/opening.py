@@ -38,7 +38,7 @@ class Opening(threading.Thread):
             self._over.set()
 
     def done(self, ended: Callable[[], bool]) -> bool:
-        """Wait until all are started; False where the agent `ended` before. Raises what starting one raised."""
+        """Wait until all are started; False if the agent `ended` before. Raises what starting one raised."""
         while not self._over.wait(_LOOK_S):
             if ended():
                 return False

@@ -23,7 +23,7 @@ class ServiceManager:
         """How often WATCHDOG=1 must come at least, s; None where nobody waits for it."""
 
     def say(self, **fields: object) -> None:
-        """Send fields, such as READY=1, as one message; a manager that does not listen is no fault of the agent."""
+        """Send fields, such as READY=1, as one message; a manager not listening is no fault of the agent."""
         if not self._address.startswith(("/", "@")):
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address

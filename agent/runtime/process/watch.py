@@ -1,4 +1,4 @@
-"""The thread that watches all others, and feeds the service manager's watchdog while each of them makes progress."""
+"""The thread that watches all others, and feeds the service manager's watchdog while each makes progress."""
 
 import logging
 import threading

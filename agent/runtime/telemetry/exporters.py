@@ -115,7 +115,7 @@ class TextfileExporter:
                 return
 
     def _write(self) -> None:
-        """Write the file under another name first; through a symbolic link in that place nothing is written."""
+        """Write the file under another name first; through a symbolic link there nothing is written."""
         from prometheus_client.exposition import generate_latest
 
         part = self._file.with_name(f"{self._file.name}.part")

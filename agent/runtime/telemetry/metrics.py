@@ -51,7 +51,9 @@ FIGURES: Mapping[str, Figure] = {
         GaugeMetricFamily, "Newest time stamp against the gateway's clock.", ("rig",)
     ),
     "deltak_clock_steps_total": Figure(CounterMetricFamily, "Steps of the gateway's clock.", ("rig",)),
-    "deltak_store_bytes": Figure(GaugeMetricFamily, "Size of a database and what lies beside it.", ("db", "part")),
+    "deltak_store_bytes": Figure(
+        GaugeMetricFamily, "Size of a database and what lies beside it.", ("db", "part")
+    ),
     "deltak_store_spare_bytes": Figure(GaugeMetricFamily, "Free space on its disk.", ("db",)),
     "deltak_store_failing": Figure(GaugeMetricFamily, "1 while it cannot be written.", ("db",)),
     "deltak_store_rows_written_total": Figure(CounterMetricFamily, "Rows acknowledged.", ("db",)),
@@ -62,9 +64,15 @@ FIGURES: Mapping[str, Figure] = {
     "deltak_worker_restarts_total": Figure(
         CounterMetricFamily, "How often a worker process had to be started anew.", ("worker",)
     ),
-    "deltak_thread_silent_seconds": Figure(GaugeMetricFamily, "For how long a thread made no progress.", ("thread",)),
-    "deltak_thread_stalled": Figure(GaugeMetricFamily, "1 where the watchdog is not fed because of it.", ("thread",)),
-    "deltak_thread_progress_total": Figure(CounterMetricFamily, "How often a thread went round.", ("thread",)),
+    "deltak_thread_silent_seconds": Figure(
+        GaugeMetricFamily, "For how long a thread made no progress.", ("thread",)
+    ),
+    "deltak_thread_stalled": Figure(
+        GaugeMetricFamily, "1 where the watchdog is not fed because of it.", ("thread",)
+    ),
+    "deltak_thread_progress_total": Figure(
+        CounterMetricFamily, "How often a thread went round.", ("thread",)
+    ),
 }  # fmt: skip
 _STATES = tuple(status.name.lower() for status in Status)
 _ALARM_STATES = ("UNACK", "ACKED", "SHLVD", "DSUPR", "OOSRV")

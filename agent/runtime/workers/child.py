@@ -1,4 +1,4 @@
-"""A worker: the process that reads the buses of some rigs and computes. `python -m agent.runtime.workers.child SOCKET`.
+"""A worker process that reads some rigs' buses and computes. `python -m agent.runtime.workers.child SOCKET`.
 
 It ends when the agent does, however that ends, and leaves signals to it.
 """
@@ -170,7 +170,7 @@ class Child:
 
 
 def own_part(config: RigConfig) -> RigConfig:
-    """Return a configuration without what only the agent itself does: notifying, forwarding, showing metrics."""
+    """Return a configuration without what only the agent does: notifying, forwarding, showing metrics."""
     return config.model_copy(update={"notify": (), "north": (), "metrics": type(config.metrics)()})
 
 

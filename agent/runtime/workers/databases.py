@@ -1,4 +1,4 @@
-"""Databases of an agent whose rigs run in workers: records are published, runs begun and ended, as workers ask."""
+"""Databases of an agent with rigs in workers: records published, runs begun and ended, as workers ask."""
 
 import logging
 import threading

@@ -1,4 +1,4 @@
-"""A link between two processes of an agent: each says things, and asks for things, without waiting for the other.
+"""A link between two processes of an agent: each says and asks for things without waiting for the other.
 
 What passes is pickled; both ends are the same program, run by the same user, joined by a pair of sockets.
 """

@@ -46,7 +46,7 @@ class Losses:
 
 
 def _between(config: RigConfig, since_ns: int, batch: EstimateBatch) -> int:
-    """Return how many samples passed between a row and the first one of a run, whose first row ends a hop later."""
+    """Return how many samples passed between a row and a run's first, whose first row ends a hop later."""
     instants = (int(batch.t_ns[0]) - since_ns) / 1e9 * config.rig.sample_rate_hz
     return max(0, round(instants) - hop_plan(config).hop)
 

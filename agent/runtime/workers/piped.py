@@ -101,7 +101,7 @@ class PipedWriter:
         keep: Retention,
         commit_s: float,
     ) -> None:
-        """Have runs ended and others begun; what the rigs of other workers ask of the file is the agent's to know."""
+        """Have runs ended and others begun; the agent knows what other workers' rigs ask of the file."""
         del every_s, keep, commit_s
         self._begin(tuple(leaving), tuple(entering))
 

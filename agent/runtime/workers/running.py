@@ -23,9 +23,10 @@ from drivers.port import DriverConfigError
 def run(
     *, configs: Sequence[Path], db: Path | None, duration_s: float | None, kind: RunKind = "live"
 ) -> dict[str, Any]:
-    """Run the agent; return one rig's document, or {"runs": [...]} for several. kind marks the run in the database.
+    """Run the agent; return one rig's document, or {"runs": [...]} for several.
 
-    configs: files, or folders of them. Raises ConfigError, ModelError, StoreError.
+    configs: files, or folders of them. kind: marks the run in the database. Raises ConfigError, ModelError,
+    StoreError.
     """
     keep_heap_small()
 
@@ -59,7 +60,7 @@ def _service(configs: Sequence[RigConfig], db: Path | None, kind: RunKind, rerea
 
 @contextmanager
 def _handled(service: Service) -> Iterator[None]:
-    """Have SIGTERM end a service and SIGHUP reload its configuration; a terminal that is closed still ends it."""
+    """Have SIGTERM end a service and SIGHUP reload its configuration; a closed terminal still ends it."""
     wanted: dict[signal.Signals, Callable[[], object]] = {signal.SIGTERM: service.stop}
     if not os.isatty(0):
         wanted[signal.SIGHUP] = service.reload

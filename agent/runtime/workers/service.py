@@ -1,4 +1,4 @@
-"""The agent where workers compute: it writes what they find, commands them, watches them and starts them anew."""
+"""The agent where workers compute: it writes what they find, commands, watches and restarts them."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -220,7 +220,7 @@ class SpreadService(Service):
         }
 
     def _exchange_over(self, configs: Sequence[RigConfig], places: Places, before: Places) -> set[str]:
-        """Exchange rigs over all workers; returns those that begin. Nothing is touched where something is refused."""
+        """Exchange rigs over all workers; return those that begin. Nothing changes if anything is refused."""
         staying = {number: [c for c in configs if places[c.rig.name] == number
                             and before.get(c.rig.name, number) == number]
                    for number in sorted({*before.values(), *places.values()})}  # fmt: skip

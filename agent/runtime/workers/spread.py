@@ -1,4 +1,4 @@
-"""Which worker runs which rig: rigs that share a source stay together, all else is spread by the samples a second."""
+"""Which worker runs which rig: rigs that share a source stay together, the rest is spread by sample rate."""
 
 import os
 from collections import Counter
@@ -19,7 +19,7 @@ def wanted_workers(configs: Sequence[RigConfig]) -> int:
 
 
 def spread(configs: Sequence[RigConfig], most: int, before: Places) -> dict[str, int]:
-    """Return each rig's worker, of `most`; before: where rigs run now, from which as few as possible are moved."""
+    """Return each rig's worker, of `most`; before: where rigs run now; as few as possible are moved."""
     load: Counter[int] = Counter(dict.fromkeys(range(1, most + 1), 0))
     places: dict[str, int] = {}
     groups = sorted(_groups(configs), key=lambda group: (not _homes(group, before), -_load(group)))

@@ -25,7 +25,7 @@ _OWN: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 """Variables of the environment that are the agent's alone."""
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 _MORE_EXPENDABLE: Final = 200
-"""Added to a worker's score for Linux's killer of those who take too much memory: it goes before the agent."""
+"""Added to a worker's score for Linux's out-of-memory killer: it goes before the agent."""
 
 Acts = Mapping[str, Callable[[Any], Any]]
 
@@ -68,8 +68,9 @@ class Worker:
         self.why, self._beat, self.summaries = "", None, None
         hears: Acts = {RECORDS: self._acts[RECORDS], LEFT: self._acts[LEFT], BEAT: self._note_beat, LOG: _log,
                        DONE: self._note_done}  # fmt: skip
-        self._link = Link(Connection(here.detach()), f"worker {self.number}", hears, {BEGIN: self._acts[BEGIN]},
-                          self._wake)  # fmt: skip
+        self._link = Link(
+            Connection(here.detach()), f"worker {self.number}", hears, {BEGIN: self._acts[BEGIN]}, self._wake
+        )
         self._link.start()
         return self._link.ask(MAKE, order)
 

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - statements are put together from numbers only
-"""Rows of one parameter and baseline whose reference moved within a period, as rows of one series: its middle one."""
+"""Rows of a parameter and baseline whose reference moved within a period, as one series: its middle one."""
 
 import sqlite3
 from collections import defaultdict
@@ -10,7 +10,7 @@ from agent.types import IntArray
 
 
 def merged(connection: sqlite3.Connection, t_ns: IntArray, series: IntArray, length_ns: int) -> IntArray:
-    """Return the series (n,) of rows at t_ns (n,), named so that a period of that length has one a parameter."""
+    """Return the series (n,) of rows at t_ns (n,), named so that each such period has one a parameter."""
     groups = _groups(connection, set(np.unique(series).tolist()))
     within: dict[tuple[object, int], list[tuple[float, int, int]]] = defaultdict(list)
     for place in np.flatnonzero(np.isin(series, list(groups))).tolist():

@@ -16,15 +16,18 @@ MINUTE, HOUR = 60, 3600
 HOUR_NS = HOUR * 1_000_000_000
 _NAMES = columns_of("covariates")
 _LISTED = ", ".join(f"x.{name}" for name in _NAMES)
-_OF_RIG = f"""SELECT {_LISTED} FROM covariates x JOIN runs r ON r.seq = x.run_id JOIN rigs g ON g.seq = r.rig_id
- WHERE g.name = ? AND x.t_ns >= ? AND x.t_ns < ? ORDER BY x.seq"""
-_NEWEST = """SELECT max(x.t_ns) FROM covariates x JOIN runs r ON r.seq = x.run_id JOIN rigs g ON g.seq = r.rig_id
- WHERE g.name = ?"""
-_OLD = f"SELECT {_LISTED} FROM covariates x WHERE x.run_id = ? AND x.span = {MINUTE} AND x.t_ns < ? ORDER BY x.seq"
+_OF_RIG = f"""SELECT {_LISTED} FROM covariates x JOIN runs r ON r.seq = x.run_id
+ JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND x.t_ns >= ? AND x.t_ns < ? ORDER BY x.seq"""
+_NEWEST = """SELECT max(x.t_ns) FROM covariates x JOIN runs r ON r.seq = x.run_id
+ JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ?"""
+_OLD = (
+    f"SELECT {_LISTED} FROM covariates x WHERE x.run_id = ? AND x.span = {MINUTE} AND x.t_ns < ? "
+    "ORDER BY x.seq"
+)
 
 
 def means_of(connection: sqlite3.Connection, rig: str, first_ns: int, last_ns: int) -> list[CovariateMean]:
-    """Return the means of a rig with first_ns <= t < last_ns as they were written; damaged rows are passed over."""
+    """Return the means of a rig with first_ns <= t < last_ns as written; damaged rows are passed over."""
     return list(_sound(rig, connection.execute(_OF_RIG, (rig, first_ns, last_ns))))
 
 
@@ -42,7 +45,7 @@ def _sound(rig: str, rows: Iterable[tuple[Any, ...]]) -> Iterable[CovariateMean]
 
 
 def thin(connection: sqlite3.Connection, take: Take, minute_s: float, hour_s: float) -> None:
-    """Make hours of the minutes that are older than what is kept, and delete hours that are; inside a transaction.
+    """Make hours of minutes older than what is kept, and delete hours that are; inside a transaction.
 
     A run's age is counted back from its newest row.
     """

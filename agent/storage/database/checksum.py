@@ -43,7 +43,7 @@ def _position_tables(width: int) -> tuple[NDArray[np.uint32], int]:
 
 
 def column_crc(*columns: NDArray[np.int64] | NDArray[np.float64], later: int = 0) -> NDArray[np.int32]:
-    """Return the checksum of each row: zlib.crc32 of its columns, 8 bytes each, little-endian, one after the other.
+    """Return the checksum of each row: zlib.crc32 of its columns, 8 bytes each, little-endian, in order.
 
     Args:
         columns: (n,) int64 or float64 each; NULL is float NaN (any NaN counts as the same one).

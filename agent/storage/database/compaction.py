@@ -25,7 +25,7 @@ def remove_left_over(path: Path) -> None:
 
 
 def compact(connection: sqlite3.Connection, path: Path, breaks_off: Callable[[], bool]) -> None:
-    """Give the free pages of an open database back to the disk; needs room for two more copies of it meanwhile.
+    """Give an open database's free pages back to the disk; needs room for two more copies of it meanwhile.
 
     connection: may be interrupted. breaks_off: asked now and then.
 

@@ -36,8 +36,10 @@ _WRITER = (
     "PRAGMA secure_delete = OFF",  # purged pages need not be written once more
     "PRAGMA temp_store = MEMORY",
 )
-_TRANSIENT = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN,
-                        sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED})  # fmt: skip
+_TRANSIENT = frozenset({
+    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED,
+})  # fmt: skip
 
 
 def code_of(error: BaseException) -> int:
@@ -110,7 +112,7 @@ def build(path: Path) -> None:
 
 
 def connect_writer(path: Path) -> sqlite3.Connection:
-    """Open the writing connection; transactions are begun and ended by hand. Raises StoreError for a symbolic link."""
+    """Open the writing connection; transactions are explicit. Raises StoreError for a symbolic link."""
     refuse_links(path)
     with _log_kept(path):
         connection = sqlite3.connect(
@@ -144,7 +146,7 @@ def _log_kept(path: Path) -> Iterator[None]:
 
 
 def _use_log(connection: sqlite3.Connection) -> None:
-    """Set the journal to the write-ahead log; SQLite answers with another mode where a disk refuses, and goes on."""
+    """Set the journal to write-ahead log; SQLite answers another mode where a disk refuses, and goes on."""
     mode = connection.execute("PRAGMA journal_mode = WAL").fetchone()[0]
     if mode != "wal":
         error = sqlite3.OperationalError(f"the journal stays in mode {mode}")

@@ -21,7 +21,7 @@ _FIXED = (
     (44, b"\0\0\0\4"),
     (56, b"\0\0\0\1"),
 )
-"""Header bytes that every file of ours has; SQLite takes some of them, when wrong, for a file it may not write to."""
+"""Header bytes of every file of ours; SQLite takes some, when wrong, for a file it may not write to."""
 _HEAD = 256 * 1024
 _BLOCK = 1024 * 1024
 
@@ -42,7 +42,7 @@ def beside(path: Path, suffix: str) -> Path:
 
 
 def opened(path: Path | str, flags: int, mode: int = 0o640) -> int:
-    """Open a file that the agent makes or writes to, never what a symbolic link there leads to; an `opener` of `open`.
+    """Open a file to make or write, never what a symbolic link there leads to; an `opener` of `open`.
 
     Raises:
         OSError: errno ELOOP where there is such a link.
@@ -65,7 +65,7 @@ def refuse_links(path: Path) -> None:
 
 
 def hand_over(handle: int, like: Path) -> None:
-    """Give a file made by root to the owner of another: what root makes beside a database the agent must open."""
+    """Give a file made by root to another's owner: what root makes beside a database the agent must open."""
     if os.geteuid() == 0:
         owner = like.stat()
         os.fchown(handle, owner.st_uid, owner.st_gid)
@@ -172,7 +172,7 @@ def check_place(path: Path) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise StoreError when permissions forbid to write a database at a path; a read-only disk may be mended."""
+    """Raise StoreError if permissions forbid writing a database at a path; a read-only disk may be mended."""
     folder = path.parent
     forbidden = not os.access(folder, os.W_OK | os.X_OK) and not os.statvfs(folder).f_flag & os.ST_RDONLY
     try:
@@ -253,7 +253,7 @@ def _private(path: str, flags: int) -> int:
 
 
 class Ballast:
-    """A file of no content that is dropped when the disk is full, so that there is room to delete old rows."""
+    """A file of no content, dropped when the disk is full, so that there is room to delete old rows."""
 
     def __init__(self, path: Path) -> None:
         self._file = beside(path, ".ballast")

@@ -46,45 +46,56 @@ ROWS_AT_ONCE = 64
 TABLES: dict[str, str] = {
     "meta": "key TEXT NOT NULL UNIQUE, value TEXT NOT NULL",
     "rigs": "name TEXT NOT NULL UNIQUE",
-    "runs": "rig_id INTEGER NOT NULL, kind TEXT NOT NULL, started_ns INTEGER NOT NULL, code_version TEXT NOT NULL, "
-    "config_sha256 TEXT NOT NULL, baseline_id INTEGER, boot_id TEXT, full_from_ns INTEGER, minute_from_ns INTEGER",
+    "runs": "rig_id INTEGER NOT NULL, kind TEXT NOT NULL, started_ns INTEGER NOT NULL, "
+    "code_version TEXT NOT NULL, "
+    "config_sha256 TEXT NOT NULL, baseline_id INTEGER, boot_id TEXT, full_from_ns INTEGER, "
+    "minute_from_ns INTEGER",
     "series": "run_id INTEGER NOT NULL, parameter TEXT NOT NULL, unit TEXT NOT NULL, method TEXT NOT NULL, "
     "reference REAL, baseline_id INTEGER",
     "fits": "window_s REAL, n_used INTEGER NOT NULL, n_missing INTEGER NOT NULL, dof REAL, t95 REAL, "
     "chosen INTEGER NOT NULL",
     "verdicts": "status TEXT NOT NULL, reason TEXT",
     "hops": "run_id INTEGER NOT NULL, span INTEGER NOT NULL, t_ns INTEGER NOT NULL",
-    "estimates": "series_id INTEGER NOT NULL, fit_id INTEGER NOT NULL, verdict_id INTEGER NOT NULL, value REAL, "
+    "estimates": "series_id INTEGER NOT NULL, fit_id INTEGER NOT NULL, verdict_id INTEGER NOT NULL, "
+    "value REAL, "
     "sd REAL, lower REAL, upper REAL, held REAL, held_age_s REAL",
     "spreads": "n INTEGER NOT NULL, n_valid INTEGER NOT NULL, worst_id INTEGER NOT NULL, low REAL, high REAL",
-    "overlaps": "run_id INTEGER NOT NULL, by_run INTEGER NOT NULL, from_ns INTEGER NOT NULL, to_ns INTEGER NOT NULL",
+    "overlaps": "run_id INTEGER NOT NULL, by_run INTEGER NOT NULL, from_ns INTEGER NOT NULL, "
+    "to_ns INTEGER NOT NULL",
     "alarms": "run_id INTEGER NOT NULL, kind TEXT NOT NULL, parameter TEXT NOT NULL, priority TEXT NOT NULL, "
     "state TEXT NOT NULL, raised_ns INTEGER NOT NULL, cleared_ns INTEGER, acked_ns INTEGER, acked_by TEXT, "
-    "shelved_until_ns INTEGER, delta REAL, sd REAL, limit_value REAL, probability REAL, message TEXT NOT NULL",
+    "shelved_until_ns INTEGER, delta REAL, sd REAL, limit_value REAL, probability REAL, "
+    "message TEXT NOT NULL",
     "alarm_events": "alarm_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, from_state TEXT NOT NULL, "
     "to_state TEXT NOT NULL, cause TEXT NOT NULL, by_whom TEXT, comment TEXT",
-    "health": "run_id INTEGER NOT NULL, source TEXT NOT NULL, t_ns INTEGER NOT NULL, received INTEGER NOT NULL, "
-    "used INTEGER NOT NULL, rejected INTEGER NOT NULL, dropped INTEGER NOT NULL, gaps INTEGER NOT NULL, lag_s REAL, "
-    "reasons TEXT",
+    "health": "run_id INTEGER NOT NULL, source TEXT NOT NULL, t_ns INTEGER NOT NULL, "
+    "received INTEGER NOT NULL, "
+    "used INTEGER NOT NULL, rejected INTEGER NOT NULL, dropped INTEGER NOT NULL, gaps INTEGER NOT NULL, "
+    "lag_s REAL, reasons TEXT",
     "events": "run_id INTEGER NOT NULL, source TEXT NOT NULL, t_ns INTEGER NOT NULL, cause TEXT NOT NULL, "
     "message TEXT NOT NULL",
     "counters": "name TEXT NOT NULL UNIQUE, count INTEGER NOT NULL",
     "sequences": "name TEXT NOT NULL UNIQUE, high INTEGER NOT NULL",
-    "event_records": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, kind TEXT NOT NULL, parameter TEXT NOT NULL, "
+    "event_records": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, kind TEXT NOT NULL, "
+    "parameter TEXT NOT NULL, "
     "alarms INTEGER NOT NULL, file TEXT NOT NULL, state TEXT NOT NULL, from_ns INTEGER NOT NULL, "
     "to_ns INTEGER NOT NULL, samples INTEGER NOT NULL, bytes INTEGER NOT NULL, baseline_id INTEGER, "
     "message TEXT NOT NULL",
     "learnt": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, key TEXT NOT NULL, content TEXT NOT NULL",
-    "hypotheses": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, hypothesis TEXT NOT NULL, size REAL, sd REAL, "
+    "hypotheses": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, hypothesis TEXT NOT NULL, "
+    "size REAL, sd REAL, "
     "unit TEXT NOT NULL, probability REAL",
-    "clocks": "run_id INTEGER NOT NULL, part_of INTEGER NOT NULL, offset_ns INTEGER, from_ns INTEGER NOT NULL",
-    "shelves": "alarm_id INTEGER NOT NULL, run_id INTEGER NOT NULL, boot_id TEXT, monotonic_ns INTEGER NOT NULL, "
+    "clocks": "run_id INTEGER NOT NULL, part_of INTEGER NOT NULL, offset_ns INTEGER, "
+    "from_ns INTEGER NOT NULL",
+    "shelves": "alarm_id INTEGER NOT NULL, run_id INTEGER NOT NULL, boot_id TEXT, "
+    "monotonic_ns INTEGER NOT NULL, "
     "t_ns INTEGER NOT NULL, length_ns INTEGER NOT NULL",
     "annotations": "alarm_id INTEGER NOT NULL, advice TEXT, percent REAL",
     "sites": "run_id INTEGER NOT NULL, site TEXT, labels TEXT",
     "graphs": "run_id INTEGER NOT NULL, graph TEXT NOT NULL",
     "baselines": "rig_id INTEGER NOT NULL, parameter TEXT NOT NULL, unit TEXT NOT NULL, graph TEXT NOT NULL, "
-    "reference REAL, sd REAL, spread_sd REAL, within_sd REAL, days_sd REAL, correlation_s REAL, n_effective REAL, "
+    "reference REAL, sd REAL, spread_sd REAL, within_sd REAL, days_sd REAL, correlation_s REAL, "
+    "n_effective REAL, "
     "covariates TEXT NOT NULL, from_ns INTEGER NOT NULL, until_ns INTEGER NOT NULL, n INTEGER NOT NULL",
     "forecasts": "run_id INTEGER NOT NULL, parameter TEXT NOT NULL, made_ns INTEGER NOT NULL, level REAL, "
     "limit_value REAL, status TEXT NOT NULL, p10_ns INTEGER, p50_ns INTEGER, p90_ns INTEGER, chance REAL, "
@@ -92,16 +103,17 @@ TABLES: dict[str, str] = {
     "crossed_ns INTEGER, crps REAL, held INTEGER",
     "notifications": "alarm_event_id INTEGER NOT NULL, target TEXT NOT NULL, state TEXT NOT NULL, "
     "attempts INTEGER NOT NULL, last_error TEXT, done_ns INTEGER",
-    "covariates": "run_id INTEGER NOT NULL, span INTEGER NOT NULL, t_ns INTEGER NOT NULL, name TEXT NOT NULL, "
+    "covariates": "run_id INTEGER NOT NULL, span INTEGER NOT NULL, t_ns INTEGER NOT NULL, "
+    "name TEXT NOT NULL, "
     "unit TEXT NOT NULL, value REAL NOT NULL, n INTEGER NOT NULL",
     "conditions": "run_id INTEGER NOT NULL, t_ns INTEGER NOT NULL, window_s REAL NOT NULL, defect REAL, "
     "defect_outputs REAL, rank INTEGER NOT NULL, rank_joined INTEGER NOT NULL, defect_special REAL, "
     "z_zero INTEGER NOT NULL, iterations INTEGER NOT NULL, converged INTEGER NOT NULL, cost REAL, step REAL, "
     "passes INTEGER NOT NULL, ratio REAL, trail TEXT NOT NULL",
 }
-"""Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as the table was made."""
+"""Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as it was made."""
 ADDED = {"estimates": ("repeat",)}
-"""Columns, all REAL, that a later version added: they stand after `crc` in the file and before it everywhere else."""
+"""Columns, all REAL, that a later version added: after `crc` in the file and before it everywhere else."""
 _SINCE = {
     "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7,
     "annotations": 7,
@@ -112,7 +124,8 @@ _SINCE = {
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
 
 _CONSUMERS = (
-    "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, last_seq INTEGER NOT NULL DEFAULT 0, "
+    "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, "
+    "last_seq INTEGER NOT NULL DEFAULT 0, "
     "topic TEXT NOT NULL DEFAULT 'estimates', UNIQUE (name, topic)) STRICT"
 )
 
@@ -213,13 +226,14 @@ def _steps(db: "Database") -> None:
     _mark(db.conn, 5)
 
 
-_UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r.seq AND h.span IN (0, 60, 3600)) AS a
+_UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r.seq
+ AND h.span IN (0, 60, 3600)) AS a
  FROM runs r WHERE a IS NOT NULL AND NOT EXISTS (SELECT 1 FROM events e WHERE e.run_id = r.seq
  AND e.source = 'clock' AND e.cause = 'clock step') ORDER BY r.seq"""
 
 
 def _repeat_and_verdicts(db: "Database") -> None:
-    """Version 6: sd_repeat, what is believed of a rig's constants, and what was learnt of it whatever else changed."""
+    """Version 6: sd_repeat, beliefs on a rig's constants, and what was learnt of it whatever else changed."""
     for table, columns in ADDED.items():
         for column in columns:
             db.conn.execute(f"ALTER TABLE {table} ADD COLUMN {column} REAL")
@@ -263,7 +277,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0007_forecasts_operations_baselines_notifications": _forecasts_operations_baselines_notifications,
     "0008_covariates_conditions": _covariates_conditions,
 }
-"""The migrations in order. What a view says is part of a version: a file whose text differs counts as damaged."""
+"""The migrations in order. A view's text is part of a version: a file where it differs counts as damaged."""
 
 
 def _create(connection: sqlite3.Connection, table: str) -> None:
@@ -283,7 +297,7 @@ def _mark(connection: sqlite3.Connection, version: int) -> None:
 
 
 def version_mark(version: int) -> int:
-    """Return the file's user_version: the version, and its complement so that a flipped bit is no other version."""
+    """Return the user_version: the version, and its complement so that a flipped bit is no other version."""
     return (0x7FFF ^ version) << 16 | version
 
 

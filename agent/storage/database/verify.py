@@ -17,7 +17,8 @@ _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}
 """Tables of numbers only, checked whole columns at a time -> how many of their columns are integers."""
 _SMALL_PAGES = 4096  # files up to this size are read whole at every start
 _NEWEST_ROWS = 5000
-_ORPHANS = """SELECT count(*) FROM estimates e WHERE NOT EXISTS (SELECT 1 FROM hops h WHERE h.seq = e.seq >> 10)
+_ORPHANS = """SELECT count(*) FROM estimates e WHERE NOT EXISTS
+ (SELECT 1 FROM hops h WHERE h.seq = e.seq >> 10)
  OR NOT EXISTS (SELECT 1 FROM series s WHERE s.seq = e.series_id)
  OR NOT EXISTS (SELECT 1 FROM fits f WHERE f.seq = e.fit_id)"""
 
@@ -73,7 +74,7 @@ def _right(row: Row) -> bool:
 
 
 def problems(connection: sqlite3.Connection) -> list[str]:
-    """Return what is wrong with an open database, in words; empty when nothing was found. Reads the whole file."""
+    """Return what is wrong with an open database, in words; empty where all is well. Reads the whole file."""
     found: list[str] = []
     for check in (strange_schema, _structure, _rows, _orphans):
         try:
@@ -90,7 +91,7 @@ def problems(connection: sqlite3.Connection) -> list[str]:
 
 
 def problems_at_start(connection: sqlite3.Connection) -> list[str]:
-    """Return what is wrong, as far as a start may take time: small files are read whole, of large ones the newest rows.
+    """Return what is wrong, as far as a start has time: small files whole, of large ones the newest rows.
 
     The rest of a large file is read bit by bit while the store is used (see `Scrubber`).
     """
@@ -107,7 +108,7 @@ def problems_at_start(connection: sqlite3.Connection) -> list[str]:
 
 
 class Scrubber:
-    """Reads a large file a little at a time, round and round, so that damage is found while rows can still be saved."""
+    """Reads a large file bit by bit, round and round, so damage is found while rows can still be saved."""
 
     def __init__(self) -> None:
         self._table = 0

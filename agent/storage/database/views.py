@@ -70,9 +70,11 @@ NEWEST_OF_RUN = """SELECT m.seq FROM hops m WHERE m.run_id = x.seq AND m.span = 
 
 _LATEST_HOPS = f"""SELECT q.rig_id AS rig_id, q.parameter AS parameter,
  (SELECT k.seq FROM runs x CROSS JOIN hops k ON k.seq = ({NEWEST_OF_RUN})
-   WHERE x.rig_id = q.rig_id AND EXISTS (SELECT 1 FROM series z WHERE z.run_id = x.seq AND z.parameter = q.parameter)
+   WHERE x.rig_id = q.rig_id
+   AND EXISTS (SELECT 1 FROM series z WHERE z.run_id = x.seq AND z.parameter = q.parameter)
    ORDER BY k.t_ns DESC, x.seq DESC LIMIT 1) AS hop
- FROM (SELECT DISTINCT r.rig_id AS rig_id, s.parameter AS parameter FROM series s JOIN runs r ON r.seq = s.run_id) q"""
+ FROM (SELECT DISTINCT r.rig_id AS rig_id, s.parameter AS parameter
+ FROM series s JOIN runs r ON r.seq = s.run_id) q"""
 
 _LATEST = f"""SELECT {_ESTIMATE_COLUMNS}
  FROM ({_LATEST_HOPS}) n CROSS JOIN hops h ON h.seq = n.hop CROSS JOIN runs r ON r.seq = h.run_id
@@ -89,8 +91,8 @@ _TIERS = f"""SELECT g.name AS rig, r.seq AS run_id, {time_text("h.t_ns")} AS tim
 _ALARMS = f"""SELECT a.seq AS id, g.name AS rig, a.run_id AS run_id, a.kind AS kind, a.parameter AS parameter,
  a.priority AS priority, a.state AS state, {time_text("a.raised_ns")} AS raised_at,
  {time_text("a.cleared_ns")} AS cleared_at, {time_text("a.acked_ns")} AS acked_at, a.acked_by AS acked_by,
- {time_text("a.shelved_until_ns")} AS shelved_until, a.delta AS delta, a.sd AS sd, a.limit_value AS limit_value,
- a.probability AS probability, a.message AS message
+ {time_text("a.shelved_until_ns")} AS shelved_until, a.delta AS delta, a.sd AS sd,
+ a.limit_value AS limit_value, a.probability AS probability, a.message AS message
  FROM alarms a JOIN runs r ON r.seq = a.run_id JOIN rigs g ON g.seq = r.rig_id
  WHERE NOT {covered("a.run_id", "a.raised_ns")}"""
 
@@ -104,13 +106,13 @@ _HEALTH = f"""SELECT g.name AS rig, x.source AS source, x.t_ns AS t_ns, {time_te
  FROM health x JOIN runs r ON r.seq = x.run_id JOIN rigs g ON g.seq = r.rig_id
  WHERE NOT {covered("x.run_id", "x.t_ns")}"""
 
-_HEALTH_REASONS = f"""SELECT g.name AS rig, x.source AS source, x.t_ns AS t_ns, k.key AS kind, j.key AS reason,
- j.value AS count
+_HEALTH_REASONS = f"""SELECT g.name AS rig, x.source AS source, x.t_ns AS t_ns, k.key AS kind,
+ j.key AS reason, j.value AS count
  FROM health x JOIN runs r ON r.seq = x.run_id JOIN rigs g ON g.seq = r.rig_id, json_each(x.reasons) k,
  json_each(k.value) j WHERE x.reasons IS NOT NULL AND NOT {covered("x.run_id", "x.t_ns")}"""
 
-_EVENTS = f"""SELECT n.seq AS id, g.name AS rig, n.source AS source, n.t_ns AS t_ns, {time_text("n.t_ns")} AS time,
- n.cause AS cause, n.message AS message
+_EVENTS = f"""SELECT n.seq AS id, g.name AS rig, n.source AS source, n.t_ns AS t_ns,
+ {time_text("n.t_ns")} AS time, n.cause AS cause, n.message AS message
  FROM events n JOIN runs r ON r.seq = n.run_id JOIN rigs g ON g.seq = r.rig_id"""
 
 _RUNS = f"""SELECT r.seq AS run_id, g.name AS rig, r.kind AS kind, {time_text("r.started_ns")} AS started_at,
@@ -132,7 +134,8 @@ VIEWS: tuple[str, ...] = (
 )
 
 EVENT_RECORDS = f"""CREATE VIEW v_event_records AS
- SELECT e.seq AS id, g.name AS rig, e.run_id AS run_id, e.t_ns AS t_ns, {time_text("e.t_ns")} AS time, e.kind AS kind,
+ SELECT e.seq AS id, g.name AS rig, e.run_id AS run_id, e.t_ns AS t_ns, {time_text("e.t_ns")} AS time,
+ e.kind AS kind,
  e.parameter AS parameter, (SELECT a.seq FROM alarms a WHERE a.run_id = e.run_id AND a.kind = e.kind
  AND a.parameter = e.parameter AND a.raised_ns = e.t_ns) AS alarm_id, e.alarms AS alarms,
  e.from_ns AS from_ns, e.to_ns AS to_ns, e.samples AS samples, e.bytes AS bytes,
@@ -143,11 +146,13 @@ EVENT_RECORDS = f"""CREATE VIEW v_event_records AS
 
 CLOCKS: tuple[str, ...] = (
     "DROP VIEW v_health",
-    f"""CREATE VIEW v_health AS SELECT g.name AS rig, x.source AS source, x.t_ns AS t_ns, {time_text("x.t_ns")} AS time,
+    f"""CREATE VIEW v_health AS SELECT g.name AS rig, x.source AS source, x.t_ns AS t_ns,
+ {time_text("x.t_ns")} AS time,
  x.received AS received, x.used AS used, x.rejected AS rejected, x.dropped AS dropped, x.gaps AS gaps,
  x.lag_s AS lag_s, json_extract(x.reasons, '$.clock.drift_ppm') AS drift_ppm,
  json_extract(x.reasons, '$.clock.drift_sd_ppm') AS drift_sd_ppm,
- json_extract(x.reasons, '$.clock.skew_s') AS skew_s, json_extract(x.reasons, '$.clock.skew_sd_s') AS skew_sd_s
+ json_extract(x.reasons, '$.clock.skew_s') AS skew_s,
+ json_extract(x.reasons, '$.clock.skew_sd_s') AS skew_sd_s
  FROM health x JOIN runs r ON r.seq = x.run_id JOIN rigs g ON g.seq = r.rig_id
  WHERE NOT {covered("x.run_id", "x.t_ns")}""",
     "DROP VIEW v_health_reasons",

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - these statements are put together from this package's own texts only
-"""The views that version 5 made anew: runs whose wall clock was stepped are one run, the newest row was stored last.
+"""The views of version 5: runs whose wall clock was stepped are one run, the newest row was stored last.
 
 Such a run has a row in `runs` for each setting of its clock; `clocks` says which run they belong to.
 """
@@ -30,7 +30,8 @@ _ESTIMATES = f"""SELECT {_COLUMNS}
 def _newest_hop(kind: str, order: str) -> str:
     """Return SQL for the newest hop of a parameter over the runs of a rig that are, or are not, live."""
     return f"""SELECT * FROM (SELECT k.seq AS hop, k.t_ns AS t_ns, x.seq AS run
-   FROM runs x CROSS JOIN hops k ON k.seq = ({NEWEST_OF_RUN}) WHERE x.rig_id = q.rig_id AND x.kind {kind} 'live'
+   FROM runs x CROSS JOIN hops k ON k.seq = ({NEWEST_OF_RUN}) WHERE x.rig_id = q.rig_id
+   AND x.kind {kind} 'live'
    AND EXISTS (SELECT 1 FROM series z WHERE z.run_id = x.seq AND z.parameter = q.parameter)
    ORDER BY {order} LIMIT 1)"""
 
@@ -40,7 +41,8 @@ def _newest_hop(kind: str, order: str) -> str:
 _LATEST_HOPS = f"""SELECT q.rig_id AS rig_id, q.parameter AS parameter,
  (SELECT hop FROM ({_newest_hop("=", "k.seq DESC")} UNION ALL {_newest_hop("<>", "k.t_ns DESC, x.seq DESC")})
    ORDER BY t_ns DESC, run DESC LIMIT 1) AS hop
- FROM (SELECT DISTINCT r.rig_id AS rig_id, s.parameter AS parameter FROM series s JOIN runs r ON r.seq = s.run_id) q"""
+ FROM (SELECT DISTINCT r.rig_id AS rig_id, s.parameter AS parameter
+ FROM series s JOIN runs r ON r.seq = s.run_id) q"""
 
 _LATEST = f"""SELECT {_COLUMNS}
  FROM ({_LATEST_HOPS}) n CROSS JOIN hops h ON h.seq = n.hop CROSS JOIN runs r ON r.seq = h.run_id
@@ -71,7 +73,8 @@ STEPS: tuple[str, ...] = tuple(
 
 _VERDICTS = f"""SELECT g.name AS rig, coalesce(c.part_of, y.run_id) AS run_id, y.t_ns AS t_ns,
  {time_text("y.t_ns")} AS time, y.hypothesis AS hypothesis, y.size AS size, y.sd AS sd, y.unit AS unit,
- y.probability AS probability FROM hypotheses y JOIN runs r ON r.seq = y.run_id JOIN rigs g ON g.seq = r.rig_id
+ y.probability AS probability FROM hypotheses y JOIN runs r ON r.seq = y.run_id
+ JOIN rigs g ON g.seq = r.rig_id
  LEFT JOIN clocks c ON c.run_id = y.run_id WHERE NOT {covered("y.run_id", "y.t_ns")}"""
 
 

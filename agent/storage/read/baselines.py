@@ -31,7 +31,7 @@ def standing(db: Path | str, rig: str) -> tuple[Baseline, ...]:
 
 
 def graphs(db: Path | str, rig: str, first_ns: int = _FIRST, last_ns: int = _LAST) -> list[str]:
-    """Return the graphs that rows of a rig in a stretch are of, oldest first; runs that state none are passed over."""
+    """Return the graphs of a rig's rows in a stretch, oldest first; runs that state none are passed over."""
     with reading(db) as connection:
         rows = connection.execute(_GRAPHS, (rig, first_ns, last_ns)).fetchall()
     return list(dict.fromkeys(graph for *cells, graph, crc in rows if row_crc((*cells, graph)) == crc))

@@ -16,7 +16,8 @@ _RANGE = "FROM hops h INDEXED BY hops_by_time WHERE h.run_id = ? AND h.span = ? 
 _COUNT = f"SELECT count(*) {_RANGE} AND NOT {covered('h.run_id', 'h.t_ns')}"
 _OF_RUN = """FROM hops m INDEXED BY hops_by_time WHERE m.run_id = x.seq AND m.span = 0
  ORDER BY m.t_ns DESC, m.seq DESC LIMIT 1"""
-_NEWEST = f"""SELECT g.name, x.seq, x.kind = 'live', (SELECT m.seq {_OF_RUN}) AS hop, (SELECT m.t_ns {_OF_RUN})
+_NEWEST = f"""SELECT g.name, x.seq, x.kind = 'live', (SELECT m.seq {_OF_RUN}) AS hop,
+ (SELECT m.t_ns {_OF_RUN})
  FROM runs x NOT INDEXED CROSS JOIN rigs g ON g.seq = x.rig_id WHERE hop IS NOT NULL"""
 """From the index alone: the rows themselves may be what is damaged."""
 _Newest = tuple[int, int, int]
@@ -24,7 +25,7 @@ _Newest = tuple[int, int, int]
 
 
 def oldest_hop(reader: Reader, stretches: Iterable[tuple[int, int, int, int]]) -> int:
-    """Return the least number that a row of some stretches has; stretches: part of a run, shift, first, last (ns)."""
+    """Return the least row number of some stretches; stretches: part of a run, shift, first, last (ns)."""
     ranges = ((part, span, first, last) for part, _, first, last in stretches for span in (0, 60, 3600))
     found = (reader.execute(f"SELECT min(h.seq) {_RANGE}", cells).fetchone()[0] for cells in ranges)
     return min((seq for seq in found if seq is not None), default=2**63 - 1)
@@ -54,7 +55,7 @@ def prove_count(
 
 
 def prove_newest(reader: Reader, rows: Iterable[Mapping[str, Any]], rigs: Sequence[str]) -> None:
-    """Count the parameters of which rows of v_latest show none, or an older one; raises sqlite3.DatabaseError.
+    """Count parameters of which rows of v_latest show none, or an older one; raises sqlite3.DatabaseError.
 
     Args:
         reader: of the file, from which nothing but the rows was asked.
@@ -69,7 +70,7 @@ def prove_newest(reader: Reader, rows: Iterable[Mapping[str, Any]], rigs: Sequen
 
 
 def _newest(reader: Reader, rigs: Sequence[str]) -> dict[tuple[str, str], _Newest]:
-    """Return the newest row of each rig and parameter: of live runs the one stored last, of others by its stamp."""
+    """Return the newest row of each rig and parameter: of live runs the last stored, of others by stamp."""
     parameters: dict[int, set[str]] = {}
     for run, name in reader.execute("SELECT run_id, parameter FROM series NOT INDEXED"):
         parameters.setdefault(run, set()).add(name)

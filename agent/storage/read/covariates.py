@@ -13,7 +13,7 @@ _EARLIEST, _LATEST = -(2**62), 2**62
 
 
 class Means:
-    """The means of one covariate in order of time: number (n,) of each minute since the epoch, value (n,), unit."""
+    """The means of one covariate by time: number (n,) of each minute since the epoch, value (n,), unit."""
 
     def __init__(self, unit: str, table: dict[int, float]) -> None:
         self.unit = unit

@@ -116,7 +116,7 @@ def _rows(
 
 
 def _estimates(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
-    """Return the rows of so many instants; the parts of a run are asked one by one, each by its index of times."""
+    """Return rows of so many instants; the parts of a run are asked one by one, each by its time index."""
     bounds = (cursor >> COLUMN_BITS, until >> COLUMN_BITS, most)
     query = "SELECT seq, run_id, span, t_ns FROM hops WHERE seq > ? AND seq <= ? ORDER BY seq LIMIT ?"
     hops = reader.execute(query, bounds).fetchall()

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
-"""Rows proved before they are shown: a view's row counts if every table row that it is made of has its checksum.
+"""Rows proved before they are shown: a view's row counts if every table row it is made of has its checksum.
 
 A view is asked with the numbers of those rows beside its own columns, and with what it read of them from an
 index, which has no checksum: the rows are then read once more by their numbers, and must say the same.
@@ -69,7 +69,7 @@ def row_of(alias: str) -> str:
 
 
 def prove_whole(reader: Reader, table: str) -> None:
-    """Count the wrong rows of a short table, once; raises sqlite3.DatabaseError where its index leaves one out."""
+    """Count the wrong rows of a short table, once; raises sqlite3.DatabaseError where its index omits one."""
     if table not in reader.whole:
         reader.whole.add(table)
         reader.refuse(bad_rows(reader, table, _FIRST, _LAST))
@@ -125,7 +125,7 @@ def _indexes(table: str) -> list[tuple[str, list[str]]]:
 
 
 def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:
-    """See that the parts of a rig's runs are what they say, and the newest row the newest; or sqlite3.DatabaseError.
+    """See that a rig's run parts are what they say, and the newest row the newest; or sqlite3.DatabaseError.
 
     A wrong one would move the rows of others in time.
     """
@@ -198,7 +198,7 @@ def differing(reader: sqlite3.Connection, table: str, columns: Sequence[str], se
 
 
 class Found(NamedTuple):
-    """Valid estimates: (n,) stamp ns (of an aggregate, the middle of what it covers), value, sd, sd_repeat, series."""
+    """Valid estimates: (n,) stamp ns (of an aggregate, its middle), value, sd, sd_repeat, series."""
 
     t_ns: IntArray
     value: FloatArray
@@ -228,7 +228,8 @@ NOTHING = Found(
 _VALID = int(Status.VALID) << 8
 _SAID = [name for name in columns_of("estimates") if name != "verdict_id"]
 _POINTS = f"""SELECT h.seq, h.t_ns, h.crc, {", ".join(f"e.{name}" for name in _SAID)} FROM hops h
- CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 CROSS JOIN fits f ON f.seq = e.fit_id
+ CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
+ CROSS JOIN fits f ON f.seq = e.fit_id
  WHERE h.run_id = ? AND h.span = ? AND h.t_ns BETWEEN ? AND ? AND h.t_ns / ? % ? = 0 AND e.series_id IN ({{}})
  AND e.verdict_id = {_VALID} AND f.chosen = 1 AND e.value IS NOT NULL AND NOT EXISTS (SELECT 1 FROM overlaps o
  WHERE o.run_id = h.run_id AND h.t_ns BETWEEN o.from_ns AND o.to_ns) ORDER BY h.t_ns"""
@@ -319,7 +320,7 @@ def _first_ones(numbers: IntArray) -> NDArray[np.bool_]:
 
 @cache
 def _traced(view: str) -> tuple[str, tuple[str, ...]]:
-    """Return the text of a view with the numbers and indexed columns of its rows before its own; and their tables.
+    """Return a view's text with the numbers and indexed columns of its rows before its own; and their tables.
 
     What is joined by LEFT JOIN is of `_WHOLE`: there may be no row to be read once more.
     """

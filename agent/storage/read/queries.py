@@ -37,7 +37,7 @@ _UNCOUNTED = 2**40
 
 
 class Rows(list[dict[str, Any]]):
-    """Rows by column; refused: how many more there are, which are not shown because their checksums are wrong."""
+    """Rows by column; refused: how many more there are, not shown because their checksums are wrong."""
 
     refused = 0
 
@@ -83,7 +83,7 @@ def tell_refused(db: Path | str, count: int) -> None:
 
 
 class _Stretch(NamedTuple):
-    """Rows asked for: of one part of a run, from `first` to `last` (stamps, ns); stamp + shift is true time."""
+    """Rows asked for: of a part of a run, from `first` to `last` (stamps, ns); stamp + shift is true time."""
 
     part: int
     shift: int
@@ -116,7 +116,7 @@ def estimates(
     *,
     most: int | None = None,
 ) -> Rows:
-    """Return rows of v_estimates by time (as the wall clock is set now, whatever was stamped), then rig and parameter.
+    """Return rows of v_estimates by time (by the wall clock's present setting), then rig and parameter.
 
     Args:
         db: path of the database.
@@ -197,7 +197,7 @@ def notifications(db: Path | str, state: str | None = None) -> Rows:
 
 
 def health(db: Path | str, rig: str | None = None) -> Rows:
-    """Return the newest row of v_health of each source; `reasons` is {"rejected": {..}, "dropped": {..}} and faults."""
+    """Return each source's newest v_health row; `reasons`: {"rejected": {..}, "dropped": {..}} and faults."""
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
         newest: dict[tuple[str, str], dict[str, Any]] = {}
@@ -298,15 +298,18 @@ def points(
 
 
 def all_points(db: Path | str, rig: str, most: int = _MOST_POINTS) -> list[Points]:
-    """Return the same of every parameter of a rig, whose rows are read together; StoreError, UsageError as `points`."""
+    """Return the same of every parameter of a rig, whose rows are read together; errors as `points`."""
     with reading(db) as connection:
         name = _one_rig(connection, rig)
         return _points(connection, name, _parameters(connection, name), None, None, most)
 
 
 def longest_window(db: Path | str) -> float:
-    """Return the longest window, s, that estimates of a database rest on; quicker than to look which those are."""
-    query = "SELECT seq, window_s FROM fits WHERE chosen = 1 AND window_s IS NOT NULL ORDER BY window_s DESC LIMIT 1"
+    """Return the longest window, s, that estimates of a database rest on; quicker than looking those up."""
+    query = (
+        "SELECT seq, window_s FROM fits WHERE chosen = 1 AND window_s IS NOT NULL "
+        "ORDER BY window_s DESC LIMIT 1"
+    )
     with reading(db) as connection:
         found = connection.execute(query).fetchone()
         connection.refuse(0 if found is None else len(differing(connection, "fits", (), {found[:1]})))
@@ -360,7 +363,7 @@ def _tiered(
 
 
 def _first_tier(bounds: Mapping[int, tuple[int, int] | None], most: int) -> int:
-    """Return the finest tier that reaches back far enough and is not too long, else the coarsest that holds rows."""
+    """Return the finest tier that reaches far enough and is not too long, else the coarsest with rows."""
     oldest = min((b[0] for b in bounds.values() if b), default=0)
     fits = [s for s, b in bounds.items() if b and b[0] <= oldest + (s or 3600) * 10**9 and b[1] <= most]
     return fits[0] if fits else max((span for span, b in bounds.items() if b), default=0)
@@ -369,9 +372,12 @@ def _first_tier(bounds: Mapping[int, tuple[int, int] | None], most: int) -> int:
 def _bounds(
     connection: sqlite3.Connection, stretches: Sequence[_Stretch], span: int, most: int
 ) -> tuple[int, int] | None:
-    """Return the oldest instant of a tier in stretches and how many it has there, counted no further than matters."""
+    """Return a tier's oldest instant in stretches and how many it has there, counted as far as matters."""
     part = "FROM hops h WHERE h.run_id = ?1 AND h.span = ?2 AND h.t_ns BETWEEN ?3 AND ?4"
-    query = f"SELECT (SELECT h.t_ns {part} ORDER BY h.t_ns LIMIT 1), (SELECT count(*) FROM (SELECT 1 {part} LIMIT ?5))"
+    query = (
+        f"SELECT (SELECT h.t_ns {part} ORDER BY h.t_ns LIMIT 1), "
+        f"(SELECT count(*) FROM (SELECT 1 {part} LIMIT ?5))"
+    )
     found = []
     for stretch, shift, first, last in stretches:
         oldest, count = connection.execute(query, (stretch, span, first, last, most + 1)).fetchone()
@@ -483,7 +489,7 @@ def _list(names: Sequence[str]) -> str:
 def _stretches(
     connection: Reader, rig: str, since: str | None, until: str | None
 ) -> tuple[list[_Stretch], int, int]:
-    """Return what was asked for, by part of a run, and its first and last instant (ns); open ends reach far enough.
+    """Return what was asked for by run part, and its first and last instant (ns); open ends reach far enough.
 
     An age counts in true time back from the newest row, a date is compared with the stamps as they are.
     """

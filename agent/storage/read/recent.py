@@ -1,4 +1,4 @@
-"""What is new in a file: sources with their rates, steps of alarms, and rows stored after a cursor; read-only."""
+"""What is new in a file: sources with rates, alarm steps, and rows stored after a cursor; read-only."""
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 
 import re
@@ -85,14 +85,17 @@ def forecasts_mark(db: Path | str) -> tuple[int, int, int]:
 
     Raises StoreError.
     """
-    query = "SELECT coalesce(max(seq), 0), count(scored_ns), (SELECT coalesce(max(seq), 0) FROM runs) FROM forecasts"
+    query = (
+        "SELECT coalesce(max(seq), 0), count(scored_ns), (SELECT coalesce(max(seq), 0) FROM runs) "
+        "FROM forecasts"
+    )
     with reading(db) as reader:
         newest_one, scored, run = reader.execute(query).fetchone()
     return int(newest_one), int(scored), int(run)
 
 
 def sources(db: Path | str) -> Rows:
-    """Return the newest row of v_health of each source that has a recent one, with `rate_hz` since the row before.
+    """Return each source's newest v_health row if recent, with `rate_hz` since the row before.
 
     rate_hz is None for a source with one row. Raises StoreError.
     """
@@ -179,7 +182,7 @@ def _highest(reader: Reader, table: str) -> int:
 
 
 def _reached(reader: Reader, table: str, after: int, most: int) -> int:
-    """Return the number of the row that lies so many rows after another; of the last one where there are fewer."""
+    """Return the number of the row so many rows after another; of the last one where there are fewer."""
     query = (
         f"SELECT coalesce(max(seq), ?1) FROM (SELECT seq FROM {table} WHERE seq > ?1 ORDER BY seq LIMIT ?2)"
     )

@@ -104,7 +104,7 @@ def _csv(path: Path) -> dict[str, list[str]]:
 
 
 def _lines(path: Path, file: TextIO) -> Iterator[str]:
-    """Yield the lines of a file; UsageError for one that is no row of a history, before it fills the memory."""
+    """Yield the lines of a file; UsageError for one that is no row of a history, before it fills memory."""
     while line := file.readline(_LONGEST_LINE):
         if len(line) == _LONGEST_LINE:
             raise UsageError.at(str(path), f"has a row of {_LONGEST_LINE} characters or more", _ADVICE)
@@ -125,7 +125,7 @@ def _parquet(path: Path) -> dict[str, list[Any]]:
 
 
 def _instant(path: Path, row: int, cell: Any, clock: str) -> int:
-    """Return nanoseconds of a time: an ISO text, a moment, or a number of seconds (of nanoseconds in t_ns)."""
+    """Return nanoseconds of a time: an ISO text, a moment, or a number of seconds (nanoseconds in t_ns)."""
     if hasattr(cell, "timestamp"):
         cell = cell.isoformat()
     if isinstance(cell, int) and clock == "t_ns":

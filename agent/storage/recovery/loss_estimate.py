@@ -17,7 +17,8 @@ _INDEXES = {
     "hops": "hops_by_time", "alarms": "alarms_by_run", "alarm_events": "alarm_events_by_alarm",
     "health": "health_by_run",
 }  # fmt: skip
-_MISSING = """SELECT coalesce(sum(max(0, q.n - (SELECT count(*) FROM estimates e JOIN fits f ON f.seq = e.fit_id
+_MISSING = """SELECT coalesce(sum(max(0, q.n - (SELECT count(*) FROM estimates e
+ JOIN fits f ON f.seq = e.fit_id
  WHERE e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023 AND f.chosen = 1))), 0)
  FROM temp.reached h
  JOIN (SELECT run_id, count(DISTINCT parameter) AS n FROM series GROUP BY run_id) q ON q.run_id = h.run_id
@@ -53,7 +54,7 @@ class LossEstimate:
                         self.note(table, [number])
 
     def settle(self, source: sqlite3.Connection, target: sqlite3.Connection, failures: int) -> None:
-        """Note what the file with its log lists, and which instants of it were reached; pages hold purged ones too."""
+        """Note what file and log list, and which instants of it were reached; pages hold purged ones too."""
         newest = 0
         for table in _INDEXES:
             with suppress(sqlite3.Error, UnicodeDecodeError):
@@ -75,7 +76,7 @@ class LossEstimate:
         return max(gone.pop("estimates", 0), missing) + sum(gone.values())
 
     def _gone(self, target: sqlite3.Connection, table: str, high: int, given: int) -> int:
-        """Return how many rows of a table were there and were not saved; high: the highest that was acknowledged."""
+        """Return how many rows of a table were there but not saved; high: the highest acknowledged."""
         query = f"SELECT 1 FROM {table} WHERE seq = ?"
         gone = sum(target.execute(query, (number,)).fetchone() is None for number in self.seen.get(table, ()))
         newest = int(target.execute(f"SELECT max(seq) FROM {table}").fetchone()[0] or 0)

@@ -27,7 +27,7 @@ _Key = tuple[int, bool]
 
 
 def _shape(table: str) -> _Key:
-    """Return what tells the rows of one table from those of the others: how many cells, and whether any is a text."""
+    """Return what tells one table's rows from the others': how many cells, and whether any is a text."""
     return len(columns_of(table)), "TEXT" in TABLES[table]
 
 
@@ -87,7 +87,7 @@ def _table_of(cells: list[object]) -> str | None:
 
 
 def _ordered(table: str, cells: list[object]) -> list[object]:
-    """Return a row with its checksum last: columns added later stand after it, and rows of before lack them."""
+    """Return a row with its checksum last: columns added later stand after it, and earlier rows lack them."""
     added = len(ADDED.get(table, ()))
     crc = len(columns_of(table)) - 1 - added
     later = cells[crc + 1 :]
@@ -120,7 +120,7 @@ def _frames(log: Path) -> Iterator[bytes]:
 
 
 def _rows(page: bytes) -> Iterator[list[object]]:
-    """Yield the cells of each row of a leaf page; nothing for other pages; cells that make no sense are passed over."""
+    """Yield the cells of each row of a leaf page, nothing for others; senseless cells are passed over."""
     if len(page) < PAGE_SIZE or page[0] != _LEAF:
         return
     count = int.from_bytes(page[3:5], "big")

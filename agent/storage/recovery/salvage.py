@@ -1,4 +1,4 @@
-"""A damaged file: put aside whole, never deleted; what can still be read and proves itself goes into a new one."""
+"""A damaged file: put aside whole, never deleted; what can be read and proves itself goes into a new one."""
 
 import sqlite3
 from collections.abc import Iterator, Mapping
@@ -56,7 +56,7 @@ class Recovery:
 
 
 def finish_interrupted(path: Path) -> Path | None:
-    """Complete a replacement that a power cut interrupted; returns where the damaged file lies, None if none was.
+    """Complete a replacement that a power cut interrupted; return where the damaged file lies, None if none.
 
     A log without its database is what somebody left who removed that: it is put aside, and no damage.
     """
@@ -256,7 +256,7 @@ def _insert(target: sqlite3.Connection, table: str, rows: list[Row], verb: str) 
 
 
 def _insert_consumers(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
-    """Copy the cursors of consumers; one that is lost makes its consumer fetch rows again, which is allowed."""
+    """Copy the cursors of consumers; a lost one makes its consumer fetch rows again, which is allowed."""
     with suppress(sqlite3.Error, UnicodeDecodeError):
         for row in source.execute("SELECT name, last_seq, topic FROM consumers").fetchall():
             target.execute("INSERT OR IGNORE INTO consumers (name, last_seq, topic) VALUES (?, ?, ?)", row)

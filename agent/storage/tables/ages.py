@@ -16,12 +16,15 @@ from itertools import accumulate, pairwise
 from agent.types import STEP_NS, ClockRecord, RunInfo
 
 CONFIRMED_NS = 24 * 3600 * 10**9
-"""A wall clock is confirmed once stamps that follow one another cover so much running time, over more than one run."""
+"""A wall clock is confirmed once consecutive stamps cover so much running time, over more than one run."""
 CONFIRMED_RUNS = 2
 SLEW = 1e-3
 """A wall clock that is drawn to another runs at most this much faster or slower."""
 _LARGE = 2**63
-_KEPT = "rows from before are kept by how long the agent ran until a day of running, over several runs, confirms it"
+_KEPT = (
+    "rows from before are kept by how long the agent ran until a day of running, "
+    "over several runs, confirms it"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,8 @@ _EDGE = (
 )
 _PARTS = (
     "SELECT r.seq, coalesce(c.part_of, r.seq) AS run, r.kind = 'live', coalesce(c.offset_ns, 0), "  # noqa: S608 - own
-    f"coalesce(c.from_ns, {_EDGE.format('min', 'ASC')}), {_EDGE.format('max', 'DESC')} AS last, c.seq IS NOT NULL "
+    f"coalesce(c.from_ns, {_EDGE.format('min', 'ASC')}), {_EDGE.format('max', 'DESC')} AS last, "
+    "c.seq IS NOT NULL "
     "FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq LEFT JOIN clocks c ON c.run_id = r.seq "
     "WHERE g.name = ? AND last IS NOT NULL ORDER BY run, r.seq"
 )
@@ -142,7 +146,7 @@ def _pauses(runs: Sequence[_Run], confirmed: bool) -> list[int]:
 
 
 def _needed(lengths: Sequence[int]) -> int:
-    """Return how many of these lengths of runs confirm a wall clock; more than there are where they do not."""
+    """Return how many of these run lengths confirm a wall clock; more than there are where they do not."""
     reached = accumulate(lengths)
     counts = accumulate(length > 0 for length in lengths)
     enough = (n for n, (ran, runs) in enumerate(zip(reached, counts, strict=True), 1)
@@ -204,7 +208,7 @@ def newest_of(parts: Iterable[Part], found: Mapping[int, int]) -> int | None:
 
 
 def jump_words(connection: sqlite3.Connection, run: RunInfo, run_id: int, now: ClockRecord) -> str | None:
-    """Say how a live run's first stamp fits those of the live runs before; None where nothing is to be said."""
+    """Say how a live run's first stamp fits those of the live runs before; None if nothing is to be said."""
     before = [part for part in parts_of(connection, run.rig) if part.live and part.run < run_id]
     if run.kind != "live" or not before:
         return None
@@ -216,12 +220,13 @@ def jump_words(connection: sqlite3.Connection, run: RunInfo, run_id: int, now: C
     if gap_ns < -STEP_NS:
         return f"the wall clock is {-gap_ns / 1e9:.3f} s behind the newest row of the run before; {_KEPT}"
     if gap_ns > CONFIRMED_NS:
-        return f"the wall clock is {gap_ns / 86_400e9:.1f} days ahead of the newest row of the run before; {_KEPT}"
+        ahead_days = gap_ns / 86_400e9
+        return f"the wall clock is {ahead_days:.1f} days ahead of the newest row of the run before; {_KEPT}"
     return None
 
 
 def _step(connection: sqlite3.Connection, run: RunInfo, last: Part, now: ClockRecord) -> int:
-    """Return by how much the wall clock was stepped since a part of an earlier run; 0 where that is not known."""
+    """Return by how much the wall clock was stepped since a part of an earlier run; 0 where unknown."""
     query = "SELECT r.boot_id, c.offset_ns FROM runs r JOIN clocks c ON c.run_id = r.seq WHERE r.seq = ?"
     found = connection.execute(query, (last.seq,)).fetchone()
     if found is None or None in found:

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
-"""Alarm rows: one an activation, updated by the transitions of its life, each of which is kept as an event."""
+"""Alarm rows: one an activation, updated by the transitions of its life, each kept as an event."""
 
 import math
 import sqlite3
@@ -163,13 +163,15 @@ def _suppressed_after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:
     """Return a suppressed row as its condition leaves it: its state stays."""
     if step.cause == "raise" and row.cleared_ns is not None:
         delta, sd, limit, probability = _figures(step)
-        row = replace(row, raised_ns=step.t_ns, delta=delta, sd=sd, limit_value=limit, probability=probability,
-                      message=step.message)  # fmt: skip
+        row = replace(
+            row, raised_ns=step.t_ns, delta=delta, sd=sd, limit_value=limit, probability=probability,
+            message=step.message,
+        )  # fmt: skip
     return replace(row, cleared_ns={"clear": step.t_ns, "raise": None}.get(step.cause, row.cleared_ns))
 
 
 def standing_alarms(connection: sqlite3.Connection, rig: str, kind: str) -> list[AlarmRow]:
-    """Return the newest activation of each alarm of a rig that is not back to normal, over the runs of one kind."""
+    """Return the newest activation of each of a rig's alarms not back to normal, over runs of one kind."""
     names = ", ".join(f"a.{name}" for name in columns_of("alarms")[:-1])
     query = (
         f"SELECT {names} FROM alarms a JOIN runs r ON r.seq = a.run_id JOIN rigs g ON g.seq = r.rig_id "

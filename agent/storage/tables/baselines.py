@@ -1,4 +1,4 @@
-"""Baselines as rows: those of a rig that stand, one a parameter, and the graph that each run's rows are of."""
+"""Baselines as rows: those of a rig that stand, one a parameter, and the graph of each run's rows."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -8,7 +8,8 @@ from agent.storage.database.checksum import row_crc
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.types import Baseline, RunInfo
 
-_OF_RIG = """SELECT b.seq, b.rig_id, b.parameter, b.unit, b.graph, b.reference, b.sd, b.spread_sd, b.within_sd,
+_OF_RIG = """SELECT b.seq, b.rig_id, b.parameter, b.unit, b.graph, b.reference, b.sd, b.spread_sd,
+ b.within_sd,
  b.days_sd, b.correlation_s, b.n_effective, b.covariates, b.from_ns, b.until_ns, b.n, b.crc
  FROM baselines b JOIN rigs g ON g.seq = b.rig_id WHERE g.name = ? ORDER BY b.seq"""
 

@@ -1,4 +1,4 @@
-"""The settings of the wall clock that the rows of one run were stamped by: each has a row of its own in `runs`.
+"""The settings of the wall clock that the rows of one run were stamped by: each has its own row in `runs`.
 
 So stamps of one such part never go back, and a tier, a purge or a replay that covers one of them touches no
 other.
@@ -39,7 +39,7 @@ class ClockRows:
         """What was taken in."""
 
     def apply(self, record: ClockRecord, numbers: Numbers) -> int:
-        """Take in that stamps follow another setting of the clock; return their part, which may be an earlier one."""
+        """Note that stamps follow another clock setting; return their part, which may be an earlier one."""
         self.records.append(record)
         part = next((p for p in reversed(self._parts) if _same(p.offset_ns, record.offset_ns)), None)
         if len(self._anchors) == 1:

@@ -6,7 +6,7 @@ from agent.storage.tables.rows import Numbers, Plan
 
 
 class Coverage:
-    """The stretch that one part of a run covers (a run is one part until its clock is stepped), as it is written.
+    """The stretch that one part of a run covers (a run is one part until its clock is stepped), as written.
 
     Live runs follow one another and hide nothing of each other, whatever the wall clock said; a replay of a
     time that the file holds already hides the older rows.

@@ -1,4 +1,4 @@
-"""Estimate batches to rows: whole columns at a time, because a replay writes tens of thousands of rows a second."""
+"""Estimate batches as rows, by whole columns: a replay writes tens of thousands of rows a second."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ _MANY = 1e9  # degrees of freedom from which on Student's t is normal; the file 
 
 
 def add_estimates(plan: Plan, batch: EstimateBatch, run_id: int, names: Names, numbers: Numbers) -> None:
-    """Add the rows of a batch to a plan: one in `hops` an instant, one in `estimates` an instant and parameter."""
+    """Add a batch's rows to a plan: one in `hops` an instant, one in `estimates` an instant and parameter."""
     if not len(batch):
         return
     first = numbers.take("hops", len(batch))
@@ -110,7 +110,7 @@ def _series(batch: EstimateBatch, run_id: int, names: Names) -> IntArray:
 
 
 def _verdicts(batch: EstimateBatch, value: FloatArray, sd: FloatArray, names: Names) -> IntArray:
-    """Return status and reason as one number; a valid row without a number is stored as diverged, never as valid."""
+    """Return status and reason as one number; a valid row without a number is stored as diverged."""
     codes = (batch.status.astype(np.int64) << 8) | batch.reason.astype(np.int64)
     lie = (batch.status == _VALID) & (np.isnan(value) | np.isnan(sd))
     codes = np.where(lie, _DIVERGED, codes).ravel()

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - statements are put together from this module's own names; values are always bound
-"""Notifications as rows: written with the step of the alarm that they are of, so that neither is there alone."""
+"""Notifications as rows: written with the alarm step that they are of, so that neither is there alone."""
 
 import sqlite3
 from collections.abc import Callable, Sequence
@@ -64,7 +64,8 @@ def notification(connection: sqlite3.Connection, seq: int) -> NotificationRow | 
 def pending(connection: sqlite3.Connection, target: str, most: int) -> list[NotificationRow]:
     """Return the oldest rows that a target is still to get, in the order of the steps."""
     query = (
-        f"SELECT {', '.join(columns_of('notifications'))} FROM notifications INDEXED BY notifications_pending "
+        f"SELECT {', '.join(columns_of('notifications'))} FROM notifications "
+        "INDEXED BY notifications_pending "
         "WHERE target = ? AND state = 'pending' ORDER BY seq LIMIT ?"
     )
     found = [_proven(cells) for cells in connection.execute(query, (target, most))]

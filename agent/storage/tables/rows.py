@@ -73,7 +73,7 @@ FitKey = tuple[float | None, int, int, float | None, bool, int]
 
 
 class Names:
-    """What rows name by number: rigs, series, fits, verdicts. New ones wait here until a commit took them along."""
+    """What rows name by number: rigs, series, fits, verdicts. New ones wait here until committed."""
 
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers

@@ -84,7 +84,7 @@ class RunRows:
         self._clocks.pop(run_id, None)
 
     def standing(self, rig: str | None = None, kind: str | None = None) -> list[AlarmRow]:
-        """Return the alarms of open runs that are not back to normal; of one rig and kind of run where named."""
+        """Return alarms of open runs that are not back to normal; of one rig and kind of run where named."""
         return [row for run_id in self._of(rig, kind) for row in self._alarms[run_id].standing]
 
     def take_up(self, rig: str, kind: str, row: AlarmRow) -> None:
@@ -93,7 +93,7 @@ class RunRows:
             self._alarms[run_id].take_up(row)
 
     def clock(self, rig: str, kind: str) -> tuple[int, int | None]:
-        """Return the part that stamps of a rig are of now, and wall clock minus monotonic clock; 0, None for none."""
+        """Return the part a rig's stamps are of now, and wall minus monotonic clock; 0, None for none."""
         found = [self._clocks[run_id] for run_id in self._of(rig, kind)]
         return (found[-1].newest, found[-1].offset_ns) if found else (0, None)
 
@@ -115,7 +115,7 @@ class RunRows:
         return plans
 
     def _set_clock(self, run_id: int, record: ClockRecord) -> list[HealthEvent]:
-        """Take in how the wall clock is set; return the event of a run that begins with another than those before."""
+        """Take in how the wall clock is set; return the event of a run that begins with another setting."""
         clock = self._clocks[run_id]
         words = None if clock.records else jump_words(self._connection(), clock.run, run_id, record)
         self._watch(run_id, clock.apply(record, self._numbers))

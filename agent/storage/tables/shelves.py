@@ -1,4 +1,4 @@
-"""Shelved alarms: for how long, by elapsed time. A step of the wall clock neither ends a shelf nor prolongs it.
+"""Shelved alarms: for how long, by elapsed time. A step of the wall clock neither ends nor prolongs a shelf.
 
 Within a boot the monotonic clock tells, whether the agent ran or not. Over a boot time passes as it does for
 the ages of rows (`ages`): what ran counts, and what lay between as far as the wall clock is believed.

@@ -1,4 +1,4 @@
-"""Rows of health, events, verdicts and conditions: ledgers, what happened once, constants, windows of the paper."""
+"""Health, event, verdict and condition rows: ledgers, what happened once, constants, windows of the paper."""
 
 import json
 import math

@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
-"""What operators do to alarms: all alarms of a request take the step, or none does and each refusal says why."""
+"""What operators do to alarms: all in a request take the step, or none does and each refusal says why."""
 
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
@@ -182,7 +182,7 @@ def expire_shelves(store: Store, now: Moment) -> list[Taken]:
 
 
 def find(store: Store, seq: int) -> Found | None:
-    """Return an alarm by its number: as open runs have it, else as the file has it; None where there is none."""
+    """Return an alarm by its number: as open runs have it, else as the file has it; None if there is none."""
     if not 0 < seq < 2**63:
         return None
     row = next((row for row in store.open_runs.standing() if row.seq == seq), None) or _stored(

@@ -1,4 +1,4 @@
-"""Records that wait for the disk: bounded, and of what does not fit the oldest estimates go, never an alarm."""
+"""Records waiting for the disk: bounded, and of what does not fit the oldest estimates go, never an alarm."""
 
 import time
 from collections import Counter, deque
@@ -67,7 +67,7 @@ class Backlog:
         return False
 
     def _drop(self, place: int, record: Record, reason: str) -> None:
-        """Drop a record, but of estimates no more instants than are too many: joined ones may be all that waits."""
+        """Drop a record, but of estimates only the instants in excess: joined ones may be all that waits."""
         gone = cells_of(record)
         many = (
             0

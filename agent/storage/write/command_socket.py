@@ -168,7 +168,7 @@ class CommandServer:
 
 
 def command_group() -> int | None:
-    """Return the number of the group that may command; None where it is not there or this process not in it."""
+    """Return the number of the group that may command; None if it is not there or this process not in it."""
     try:
         number = grp.getgrnam(GROUP).gr_gid
     except KeyError:
@@ -177,7 +177,7 @@ def command_group() -> int | None:
 
 
 def _listen(file: Path) -> socket.socket:
-    """Return a listening socket at a path; one that a killed agent left is replaced, since the lock is ours."""
+    """Return a listening socket at a path; one that a killed agent left is replaced, as the lock is ours."""
     file.unlink(missing_ok=True)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
@@ -212,7 +212,7 @@ def _let_in(file: Path, group: int) -> None:
 
 
 def access_list(group: int) -> bytes:
-    """Return a POSIX access control list as acl(5) and the kernel have it: the owner and one group, nobody else."""
+    """Return a POSIX ACL as acl(5) and the kernel have it: the owner and one group, nobody else."""
     nobody = 0xFFFFFFFF
     owner, own_group, named_group, mask, others = 0x01, 0x04, 0x08, 0x10, 0x20
     rows = [
@@ -226,7 +226,7 @@ def access_list(group: int) -> bytes:
 
 
 class _short_name:  # noqa: N801 - used like a function
-    """The name of a socket within the 107 bytes that the kernel allows: through the folder's descriptor if need be."""
+    """The name of a socket within the kernel's 107 bytes: through the folder's descriptor if need be."""
 
     def __init__(self, file: Path) -> None:
         self._file = file.absolute()
@@ -259,7 +259,7 @@ def _read_line(peer: socket.socket, until: float | None = None) -> bytes:
 
 
 def _last_line(peer: socket.socket, until: float | None) -> bytes:
-    """Return the answer, without the signs of life before it; until: by when (monotonic, s), None for however long."""
+    """Return the answer, without signs of life before it; until: by when (monotonic, s), None: no limit."""
     while True:
         line = _read_line(peer, until)
         if line.strip() or not line:

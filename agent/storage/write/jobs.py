@@ -1,4 +1,4 @@
-"""What other threads want done with the store: it is done in the writer's thread, between two of its commits."""
+"""What other threads want done with the store: done in the writer's thread, between two of its commits."""
 
 from collections.abc import Callable
 from concurrent.futures import Future

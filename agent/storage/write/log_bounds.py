@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - statements are put together from this module's own names; values are always bound
-"""How many rows of what happened are kept: the newest of each table, counted, since a count depends on no clock."""
+"""How many rows of what happened are kept: the newest of each table, counted, as a count needs no clock."""
 
 import sqlite3
 

@@ -23,19 +23,22 @@ class Due:
 
 
 _FACTS = """SELECT g.name AS rig, r.code_version AS code_version, n.seq AS event_id, n.alarm_id AS alarm_id,
- a.kind AS kind, a.parameter AS parameter, a.priority AS priority, n.from_state AS from_state, n.to_state AS to_state,
- n.cause AS cause, n.by_whom AS "by", n.comment AS comment, n.t_ns AS t_ns, a.message AS message, a.delta AS delta,
+ a.kind AS kind, a.parameter AS parameter, a.priority AS priority, n.from_state AS from_state,
+ n.to_state AS to_state,
+ n.cause AS cause, n.by_whom AS "by", n.comment AS comment, n.t_ns AS t_ns, a.message AS message,
+ a.delta AS delta,
  a.sd AS sd, a.limit_value AS limit_value, a.probability AS probability,
  (SELECT x.advice FROM annotations x WHERE x.alarm_id = a.seq ORDER BY x.seq DESC LIMIT 1) AS advice,
  (SELECT x.percent FROM annotations x WHERE x.alarm_id = a.seq ORDER BY x.seq DESC LIMIT 1) AS percent,
  (SELECT p.site FROM sites p WHERE p.run_id = a.run_id) AS site,
  (SELECT p.labels FROM sites p WHERE p.run_id = a.run_id) AS labels
- FROM alarm_events n JOIN alarms a ON a.seq = n.alarm_id JOIN runs r ON r.seq = a.run_id JOIN rigs g ON g.seq = r.rig_id
+ FROM alarm_events n JOIN alarms a ON a.seq = n.alarm_id JOIN runs r ON r.seq = a.run_id
+ JOIN rigs g ON g.seq = r.rig_id
  WHERE n.seq = ?"""
 
 
 def due(store: Store, target: str, most: int) -> list[Due]:
-    """Return the oldest notifications that a target is still to get; those of steps that are no more are given up."""
+    """Return the oldest notifications still due to a target; those of steps that are no more are given up."""
     found = []
     for row in pending(store.connection, target, most):
         cursor = store.connection.execute(_FACTS, (row.alarm_event_id,))
@@ -51,7 +54,7 @@ def due(store: Store, target: str, most: int) -> list[Due]:
 
 
 def catch_up(store: Store, target: str, wanted: Callable[[AlarmTransition], bool]) -> int:
-    """Add what operators did since a target's newest notification while no agent ran; return how much that is.
+    """Add what operators did since a target's newest notification while no agent ran; return how much it is.
 
     Whoever has no notification yet begins with what happens from now on.
     """
@@ -69,9 +72,10 @@ def catch_up(store: Store, target: str, wanted: Callable[[AlarmTransition], bool
     return added
 
 
-_COMMANDED = """SELECT n.seq, g.name, a.kind, a.parameter, a.priority, n.t_ns, n.from_state, n.to_state, n.cause,
- a.message
- FROM alarm_events n JOIN alarms a ON a.seq = n.alarm_id JOIN runs r ON r.seq = a.run_id JOIN rigs g ON g.seq = r.rig_id
+_COMMANDED = """SELECT n.seq, g.name, a.kind, a.parameter, a.priority, n.t_ns, n.from_state, n.to_state,
+ n.cause, a.message
+ FROM alarm_events n JOIN alarms a ON a.seq = n.alarm_id JOIN runs r ON r.seq = a.run_id
+ JOIN rigs g ON g.seq = r.rig_id
  WHERE n.seq > ? AND n.by_whom IS NOT NULL AND NOT EXISTS (
  SELECT 1 FROM notifications x WHERE x.alarm_event_id = n.seq AND x.target = ?) ORDER BY n.seq"""
 

@@ -198,7 +198,7 @@ class TierKeeper:
     # -----------------------------------------------------------------------------------------------
 
     def _purge_hourly(self) -> None:
-        """Purge by age once an hour of the rows' own time; looking at every run each second would cost too much."""
+        """Purge by age once an hour of the rows' time; checking every run each second would cost too much."""
         hours = {run_id: (self._newest(run_id, 0) or 0) // _STRETCH_NS for run_id in self._runs}
         if hours != self._purged_at:
             self._purge_old()
@@ -266,7 +266,7 @@ class TierKeeper:
         return int(pages - free) * PAGE_SIZE
 
     def _oldest_anywhere(self) -> tuple[int, int, int] | None:
-        """Return (run, span, time) of the oldest row of the finest tier; the newest hour of a rig is never taken."""
+        """Return (run, span, time) of the finest tier's oldest row; a rig's newest hour is never taken."""
         ages = _ages(self._store.connection)
         for span in (0, MINUTE, HOUR):
             found = [
@@ -281,8 +281,11 @@ class TierKeeper:
         return None
 
     def _purge(self, run_id: int, span: int, before: int, sent: int) -> bool:
-        """Delete rows of a run's tier older than `before`, but for hops after `sent`; True when there are more."""
-        query = "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? ORDER BY t_ns LIMIT ?"
+        """Delete rows of a run's tier older than `before`, but for hops after `sent`; True if more remain."""
+        query = (
+            "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? "
+            "ORDER BY t_ns LIMIT ?"
+        )
         parts = (run_id, span, before, sent, _HOPS_A_PURGE)
         found = self._store.connection.execute(query, parts).fetchall()
         if not found:
@@ -329,7 +332,7 @@ def _edge(connection: sqlite3.Connection, run_id: int, span: int, order: str) ->
 
 
 def _ages(connection: sqlite3.Connection) -> list[tuple[Part, int]]:
-    """Return the parts of all runs with now in their stamps (ns): of the rig's newest live row, or a replay's own."""
+    """Return all runs' parts with now in their stamps (ns): the rig's newest live row, or a replay's own."""
     found: list[tuple[Part, int]] = []
     for (rig,) in connection.execute("SELECT name FROM rigs ORDER BY seq").fetchall():
         parts = parts_of(connection, rig)
@@ -343,7 +346,7 @@ def _ages(connection: sqlite3.Connection) -> list[tuple[Part, int]]:
 
 
 def _thin_health(connection: sqlite3.Connection, run_id: int, before: int) -> None:
-    """Keep of old health rows the last of each hour and source, and those that a consumer does not have yet."""
+    """Keep of old health rows the last of each hour and source, and those a consumer does not have yet."""
     taken = acknowledged(connection, "health")
     kept = "SELECT max(seq) FROM health WHERE run_id = ?1 AND t_ns < ?2 GROUP BY source, t_ns / 3600000000000"
     query = f"DELETE FROM health WHERE run_id = ?1 AND t_ns < ?2 AND seq <= ?3 AND seq NOT IN ({kept})"  # noqa: S608 - own text

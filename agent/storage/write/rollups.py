@@ -27,7 +27,8 @@ _SEVERITY = {Status.VALID: 0, Status.WARMING: 1, Status.UNEXCITED: 2, Status.INV
 _LEAST_SD = 1e-150  # a noise-free replay may claim an sd of zero, whose weight would be infinite
 _NORMAL_DOF = 1e9
 
-_FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used, f.n_missing,
+_FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0),
+ f.n_used, f.n_missing,
  coalesce(e.sd * e.repeat * 1e-4, e.sd)
  FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN fits f ON f.seq = e.fit_id
@@ -71,7 +72,7 @@ class Groups:
 def aggregate(
     connection: sqlite3.Connection, run_id: int, span: int, first_ns: int, end_ns: int
 ) -> Groups | None:
-    """Return the aggregates of a run's rows with first_ns <= t < end_ns; minutes from rows, hours from minutes."""
+    """Return the aggregates of a run in first_ns <= t < end_ns; minutes from rows, hours from minutes."""
     query, source = (_FULL_ROWS, 0) if span == MINUTE else (_MINUTE_ROWS, MINUTE)
     found = connection.execute(query, (run_id, source, first_ns, end_ns))
     rows = np.fromiter(found, dtype=_MINUTES if source else _FULL)

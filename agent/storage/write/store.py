@@ -96,7 +96,7 @@ class Store:
         self.shelves: dict[int, Shelf | None] = {}
         """The shelves of alarms that were asked for, by alarm."""
         self.hurried = False
-        """Whether the process is about to end: nothing is purged any more, and of aggregates only the next made."""
+        """Whether the process is ending: nothing is purged any more, and of aggregates only the next made."""
         self.recovery: Recovery | None = None
         """What became of a damaged file that was found here; told in the next run that begins."""
 
@@ -157,7 +157,7 @@ class Store:
             self.checkpoint("TRUNCATE")
 
     def _open_file(self) -> None:
-        """Open the file, bring it up to date and learn what it names; a damaged one is replaced by what it tells."""
+        """Open the file, update it and learn what it names; a damaged one is replaced by what it tells."""
         remove_left_over(self.path)
         aside = finish_interrupted(self.path)
         if aside is not None:
@@ -174,7 +174,7 @@ class Store:
         sync_folder(self.path.parent)  # SQLite does so for its log, but does not mind when it fails
 
     def _torn(self) -> str | None:
-        """Return what was acknowledged and only a torn log holds; what no log holds is told by the next run."""
+        """Return what was acknowledged and only a torn log holds; the next run tells what no log holds."""
         words, torn = self._watermarks.missing(self.path)
         self._missing = None if torn else words
         return words if torn else None
@@ -231,7 +231,7 @@ class Store:
         return self._connection
 
     def begin_run(self, run: RunInfo) -> int:
-        """Record a run and return its number; the alarms that earlier live runs left standing go on in a live run."""
+        """Record a run and return its number; a live run goes on with the alarms that earlier ones left."""
         with self._mutex:
             run_id = self.numbers.take("runs")
             standing = [one.baseline_id for one in self.baselines(run.rig) if one.baseline_id is not None]
@@ -256,7 +256,7 @@ class Store:
             return run_id
 
     def _report_recovery(self, run_id: int, run: RunInfo) -> None:
-        """Record that a damaged file was replaced: an event, and an alarm that is over but not acknowledged."""
+        """Record that a damaged file was replaced: an event, and an alarm that is over but unacknowledged."""
         if self._missing is not None:
             self.write(run_id, [HealthEvent(run.rig, "store", run.started_ns, "rows missing", self._missing)])
             self._missing = None
@@ -316,7 +316,7 @@ class Store:
             return newest_means(self.connection, rig, _MEMORY_NS)
 
     def add_baselines(self, baselines: Sequence[Baseline]) -> list[Baseline]:
-        """Store baselines, each in the place of its parameter's; return them with their numbers, committed."""
+        """Store baselines, each in place of its parameter's; return them with their numbers, committed."""
         with self._mutex:
             plan, numbered = plan_of(baselines, self.names, self.numbers)
             self.commit([plan])
@@ -339,7 +339,7 @@ class Store:
         return self._run_rows.plans(run_id, records)
 
     def commit(self, plans: Sequence[Plan]) -> None:
-        """Write plans, a transaction each; on return they are on the disk. Committing a plan again is harmless."""
+        """Write plans, a transaction each; on return they are on disk. Committing one again is harmless."""
         with self._mutex:
             for plan in plans:
                 self._transaction(plan)
@@ -435,14 +435,14 @@ class Store:
                 self.checkpoint("TRUNCATE")
 
     def compact(self) -> None:
-        """Give free pages back to the disk; needs room for a second copy, and no other transaction meanwhile."""
+        """Give free pages back to the disk; needs room for a copy, and no other transaction meanwhile."""
         with self._mutex:
             if not self._finished(lambda: compact(self.connection, self.path, lambda: self.hurried)):
                 raise StoreError.at(str(self.path), "its agent is ending", "ask again when it has ended")
             self.checkpoint("TRUNCATE")
 
     def maintain(self, *, finish: bool = False) -> None:
-        """Make the minutes and hours that are over and purge what is too old or too much; cheap when nothing is due."""
+        """Make the minutes and hours due and purge what is too old or too much; cheap when nothing is due."""
         with self._mutex:
             if self.spilling:
                 self._checkpoint_if_due()

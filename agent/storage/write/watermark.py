@@ -1,4 +1,4 @@
-"""How far rows were acknowledged, noted in DB.lock after each commit: tells a log that lost its end from a short one.
+"""How far rows were acknowledged, noted in DB.lock after each commit: tells a truncated log from a short one.
 
 SQLite takes a write-ahead log up to its first wrong frame, so a flipped bit or a cut in it silently takes
 away what what came after. The note is not synced: it may be older than the truth after a power cut, never
@@ -52,7 +52,7 @@ class Watermarks:
             self._write({})
 
     def missing(self, path: Path) -> tuple[str | None, bool]:
-        """Return in words what was acknowledged and neither the database nor its side file holds, and if it is torn.
+        """Return in words what was acknowledged but is in neither database nor side file, and if it is torn.
 
         None for nothing. Torn: a log holds rows that cannot be reached, so the file should be replaced by
         what can be saved. Reads only, so that a log whose end is damaged stays as it is.
@@ -96,7 +96,7 @@ def _holds_more(log: Path, reached: Mapping[str, int]) -> bool:
 
 
 def _highs(path: Path) -> dict[str, int]:
-    """Return the highest number of each table that a file holds or has given out; nothing where it cannot be read."""
+    """Return the highest number of each table that a file holds or gave out; nothing where unreadable."""
     found: dict[str, int] = {}
     with (
         suppress(sqlite3.Error, UnicodeDecodeError, TypeError),

@@ -1,4 +1,4 @@
-"""The thread between pipeline and store: takes records without ever blocking, and keeps at it when disks fail."""
+"""The thread between pipeline and store: takes records, never blocks and keeps at it when disks fail."""
 
 import logging
 import sqlite3
@@ -93,7 +93,7 @@ class StoreWriter:
         self._served = served
         self._server: CommandServer | None = None
         self.on_alarm: Callable[[AlarmTransition], None] = lambda _: None
-        """Called, in the writer's thread, with each step that an alarm took by an operator or as a shelf ended."""
+        """Called, in the writer's thread, with each alarm step by an operator or as a shelf ended."""
         self.on_outbox: Callable[[], None] = lambda: None
         """Called, in the writer's thread, when there may be something to notify targets of."""
         self.on_stored: Callable[[], None] = lambda: None
@@ -107,7 +107,7 @@ class StoreWriter:
         """What earlier runs learnt of each rig for the same key, as it was when this one began."""
         self.baselines: dict[str, tuple[Baseline, ...]] = {}
         self.covariates: dict[str, list[CovariateMean]] = {}
-        """What each rig's parameters are counted from, as the file says now; another tuple where that changed."""
+        """What each rig's parameters are counted from, as the file says now; a new tuple if that changed."""
         self.progress = 0
         """Grows with every round of the thread; a watchdog may read it."""
         self.written = 0
@@ -125,7 +125,7 @@ class StoreWriter:
     # -----------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Open the store and begin the runs; StoreError when it can never work, otherwise failures are retried."""
+        """Open the store and begin the runs; StoreError if it can never work, else failures are retried."""
         try:
             self._attach()
         except _DISK as error:
@@ -135,7 +135,7 @@ class StoreWriter:
         self._thread.start()
 
     def publish(self, records: Sequence[Record]) -> None:
-        """Hand over the records of one pipeline step; never blocks (but for lossless) and never raises for the disk."""
+        """Hand over a pipeline step's records; never blocks (but for lossless) or raises for the disk."""
         cells = sum(map(cells_of, records))
         with self._condition:
             if self._lossless:
@@ -157,7 +157,7 @@ class StoreWriter:
         keep: Retention,
         commit_s: float,
     ) -> None:
-        """End the runs of some rigs, all of whose records were published, and begin others, in the writer's thread.
+        """End the runs of some rigs, all their records published, and begin others, in the writer's thread.
 
         every_s, keep and commit_s (the period of batches) hold from now on; a rig that leaves may have no
         run. Raises StoreError where the store cannot be written at present; nothing is changed then.
@@ -171,7 +171,7 @@ class StoreWriter:
         self._jobs.ask(act)
 
     def ask(self, job: Job) -> Any:
-        """Have something done with the store in the writer's thread; returns what it returns. Raises StoreError."""
+        """Have something done with the store in the writer's thread; return its result. Raises StoreError."""
         return self._jobs.ask(job)
 
     def flush(self, timeout_s: float = 30.0) -> bool:
@@ -192,7 +192,7 @@ class StoreWriter:
             store.hurry()
 
     def stop(self, timeout_s: float = 10.0) -> None:
-        """Write what is left, close the store and end the thread; what a failing disk still refuses is dropped.
+        """Write what is left, close the store and end the thread; what a failing disk refuses is dropped.
 
         A thread that takes longer is left to itself, and rows that it had not written yet are lost with the
         process.
@@ -355,7 +355,7 @@ class StoreWriter:
                 self._write_all(last)
 
     def _write_once(self) -> None:
-        """Commit what is in flight; what failed before is committed again as it was, which stores nothing twice."""
+        """Commit what is in flight; what failed before is committed again as is, storing nothing twice."""
         store = self._store
         assert store is not None  # noqa: S101 - _attach made it
         if not self._flight:
@@ -463,7 +463,7 @@ class StoreWriter:
         return max((len(b) for b in self._backlogs.values()), default=0) + waiting > self._most // 2
 
     def _replace_file(self, cause: str) -> None:
-        """Go on in a new file that holds what could be read of the damaged one; rows in flight are stored anew."""
+        """Go on in a new file with what could be read of the damaged one; rows in flight are stored anew."""
         assert self._store is not None  # noqa: S101 - checked by the caller
         self.occupied = True
         try:
@@ -476,7 +476,10 @@ class StoreWriter:
         if spilling == self._spilling:
             return
         self._spilling = spilling
-        began = "a reader of the database does not end: new rows go to a side file and are not shown until it does"
+        began = (
+            "a reader of the database does not end: "
+            "new rows go to a side file and are not shown until it does"
+        )
         cause, message = (
             ("reader", began) if spilling else ("reader ended", "the rows of the side file were taken in")
         )
@@ -486,12 +489,15 @@ class StoreWriter:
             self._on_event(event)
 
     def _recovered(self) -> None:
-        """After a failure: say how long it lasted and what it cost, once, by an event and an alarm that is over."""
+        """After a failure: say how long it lasted and what it cost, once, by an event and an ended alarm."""
         cause, since = self._pause.passed()
         self._failure = None
         for rig in self._runs:
             lost = sum(self._backlogs[rig].dropped.values())
-            message = f"the store could not be written for {since:.1f} s ({cause}); {lost} rows did not fit in memory"
+            message = (
+                f"the store could not be written for {since:.1f} s ({cause}); "
+                f"{lost} rows did not fit in memory"
+            )
             event = HealthEvent(rig, "store", self._newest[rig], cause, message)
             raised = AlarmTransition(
                 rig, "source", "store", "high", self._failed_at[rig], "NORM", "UNACK", cause, message

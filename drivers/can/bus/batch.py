@@ -22,8 +22,8 @@ _CONTROL = np.dtype([
     ("length", "u8"), ("level", "i4"), ("kind", "i4"), ("seconds", "i8"), ("nanoseconds", "i8"),
     ("length2", "u8"), ("level2", "i4"), ("kind2", "i4"), ("lost", "u4"), ("rest", "u1", 12),
 ])  # fmt: skip
-"""The kernel's control messages of one frame on 64-bit machines: the time stamp, then the count of lost frames where
-there are any."""
+"""The kernel's control messages of one frame on 64-bit machines: the time stamp, then the count of lost
+frames where there are any."""
 _WITH_LOST = 52
 
 
@@ -60,7 +60,7 @@ def _library() -> ctypes.CDLL:
 
 
 class BatchReceiver:
-    """Receives from a CAN socket that was told to give time stamps (SO_TIMESTAMPNS) and lost frames (SO_RXQ_OVFL).
+    """Receives from a CAN socket told to give time stamps (SO_TIMESTAMPNS) and lost frames (SO_RXQ_OVFL).
 
     Args:
         descriptor: of the socket.

@@ -1,4 +1,4 @@
-"""Where CAN frames come from: a socketcand daemon, or any bus that python-can speaks to; can_kernel and can_slcan.
+"""Where CAN frames come from: a socketcand daemon, or any bus python-can speaks to; can_kernel and can_slcan.
 
 Each bus is read by one thread in a loop of its own. Nothing is ever sent but a listed handshake.
 """
@@ -61,7 +61,7 @@ class CanBus(ABC):
 
     @abstractmethod
     def frames(self, deadline: float) -> Frames:
-        """Return what has arrived, waiting until `deadline` (clock.monotonic); DriverIOError when the bus is gone."""
+        """Return what came, waiting until `deadline` (clock.monotonic); DriverIOError if the bus is gone."""
 
     @abstractmethod
     def close(self) -> None:
@@ -95,7 +95,8 @@ class DaemonBus(CanBus):
             # frames may come right behind the answer, more of them than an answer would ever have bytes
             if answer not in got and (not more or b"< error" in got or len(got) > 4096):
                 raise DriverIOError(
-                    f"{self._pipe.name}: socketcand answers {got[:80]!r} to {command.decode() or 'the connection'}; "
+                    f"{self._pipe.name}: socketcand answers {got[:80]!r} to "
+                    f"{command.decode() or 'the connection'}; "
                     f"does it serve {self._channel}?"
                 )
         self._keep_frames(got.partition(answer)[2])

@@ -65,7 +65,7 @@ class KernelBus(CanBus):
         self._socket.bind((keys.channel,))
 
     def _widen_buffer(self) -> None:
-        """Ask for room for seconds of frames; without the right to it the kernel's limit (rmem_max) stands."""
+        """Ask for room for seconds of frames; without the right, the kernel's limit (rmem_max) stands."""
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         with suppress(PermissionError):
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
@@ -104,7 +104,7 @@ class KernelBus(CanBus):
         return frames_of(rows, np.array(times, np.int64)) if rows else no_frames()
 
     def _fail(self, error: OSError) -> None:
-        """Keep a failure: the kernel tells only once that an interface went down, and frames before it go out first."""
+        """Keep a failure: the kernel reports a downed interface only once, and earlier frames go first."""
         self._failure = DriverIOError(f"{self._name}: {error.strerror or error}")
 
     def _ancillary(self, extra: list[tuple[int, int, bytes]]) -> int:

@@ -111,7 +111,10 @@ def hints(keys: BusKeys) -> tuple[str, ...]:
 def _minded(keys: BusKeys, link: Link) -> Iterator[str]:
     name = keys.channel
     if keys.fd and not link.fd:
-        yield f"{name} is set up for classic frames, FD frames do not come; set fd on (of a vcan: mtu 72), with it down"
+        yield (
+            f"{name} is set up for classic frames, FD frames do not come; "
+            "set fd on (of a vcan: mtu 72), with it down"
+        )
     if link.kind != "can":
         return
     if not link.listen_only:
@@ -122,4 +125,7 @@ def _minded(keys: BusKeys, link: Link) -> Iterator[str]:
     if not link.listen_only and not link.restart_ms:
         yield f"{name} stays off the bus after bus-off; ip link set {name} type can restart-ms 100"
     if keys.bitrate is not None and link.bitrate not in (0, keys.bitrate):
-        yield f"{name} runs at {link.bitrate} bit/s, not at the {keys.bitrate} of the configuration; set one of the two"
+        yield (
+            f"{name} runs at {link.bitrate} bit/s, not at the {keys.bitrate} of the configuration; "
+            "set one of the two"
+        )

@@ -61,7 +61,7 @@ class SlcanBus(CanBus):
             raise DriverIOError(f"{self._pipe.name}: the adapter refuses to listen only (command L)")
 
     def _ask(self, command: bytes) -> bytes:
-        """Return how the adapter answers a command: a carriage return, a bell, or nothing (some never answer)."""
+        """Return how the adapter answers a command: a carriage return, a bell, or nothing (some never do)."""
         self._pipe.send("slcan", command + b"\r")
         deadline = clock.monotonic() + _ADAPTER_ANSWER_S
         while data := self._pipe.recv(deadline):

@@ -1,4 +1,4 @@
-"""Frames as serial adapters write them (slcan): lines of ASCII, read so that no byte on the line can do harm. Pure.
+"""Frames as serial adapters write them (slcan): lines of ASCII, read so that no byte can do harm. Pure.
 
 Understood are the letters of Lawicel's protocol, CANable's for FD frames, and the state and error lines that
 the kernel's driver understands too. A line ends with a carriage return, or with the bell of an adapter that
@@ -98,7 +98,7 @@ class SlcanText:
                 self._counts.show_bad("text", line.decode("latin-1"))
 
     def _may_be_tail(self, line: bytes) -> bool:
-        """Tell whether a line could be the end of the broken one before it, cut by a wrong or one more byte."""
+        """Tell whether a line could be the end of the broken one before it, cut by a wrong or extra byte."""
         if line[:1] not in _FD_LETTERS or not line:
             return False
         if not self._fd:
@@ -113,7 +113,7 @@ class SlcanText:
 
 
 class StampClock:
-    """Times of frames from the adapter's milliseconds, which begin anew every minute, held to the time of arrival."""
+    """Frame times from the adapter's milliseconds, which restart every minute, held to the arrival time."""
 
     def __init__(self) -> None:
         self._ms: int | None = None
@@ -121,7 +121,7 @@ class StampClock:
         self._arrived_ns = 0
 
     def times(self, stamps: list[int], arrival_ns: int) -> IntArray:
-        """Return times (n,) of stamps, ms; −1 for none, which takes the time of the newest one, or of arrival."""
+        """Return times (n,) of stamps, ms; −1 for none, which takes that of the newest one, or of arrival."""
         if self._ms is None and max(stamps) < 0:
             return np.full(len(stamps), arrival_ns)
         return np.array([self._time(ms, arrival_ns) for ms in stamps], np.int64)
@@ -143,7 +143,7 @@ class StampClock:
 
 
 def _read(line: bytes) -> tuple[list[bytes], int] | None:
-    """Return the rows of a line and its stamp, ms (−1: none); no rows for one without a frame, None for nonsense."""
+    """Return a line's rows and stamp, ms (−1: none); no rows for one without a frame, None for nonsense."""
     for form, rows_of in _WITHOUT_STAMP:
         match = form.fullmatch(line)
         rows = None if match is None else rows_of(match)

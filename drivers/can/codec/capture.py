@@ -1,4 +1,4 @@
-"""What a CAN bus carried, kept for recording: the text of `candump -L`, and beside it what that text cannot carry.
+"""What a CAN bus carried, for recording: the text of `candump -L`, and beside it what that text cannot carry.
 
 A line has microseconds, the identifier, the data, and of a CAN FD frame the flags for its bit rate and error
 state. Beside it stand (each only where there is something to say)
@@ -139,7 +139,7 @@ def candump_text(frames: Frames, channel: str) -> bytes:
 
 
 def interface_name(channel: str) -> str:
-    """Return a channel's name as tools take it for an interface: its last part, letters and digits, 15 at most."""
+    """Return a channel's interface name for tools: its last part, letters and digits, 15 at most."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", channel.rsplit("/", 1)[-1])[:_LONGEST_NAME] or "can"
 
 

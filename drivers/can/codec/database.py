@@ -59,7 +59,7 @@ class MessageCodec:
         return matching
 
     def all_sound(self, table: FrameTable) -> bool:
-        """Tell whether every frame is a whole one of this message: the usual case, told in the shortest way."""
+        """Tell whether every frame is a whole one of this message: the usual case, told the shortest way."""
         flags = np.uint32(self.mask | ERROR | REMOTE)
         whole = ((table["id"] & flags) == np.uint32(self.number)).all() and self.right_length(table).all()
         return bool(whole and self.right_sum(table).all() and self.right_counter(table).all())
@@ -257,7 +257,7 @@ def _lengths(length: int) -> tuple[int, ...]:
 
 
 def _identity(message: "Message", keys: FrameKeys) -> tuple[int, int]:
-    """Return identifier and mask. A message known by its group has any priority, and any source unless one is named."""
+    """Return identifier and mask. A message known by group has any priority, and any source unless named."""
     grouped = keys.j1939 == "group" or (keys.j1939 == "auto" and message.protocol == "j1939")
     if not message.is_extended_frame:
         return message.frame_id, EXTENDED | EXTENDED_MASK

@@ -1,4 +1,4 @@
-"""Frames to samples: frames of one message as they come, frames of several joined by their counter. Pure: no I/O."""
+"""Frames to samples: of one message as they come, of several joined by their counter. Pure: no I/O."""
 
 from collections.abc import Callable
 
@@ -77,7 +77,7 @@ class FrameDecoder:
             self._counts.rejected[reason] += frames * samples
 
     def _sound(self, message: MessageCodec, frames: Frames) -> Frames:
-        """Return the message's frames that can be read; the others are counted by the first thing wrong with them."""
+        """Return the message's readable frames; the others are counted by the first thing wrong with them."""
         frames = _picked(frames, message.mine(frames.table))
         for reason, assess in (
             ("remote frame", lambda table: ~is_remote(table)),
@@ -157,7 +157,7 @@ def _picked(frames: Frames, mask: NDArray[np.bool_]) -> Frames:
 
 
 def _common_modulus(messages: tuple[MessageCodec, ...]) -> int | None:
-    """Return after how many samples the messages' counters wrap; None without counters. Raises DriverConfigError."""
+    """Return after how many samples the counters wrap; None without counters. Raises DriverConfigError."""
     moduli = {message.counter.sample_modulus for message in messages if message.counter}
     if len(moduli) > 1:
         raise DriverConfigError(

@@ -34,8 +34,12 @@ _CONTROLLER = 0x004
 _CONTROLLER_BITS = {0x03: OVERFLOW, 0x0C: WARNING, 0x30: PASSIVE, 0x40: ACTIVE}
 _COUNTERS = 0x200
 _STATES = {
-    BUS_OFF: "the controller has left the bus after too many errors of its own; it returns when it is restarted",
-    PASSIVE: "the controller sees so many errors that it may signal none: wrong bit rate, cable or termination",
+    BUS_OFF: (
+        "the controller has left the bus after too many errors of its own; it returns when it is restarted"
+    ),
+    PASSIVE: (
+        "the controller sees so many errors that it may signal none: wrong bit rate, cable or termination"
+    ),
     WARNING: "the controller sees many errors: look at bit rate, cable and termination",
     ACTIVE: "the controller is sound again",
     RESTARTED: "the controller was restarted after bus-off",
@@ -54,7 +58,7 @@ def names_of(identifier: int, controller: int) -> list[str]:
 
 
 class ErrorWatch:
-    """Counts error frames by name, and reports each change of the controller's state and each new kind of fault.
+    """Counts error frames by name; reports each change of the controller's state and each new kind of fault.
 
     Args:
         bus: its name, for messages.

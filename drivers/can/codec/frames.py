@@ -23,8 +23,8 @@ FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 FRAME = np.dtype(
     [("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "u1", (72,))]
 )
-"""One frame: identifier with the flag bits above, data padded by eight bytes so that a 64-bit number can be read
-from any byte of it."""
+"""One frame: identifier with the flag bits above, data padded by eight bytes so that a 64-bit number can be
+read from any byte of it."""
 
 _ROW = struct.Struct("<IBBxx72s")
 
@@ -197,7 +197,7 @@ def _candump_frame(match: re.Match[str]) -> bytes | None:
 
 
 def _candump_identifier(digits: str) -> int | None:
-    """Return an identifier with its flags; None beyond its bits. Eight digits may carry the flag of an error frame."""
+    """Return an identifier with flags; None beyond its bits. Eight digits may carry the error frame flag."""
     number = int(digits, 16)
     is_long = len(digits) == 8
     if number > (ERROR | EXTENDED_MASK if is_long else STANDARD_MASK):

@@ -122,7 +122,7 @@ class Joiner:
         return self._emitted is not None and key <= self._emitted
 
     def _alike(self, keys: IntArray, start: int) -> int:
-        """Return where keys end that can be taken at once: late ones as long as no restart falls among them ..."""
+        """Return where keys end that can be taken at once: late ones while no restart falls among them ..."""
         rest = keys[start:]
         if self._is_late(int(rest[0])):
             late = rest <= (self._emitted or 0)

@@ -1,4 +1,4 @@
-"""python-can without what it imports beside itself: its MF4 reader takes asammdf, and that pandas, 80 MB in all.
+"""python-can without what it imports besides: its MF4 reader takes asammdf, and that pandas, 80 MB in all.
 
 Its listeners for asyncio, of which we use none, take that and TLS: 2 MB of an agent.
 """
@@ -13,7 +13,7 @@ _EVENT_LOOPS = "asyncio"
 
 
 class _Later(ModuleType):
-    """Stands for a module that is imported once something of it is used; annotations need no more than a name."""
+    """Stands for a module that is imported once something of it is used; annotations need only a name."""
 
     AbstractEventLoop = object
 

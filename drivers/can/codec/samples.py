@@ -1,4 +1,4 @@
-"""The signals of a message as samples: multiplexed ones, several samples in one frame, and their counters. Pure."""
+"""A message's signals as samples: multiplexed ones, several samples in a frame, and their counters. Pure."""
 
 from dataclasses import dataclass
 

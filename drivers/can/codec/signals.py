@@ -1,4 +1,4 @@
-"""Signals of CAN messages, read from many frames at once exactly as cantools reads them from one. Pure: no I/O."""
+"""CAN signals, read from many frames at once exactly as cantools reads them from one. Pure: no I/O."""
 
 from typing import TYPE_CHECKING
 

@@ -26,7 +26,7 @@ def shown(channel: object, kind: str) -> str:
 
 
 def channel_of(found: Iterable[str], wanted: str, interface: str, kind: str) -> str | None:
-    """Return the channel of a log whose frames are to be read; None where all are: the log has one, whatever it is.
+    """Return the channel of a log whose frames are read; None where all are: the log has one, whatever it is.
 
     Args:
         found: the channel of each of its frames; read no further than needed.

@@ -1,4 +1,4 @@
-"""Recorded CAN logs as a source that ends: candump text read here, .asc, .blf, .trc and .mf4 by python-can."""
+"""CAN logs as a source that ends: candump text read here, .asc, .blf, .trc and .mf4 by python-can."""
 
 import gzip
 import itertools
@@ -108,7 +108,7 @@ class CanLogDriver(DbcDriver):
             raise DriverConfigError(f"{path}: {error.strerror or error}") from error
 
     def _wire(self, file: IO[bytes], path: Path) -> bytes | None:
-        """Return the interface whose frames are to be read, None where all are; the file is at its beginning then."""
+        """Return the interface whose frames are read, None where all are; the file is at its start then."""
         channel: str | None = self.request.settings.channel
         if channel is None:
             return None
@@ -174,7 +174,7 @@ def _messages(path: Path) -> "Generator[can.Message]":
 
 
 def _channels(path: Path, kind: str) -> Iterator[str]:
-    """Yield the channel of each frame, as far as a log can be read; what it is damaged by is said when it is read."""
+    """Yield each frame's channel, as far as a log can be read; damage is reported when it is read."""
     messages = _messages(path)
     some = False
     try:

@@ -9,7 +9,7 @@ from drivers.port import DriverConfigError
 
 
 def wire_of(pieces: Iterable[bytes], wanted: str) -> bytes | None:
-    """Return the interface whose frames are to be read; None where all are: the log names one, or none, whatever it is.
+    """Return the interface whose frames are read; None for all: the log names at most one, whatever it is.
 
     Args:
         pieces: the log's text, whole lines each; read no further than needed.
@@ -39,7 +39,7 @@ def _wire_in(line: bytes) -> bytes:
 
 
 def _of_wire(text: bytes, name: bytes) -> bool:
-    """Tell quickly whether all lines are frames of one interface; False where a line may be of another one."""
+    """Tell quickly whether all lines are frames of one interface; False where a line may be of another."""
     # a search for the name takes five times as long
     characters = np.frombuffer(text, np.uint8)
     close = np.flatnonzero(characters == ord(")"))

@@ -45,7 +45,7 @@ class _Lines:
     sign: IntArray
 
     def shapes(self) -> IntArray:
-        """Return a number for each line that is equal for lines of one shape; −1 where it cannot be a frame's."""
+        """Return a number for each line, equal for lines of one shape; −1 where it cannot be a frame's."""
         length, close, sign = self.end - self.start, self.close - self.start, self.sign - self.start
         possible = (
             (close > 3) & (close < 32) & (sign > close + 6) & (sign < 64) & (length > sign) & (length < 256)
@@ -132,7 +132,7 @@ def _first(text: ByteArray, character: int, start: IntArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    """Where things stand in lines of one shape: columns of point, closing bracket, end of name, sign and data.
+    """Where things stand in lines of a shape: columns of point, closing bracket, end of name, sign and data.
 
     `end` is where the data end, before the direction that python-can writes there.
     """
@@ -175,7 +175,7 @@ class _Shape:
         return right
 
     def in_digits(self, digits: ByteArray) -> NDArray[np.bool_]:
-        """Tell of each line whether seconds, their parts, identifier, flags and data are digits of their kind."""
+        """Tell of each line if seconds, their parts, identifier, flags and data are digits of their kind."""
         right = _each(digits[:, 1 : self.point] < 10)
         right &= _each(digits[:, self.point + 1 : self.close] < 10)
         right &= _each(digits[:, self.name_end + 1 : self.sign] < 16)

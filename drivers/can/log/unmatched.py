@@ -27,7 +27,10 @@ class UnmatchedFrames:
         """Say how many frames there are, which are seen most often, and the messages that are looked for."""
         often = ", ".join(f"{_digits(number)} ({n} times)" for number, n in self._seen.most_common(_NAMED))
         looked = ", ".join(f"{message.name} ({_pattern(message)})" for message in messages)
-        return f"none of its {self._seen.total()} frames fits: most often seen are {often}; looked for is {looked}"
+        return (
+            f"none of its {self._seen.total()} frames fits: most often seen are {often}; "
+            f"looked for is {looked}"
+        )
 
 
 def _digits(number: int) -> str:

@@ -1,4 +1,4 @@
-"""Simulated CAN devices: on a socketcand daemon of our own, behind an slcan adapter, or on a vcan of the kernel."""
+"""Simulated CAN devices: on a socketcand daemon of our own, behind an slcan adapter, or on a kernel vcan."""
 
 import threading
 from collections.abc import Mapping, Sequence

@@ -36,7 +36,7 @@ class KernelFrames:
 
 
 class KernelOutlet(Outlet):
-    """A raw socket on one interface. While the interface is down or gone, frames are lost, as they are on a wire.
+    """A raw socket on one interface. While the interface is down or gone, frames are lost, as on a wire.
 
     Args:
         channel: the interface.

@@ -83,10 +83,13 @@ class Packing:
         self._later = self._later_signals(fields, source)
 
     def _later_signals(self, fields: Sequence[str], source: Source) -> dict[str, tuple[str, int]]:
-        """Return, of each signal of a later sample in a frame, the first sample's signal, and how much later it is."""
+        """Return, of each signal of a frame's later samples, the first sample's signal and how much later."""
         count = self._keys.samples_per_frame
         if CHUNK % count or len(self._messages) > 1 < count or self._keys.counter_counts == "frames":
-            words = f"samples_per_frame = {count}: only 2, 4, 8 ... of one message that counts samples can be simulated"
+            words = (
+                f"samples_per_frame = {count}: only 2, 4, 8 ... of one message "
+                "that counts samples can be simulated"
+            )
             raise SimUsageError(f'source "{source.name}": {words}')
         return {
             next_name(field, place): (field, place) for place in range(1, count) for field in fields

@@ -1,4 +1,4 @@
-"""A simulated slcan adapter: frames as lines of text on a pseudo-terminal, and answers to what opens its channel.
+"""A simulated slcan adapter: frames as lines of text on a pseudo-terminal, answers to what opens its channel.
 
 Its channel is open from the start, as of adapters that were set up so; C closes it, L and O open it.
 """
@@ -32,7 +32,8 @@ class SlcanText:
 
     def __init__(self, kinds: Sequence[FrameKind], sample_rate_hz: float, *, stamped: bool = False) -> None:
         self._heads = [
-            (b"%s%s%X" % (_LETTERS[kind.extended, kind.fd and kind.size > 8], kind.digits, _SIZES.index(kind.size)),
+            (b"%s%s%X"
+             % (_LETTERS[kind.extended, kind.fd and kind.size > 8], kind.digits, _SIZES.index(kind.size)),
              kind.size) for kind in kinds
         ]  # fmt: skip
         self._period_ms = 1000.0 / sample_rate_hz

@@ -1,4 +1,4 @@
-"""A socketcand daemon on loopback: serves simulated CAN buses in raw mode, several buses and clients at once."""
+"""A socketcand daemon on loopback: serves simulated CAN buses in raw mode, many buses and clients at once."""
 
 import re
 import selectors

@@ -56,7 +56,7 @@ def _sim_device(unit: Unit) -> SimDevice:
 
 
 def _fifo_request(units: Mapping[int, Unit]) -> type[ReadFifoQueueRequest]:
-    """Return the request of function 24 that answers from the units' queues (the library's own is a dummy)."""
+    """Return the function 24 request that answers from the units' queues (the library's own is a dummy)."""
 
     class Request(ReadFifoQueueRequest):
         async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
@@ -73,7 +73,7 @@ def _fifo_request(units: Mapping[int, Unit]) -> type[ReadFifoQueueRequest]:
 
 
 class ModbusDevice(Device):
-    """The units that share one TCP port or one serial line, served by a thread with an event loop of its own."""
+    """The units that share one TCP port or serial line, served by a thread with an event loop of its own."""
 
     framing: ClassVar[Framing]
 
@@ -241,7 +241,7 @@ def _full_queue(host: str, port: int) -> list[socket.socket]:
 
 
 class ModbusRtuDevice(ModbusDevice):
-    """Units on one serial line: a pseudo-terminal, joined to a second one on whose far end the library listens."""
+    """Units on a serial line: a pseudo-terminal, joined to a second on whose far end the library listens."""
 
     framing = "rtu"
 

@@ -1,4 +1,4 @@
-"""Replies of a Modbus device as faults make them: wrong in one place, cut, doubled, late, byte by byte, or none."""
+"""Modbus replies as faults make them: wrong in one place, cut, doubled, late, byte by byte, or none."""
 
 from collections.abc import Callable, Mapping
 from typing import Literal

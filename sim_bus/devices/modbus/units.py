@@ -82,7 +82,7 @@ class Unit(ABC):
         return self.faults.at_time(name, self.newest())
 
     def active_faults(self, opened: int = 0) -> frozenset[str]:
-        """Return the faults that last at this time, on a connection made when `opened` was the newest sample."""
+        """Return the faults that last now, on a connection made when `opened` was the newest sample."""
         newest = self.newest()
         dead = [strike for strike in self.faults.strikes if strike.name == "half-open"]
         names = {strike.name for strike in self.faults.strikes if strike.hits(newest)} - {"half-open"}
@@ -172,7 +172,7 @@ class RingUnit(Unit):
         self._written = head
 
     def _note_taken(self, address: int, count: int) -> None:
-        """Move on past the samples whose whole slots lie in a request, and past those that are there no more."""
+        """Move on past the samples whose whole slots lie in a request, and past those no longer there."""
         origin = self.origin
         oldest = max(self._written - self._ring.slots, origin)
         if self._taken < oldest:

@@ -29,7 +29,7 @@ class Built:
     reads: dict[Place, FloatArray]
 
     def place(self, quantity: str, at: str) -> Place | None:
-        """Return the place of a channel; without `at` the only one of its quantity; None where there is none."""
+        """Return the place of a channel; without `at` the only one of its quantity; None if there is none."""
         of_kind = {place for place in (*self.drives, *self.reads) if place[0] == quantity}
         wanted = of_kind if not at else of_kind & {(quantity, at)}
         return wanted.pop() if len(wanted) == 1 else None

@@ -1,4 +1,4 @@
-"""Electrical ladders, motors and voice coils, thermal and hydraulic networks: stores, losses, exchanges of power."""
+"""Electrical ladders, motors and voice coils, thermal and hydraulic networks: stores, losses, exchanges."""
 
 from sim_bus.rig.domains.built import Built, Network, Raw, Values
 

@@ -31,7 +31,7 @@ KINDS: Mapping[str, _Kind] = {
 
 
 class DomainTable(BaseModel):
-    """The [model] of a template, its own keys as they stand in the file; `deltak check` says what is wrong in them."""
+    """The [model] of a template, its own keys as in the file; `deltak check` says what is wrong in them."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

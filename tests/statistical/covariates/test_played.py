@@ -1,4 +1,4 @@
-"""Days of a rig in virtual time, sample by sample: a burst of motion each 2 h, springs that follow the hall."""
+"""Days of a rig in virtual time, sample by sample: a motion burst each 2 h, springs that follow the hall."""
 
 from pathlib import Path
 from typing import Any

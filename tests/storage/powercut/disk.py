@@ -109,7 +109,7 @@ def _write(content: bytearray, operation: Operation) -> None:
 
 
 def _torn(operation: Operation, rng: np.random.Generator) -> Operation:
-    """Return a write of which only some sectors arrived; the first of them that did decides where it begins."""
+    """Return a write of which only some sectors arrived; the first that did decides where it begins."""
     if operation.kind != "W" or len(operation.content) <= SECTOR:
         return operation
     sectors = -(-len(operation.content) // SECTOR)

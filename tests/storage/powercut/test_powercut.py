@@ -134,8 +134,8 @@ class Starts:
             execute = store.connection.execute
             kept = execute("SELECT coalesce(max(full_from_ns), -9e18) FROM runs").fetchone()[0]
             query = (
-                "SELECT h.t_ns, count(*) FROM hops h JOIN estimates e ON e.seq >> 10 = h.seq WHERE h.span = 0 "
-                "GROUP BY h.t_ns"
+                "SELECT h.t_ns, count(*) FROM hops h JOIN estimates e ON e.seq >> 10 = h.seq "
+                "WHERE h.span = 0 GROUP BY h.t_ns"
             )
             steps = execute("SELECT count(*) FROM alarm_events").fetchone()[0]
             found = Found(kept, dict(execute(query)), steps, highs, damaged)
@@ -169,7 +169,8 @@ def test_power_cut_at_any_moment_loses_nothing_acknowledged(
         assert starts.lost(files, acknowledged) == 0, f"cut at operation {moment}"
         assert not starts.found(files).damaged, f"the cut at operation {moment} left what needs a repair"
     figure(
-        f"power cuts, {profile}: {starts.cuts} ({starts.different} different disks), nothing acknowledged lost"
+        f"power cuts, {profile}: {starts.cuts} ({starts.different} different disks), "
+        "nothing acknowledged lost"
     )
 
 

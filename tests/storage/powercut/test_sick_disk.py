@@ -100,12 +100,12 @@ def ward(shim: Path, memory: Path) -> Iterator[Ward]:
 
 
 def whole(path: Path, acknowledged: list[int]) -> tuple[int, set[str], set[str]]:
-    """Return how many acknowledged writes a reader misses, and the causes of the store's events and alarms."""
+    """Return how many acknowledged writes a reader misses, and causes of the store's events and alarms."""
     reader = connect_reader(path)
-    present = dict(reader.execute("SELECT h.t_ns, count(*) FROM hops h JOIN estimates e ON e.seq >> 10 = h.seq "
-                                  "WHERE h.span = 0 GROUP BY h.t_ns"))  # fmt: skip
-    steps = {t for (t,) in reader.execute("SELECT n.t_ns FROM alarm_events n JOIN alarms a ON a.seq = n.alarm_id "
-                                          "WHERE a.kind = 'level'")}  # fmt: skip
+    present = dict(reader.execute("SELECT h.t_ns, count(*) FROM hops h JOIN estimates e ON e.seq >> 10 = "
+                                  "h.seq WHERE h.span = 0 GROUP BY h.t_ns"))  # fmt: skip
+    steps = {t for (t,) in reader.execute("SELECT n.t_ns FROM alarm_events n JOIN alarms a ON "
+                                          "a.seq = n.alarm_id WHERE a.kind = 'level'")}  # fmt: skip
     events = {cause for (cause,) in reader.execute("SELECT cause FROM events WHERE source = 'store'")}
     alarms = {state for (state,) in reader.execute("SELECT state FROM alarms WHERE parameter = 'store'")}
     reader.close()
@@ -163,7 +163,8 @@ def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(
         assert events or retried or EXPENDABLE.fullmatch(life.failed), f"nothing was told of it: {case}"
         reported.update(events or ["nothing failed" if not life.failed else "expendable"])
     figure(
-        f"a disk that fails, {start} start: {sum(reported.values())} operations, nothing lost; {dict(reported)}"
+        f"a disk that fails, {start} start: {sum(reported.values())} operations, "
+        f"nothing lost; {dict(reported)}"
     )
 
 
@@ -185,7 +186,8 @@ def test_sync_that_failed_is_never_taken_for_done(
         for moment, files, reported in cuts(read_log(ward.log, begin), count, rng):
             assert starts.lost(files, reported) == 0, f"{kind} {first}, cut at {moment}"
     figure(
-        f"power cuts after a sync ({kind}) that failed and a kill -9: {starts.cuts}, nothing acknowledged lost"
+        f"power cuts after a sync ({kind}) that failed and a kill -9: {starts.cuts}, "
+        "nothing acknowledged lost"
     )
 
 

@@ -126,7 +126,10 @@ def looked_at(path: Path) -> int:
 
 
 def test_first_start_loads_no_pandas_though_it_is_installed(memory: Path) -> None:
-    code = "import sys; from agent.storage.write.store import Store; Store.open(sys.argv[1]); print(sorted(sys.modules))"
+    code = (
+        "import sys; from agent.storage.write.store import Store; Store.open(sys.argv[1]); "
+        "print(sorted(sys.modules))"
+    )
     command = [sys.executable, "-c", code, memory / "rig.db"]
     done = subprocess.run(command, cwd=peers.ROOT, capture_output=True, text=True, check=True)
     assert "'sqlite_utils'" in done.stdout

@@ -1,4 +1,4 @@
-"""The life cycle against that of alerta-server, which others wrote: they differ just where the documents say."""
+"""The life cycle against alerta-server's, which others wrote: they differ just where the documents say."""
 
 import json
 import os
@@ -128,5 +128,6 @@ def test_hundred_thousand_events_are_played_to_alerta_server_itself(tmp_path: Pa
     assert json.loads(text) == json.loads(KEPT.read_text(encoding="utf-8"))
     agreed, differed = play(read(text), 100_000)
     figure(
-        f"alarm states beside alerta-server: {agreed} of 100000 events agree, {differed} differ as listed, 0 others"
+        f"alarm states beside alerta-server: {agreed} of 100000 events agree, "
+        f"{differed} differ as listed, 0 others"
     )

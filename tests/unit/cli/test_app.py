@@ -1,4 +1,4 @@
-"""The command line itself: help, flags, errors and exit codes, plug-ins; bodies of commands are stood in for."""
+"""The command line itself: help, flags, errors, exit codes, plug-ins; bodies of commands are stood in for."""
 
 import importlib.metadata
 import io
@@ -77,9 +77,9 @@ RESULT = {
     "rig": "press-7", "db": "press 7.db", "run_id": 3, "span_s": 30.0, "windows": 596, "seconds": 0.1,
     "samples": {"received": 30000, "used": 29990, "rejected": {"crc": 10}, "dropped": {}, "gaps": 1},
     "estimates": {
-        "k1": {"value": np.float64(25.04), "sd": 0.12, "lower": 24.8, "upper": 25.3, "delta": 0.04, "status": "valid",
-               "reason": None, "t_ns": np.int64(30_000_000_001), "unit": "N/m", "n_valid": 590,
-               "n_rows": 596},
+        "k1": {"value": np.float64(25.04), "sd": 0.12, "lower": 24.8, "upper": 25.3, "delta": 0.04,
+               "status": "valid", "reason": None, "t_ns": np.int64(30_000_000_001), "unit": "N/m",
+               "n_valid": 590, "n_rows": 596},
         "B1": {"value": float("nan"), "sd": float("inf"), "lower": None, "upper": None, "delta": None,
                "status": "unexcited", "reason": "standstill", "t_ns": 30_000_000_001, "unit": "N s/m",
                "n_valid": 0,
@@ -192,8 +192,8 @@ def test_agent_error_prints_every_fault_and_its_exit_code(
     found, out, err = deltak("replay", "--json", "a.toml", "b.csv")
     assert found == code
     assert (
-        err
-        == "deltak: error: rig.sample_rate_hz: 0 is not above 0; give it in Hz\ndeltak: error: a.toml:3: odd\n"
+        err == "deltak: error: rig.sample_rate_hz: 0 is not above 0; give it in Hz\n"
+        "deltak: error: a.toml:3: odd\n"
     )
     assert [e["path"] for e in json.loads(out)["errors"]] == ["rig.sample_rate_hz", "a.toml:3"]
 
@@ -352,7 +352,8 @@ def test_check_table_tells_what_the_document_holds(deltak: Run, body: Any) -> No
             "poles": [{"re": 0.99, "im": -0.01, "freq_hz": 1.59, "damping_ratio": 0.7}],
             "condition_3": {"holds": True, "radius_model": 0.99, "radius_observer": 0.9},
             "condition_8": {"delta": 2.3e-4, "h_infinity": 4268.0, "perturbation_norm": 1e-3, "holds": False},
-            "predicted_sd": [{"window_s": 0.25, "parameter": "k1", "sd": 0.5, "unit": "N/m", "assumes": "white force"}],
+            "predicted_sd": [{"window_s": 0.25, "parameter": "k1", "sd": 0.5, "unit": "N/m",
+                              "assumes": "white force"}],
         },
     )  # fmt: skip
     code, out, _ = deltak("check", "a.toml")
@@ -382,7 +383,10 @@ def test_paper_table_is_the_modules_own_else_the_document(
     assert json.loads(deltak("paper")[1]) == {"data": {"product": "exact"}}
 
 
-PLUGIN = '"""Heavy."""\nraise ImportError("half installed")\n\ndef shake() -> None:\n    """Shake the rig gently."""\n'
+PLUGIN = (
+    '"""Heavy."""\nraise ImportError("half installed")\n\n'
+    'def shake() -> None:\n    """Shake the rig gently."""\n'
+)
 
 
 @pytest.fixture

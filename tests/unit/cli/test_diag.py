@@ -61,7 +61,8 @@ def test_no_secret_is_left_however_it_is_written(
     monkeypatch.setenv("BROKER_PASSWORD", "planted-3")
     config = tmp_path / "rig.toml"
     config.write_text(
-        '[mqtt]\npassword = { file = "key" }\n[[north]]\ntoken = { env = "BROKER_PASSWORD" }\nsecret = "planted-4"\n'
+        '[mqtt]\npassword = { file = "key" }\n[[north]]\n'
+        'token = { env = "BROKER_PASSWORD" }\nsecret = "planted-4"\n'
     )
     cleaned = Redaction([config, tmp_path / "gone.toml"]).cleaned(text.encode()).decode()
     assert "planted" not in cleaned

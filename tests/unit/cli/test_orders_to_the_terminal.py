@@ -1,4 +1,4 @@
-"""What came from a bus or a file reaches no terminal as an order to it, in whatever form rows are asked for."""
+"""What came from a bus or file reaches no terminal as an order to it, in whatever form rows are asked for."""
 
 import io
 import os

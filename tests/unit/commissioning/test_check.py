@@ -15,8 +15,8 @@ from agent.runtime.replay import replay
 from tests.scenario.live import EXAMPLES, example, rows
 from tests.scenario.offline import play
 
-KEYS = {"ok", "errors", "warnings", "observable", "poles", "observer", "condition_3", "condition_8", "predicted_sd",
-        "bytes_per_rig_year"}  # fmt: skip
+KEYS = {"ok", "errors", "warnings", "observable", "poles", "observer", "condition_3", "condition_8",
+        "predicted_sd", "bytes_per_rig_year"}  # fmt: skip
 
 
 def checked(config: Path, recording: Path | None = None) -> dict[str, Any]:
@@ -164,7 +164,8 @@ def test_check_warns_of_a_mass_that_nothing_holds(tmp_path: Path) -> None:
 
 
 def test_check_warns_of_a_short_on_delay_and_a_slow_rate(tmp_path: Path) -> None:
-    changes = (("limit = 15.0", "on_delay_s = 0.05\nlimit = 15.0"), ("sample_rate_hz = 1000.0", "sample_rate_hz = 5.0"),
+    changes = (("limit = 15.0", "on_delay_s = 0.05\nlimit = 15.0"),
+               ("sample_rate_hz = 1000.0", "sample_rate_hz = 5.0"),
                ("window_s = 0.25", "window_s = 4.0"), ("hop_s = 0.05", "hop_s = 1.0"))  # fmt: skip
     document = checked(edited(tmp_path, *changes))
     assert len(warned(document, "alarm[0].on_delay_s")) == 1

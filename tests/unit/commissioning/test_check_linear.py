@@ -86,7 +86,10 @@ def test_paper_conditions_of_a_recording_are_in_the_document_and_said(
 def test_conditions_of_more_than_eight_parameters_do_not_vanish(tmp_path: Path) -> None:
     entries = [f"A[{i},{j}]" for i in range(3) for j in range(3)]
     A = [[0.9, 0.05, 0.0], [-0.05, 0.85, 0.1], [0.0, -0.1, 0.8]]
-    text = '[rig]\nname = "nine"\nsample_rate_hz = 100.0\n[model]\nkind = "linear"\ntime = "discrete"\nrate_hz = 100.0\n'
+    text = (
+        '[rig]\nname = "nine"\nsample_rate_hz = 100.0\n'
+        '[model]\nkind = "linear"\ntime = "discrete"\nrate_hz = 100.0\n'
+    )
     text += (
         f"A = {A}\nB = [[1.0], [0.0], [0.0]]\nC = {np.eye(3).tolist()}\nuncertain = {json.dumps(entries)}\n"
     )

@@ -1,4 +1,4 @@
-"""The designed motion, read back from its file: optimal by the theorem, within bounds, as sharp as was said."""
+"""The designed motion, read back from its file: optimal by the theorem, within bounds, as sharp as said."""
 
 import json
 from pathlib import Path

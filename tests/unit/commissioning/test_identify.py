@@ -1,4 +1,4 @@
-"""`deltak identify` on the command line: values, refusals, the file that it writes, and what bad input says."""
+"""`deltak identify` on the command line: values, refusals, the file it writes, and what bad input says."""
 
 import csv
 import json
@@ -171,7 +171,10 @@ def test_values_go_where_the_names_stand_and_nothing_else_changes() -> None:
 
 
 def test_text_without_a_place_for_a_value_is_left_alone() -> None:
-    text = '[model]\nmass = [{ value = 5, "name" = "m1" }]\nspring = [{ "name" = "k1", between = ["ground", "m1"] }]\n'
+    text = (
+        '[model]\nmass = [{ value = 5, "name" = "m1" }]\n'
+        'spring = [{ "name" = "k1", between = ["ground", "m1"] }]\n'
+    )
     with pytest.raises(UsageError, match="enter 25 there yourself"):
         edited(text, {"k1": 25.0}, Path("rig.toml"))
 

@@ -41,7 +41,7 @@ def asked(capsys: pytest.CaptureFixture[str], *argv: object) -> dict[str, Any]:
 
 
 def machine(folder: Path, loss: float = 0.0, **changes: str) -> Path:
-    """A configuration whose store holds three days of rows, k1 weaker by `loss` for some hours of the third."""
+    """A configuration whose store has three days of rows, k1 weaker by `loss` for some hours of the third."""
     made = rows_of(3 * 1440)
     value = made.value.copy()
     value[3000:3300, 0] -= loss
@@ -134,11 +134,17 @@ PLAIN = '[rig]\nname = "a"\n'
     [
         (
             '[[alarm]]   # of the spring\nparameter = "k1"\nlimit_percent = 10   # as ever\nside = "low"\n',
-            '[[alarm]]   # of the spring\nparameter = "k1"\non_delay_s = 2.0\nlimit = 1.5   # as ever\nside = "low"\n',
+            (
+                '[[alarm]]   # of the spring\nparameter = "k1"\non_delay_s = 2.0\n'
+                'limit = 1.5   # as ever\nside = "low"\n'
+            ),
         ),
         (
             'alarm = [{ parameter = "k2", limit = 3 }, { parameter = "k1", limit = 15.0 }]  # both\n',
-            'alarm = [{ parameter = "k2", limit = 3 }, { parameter = "k1", on_delay_s = 2.0, limit = 1.5 }]  # both\n',
+            (
+                'alarm = [{ parameter = "k2", limit = 3 }, '
+                '{ parameter = "k1", on_delay_s = 2.0, limit = 1.5 }]  # both\n'
+            ),
         ),
         (
             '[[alarm]]\nlimit = 15\non_delay_s = 9\nparameter = "k1"\n',

@@ -1,4 +1,4 @@
-"""`deltak listen`: units as they come beside what they decode to, rates, and every rejection with its bytes."""
+"""`deltak listen`: units as they come beside what they decode to, rates, every rejection with its bytes."""
 
 import json
 import os

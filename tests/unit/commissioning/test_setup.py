@@ -1,4 +1,4 @@
-"""`deltak examples` and `deltak init`: files that `check` accepts, questions on a terminal, what is refused."""
+"""`deltak examples` and `deltak init`: files `check` accepts, questions on a terminal, what is refused."""
 
 import json
 import os

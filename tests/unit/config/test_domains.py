@@ -65,7 +65,8 @@ RIGS: dict[str, tuple[str, tuple[tuple[str, str, str], ...]]] = {
     "angles": (CHAIN, (("torque", "J2", "N m"), ("angle", "J1", "rad"), TWIST, ("torque", "k1", "N m"))),
     "frame": (
         FRAME,
-        (("force", "b.x", "N"), ("displacement", "c.y", "m"), ("angle", "b", "rad"), ("velocity", "c.x", "m/s")),
+        (("force", "b.x", "N"), ("displacement", "c.y", "m"), ("angle", "b", "rad"),
+         ("velocity", "c.x", "m/s")),
     ),
 }  # fmt: skip
 
@@ -169,14 +170,16 @@ CASES: dict[str, tuple[str, tuple[tuple[str, str, str], ...], str, tuple[str, st
     "unknown key": (MOTOR + "k = 1.0\n", MOVED, "", ("model.k", "unknown key", '"K"')),
     "missing": (MOTOR.replace("L = 2e-3\n", ""), MOVED, "", ("model.L", "is missing", "add it")),
     "negative": (MOTOR.replace("J = 2e-4", "J = -1.0"), MOVED, "", ("model.J", "must be greater than 0", "")),
-    "not a number": (MOTOR.replace("R = 1.0", "R = nan"), MOVED, "", ("model.R", "must be a finite number", "")),
+    "not a number": (MOTOR.replace("R = 1.0", "R = nan"), MOVED, "",
+                     ("model.R", "must be a finite number", "")),
     "node": (WARM.replace('"core", "shell"]', '"core", "shel"]'), RIGS["thermal"][1], "",
              ("model.resistance[0].between[1]", 'no node is called "shel"', "nodes are core, shell, room")),
     "loop": (WARM.replace('"core", "shell"]', '"core", "core"]'), RIGS["thermal"][1], "",
              ("model.resistance[0].between", 'both ends are "core"', "two different nodes")),
     "twice": (WARM.replace('"R1"', '"G"'), RIGS["thermal"][1], "",
               ("model.resistance[0].name", '"G" is the name of conductance[0]', "names must differ")),
-    "still": (FRAME.split("beam", maxsplit=1)[0].replace('[0.3, 1.1] }', '[0.3, 1.1], support = "clamped" }') +
+    "still": (FRAME.split("beam", maxsplit=1)[0].replace('[0.3, 1.1] }',
+                                                         '[0.3, 1.1], support = "clamped" }') +
               'beam = [{ name = "e1", between = ["a", "b"], nominal = 40.0, mass_per_m = 1.5 }]\n',
               RIGS["frame"][1], "", ("model.node[2]", 'no beam ends at "c"', "join it")),
     "quantity": (MOTOR, (VOLTAGE, ("displacement", "", "m")), "",

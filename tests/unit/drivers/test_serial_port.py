@@ -172,7 +172,10 @@ def test_port_that_a_replug_may_change_is_pointed_out_with_its_stable_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_port, "BY_ID", tmp_path)
-    words = "/dev/ttyUSB7 is numbered in the order of plugging, a replug may change it; write port = its link under"
+    words = (
+        "/dev/ttyUSB7 is numbered in the order of plugging, a replug may change it; "
+        "write port = its link under"
+    )
     assert port_hint("/dev/ttyUSB7") == f"{words} {tmp_path}"
     (tmp_path / "usb-FTDI_A1-if00-port0").symlink_to("/dev/ttyUSB7")
     hint = port_hint("/dev/ttyUSB7")

@@ -1,4 +1,4 @@
-"""The paper's method in the agent: chosen by its name in a configuration, seen through the estimation block."""
+"""The paper's method in the agent: chosen by name in a configuration, seen through the estimation block."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Limits proposed from a healthy spread: how often they are crossed, and what they find, played row by row."""
+"""Limits proposed from a healthy spread: how often they are crossed and what they find, played row by row."""
 
 from dataclasses import dataclass, replace
 

@@ -72,7 +72,7 @@ def test_selector_leaves_what_must_stay() -> None:
 
 
 def test_selector_knows_little_of_what_a_constant_could_stand_for_in_whatever_units() -> None:
-    """An element that the prior of a constant alone tells from nothing is uncertain, its unit ever so small."""
+    """An element that a constant's prior alone tells from nothing is uncertain, its unit ever so small."""
     rng, unit = np.random.default_rng(5), np.array([1.0, 1e-7])
     found = Costs.none(np.zeros(2), np.diag([0.0, 0.0, 1.0]), np.zeros(3))
     for _ in range(WINDOWS):

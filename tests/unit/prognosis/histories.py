@@ -8,7 +8,7 @@ LIMIT = 20.0
 
 
 def straight(rng: np.random.Generator, n: int = 60) -> tuple[History, float]:
-    """A level that falls from 25 at a steady rate with Wiener noise; what remains until it first reaches 20."""
+    """A level falling from 25 at a steady rate with Wiener noise; what remains until it first reaches 20."""
     q, s = np.exp(rng.uniform(np.log([0.02, 0.02]), np.log([0.15, 0.1]))) * np.array([0.5, 5.0])
     rate, dt = 0.05 * np.exp(rng.normal(0.0, 0.3)), 0.25
     t = np.arange(0.0, 1500.0, dt)

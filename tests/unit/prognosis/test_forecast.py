@@ -48,7 +48,8 @@ def test_forecast_transforms_of_parts_that_follow_the_family_are_uniform(rng: np
     found = np.array([transform for _ in range(500) if (transform := of_one_part(rng)) is not None])
     share, p = float(np.mean(np.abs(found - 0.5) <= 0.4)), float(kstest(found, "uniform").pvalue)
     figure(
-        f"forecasts of parts of the family: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.2f}"
+        f"forecasts of parts of the family: P10-P90 holds {100 * share:.0f} % of {len(found)}, "
+        f"Kolmogorov p {p:.2f}"
     )
     assert 0.75 <= share <= 0.85
     assert p > 0.01

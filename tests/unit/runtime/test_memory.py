@@ -40,7 +40,8 @@ rig, source = service.rigs[config.rig.name], config.source[0].name
 rng, x = np.random.default_rng(1), np.zeros(4)
 for start in range(0, 1000, 100):
     v = np.column_stack([rng.normal(0.0, 5.0, 100), rng.normal(0.0, 1e-3, (100, 2))])
-    rig.pipeline.take(source, SampleBlock(v, (start + 100) * 1_000_000, np.arange(start, start + 100)), None, None)
+    rig.pipeline.take(source, SampleBlock(v, (start + 100) * 1_000_000,
+                                              np.arange(start, start + 100)), None, None)
     rig.pipeline.compute()
 now = np.linspace(-10.0, 0.0, 3600)
 forecast(History(now, 25.0 - 0.3 * (now + 10.0) + rng.normal(0.0, 0.1, 3600), np.full(3600, 0.1)), 20.0)

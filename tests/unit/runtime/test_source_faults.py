@@ -19,7 +19,8 @@ POLL = (
 )
 CAN = '[[source]]\ndriver = "can"\ninterface = "socketcand"\nchannel = "can0"\ndbc = "none.dbc"\n'
 RING = (
-    '[[source]]\ndriver = "modbus"\nmode = "ring"\nindex = { address = 0 }\nring = { address = 60000, slots = 9000 }\n'
+    '[[source]]\ndriver = "modbus"\nmode = "ring"\nindex = { address = 0 }\n'
+    "ring = { address = 60000, slots = 9000 }\n"
     'fields = [{ name = "F", type = "int16" }, { name = "X", type = "int16" }]\n'
 )
 MAP = 'map = { force = "F", x1 = "X" }\n'

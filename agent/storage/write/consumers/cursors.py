@@ -40,13 +40,13 @@ def edges_of(connection: sqlite3.Connection, name: str, topic: str) -> Edges | N
 
 
 def begin(store: Transactions, name: str, firsts: Mapping[str, int]) -> dict[str, Edges]:
-    """Return how far a consumer has each topic that it gets, from now on of no other; the first edge of new ones."""
+    """Return how far a consumer has each topic it gets, from now on no other; the first edge of new ones."""
     _drop_others(store, name, firsts)
     return {topic: edges_of(store.connection, name, topic) or (first,) for topic, first in firsts.items()}
 
 
 def keep(store: Transactions, name: str, positions: Mapping[str, Edges], numbers: Mapping[str, int]) -> int:
-    """Store how far a consumer has each topic, and numbers of its own; return how many rows it lost since last asked.
+    """Store a consumer's edges by topic, and its own numbers; return how many rows it lost since last asked.
 
     Those were purged before it had them, since the file or a table of it reached its bound.
     """
@@ -65,7 +65,7 @@ def keep(store: Transactions, name: str, positions: Mapping[str, Edges], numbers
 
 
 def forget_others(store: Transactions, names: Collection[str]) -> list[str]:
-    """Drop the cursors of consumers that are none any more, whose rows would be kept for ever; return their names."""
+    """Drop the cursors of former consumers, whose rows would be kept for ever; return their names."""
     known = {name for (name,) in store.connection.execute("SELECT DISTINCT name FROM consumers")}
     gone = sorted(known - set(names))
     if gone:

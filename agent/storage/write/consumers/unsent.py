@@ -1,4 +1,4 @@
-"""Rows that are purged though a consumer does not have them yet: kept from it where age asks, counted where size does.
+"""Rows purged though a consumer does not have them yet: kept from it where age asks, counted where size does.
 
 The count of each consumer stands in `counters`; what of it was announced stands with its cursors.
 """
@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 
 Count = Callable[[str, int], None]
 TABLE_OF = {"alarms": "alarm_events", "estimates": "hops", "events": "events", "health": "health"}
-"""The table whose growing number is a topic's cursor; that of estimates counts columns too (seq >> COLUMN_BITS)."""
+"""The table whose seq is a topic's cursor; that of estimates counts columns too (seq >> COLUMN_BITS)."""
 
 
 def counter_of(name: str) -> str:
-    """Return the counter of what a consumer lost, which is also the topic under which the announced count stands."""
+    """Return the counter of what a consumer lost, also the topic of the announced count."""
     return f"purged unsent: {name}"
 
 
@@ -43,7 +43,7 @@ def count_unsent(
 
 
 def announced(connection: sqlite3.Connection, name: str) -> tuple[int, int]:
-    """Return how many rows a consumer lost since that was announced, and how many there are to announce in all."""
+    """Return how many rows a consumer lost since that was announced, and how many to announce in all."""
     total = connection.execute("SELECT count FROM counters WHERE name = ?", (counter_of(name),)).fetchone()
     said = connection.execute(
         "SELECT last_seq FROM consumers WHERE name = ? AND topic = ?", (name, counter_of(name))

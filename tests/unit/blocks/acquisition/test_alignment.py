@@ -143,7 +143,7 @@ def test_alignment_rows_do_not_depend_on_the_order_in_which_blocks_come() -> Non
 
 
 def played(alignment: Alignment, seconds: float, ppm: float, rate_hz: float, begin_s: float) -> list[Aligned]:
-    """Two devices: "one" at 1 kHz from 0 s, "two" at rate_hz from begin_s, ppm fast; 1 and 5 ms of transport."""
+    """Devices "one" at 1 kHz from 0 s, "two" at rate_hz from begin_s, ppm fast; 1 and 5 ms of transport."""
     rng, pieces = np.random.default_rng(3), []
     sent = {"one": 0, "two": 0}
     devices = ("one", 1000.0, 0.0, 0.001), ("two", rate_hz * (1 + ppm * 1e-6), begin_s, 0.005)

@@ -186,7 +186,7 @@ def counted(origin: Origin, every: int, modulus: int, restart: int, first: int =
 
 @pytest.mark.parametrize(("first", "modulus"), [(0, 65536), (42_000, 65536), (2000, 4096)])
 def test_indexer_two_sources_that_count_anew_at_once_agree_again(first: int, modulus: int) -> None:
-    """Read each 50 and each 100 ms; a counter of 16 bits may fall back or leap ahead, as the shorter way is."""
+    """Read each 50 and each 100 ms; a 16-bit counter may fall back or leap ahead, as the shorter way is."""
     origin = Origin(shared=True)
     one, two = counted(origin, 50, modulus, 8000, first), counted(origin, 100, 2**32, 8000, first)
     common = one.keys() & two.keys()

@@ -305,7 +305,7 @@ def test_silent_unit_is_given_the_time_its_answers_used_to_take() -> None:
 
 
 def test_answer_that_comes_late_is_counted_where_it_was_asked_for() -> None:
-    """A gateway keeps the next one waiting while it waits for a unit that is slow: the next one has no fault."""
+    """A gateway keeps the next one waiting while it waits for a slow unit: the next one has no fault."""
     seconds = {1: 0.005, 2: 0.3}
     with played(lambda request: (tcp(request, numbers(request[7:])), seconds[request[6]])) as line:
         quick, slow = driver_of(device_id=1), driver_of(device_id=2, timeout_s=0.2)

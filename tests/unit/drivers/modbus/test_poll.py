@@ -1,4 +1,4 @@
-"""Polled registers: what is asked in one request, what is left out, and that no sample gets lost in between."""
+"""Polled registers: what is asked in one request, what is left out, and that no sample is lost in between."""
 
 import struct
 

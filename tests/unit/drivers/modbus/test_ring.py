@@ -87,7 +87,7 @@ class Link:
         return self.reader.read(self.ask, self.line.now_ns / 1e9 + 0.2)
 
     def numbers(self) -> IntArray:
-        """Return all samples delivered, after seeing that none came twice and each is counted where it ended."""
+        """Return all samples delivered, after seeing none came twice and each is counted where it ended."""
         found = np.concatenate(self.delivered)
         assert (np.diff(found) > 0).all()
         assert self.counts.received == len(found) + self.counts.rejected.total()

@@ -1,4 +1,4 @@
-"""Patterns that can be held against any line are taken, those that cannot are refused before the first line."""
+"""Patterns that can be held against any line are taken, all others are refused before the first line."""
 
 import re
 import time

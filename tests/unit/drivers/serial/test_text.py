@@ -164,7 +164,8 @@ XDR, BAD_SUM = b"$IIXDR,1,2*4D\r\n", b"$IIXDR,1,2*4C\r\n"
             "does not match the pattern, held against what lies between $ and *, the address included",
         ),
         (b"1,2\n", {"nmea": False}, "rejected as \"columns\": '1,2': 2 cells; columns has 3"),
-        (b"1,2,\x1b[2J\n", {"nmea": False}, "rejected as \"text\": '1,2,\\x1b[2J': a cell is no decimal number"),
+        (b"1,2,\x1b[2J\n", {"nmea": False},
+         "rejected as \"text\": '1,2,\\x1b[2J': a cell is no decimal number"),
     ],
 )  # fmt: skip
 def test_first_line_that_is_rejected_for_a_reason_is_shown_with_why(

@@ -1,4 +1,4 @@
-"""Delays as parameters of the model: derivatives, accelerations, groups of inputs, stretches that disagree."""
+"""Delays as model parameters: derivatives, accelerations, groups of inputs, stretches that disagree."""
 
 import numpy as np
 import pytest

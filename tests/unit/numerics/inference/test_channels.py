@@ -1,4 +1,4 @@
-"""The contest of explanations: the channel that is wrong wins, evidence is the dense one, a step is a step."""
+"""The contest of explanations: the wrong channel wins, evidence is the dense one, a step is a step."""
 
 from dataclasses import replace
 
@@ -122,7 +122,7 @@ def test_evidence_of_a_mended_window_is_that_of_dense_least_squares(masses: int)
 
 
 def cost(dense: DenseWindow, precision: FloatArray) -> float:
-    """What a window leaves with θ ~ N(as linearised, 1/precision), constants exact, the initial state free."""
+    """What a window leaves with θ ~ N(as linearised, 1/precision), constants exact, initial state free."""
     L = np.linalg.cholesky(dense.S)
     psi, r = np.linalg.solve(L, dense.psi), np.linalg.solve(L, dense.residual)
     Q = np.linalg.qr(np.linalg.solve(L, dense.flat))[0]

@@ -28,7 +28,7 @@ def random_stable(rng: np.random.Generator, radius: float) -> FloatArray:
 
 
 def least_on_dense_grid(A: FloatArray) -> float:
-    """The least singular value of zI - A over a grid that is dense everywhere and denser next to each pole."""
+    """The least singular value of zI - A over a grid dense everywhere and denser next to each pole."""
     poles = np.linalg.eigvals(A)
     grid = [np.linspace(0.0, np.pi, 3001)]
     for pole in poles:

@@ -1,4 +1,4 @@
-"""Observer gains against their definitions, and observability against structures where the answer is known."""
+"""Observer gains against their definitions, and observability against structures whose answer is known."""
 
 import numpy as np
 import pytest

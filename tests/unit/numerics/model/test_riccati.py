@@ -1,4 +1,4 @@
-"""Doubling against scipy's solver wherever that one works, and where it does not against the equation itself."""
+"""Doubling against scipy's solver wherever that works, and where it does not against the equation itself."""
 
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@ PAIR = [("m", "ground")]
 
 
 def slider(mass: float = 10.0, quantity: str = "displacement") -> MassSpringDamper:
-    """Return a mass with viscous and dry friction, pushed by a force (on a spring if its velocity is read)."""
+    """Return a mass with viscous and dry friction, under a force (on a spring if its velocity is read)."""
     springs = (Element("k", ("m", "ground"), 50.0),) if quantity == "velocity" else ()
     structure = Structure(
         (Mass("m", mass),),

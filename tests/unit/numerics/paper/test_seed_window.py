@@ -94,7 +94,7 @@ def test_seed_window_that_runs_away_gives_no_figure() -> None:
 def test_seed_window_passes_that_have_not_settled_are_diverged_whatever_their_last_step(
     rng: np.random.Generator,
 ) -> None:
-    """An observer that corrects little takes small steps far from the truth, each with a small sd of its own."""
+    """An observer that corrects little takes small steps far from the truth, each with a small sd."""
     y, u = forced(rng, 3000)
     y = y + rng.normal(scale=1e-6, size=y.shape)
     discrete = discretise(rig().continuous(NOMINAL), PERIOD, "first")

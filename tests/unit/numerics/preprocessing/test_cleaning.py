@@ -134,7 +134,7 @@ def test_cleaner_input_beyond_all_that_its_sensor_can_mean_is_a_spike_whatever_t
 
 @pytest.mark.parametrize("cuts", [[], [900, 1500, 1999, 2000, 2001, 2003]])
 def test_cleaner_force_that_comes_back_after_a_rest_is_no_spike(cuts: list[int]) -> None:
-    """A field that is a float has no step: at rest nothing is usual, but what it has read before it can mean."""
+    """A float field has no step: at rest nothing is usual, but what it has read before it can mean."""
     _, v, _ = spiked(4, spikes=0)
     v[480:520, 2] = 1.0 + 1e-9 * np.arange(40)
     v[1000:2100, 2] = 0.0

@@ -42,7 +42,7 @@ def test_drift_is_not_told_from_a_second() -> None:
 
 
 def test_drift_memory_is_bounded_and_the_newest_counts() -> None:
-    """After a quarter of an hour the clock changes its pace; half an hour later the first pace is forgotten."""
+    """After a quarter of an hour the clock changes pace; half an hour later the first pace is forgotten."""
     fit, rng = ClockFit(1000.0), np.random.default_rng(2)
     device = gateway = 0.0
     for step in range(27_000):

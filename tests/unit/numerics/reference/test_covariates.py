@@ -74,7 +74,7 @@ def test_rows_rest_on_periods_that_ended_a_period_ago() -> None:
 
 
 def hourly(seed: int, days: int, per_unit: float) -> tuple[FloatArray, FloatArray]:
-    """Return hourly means of a parameter that follows a covariate by two hours, and the covariate on minutes."""
+    """Return hourly means of a parameter two hours behind a covariate, and the covariate on minutes."""
     rng = np.random.default_rng(seed)
     t = np.arange(days * 1440) / 1440
     doors = np.repeat(rng.standard_normal(days * 12), 120)

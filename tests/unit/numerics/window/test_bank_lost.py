@@ -1,4 +1,4 @@
-"""Windows that lost readings: the bank against dense generalised least squares with a column a lost reading."""
+"""Windows that lost readings: the bank against dense generalised least squares, a column a lost reading."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -140,8 +140,8 @@ def truth(
     )  # fmt: skip
 
 
-def compared(rig: BankRig, noise: NoiseModel, record: Record, windowed: Windowed, i: int, length: int, lost: Lost,
-             taps: Taps) -> Truth:  # fmt: skip
+def compared(rig: BankRig, noise: NoiseModel, record: Record, windowed: Windowed, i: int, length: int,
+             lost: Lost, taps: Taps) -> Truth:  # fmt: skip
     start = int(windowed.index[i]) + 1 - length
     dense = truth(rig, noise, record, start, length, lost, taps)
     normal, prior = windowed.normal, np.diag(prior_of(rig))

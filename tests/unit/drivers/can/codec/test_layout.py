@@ -1,4 +1,4 @@
-"""What a DBC file does not say: groups, senders, pages, several samples in a frame, checksums and counters."""
+"""What a DBC file does not say: groups, senders, pages, several samples in a frame, checksums, counters."""
 
 from typing import Any
 

@@ -13,7 +13,7 @@ from tests import peers
 
 
 def line(rng: np.random.Generator) -> str:
-    """A line as candump or python-can writes it: any bus, both identifiers, every length, FD, remote, error."""
+    """A line as candump or python-can writes: any bus, both identifiers, every length, FD, remote, error."""
     seconds = f"{rng.integers(9 * 10 ** int(rng.integers(10)))}.{rng.integers(10**6):06d}"
     number = f"{rng.integers(1 << 29):08X}" if rng.random() < 0.4 else f"{rng.integers(1 << 11):03X}"
     kind, size = rng.random(), int(rng.choice([8, 8, 8, *range(8)]))

@@ -185,6 +185,10 @@ def test_alarm_is_acknowledged_and_shelved_by_keyboard_alone(
     line = agent[-1]
     assert (line["cause"], line["by"], f"rig/{line['ids'][0]}") == ("acknowledge", "anna", first)
     until(lambda: focused() == first)  # where one was is where one stays
+    before = len(texts(browser, "#alarm-list li"))
+    files.plant(folder / "rig.db", "B2")
+    until(lambda: len(texts(browser, "#alarm-list li")) > before)
+    assert focused() == first
     press("s")
     until(lambda: agent[-1]["cause"] == "shelve")
     assert (agent[-1]["by"], agent[-1]["ids"], agent[-1]["length_ns"]) == (

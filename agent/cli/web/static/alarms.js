@@ -75,9 +75,11 @@ export class Alarms {
     acts[event.key]();
   }
 
-  /** Go back to the alarm that was dealt with last, where the list was drawn anew meanwhile and nothing has the focus. */
+  /** Go back to the alarm that was dealt with last, where nothing that is shown has the focus. */
   focusAgain() {
-    if (this.dealtWith && document.activeElement === document.body) {
+    // a field of a closed dialog stays the active element until the page is drawn next
+    const lost = document.activeElement === document.body || document.activeElement.closest("dialog:not([open])");
+    if (this.dealtWith && lost) {
       (byId("alarm-list").querySelector(`[data-key="${CSS.escape(this.dealtWith)}"]`) ?? byId("alarms")).focus();
     }
   }

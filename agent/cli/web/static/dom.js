@@ -29,7 +29,9 @@ export function replaceItems(list, items) {
   list.replaceChildren(...items);
   if (key === undefined) return;
   const item = items.find((one) => one.dataset.key === key);
-  (item?.querySelector(`[data-part="${CSS.escape(part ?? "")}"]`) ?? item?.querySelector("button") ?? item)?.focus();
+  const inside = () => item.querySelector(`[data-part="${CSS.escape(part ?? "")}"]`) ?? item.querySelector("button");
+  const wasItem = focused.dataset.key === key;
+  if (item) (wasItem ? item : inside() ?? item).focus();
 }
 
 /** Ask the API; raises an Error with the words of what is wrong. */

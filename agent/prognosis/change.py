@@ -1,4 +1,4 @@
-"""Whether a parameter changes, asked apart from the shape of the change: level, slope and curvature of block means.
+"""Whether a parameter changes, apart from the shape of the change: level, slope and curvature of block means.
 
     y = X β + e,   Cov e = diag(sd²) + s² R(τ) + a² S,   R = exp(−|Δt|/τ), at τ → ∞ a random walk;   S: a
     yearly season
@@ -27,7 +27,7 @@ YEAR = 365.25
 SEASONAL = 0.7
 """Years of history from which on a yearly season is thought of."""
 SHARES = (0.6, 0.06, 0.04, 0.02, 0.15, 0.09, 0.04)
-"""How probable each shape is beforehand: white, three of exp(−|Δt|/τ), a random walk, white beside two walks."""
+"""Prior probability of each shape: white, three of exp(−|Δt|/τ), a random walk, white beside two walks."""
 SIZES = np.geomspace(0.02, 8.0, 13)
 """Standard deviations, in those of the differences of neighbours."""
 LEAST = 0.01
@@ -125,7 +125,7 @@ class _Mixture:
         return Rates(per * (self.mean @ row), per * np.maximum(sd, 1e-300), self.weight)
 
     def improbable(self, columns: list[int]) -> float:
-        """Return how probable coefficients as far from zero are where they are zero (Wald), over the mixture."""
+        """Return how probable coefficients as far from 0 are where they are 0 (Wald), over the mixture."""
         from scipy.special import chdtrc
 
         mean = self.mean[:, columns]
@@ -135,7 +135,7 @@ class _Mixture:
 
 
 def change(history: History, most: int = MEANS) -> Change | None:
-    """Return the change of a history whose t is in days; None where it has fewer than three rows or no span."""
+    """Return the change of a history whose t is in days; None where it has fewer than 3 rows or no span."""
     thin = blocks(sound(history), most)
     if len(thin) < LINE or thin.span <= 0.0:
         return None
@@ -221,7 +221,7 @@ def _reml(X: FloatArray, y: FloatArray, scatter: _Scatter) -> _Mixture:
 
 
 def _weighed(gram: FloatArray, p: int, strength: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return means, covariances of the p coefficients and log restricted likelihoods; strength: of the season."""
+    """Return means, covariances of p coefficients and log restricted likelihoods; strength: of the season."""
     last = gram.shape[1] - 1
     free = np.arange(p if strength is None else last)
     A = gram[np.ix_(np.arange(len(gram)), free, free)]

@@ -33,7 +33,7 @@ def representative(passages: FloatArray, farthest: float) -> list[float]:
 
 
 def score(draws: FloatArray, came: float, *, censored: bool) -> float | None:
-    """Return the CRPS of draws (n,); censored: nothing came until then, and what draws say of later counts as then."""
+    """Return the CRPS of draws (n,); censored: nothing came until then, and later draws count as then."""
     if not len(draws):
         return None
     return crps(np.minimum(draws, came) if censored else draws, came)

@@ -117,7 +117,7 @@ def way_left(z: float, scale: Scale) -> float:
 
 
 def life_way(bend: FloatArray, way: float, scale: Scale) -> FloatArray:
-    """Return how far u is from the start over a way in the law's own coordinate, for κ (N,); never negative."""
+    """Return how far u is from the start over a way in the law's coordinate, for κ (N,); never negative."""
     lean = 1.0 if scale.relative else 0.0
     return np.abs(way_gone(np.array(way), lean - bend / scale.reach))
 

@@ -1,4 +1,4 @@
-"""Kalman filter of a level and its rate, for many hypotheses at once: every quantity is an array over hypotheses.
+"""Kalman filter of a level and its rate, for many hypotheses at once: every quantity is an array over them.
 
     u(k+1) = u(k) + h(k) b(k) + η,   b(k+1) = b(k) + ζ,   y(k) = u(k) + ε(k)
 

@@ -137,7 +137,7 @@ def readings_of(thin: History, limit: float) -> tuple[Readings, Scale]:
 
 
 def plain_prior(readings: Readings, left: float) -> Prior:
-    """Return what is believed without like machines: sizes from the history's own scatter, shapes as machines have.
+    """Return the prior without like machines: sizes from the history's own scatter, shapes as machines have.
 
     left: share of the way that is not gone yet. However short it is, the rate at the limit may differ as much
     from what the law says: parts fail faster than they wore.
@@ -182,7 +182,7 @@ def _specimen(history: History, limit: float | None) -> Specimen | None:
 
 
 def _life(history: History, limit: float | None) -> History:
-    """Return the rows up to the first that reaches the limit, which may be on either side of the first rows."""
+    """Return rows up to the first that reaches the limit, which may be on either side of the first rows."""
     if limit is None or not len(history):
         return history
     way = limit - float(np.median(history.value[:5]))

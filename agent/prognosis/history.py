@@ -44,7 +44,7 @@ class History:
 
 
 def disjoint(t_ns: IntArray, span_s: FloatArray) -> NDArray[np.intp]:
-    """Return the rows, newest kept, whose spans (t − span, t] share nothing; t_ns (n,) in the order of time."""
+    """Return the rows, newest kept, whose spans (t − span, t] share nothing; t_ns (n,) in order of time."""
     starts = t_ns - np.round(span_s * 1e9).astype(np.int64)
     if len(t_ns) < 2 or bool((t_ns[:-1] <= starts[1:]).all()):
         return np.arange(len(t_ns))

@@ -1,4 +1,4 @@
-"""What like machines teach of a law: its parameters' mean and spread from machine to machine (empirical Bayes).
+"""What like machines teach of a law: its parameters' mean and spread across machines (empirical Bayes).
 
 Each history gives the parameters of the rate law with what it leaves open of them; the spread between
 histories is the prior's, with Student's tails as heavy as their number allows. Numbers are a day and relative
@@ -47,7 +47,7 @@ class Learnt:
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """One history's law, the best for all of it: ln of its life in days over a way, the exponent, ln of the wander.
+    """One history's law, best for all of it: ln of its life in days over a way, exponent, ln of the wander.
 
     later: at each of SEEN, which share of the way was gone and how much κ had to differ from then on.
     """
@@ -66,7 +66,7 @@ class Specimen:
 
 
 def specimen(t: FloatArray, z: FloatArray, scale: Scale) -> Specimen:
-    """Return the law that a whole history, t (n,) days and smoothed scaled levels z (n,), follows most closely.
+    """Return the law that a whole history, t (n,) days and smoothed scaled levels z (n,), follows closest.
 
     What share of the way in u is gone is held against what share of the time is, for each κ.
     """
@@ -79,7 +79,7 @@ def specimen(t: FloatArray, z: FloatArray, scale: Scale) -> Specimen:
 
 
 def _closest(t: FloatArray, z: FloatArray, scale: Scale) -> tuple[float, float]:
-    """Return the κ of the law nearest to levels at shares t of a time, and the rms of the share by which it misses."""
+    """Return the κ of the law nearest levels at shares t of a time, and the rms share by which it misses."""
     u, _ = bent(z[:, None], GRID, scale)
     share = (u - u[0]) / (u[-1] - u[0])
     misfit = np.sqrt(np.mean((share - t[:, None]) ** 2, axis=0))
@@ -88,7 +88,7 @@ def _closest(t: FloatArray, z: FloatArray, scale: Scale) -> tuple[float, float]:
 
 
 def _later(t: FloatArray, z: FloatArray, whole: float, seen: float, scale: Scale) -> tuple[float, float]:
-    """Return the way gone after a share of the life, and by how much κ differed for the rest to take its time.
+    """Return the way gone after a share of life, and by how much κ differed for the rest to take its time.
 
     Differed from what a forecast made there would take it for: the κ of like machines, whole lives, as long
     as little of the way is gone, and of the rows up to then the more of it is.
@@ -139,7 +139,7 @@ def _later_of(later: FloatArray) -> tuple[tuple[float, float, float], ...]:
 
 
 def as_prior(like: Learnt, plain: Prior, scale: Scale, span: float, newest: float) -> Prior:
-    """Return the prior for a history of that span whose newest scaled level is given; other shapes as in `plain`."""
+    """Return the prior for a history of that span and newest scaled level; other shapes as in `plain`."""
     of = dict(plain.of)
     for name, by in (("life", -np.log(span)), ("wander", 0.5 * np.log(span))):
         loc, width, dof = like.of[name]

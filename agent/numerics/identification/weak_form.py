@@ -1,4 +1,4 @@
-"""The weak form of a rig's equations of motion: linear in springs, dampers, masses and friction, without derivatives.
+"""Weak form of a rig's equations of motion: linear in springs, dampers, masses and friction, no derivatives.
 
 With D a time derivative and φ = ψ^(r) a test function, for each node i
 
@@ -20,7 +20,7 @@ from agent.types import BoolArray, FloatArray, IntArray
 
 ComplexArray = NDArray[np.complex128]
 ORDERS = {"displacement": 0, "velocity": 1}
-"""An acceleration integrated twice says nothing of slow motion: its noise, and what it folds, would be all there is."""
+"""An acceleration integrated twice says nothing of slow motion: only its noise and aliases would be left."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def _direction(element: Element, nodes: Sequence[str]) -> FloatArray:
 
 
 def usable_nodes(model: MassSpringDamper, sensing: Sensing) -> BoolArray:
-    """(N,) nodes of which the motion is measured, as is that of all they are joined to by springs and dampers."""
+    """(N,) nodes whose motion is measured, as is that of all they are joined to by springs and dampers."""
     nodes = [mass.name for mass in model.structure.masses]
     usable = np.array([name not in sensing.unseen for name in nodes], dtype=bool)
     for element in (*model.structure.springs, *model.structure.dampers):

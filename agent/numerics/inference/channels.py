@@ -30,7 +30,7 @@ from agent.types import ComplexArray, FloatArray
 
 Kind = Literal["offset", "gain", "delay", "stood"]
 Late = Callable[[int, int], Window | None]
-"""(channel, lag) -> the window in which a channel's readings are moved back by so many samples; None where not whole"""
+"""(channel, lag) -> window with a channel's readings moved back by so many samples; None where not whole"""
 RESTS_SD, RESTS_SAMPLES = 0.3, 0.6
 """Sds of an offset or a gain, samples of a delay, below which what is left of it is not mended further."""
 FLAT = 1e-6
@@ -104,7 +104,7 @@ class Contest:
 
     @property
     def leads(self) -> Fault | None:
-        """The fault that explains the window better than the structure does, be it by little; None where none does."""
+        """A fault that explains the window even slightly better than the structure; None where none does."""
         explain = [e for e in self.channels if e.explains]
         best = explain[0] if explain else None
         return best.fault if best is not None and best.evidence > self.structure.evidence else None
@@ -139,7 +139,7 @@ class ChannelTest:
         late: Late,
         everything: bool = False,
     ) -> Contest:
-        """Weigh a window; known: what held before, sd (q,) of its θ; solved (q,): θ where the window came to rest."""
+        """Weigh a window; known: what held before, sd (q,) of its θ; solved (q,): θ where it converged."""
         there = self._learner.at_point(window, replace(known, theta=solved), jumps=True)
         before = self._learner.at_point(window, known)
         structure = max((self._structure(at, known, sd) for at in (before, there)), key=lambda e: e.evidence)
@@ -211,7 +211,7 @@ class ChannelTest:
     def _with(
         self, at: Linearised, known: Knowledge, sd: FloatArray, more: ComplexArray
     ) -> Iterator[tuple[float, float, float] | None]:
-        """Yield what is left with one of the columns (kept, p, f), its size and its sd; None where nothing shows it."""
+        """Yield what each column (kept, p, f) leaves, its size and its sd; None where nothing shows it."""
         nb = at.regression.layout.base
         G = at.cells.gram(
             at.Si, np.concatenate([at.regression.X[..., :nb], more, at.regression.X[..., -1:]], axis=2)
@@ -229,7 +229,7 @@ class ChannelTest:
     def _column(
         self, at: Linearised, window: Window, known: Knowledge, channel: int, kind: Kind
     ) -> ComplexArray:
-        """(kept, p) what the residual holds where a channel reads 1 too little, 1/2 of what it should, 1 late."""
+        """(kept, p) the residual where a channel reads 1 too little, 1/2 of what it should, 1 late."""
         response, p = at.cells.response, self._learner.p
         kept = response.bins.kept
         regressor = Regressor(self._rig, response, self._learner.sources, known.eta)
@@ -257,7 +257,7 @@ class ChannelTest:
         return -unitary(reading)[:kept]
 
     def _mended(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late) -> Explanation | None:
-        """Mend the readings by a fault's size, and by what is left of it, until it rests; None where it never does."""
+        """Mend readings by a fault's size, then by what is left, until it rests; None where it never does."""
         for _ in range(tuning.MENDINGS):
             left = self._left(fault, known, sd, late)
             if left is None:
@@ -276,7 +276,7 @@ class ChannelTest:
     def _left(
         self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late
     ) -> tuple[Window, float, float] | None:
-        """Return a window put right by a fault's size, and how much of it is left with its sd; None where none is."""
+        """Return a window put right by a fault's size, how much is left, and its sd; None where none is."""
         lag = fault.lag
         whole = late(fault.channel, lag) if 0 <= lag < self._learner.window // 4 else None
         if whole is None:
@@ -291,7 +291,7 @@ class ChannelTest:
     def _explained(
         self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray
     ) -> Explanation | None:
-        """A mended window's evidence: of a gain, its noise behind the gain or before it, whichever is likelier."""
+        """A mended window's evidence: of a gain, with noise behind or before it, whichever is likelier."""
         factor = abs(1 + fault.size) if fault.kind == "gain" else 1.0
         if factor < LEAST_FACTOR:
             return None
@@ -304,7 +304,7 @@ class ChannelTest:
     def _under(
         self, fault: Fault, window: Window, known: Knowledge, sd: FloatArray, shift: FloatArray
     ) -> Explanation:
-        """The evidence of a mended window whose log σ is shifted (p,), as a density of the readings as they came."""
+        """A mended window's evidence with log σ shifted (p,), as a density of the readings as they came."""
         noise = replace(known.noise, log_sigma=known.noise.log_sigma + shift)
         at = self._learner.at_point(window, replace(known, noise=noise))
         found = self._under_prior(at, known, (at.unit / sd) ** 2, 1)
@@ -315,7 +315,7 @@ class ChannelTest:
     def unbelieved(
         self, window: Window, known: Knowledge, sd: FloatArray, number: int, value: float, usual: float
     ) -> Explanation:
-        """The evidence of a window whose input is not believed: a white force in its place about as large as it was."""
+        """Evidence of a window whose input is not believed: a white force about as large in its place."""
         at = self._learner.at_point(window, known)
         return max(
             (self._in_its_place(at, known, sd, Fault(self._learner.p + number, "stood", value, share * usual))
@@ -324,15 +324,17 @@ class ChannelTest:
         )  # fmt: skip
 
     def _in_its_place(self, at: Linearised, known: Knowledge, sd: FloatArray, fault: Fault) -> Explanation:
-        """The evidence under a force of intensity fault.sd, white and lasting; its mean and its ends are free."""
+        """Evidence under a force of intensity fault.sd, white and lasting; its mean and its ends are free."""
         response, kept, W = at.cells.response, at.cells.kept, self._learner.window
         taps = self._rig.taps_of(fault.channel - self._learner.p)
         z = response.z[:kept]
         pole = np.exp(-2 * np.pi / W)
         tapped = [z**shift for shift, _ in zip((0, *self._rig.shifts), taps, strict=False)]
         lasting = (1 - pole**W) / (1 - pole / z) / np.sqrt(W)
-        more = [np.sum([response.driven(int(j), t * signal) for j, t in zip(taps, tapped, strict=True)], axis=0)
-                for signal in (unitary(np.ones(W))[:kept].astype(complex), lasting)]  # fmt: skip
+        more = [
+            np.sum([response.driven(int(j), t * signal) for j, t in zip(taps, tapped, strict=True)], axis=0)
+            for signal in (unitary(np.ones(W))[:kept].astype(complex), lasting)
+        ]
         h = np.sum([response.HU[:kept, :, j] * t[:, None] for j, t in zip(taps, tapped, strict=True)], axis=0)
         power = fault.sd**2 * (1 + (1 - pole**2) / np.abs(1 - pole / z) ** 2)
         S = np.linalg.inv(at.Si)
@@ -364,7 +366,7 @@ class ChannelTest:
         return Explanation(None, evidence, self._excess(rss, dof, known))
 
     def _prior(self, at: Linearised, known: Knowledge, precision: FloatArray, more: int) -> _Prior:
-        """Prior with θ ~ N(as known, 1/precision), constants as they stand, and so many further flat columns."""
+        """Prior with θ ~ N(as known, 1/precision), constants as they stand, and so many more flat columns."""
         layout = at.regression.layout
         k = at.regression.layout.base + more
         R, mean = np.zeros((k, k)), np.zeros(k)
@@ -397,7 +399,7 @@ def _temper(known: Knowledge) -> float:
 
 
 def _fit(G: FloatArray, prior: _Prior) -> tuple[float, FloatArray, FloatArray]:
-    """Least cost of a Gram whose last column is the residual, where it lies (k,), and the covariance (k, k)."""
+    """Least cost of a Gram whose last column is the residual, where it lies (k,), and covariance (k, k)."""
     V = inverse(G[:-1, :-1] + prior.R)
     score = G[:-1, -1] + prior.b
     fit = V @ score
@@ -405,7 +407,7 @@ def _fit(G: FloatArray, prior: _Prior) -> tuple[float, FloatArray, FloatArray]:
 
 
 def _put_right(window: Window, rig: Rig, fault: Fault) -> Window:
-    """Return the readings without an offset or gain: plus, or times 1 +, the fault's size; delays are moved before."""
+    """Return readings without offset or gain: plus, or times 1 +, the fault's size; delays moved before."""
     more, factor = (fault.size, 1.0) if fault.kind == "offset" else (0.0, 1.0 + fault.size)
     if fault.kind == "delay":
         return window

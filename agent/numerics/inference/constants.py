@@ -63,14 +63,16 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     usual, share_off = base[0][1] + _least(sheet), (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
     others = [
-        Hypothesis(name, e, drifts, usual + size**2 * np.outer(e, e), quiet + walk**2 * np.outer(e, e), share_off)
+        Hypothesis(
+            name, e, drifts, usual + size**2 * np.outer(e, e), quiet + walk**2 * np.outer(e, e), share_off
+        )
         for name, e, drifts, size, walk in off
-    ]  # fmt: skip
+    ]
     return tuple(healthy + others)
 
 
 def _within(sheet: FloatArray, shows: NDArray[np.bool_], factor: float) -> FloatArray:
-    """Covariance of constants within a factor of their data sheets; those that no data show stay at theirs."""
+    """Covariance of constants within a factor of their data sheets; those no data show stay at theirs."""
     return np.diag((np.where(shows, factor, 1.0) * sheet) ** 2)
 
 
@@ -157,7 +159,7 @@ class Constants:
         return Constants(self.hypotheses, weight, self.mean, self.covariance + windows * walk)
 
     def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
-        """Return what is known after a window with information S (c, c) and score g (c,) about η = at (c,)."""
+        """Return what is known after a window of information S (c, c) and score g (c,) about η = at (c,)."""
         deviation = self.mean - at
         score = g - deviation @ S
         # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16

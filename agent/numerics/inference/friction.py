@@ -49,7 +49,7 @@ def column(
 def friction(
     gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: float, misfit: float
 ) -> Friction:
-    """Weigh the last column but one of a Gram (base + 2, base + 2), its last the residual; R, b: the base's prior."""
+    """Weigh the last column but one of a Gram (base + 2, base + 2), residual last; R, b: the base's prior."""
     nb = len(R)
     V = inverse(gram[:nb, :nb] + R)
     along = V @ gram[:nb, nb]

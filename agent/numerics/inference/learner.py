@@ -50,7 +50,7 @@ class Learner:
         self.lineariser = Lineariser(rig, window, outputs, self.sources, self.cuts)
 
     def prior(self, sigma: FloatArray, spread: FloatArray) -> Knowledge:
-        """Return what is known before the first window; sigma (p,) stated or guessed, spread (p,) of its logarithm."""
+        """Return what is known before any window; sigma (p,) stated or guessed, spread (p,) of its log."""
         rig = self.rig
         c = len(self.rig.constants)
         total = self.window // 2 + 1
@@ -62,7 +62,7 @@ class Learner:
         )
 
     def spread(self, noise: Noise) -> FloatArray:
-        """Return the sd (p,) of each output's readings where nothing moves: white and coloured noise of its sensor."""
+        """Return the sd (p,) of each output's readings at rest: white and coloured noise of its sensor."""
         variance = np.exp(2 * noise.log_sigma)
         for source, intensity in zip(self.sources, noise.intensity, strict=True):
             if source.kind == "sensor":
@@ -70,7 +70,7 @@ class Learner:
         return np.asarray(np.sqrt(variance))
 
     def unknown_forces(self, window: Window, noise: Noise) -> float:
-        """Return the largest unknown force, as a white one that shows as much, in units of the largest measured one.
+        """Return the largest unknown force as the equivalent white one, in units of the largest measured one.
 
         0 where none is measured.
         """
@@ -124,7 +124,7 @@ class Learner:
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
 
     def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:
-        """Whether dry friction across some damper is evident and would move an estimate by more than its sd."""
+        """Whether dry friction across a damper is evident and would move an estimate by more than its sd."""
         layout = at.regression.layout
         gain = Regressor(self.rig, at.cells.response, self.sources, known.eta).output_gain
         misfit = max(1.0, float(known.scatter.within.max()))
@@ -162,7 +162,7 @@ class Learner:
         return np.asarray(np.maximum(self.log_floor, np.log(np.maximum(tuning.DIGITS * spread, 1e-300))))
 
     def _least(self, noise: Noise) -> FloatArray:
-        """(p,) least that log σ may turn out to be: what is stated, or where nothing is, what the wire resolves."""
+        """(p,) least that log σ may be: what is stated, or where nothing is, what the wire resolves."""
         spread = np.sqrt(noise.log_sigma_var)
         unknown = spread > tuning.SIGMA_UNKNOWN
         return np.where(unknown, np.maximum(self.log_floor, noise.log_sigma - 2 * spread), noise.log_sigma)
@@ -183,7 +183,7 @@ class Learner:
     def lost_readings(
         self, window: Window, known: Knowledge, moved: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what the filled-in readings of a window are wrong by (l,), and the covariance of that (l, l).
+        """Return the errors (l,) of a window's filled-in readings, and their covariance (l, l).
 
         moved (l,): what the window is filled with beyond the mean of the prior.
         """
@@ -221,7 +221,7 @@ class Learner:
         return replace(noise, log_sigma=log_sigma, intensity=fit.intensity, nodes=nodes)
 
     def _open_minded(self, at: Linearised, known: Knowledge, ridge: Ridge) -> tuple[float, NoiseFit]:
-        """Restricted log likelihood of a window under the noise known, and the fit of whatever noise explains it."""
+        """Restricted log likelihood of a window under known noise, and the fit of noise that explains it."""
         before = NoiseFit(
             known.noise, at.cells, at.regression, self.sources, ridge
         ).restricted_log_likelihood()
@@ -272,7 +272,7 @@ class Learner:
     def _tests(
         self, at: Linearised, known: Knowledge
     ) -> tuple[FloatArray, FloatArray, tuple[float, float], float, float]:
-        """Jump statistics; misfit without and with the best jump, predictive sds; power a degree of freedom; these."""
+        """Jump statistics; misfit without and with the best jump, predictive sds; power per dof; dof."""
         layout = at.regression.layout
         nb = layout.base
         V = inverse(at.G[:nb, :nb] + at.ridge.R)
@@ -330,7 +330,7 @@ class Learner:
         return Line(said, np.asarray(np.maximum(middle, self.rig.lower)), moves)
 
     def _jump(self, at: Linearised, V: FloatArray, fit: FloatArray, i: int) -> float:
-        """Score statistic of one jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108)."""
+        """Score statistic of a jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108)."""
         nb = at.regression.layout.base
         t = at.regression.layout.jump(i)
         cross = at.G[:nb, t]
@@ -380,7 +380,7 @@ def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:
 
 
 def _moved(theta: FloatArray, shift: FloatArray) -> FloatArray:
-    """Parameters theta (q,) moved by shifts (h, q) that constants cause: as factors, since constants scale parameters.
+    """Parameters theta (q,) moved by shifts (h, q) due to constants: as factors, since constants scale them.
 
     All masses, springs, dampers and forces times c give the same motion: along that line the logarithms run
     straight.

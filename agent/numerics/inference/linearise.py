@@ -1,4 +1,4 @@
-"""A window linearised about parameters and constants: Gauss-Newton, the prior of its columns, the bins kept."""
+"""A window linearised about parameters and constants: Gauss-Newton, its columns' prior, the bins kept."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -119,7 +119,7 @@ class Lineariser:
     def linearised(
         self, window: Window, known: Knowledge, jumps: bool, steps: int = tuning.STEPS
     ) -> Linearised:
-        """Return a window at the end of Gauss-Newton; constants are given where estimated ones hide what is curved."""
+        """Return a window after Gauss-Newton; constants are given where estimated ones hide the curvature."""
         at = self._descended(window, known, jumps, steps, given=False)
         if at.converged or not len(self.rig.constants):
             return at
@@ -150,7 +150,7 @@ class Lineariser:
     def _lower(
         self, window: Window, known: Knowledge, at: Linearised, delta: FloatArray, given: bool
     ) -> FloatArray | None:
-        """The point (q,) towards which the cost falls: a full step, half of it, a quarter ...; None where none does."""
+        """The point (q,) where the cost falls: a full step, a half, a quarter ...; None if there is none."""
         linear = self.rig.nominal == 0
         longest = np.where(linear, np.inf, tuning.LONGEST_STEP)
         share = 1.0
@@ -168,7 +168,7 @@ class Lineariser:
         return None
 
     def _cost(self, at: Linearised, regression: Regression, given: bool) -> float:
-        """Twice the negative log posterior of a trajectory under the noise of a point, all but the parameters free."""
+        """Twice the negative log posterior of a trajectory under a point's noise, all but parameters free."""
         X = regression.without_jumps
         G = at.cells.gram(at.Si, X)
         layout = regression.layout
@@ -244,7 +244,7 @@ class Lineariser:
         return np.where(self.rig.nominal == 0, np.inf, tuning.POINT_SD * unit_of(self.rig, anchor))
 
     def wide(self) -> FloatArray:
-        """Return the prior (c, c) of the constants while the noise is learnt: as far off as any of them may be."""
+        """Return the constants' prior (c, c) while the noise is learnt: as far off as any of them may be."""
         sizes = [tuning.OFF_DELAY if c.kind == "delay" else tuning.OFF_RELATIVE for c in self.rig.constants]
         known = np.array([c.sheet > 0 for c in self.rig.constants], dtype=bool)
         return np.diag(np.where(known, sizes, 1e-6) ** 2) if sizes else np.zeros((0, 0))
@@ -257,7 +257,7 @@ class Lineariser:
         mean: FloatArray,
         intensity: FloatArray | None = None,
     ) -> Ridge:
-        """Return the base columns' prior: constants N(mean, P), lost readings, end effects of given intensities."""
+        """Return the base's prior: constants N(mean, P), lost readings, end effects of given intensities."""
         R = np.diag(layout_free(layout))
         b = np.zeros(layout.base)
         if len(window.lost):
@@ -282,7 +282,7 @@ class Lineariser:
         return replace(at, G=fit.G, Si=fit.Si, regression=regression, ridge=replace(at.ridge, R=R))
 
     def nearer(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray]:
-        """The next point (q,) and what it rests on (q, q): the average by information with what this window says.
+        """The next point (q,) and what it rests on (q, q): the information-weighted mean with this window's.
 
         Where they disagree the window alone is the next point.
         """
@@ -298,7 +298,7 @@ class Lineariser:
 
     # ------------------------------------------------------------------ which bins
     def _kept(self, window: Window, known: Knowledge) -> int:
-        """The fewest bins that cost no parameter more than a share of its sd, constants given and at data sheet."""
+        """Fewest bins costing no parameter more than a share of its sd, constants given and at data sheet."""
         total = self.window // 2 + 1
         top = min(total, MOST_BINS)
         if total < ALL_BINS:

@@ -69,14 +69,14 @@ def _standing_out(
 
 
 def between(here: float, left: float, right: float) -> float:
-    """Return where a line stands between its bin and the stronger one beside it, from their amplitudes (-½ .. ½)."""
+    """Return a line's place between its bin and its stronger neighbour, from their amplitudes (-½ .. ½)."""
     beside = max(left, right)
     off = beside / max(here + beside, 1e-300)  # a window may show nothing where there was a line
     return off if right > left else -off
 
 
 def _leakage(level: FloatArray, power: FloatArray, bin_of: IntArray) -> FloatArray:
-    """Return what lines leave in the bins about them (b,), in units of σ²: A² sin²(π δ) / (π (k − f))², 0 elsewhere."""
+    """Return lines' leakage into bins about them (b,), in σ²: A² sin²(π δ) / (π (k − f))², 0 elsewhere."""
     out = np.zeros(len(level))
     inner = level[1:-1]
     for k in 1 + np.flatnonzero((inner > tuning.LINE_POWER) & (inner >= level[:-2]) & (inner > level[2:])):

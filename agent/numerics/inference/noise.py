@@ -1,4 +1,4 @@
-"""How the noise of a rig is learnt: σ by REML with a prior, a level a bin, and an intensity a source on a grid.
+"""How a rig's noise is learnt: σ by REML with a prior, a level a bin, and an intensity a source on a grid.
 
 The likelihood is the restricted one: everything linear (initial state, parameters, constants under a wide
 prior) is eliminated, so forces never explain what a mass can (Harville, J. Am. Stat. Ass. 72 (1977) 320).
@@ -23,9 +23,9 @@ PRIOR_LOG = np.zeros(tuning.NODES)
 PRIOR_LOG[0] = np.log((tuning.NODES - 1) * tuning.PRIOR_ABSENT / (1 - tuning.PRIOR_ABSENT))
 """(G,) log prior of an intensity's nodes: absent, which the first node stands for, or anything."""
 FAR_GROWTH = 1e6
-"""Growth of S along a source beyond which it is inverted anew: a rank-one change would leave too few digits."""
+"""Growth of S along a source beyond which it is inverted anew: a rank-one change leaves too few digits."""
 FIRST_STEPS, RESTING = 12, 0.01
-"""Most scoring steps of log σ in a first window (one moves it by 1 at most), and the step at which it rests."""
+"""Most scoring steps of log σ in a first window (each by 1 at most), and the step at which it rests."""
 FREE_BINS = 3
 """Bins of a rig with a free mass that do not count for where a force shows."""
 
@@ -98,7 +98,7 @@ class Noise:
         return bool((moved > tuning.UNSETTLED).any())
 
     def exceeds(self, before: "Noise") -> bool:
-        """Whether there is more noise than before: an intensity that doubled, or a sensor's sd a tenth larger."""
+        """Whether the noise has grown: an intensity that doubled, or a sensor's sd a tenth larger."""
         there = np.maximum(2 * before.intensity, tuning.ACTIVE_NODES * self.nodes[:, 0])
         return bool((self.intensity > there).any() or (self.log_sigma > before.log_sigma + 0.1).any())
 
@@ -252,7 +252,7 @@ class NoiseFit:
     def scan(
         self, order: IntArray, carried: FloatArray, nodes: FloatArray, every: bool, pred: Ridge | None
     ) -> "Scan":
-        """Go over the intensities one after another (exact Gauss-Seidel); S⁻¹ and the Gram follow by rank one."""
+        """Go over the intensities one by one (exact Gauss-Seidel); S⁻¹ and the Gram follow by rank one."""
         scan = Scan(self, carried, nodes, every, pred)
         for a in order:
             scan.axis(int(a))
@@ -261,7 +261,7 @@ class NoiseFit:
     def joint(
         self, prior_mean: FloatArray, prior_var: FloatArray, nodes: FloatArray, steps: int = 25
     ) -> None:
-        """Average-information REML in all log variances at once, for the first window (Gilmour et al. 1995)."""
+        """Average-information REML in all log variances at once, for a first window (Gilmour et al. 1995)."""
         p = len(self.log_sigma)
         kept = self.cells.kept
         cells = self.cells
@@ -317,7 +317,7 @@ class NoiseFit:
 
 
 class Scan:
-    """One pass over the intensities: on each node of a source's grid the likelihood, by a rank-one change of S.
+    """One pass over intensities: on each node of a source's grid the likelihood, by a rank-one change of S.
 
     Attributes:
         log_weight: posterior log-weights (G,) of each source scanned;  spread: relative variance (q,) that
@@ -408,7 +408,10 @@ class Scan:
         return np.where(drowned, -np.inf, self.carried[a, lo:hi] + logs), grams, ends
 
     def _changed(self, w: FloatArray) -> FloatArray:
-        """The Gram (..., base+1, base+1) when S grows by change · d d*; w = change / (1 + change d*S⁻¹d) (..., C)."""
+        """The Gram (..., base+1, base+1) when S grows by change · d d*.
+
+        w = change / (1 + change d*S⁻¹d) (..., C).
+        """
         fit = self.fit
         kept = self.fit.cells.kept
         size = self.fit.layout.base + 1
@@ -450,7 +453,7 @@ class Scan:
 
 
 def _log_pivots(M: FloatArray) -> FloatArray:
-    """Return log diagonals (g, k) of the Cholesky factors of M (g, k, k); NaN where one has no digits left."""
+    """Return log diagonals (g, k) of Cholesky factors of M (g, k, k); NaN where one has no digits left."""
     try:
         return np.asarray(np.log(np.linalg.cholesky(M).diagonal(axis1=1, axis2=2)))
     except np.linalg.LinAlgError:
@@ -517,7 +520,7 @@ def learn(  # noqa: PLR0913, PLR0917
 
 
 def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> NoiseFit:
-    """The best of three joint fits: forces and sensors, forces alone, sensors alone; coordinate steps are greedy."""
+    """The best of three joint fits: forces and sensors, or either alone; coordinate steps are greedy."""
     best = -np.inf
     found = (fit.log_sigma, fit.intensity)
     forces = np.array([source.kind == "force" for source in fit.sources])

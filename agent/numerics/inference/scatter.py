@@ -80,7 +80,7 @@ class Scatter:
         return Scatter(within, between, dof, compared, (*self.last, found)[-2:])
 
     def steady(self, found: Estimate) -> tuple[FloatArray, FloatArray] | None:
-        """Return what the newest windows say of the parameters now, mean (q,) and covariance (q, q), at found.eta.
+        """Return the mean (q,) and covariance (q, q) of the parameters by the newest windows, at found.eta.
 
         None where there is no such window, or `found` differs.
         """
@@ -93,7 +93,7 @@ class Scatter:
         return None if far.any() else (mean, spread)
 
     def _between(self, found: Estimate, within: FloatArray) -> FloatArray:
-        """Second differences of disjoint windows against their variances, each counted as 9 times usual at most."""
+        """Second differences of disjoint windows against their variances, each capped at 9 times usual."""
         if len(self.last) < 2:
             return self.between
         first, second = self.last
@@ -107,7 +107,7 @@ class Scatter:
 
     @property
     def factor(self) -> FloatArray:
-        """(q,) what the model's variance is multiplied by; never below 1: noise as small as the model's is no luck."""
+        """(q,) factor on the model's variance; never below 1: noise as small as the model's is no luck."""
         differences = min(self.compared, tuning.BETWEEN_DOF - tuning.SCATTER_PRIOR_DOF)
         return expected(self.within, self.dof - tuning.SCATTER_PRIOR_DOF) * expected(
             self.between, differences
@@ -134,7 +134,7 @@ def expected(pooled: FloatArray, seen: float) -> FloatArray:
 
 
 def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) -> FloatArray:
-    """Return r (q,) from block Grams (J, k+1, k+1) of [columns, residual] and the columns' prior (k, k), (k,)."""
+    """Return r (q,) from block Grams (J, k+1, k+1) of [columns, residual] and columns' prior (k, k), (k,)."""
     k = len(R)
     whole = blocks.sum(axis=0)
     V = inverse(whole[:k, :k] + R)

@@ -7,48 +7,48 @@ on a verdict of its own. "Needed by" names the row of docs/statistics.md that fa
 SIGMA_SPREAD_UNSTATED = 5.0
 """Prior sd of log σ where no noise_sd is stated: nothing is known. Needed by: white noise to be learnt."""
 SIGMA_UNKNOWN = 1.0
-"""Prior sd of log σ beyond which it counts as not known when grids of intensities are laid out. Needed by: EMPS."""
+"""Prior sd of log σ beyond which it counts as unknown when intensity grids are laid out. Needed by: EMPS."""
 DIGITS = 1e-7
 """Least σ as a share of a signal's spread: 23 bits, more than a sensor has. Needed by: no noise at all."""
 SIGMA_WALK = 0.1
-"""Prior sd of the random walk of log σ from window to window. Needed by: jitter, whose noise grows with speed."""
+"""Prior sd of log σ's random walk from window to window. Needed by: jitter, whose noise grows with speed."""
 SIGMA_WALK_DOF = 4.0
-"""Windows that this prior counts for; what windows then show comes down to 0.03 on a steady rig. Needed by: jitter."""
+"""Windows this prior counts for; what windows then show falls to 0.03 on a steady rig. Needed by: jitter."""
 LEVEL_DOF = 30.0
-"""Prior degrees of freedom of each frequency bin's own noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
+"""Prior degrees of freedom of each frequency bin's noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
 LINE_POWER = 16.0
-"""Power of a bin, in that of the bins about it, from which it is a line: chance e^-16. Needed by: 50 Hz hum."""
+"""Power of a bin, in that of its neighbours, from which it is a line: chance e^-16. Needed by: 50 Hz hum."""
 LINE_NEIGHBOURS = 25
 """Bins on either side of a line that it is held against."""
 LINE_CYCLES = 8
 """Cycles a window that a line has at least: what is slower is the work of forces."""
 FORGET = 0.97
-"""What is left, one window later, of the log-weights of force and colour intensities. Needed by: forces that begin."""
+"""Factor a window on the log-weights of force and colour intensities. Needed by: forces that begin."""
 SHAKEN = 0.1
 """The same for a window that only other noise explains: sources are looked for as in a first window."""
 UNSETTLED = 0.1
 """Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
 LARGE_NODES = 20.0
-"""An intensity beyond this many first nodes is followed so: one that hardly shows moves by chance. Cost only."""
+"""An intensity beyond this many first nodes is followed so: a weak one moves by chance. Cost only."""
 SURE = 3.0
 """Log-weight of "absent" below the best node from which an intensity that changes is followed. Cost only."""
 NODES = 44
 """Nodes of the grid of each intensity; fewer stop short of the forces of EMPS. Needed by: EMPS."""
 NODE_RATIO = 1.6
-"""Ratio of neighbouring nodes: a quarter of a decade, finer than a window tells intensities apart (sd of log ≥ 0.3)."""
+"""Ratio of adjacent nodes: a quarter decade, finer than a window tells intensities apart (log sd ≥ 0.3)."""
 FIRST_NODE = 0.1
-"""First node, as a share of the intensity that equals the white sensor noise where the source is strongest."""
+"""First node as a share of the intensity that equals the white sensor noise where the source is strongest."""
 LOWEST_LOG_WEIGHT = -30.0
 """Floor of carried log-weights: the chance that an intensity jumps anywhere in a window is e^-30."""
 STANDING_WEIGHT = 0.1
 """An interval holds 95 % under each hypothesis of at least this weight. Needed by: both masses +10 %."""
 
 DELAY_SHEET = 0.25
-"""Data-sheet sd of the inputs' delay, samples, where none is stated. Needed by: force not straight between samples."""
+"""Data-sheet sd of the input delay, samples, if unstated. Needed by: force not straight between samples."""
 AS_CONFIGURED = 0.02
-"""The hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
+"""Hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
 SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0)
-"""Common factors on all data-sheet sds, one hypothesis each. Needed by: all constants off within their data sheet."""
+"""Factors on all data-sheet sds, a hypothesis each. Needed by: all constants off within their data sheet."""
 OFF_RELATIVE = 0.3
 """Prior sd of a mass or gain that is "off". Needed by: m2 −20 %."""
 OFF_DELAY = 1.0
@@ -56,7 +56,7 @@ OFF_DELAY = 1.0
 DRIFT_WALK = 0.005
 """Random walk a window of a gain that "drifts". Needed by: sensor y1 drifting 5 %."""
 DRIFT_FOLLOWED = 0.2
-"""Probability that some constant drifts from which every window is learnt from. Needed by: sensor y1 drifting 5 %."""
+"""Probability of any drift from which every window is learnt from. Needed by: sensor y1 drifting 5 %."""
 QUIET_WALK = 1e-4
 """Random walk a window of constants that do not drift, in data-sheet sds: keeps covariances from closing."""
 SWITCH = 1e-3
@@ -65,7 +65,7 @@ PRIOR_HEALTHY = 0.7
 """Prior probability that every constant is within its data sheet."""
 
 JUMP_LEVEL = 1e-6
-"""False-alarm probability of the test of one jump inside a window. Needed by: 0 false `changing` in 10,000 hops."""
+"""False-alarm probability of the test of a jump in a window. Needed by: 0 false `changing` in 10,000 hops."""
 MISMATCH_SD = 5.0
 """Predictive standard deviations beyond which a window's residual power is not explained by the model."""
 CUTS = (0.125, 0.375, 0.625, 0.875)
@@ -87,13 +87,13 @@ LONGEST_STEP = 0.5
 """Longest Gauss-Newton step downwards, as a share of the parameter (twice that upwards)."""
 
 JACKKNIFE_BLOCKS = 8
-"""Blocks left out in turn. Needed by: recorded machines, whose model error is common to neighbouring samples."""
+"""Blocks left out in turn. Needed by: recorded machines, whose model error is common to adjacent samples."""
 SCATTER_PRIOR_DOF = 4.0
-"""Degrees of freedom behind the first belief that the scatter is the model's. Needed by: first windows of ECP-210."""
+"""Degrees of freedom of the first belief that scatter is the model's. Needed by: first windows of ECP-210."""
 SCATTER_MOST_DOF = 160.0
 """Most degrees of freedom carried: about 23 windows of 7."""
 BETWEEN_DOF = 40.0
-"""Memory of the scatter between windows, windows. Needed by: ECP-210, whose dampers are equivalents of friction."""
+"""Memory of scatter between windows, windows. Needed by: ECP-210, whose dampers are friction equivalents."""
 ROUNDS = 6
 """Most times that one window is linearised anew because the constants moved. Needed by: m2 −20 %."""
 FAR_TOLERANCES = 1.0
@@ -103,39 +103,39 @@ PRIOR_ABSENT = 0.5
 AGREE_SD = 3.0
 """Sds within which a window's estimate and the point of linearisation agree."""
 STEADY_WALK = 0.1
-"""Variance by which parameters may differ from those of the windows before, in that of a window's estimate."""
+"""Variance by which parameters may differ from those of windows before, in that of a window's estimate."""
 POINT_SD = 1.5
-"""Prior sd of the next point about the last, shares of the parameter. Needed by: standstills in normal operation."""
+"""Relative prior sd of the next point about the last. Needed by: standstills in normal operation."""
 POINT_MEMORY = 0.75
-"""Share of the information behind the last point that the next one keeps where a window agrees: about four windows."""
+"""Share of the last point's information that the next keeps where a window agrees: about four windows."""
 SHEET_WALK = 0.01
 """Random walk a window of constants within their data sheets, in data-sheet sds. Needed by: y1 drifts."""
 LEAST_CHANGES = 20
-"""Changes of a sensor's code below which a window is a standstill: it teaches nothing. Needed by: ECP-210, clamped."""
+"""Sensor-code changes below which a window is a standstill, teaching nothing. Needed by: ECP-210, clamped."""
 STANDSTILL_SD = 4.0
 """Sds of its own chance by which a window's spread may exceed the noise alone. Needed by: standstill."""
 LINE_SD = 0.3
-"""Prior sd of a parameter's change within one window, shares of it. Needed by: a spring that softens in seconds."""
+"""Prior sd of a parameter's change in a window, shares of it. Needed by: a spring that softens in seconds."""
 CREEP = 0.02
-"""Share of the greatest speed below which the sign of a speed is not known. Needed by: EMPS without its friction."""
+"""Share of the greatest speed below which a speed's sign is unknown. Needed by: EMPS without its friction."""
 FRICTION_EVIDENCE = 12.0
-"""Log Bayes factor from which dry friction is believed: against odds of 1 : 10,000. Needed by: EMPS, no friction."""
+"""Log Bayes factor from which dry friction is believed: against 1 : 10,000. Needed by: EMPS, no friction."""
 EXPLAINED_SD = 2.5
-"""Predictive sds within which what an explanation leaves is noise. Needed by: a bias that begins inside a window."""
+"""Predictive sds within which an explanation leaves noise. Needed by: a bias that begins inside a window."""
 CHANNEL_EVIDENCE = 9.2
-"""Log odds, 99 : 1 after a hundred looks, by which a channel must lead all else. Needed by: forces that begin."""
+"""Log odds, 99 : 1 after 100 looks, by which a channel must lead all else. Needed by: forces that begin."""
 WORTH_MENDING = 60.0
-"""Log evidence, as linearised, behind the best channel beyond which an explanation is not followed up. Cost only."""
+"""Linearised log evidence behind the best channel beyond which an explanation is not followed. Cost only."""
 MENDINGS = 8
 """Most times that a window is mended and looked at again. Needed by: channels that come 40 samples late."""
 STOOD_SHARES = (1.0, 0.3, 0.1)
-"""Sizes of the force in place of an input that froze, shares of what it used to be. Needed by: a force that freezes."""
+"""Sizes of the force in place of a frozen input, shares of what it was. Needed by: a force that freezes."""
 NOISE_PRICE = 7.6
-"""Log evidence that a change of noise costs: two numbers of a window of 2000 readings. Needed by: forces that begin."""
+"""Log evidence a noise change costs: two numbers of a 2000-reading window. Needed by: forces that begin."""
 MANY_TIMES = 4.0
-"""Factor from its nominal at which a parameter competes with a channel that is wrong from the start, and from the
-measured forces beyond which unknown ones explain nothing. Needed by: millimetres against metres."""
+"""Factor from its nominal at which a parameter competes with a channel that is wrong from the start, and from
+the measured forces beyond which unknown ones explain nothing. Needed by: millimetres against metres."""
 AS_LARGE = 0.3
-"""Share of the measured inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
+"""Share of the inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
 LARGER = 0.9
-"""The same where a first window waits for a quarter of a window more, in which a channel can show that it is late."""
+"""The same where a first window waits a quarter of a window more, in which a channel can show it is late."""

@@ -1,1 +1,1 @@
-"""Rigs as state-space models with exact derivatives, seen through sensors, and the observers of such models."""
+"""Rigs as state-space models with exact derivatives, seen through sensors, and observers of such models."""

@@ -1,4 +1,4 @@
-"""Exact sampling with the input between samples a polynomial through several readings, some of them yet to come.
+"""Exact sampling with the input between samples a polynomial through several readings, some yet to come.
 
     x(k+1) = A x(k) + sum_o B_o u(k+o),   y(k) = C x(k) + D u(k),   o = -1..2 for a cubic, -2..3 for a quintic
 
@@ -51,7 +51,7 @@ def taps(hold: Hold) -> tuple[int, ...]:
 
 
 def straight(hold: Hold) -> Hold:
-    """Return what stands in for a polynomial where readings yet to come cannot be waited for: a straight line."""
+    """Return what stands in for a polynomial where later readings cannot be waited for: a straight line."""
     return "first" if hold in ("cubic", "quintic") else hold
 
 
@@ -69,7 +69,7 @@ def sample(continuous: StateSpace, period_s: float, hold: Hold) -> Tapped:
 
 
 def _derivative_weights(offsets: tuple[int, ...]) -> FloatArray:
-    """Return (taps, degree + 1): what each reading adds to the polynomial's derivatives at 0, time in samples."""
+    """Return (taps, degree + 1): what readings add to the polynomial's derivatives at 0, time in samples."""
     rows = []
     for o in offsets:
         others = [other for other in offsets if other != o]
@@ -81,7 +81,7 @@ def _derivative_weights(offsets: tuple[int, ...]) -> FloatArray:
 def _chain(
     continuous: StateSpace, period_s: float, length: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, dA and what the input's derivatives (length, n, m) at the sample's start lead to at its end."""
+    """Return A, dA and what the input's derivatives (length, n, m) at a sample's start lead to at its end."""
     n, m, q = continuous.n, continuous.m, continuous.q
     size = n + length * m
     generator, directions = np.zeros((size, size)), np.zeros((q, size, size))
@@ -95,7 +95,7 @@ def _chain(
 
 
 def _direct(D: NDArray[np.float64], offsets: tuple[int, ...]) -> FloatArray:
-    """Return D (..., p, m) for readings side by side (..., p, taps * m): only that of the sample itself acts."""
+    """Return D (..., p, m) for readings side by side (..., p, taps * m): only the sample's own acts."""
     m = D.shape[-1]
     out = np.zeros((*D.shape[:-1], len(offsets) * m))
     place = offsets.index(0) * m

@@ -16,11 +16,11 @@ from agent.numerics.model.statespace import Model, StateSpace, modes
 from agent.types import ComplexArray, FloatArray
 
 TOLERANCE = 1e-7
-"""Singular values, of the Jacobian with columns of length 1, below this share of the largest count as zero."""
+"""Singular values of the Jacobian with columns of length 1 below this share of the largest count as zero."""
 SILENT = 1e-11
 """A column shorter than this share of what its factors could give is no trace but round-off."""
 ANGLE = 1.0
-"""Of the ray on which s lies, rad: between the real axis (nothing oscillates) and the imaginary one (poles)."""
+"""Of the ray on which s lies, rad: between the real axis (nothing oscillates) and the imaginary (poles)."""
 HALF_RATE = 2.5
 """The farthest point of a model in discrete time, rad a sample: below half the sampling rate, pi."""
 TINY = 1e-300
@@ -48,7 +48,7 @@ class Identifiability:
 
 
 def identifiability(model: Model, measured: int, scale: FloatArray) -> Identifiability:
-    """Judge a model at a point near its nominal parameters; exactly at them a symmetry may hide what it shows.
+    """Judge a model at a point near nominal parameters; exactly at them a symmetry may hide what it shows.
 
     Args:
         model: its first `measured` inputs are signals, the others are constant.
@@ -107,7 +107,7 @@ def _ray(speeds: FloatArray, count: int) -> ComplexArray:
 
 
 def _jacobian(model: StateSpace, measured: int) -> tuple[FloatArray, FloatArray]:
-    """Return d(readings)/d(theta) (rows, q), the initial state projected out, and how large each column could be (q,).
+    """Return d(readings)/d(theta) (rows, q), initial state projected out, and how large columns can be (q,).
 
     Rows (one an output and point, real parts before imaginary ones) are scaled to the state's part in them.
     """
@@ -129,7 +129,7 @@ def _jacobian(model: StateSpace, measured: int) -> tuple[FloatArray, FloatArray]
 
 
 def _inputs(model: StateSpace, measured: int, s: ComplexArray, rng: np.random.Generator) -> ComplexArray:
-    """Return U (K, m): measured inputs differ at every point, constant ones are a step; all push the state alike."""
+    """Return U (K, m): measured inputs differ by point, constant ones are steps; all push the state alike."""
     U = np.empty((len(s), model.m), dtype=complex)
     strength = np.maximum(np.linalg.norm(model.B[:, :measured], axis=0), TINY)
     drawn = rng.standard_normal((2, len(s), measured))
@@ -150,7 +150,7 @@ def _unit(columns: FloatArray) -> FloatArray:
 
 
 def readable_blends(null: FloatArray, scale: FloatArray, lengths: FloatArray) -> FloatArray:
-    """Turn a basis of the null space (k, q) into one in which each vector moves as few parameters as can be."""
+    """Turn a basis of the null space (k, q) into one where each vector moves as few parameters as can be."""
     if not len(null):
         return null
     size = np.where(scale > 0, scale, 1.0 / np.maximum(lengths, TINY))

@@ -109,7 +109,7 @@ def _polytope(model: Model, limits: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 class _Feasibility:
-    """Is there one P for all vertices at a share s? States and time are scaled to give the solver figures near 1."""
+    """Is there one P for all vertices at a share s? States and time are scaled to near 1 for the solver."""
 
     def __init__(self, base: FloatArray, directions: FloatArray) -> None:
         from scipy.linalg import matrix_balance
@@ -138,7 +138,7 @@ class _Feasibility:
         return cp.Problem(cp.Minimize(worst), constraints)
 
     def solve(self, share: float) -> FloatArray | None:
-        """Return P in the model's own units where the vertices at `share` have one, checked by eigenvalues."""
+        """Return P in the model's units where the vertices at `share` have one, checked by eigenvalues."""
         self.share.value = share
         with warnings.catch_warnings():
             # what the solver calls inaccurate is judged below, by eigenvalues

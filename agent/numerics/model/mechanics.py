@@ -129,7 +129,7 @@ class MassSpringDamper:
         return self._weighed(straight, theta) if self._is_mass.any() else straight
 
     def _weighed(self, at: StateSpace, theta: FloatArray) -> StateSpace:
-        """Put the masses in theta in the place of the nominal ones: a mass divides its row, and what senses it."""
+        """Put theta's masses in place of the nominal ones: a mass divides its row, and what senses it."""
         dA, dB, dC, dD = at.dA.copy(), at.dB.copy(), at.dC.copy(), at.dD.copy()
         names = self.state_names
         for i in np.flatnonzero(self._is_mass).tolist():
@@ -168,7 +168,7 @@ class MassSpringDamper:
         return StateSpace(A, B, C, D, dA, dB, dC, dD)
 
     def _sense(self, A: FloatArray, B: FloatArray, constant: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Output rows: a displacement is a state, a velocity a row of x' = A x + B u, an acceleration likewise."""
+        """Output rows: a displacement is a state, a velocity or acceleration a row of x' = A x + B u."""
         rows = [self._output_row(output, A, B, constant) for output in self.outputs]
         return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
 
@@ -244,7 +244,7 @@ class _Equations:
         return np.concatenate([self.mass, np.ones(len(self.b))])[:, None]
 
     def _first_order(self, x: FloatArray, u: FloatArray, constant: float) -> tuple[FloatArray, FloatArray]:
-        """Put the rows of a_a and v_b in the place of v_a' and x_b'; x_a' = v_a fills the rest (not in derivatives)."""
+        """Put rows a_a and v_b in place of v_a' and x_b'; x_a' = v_a fills the rest (not in derivatives)."""
         na, N = len(self.a), len(self.nodes)
         A, B = np.zeros((na + N, na + N)), np.zeros((na + N, u.shape[1]))
         A[:na], B[:na] = x[:na], u[:na]

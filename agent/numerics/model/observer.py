@@ -15,7 +15,7 @@ from agent.types import FloatArray
 STRICTLY_STABLE = 1.0 - 1e-6
 """Largest pole radius with which an observer may run on without correction (gain zero)."""
 WEAKEST, STRONGEST, STRIDE = -8.0, 8.0, 2.0
-"""Decades of the intensity that is searched, about that of which the readings show 1 in units of their noise."""
+"""Decades of the intensity searched, about that of which the readings show 1 in units of their noise."""
 BISECTIONS = 7
 """Of a stride: the intensity is found to 4 %."""
 NO_GAIN = "no stabilising observer gain: the outputs do not show a mode that does not decay"
@@ -35,7 +35,7 @@ def poles_gain(model: StateSpace, poles: Sequence[complex], period_s: float) -> 
 
 
 def _unit_gain(A: FloatArray, C: FloatArray, process: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return L (n, p) and S (p, p) for outputs C (p, n) in units of their own noise, of whatever kind they are."""
+    """Return L (n, p) and S (p, p) for outputs C (p, n) of any kind, in units of their own noise."""
     P = steady_covariance(A, C, process)
     if P is None:
         raise ValueError(NO_GAIN)
@@ -142,7 +142,7 @@ def _searched(
 
 
 def _tried(discrete: Discrete, pushes: FloatArray, noise: Noise) -> tuple[float, FloatArray | None]:
-    """Return the spectral radius of the observer with the matched gain, and the gain; inf and None without one."""
+    """Return the observer's spectral radius with the matched gain, and the gain; inf and None without one."""
     try:
         gain = matched_gain(discrete, pushes, noise).L
     except ValueError:
@@ -182,7 +182,7 @@ def _kernel(matrix: FloatArray, tolerance: float) -> FloatArray:
 
 
 def _balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return A scaled by a diagonal similarity so that rows and columns weigh alike, and the (n,) scaling of C."""
+    """Return A scaled by a diagonal similarity so rows and columns weigh alike, and the (n,) scaling of C."""
     from scipy.linalg import matrix_balance
 
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)

@@ -1,4 +1,4 @@
-"""The worst point of a box of parameters: vertices first, then a search inside, where vertices do not suffice.
+"""The worst point of a box of parameters: vertices first, then a search inside where vertices do not suffice.
 
 Neither the spectral radius nor observability is convex in the parameters, so neither takes its worst value at
 a vertex of necessity. Every vertex is tried (of many parameters a part of them, each then improved one side
@@ -43,7 +43,7 @@ class Worst:
 def worst_in_box(
     measure: Measure, nominal: FloatArray, half: FloatArray, rounds: int = 8, *, inside: bool = True
 ) -> Worst:
-    """Return where in nominal -+ half (q,) a measure is greatest; a measure that is no number counts as infinite.
+    """Return where in nominal -+ half (q,) a measure is greatest; NaN counts as infinite.
 
     Args:
         measure: of a point theta (q,).
@@ -121,7 +121,7 @@ def _is_vertex(point: FloatArray) -> bool:
 
 
 def _is_peak(at: Measure, point: FloatArray) -> bool:
-    """Tell whether a measure grows along no parameter from a vertex inwards: no search leads away from there."""
+    """Tell whether a measure grows along no parameter from a vertex inwards: no search leads away from it."""
     if not _is_vertex(point):
         return False
     inwards = [point - OFFSET * side * point for side in np.eye(len(point))]
@@ -169,7 +169,7 @@ def radius_of_observer(model: Model, period_s: float, gain: FloatArray) -> Measu
 
 
 def perturbation(model: Model, period_s: float, gain: FloatArray) -> Measure:
-    """Return the norm of the Delta of (4) as a measure; it is convex where A and C are straight in the parameters."""
+    """Return the norm of Delta of (4) as a measure; convex where A and C are straight in the parameters."""
     nominal = model.continuous(model.nominal)
     A = _sampled(nominal, period_s)
 
@@ -187,7 +187,7 @@ def _sampled(at: StateSpace, period_s: float) -> FloatArray:
 
 
 def hidden_mode(model: Model) -> Measure:
-    """Return how near a model is to hiding a mode: minus the least singular value of [A - s I; C] over its poles.
+    """Return how near a model is to hiding a mode: minus the least singular value of [A - s I; C] over poles.
 
     By Popov, Belevitch and Hautus it is 0 where (A, C) is not observable. States are balanced and time scaled
     so that the fastest pole is 1, at nominal, and rows of C have length 1 there, so that units do not decide.

@@ -1,4 +1,4 @@
-"""The steady state of a Kalman predictor by structured doubling: no Schur form to reorder, about 20 steps, always ends.
+"""A Kalman predictor's steady state by structured doubling: no Schur reordering, about 20 steps, always ends.
 
 x(k+1) = A x(k) + w(k), y(k) = C x(k) + v(k), cov (w, v) = [[Q, S], [S', R]]. With a = (A − S R⁻¹ C)', G = C'
 R⁻¹ C and H = Q − S R⁻¹ S' one step takes the covariance of a prediction over N samples to that over 2 N
@@ -25,7 +25,7 @@ SETTLED = 1e-14
 LOOKS = 6
 """Doublings over which the readings show the states: 64 samples."""
 UNSHOWN = 1e-12
-"""A correlated predictor's state that readings show less than this share of the best: rounding shows no less."""
+"""A correlated predictor's state that readings show below this share of the best: rounding shows no less."""
 REMEMBERED = 1e-7
 """A predictor whose slowest pole is nearer than this to the unit circle never forgets its start."""
 
@@ -65,7 +65,7 @@ def steady_predictor(A: FloatArray, C: FloatArray, Q: FloatArray, R: FloatArray,
 
 
 def steady_covariance(A: FloatArray, C: FloatArray, process: FloatArray) -> FloatArray | None:
-    """Return the covariance (n, n) of the predicted state for sensor noise of covariance 1; None where it has none.
+    """Return the predicted state's covariance (n, n) for sensor noise of covariance 1; None if it has none.
 
     Args:
         A: (n, n) the sampled model.
@@ -88,7 +88,7 @@ def spectral_radius(A: FloatArray) -> float:
 
 
 def state_units(A: FloatArray, C: FloatArray) -> FloatArray:
-    """Return (n,) how much some samples of readings C (p, n) show of each state: the diagonal of a Gramian, rooted."""
+    """Return (n,) how much some samples of readings C (p, n) show each state: root of a Gramian diagonal."""
     return _units(A, C.T @ C, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""A model seen through imperfect sensors: constant offsets and gains of its inputs and outputs as further parameters.
+"""A model seen through imperfect sensors: constant input and output offsets and gains as further parameters.
 
     y_r = gain_r (C_r x + D_r u) + bias_r            u_j true = gain_j (u_j measured - bias_j)
 
@@ -107,7 +107,7 @@ class _Constants:
         )
 
     def outputs(self, C: FloatArray, D: FloatArray, constant: float) -> tuple[FloatArray, FloatArray]:
-        """Let y = gain (C x + D u) + bias; derivatives by other parameters have no constant part of their own."""
+        """Let y = gain (C x + D u) + bias; derivatives by other parameters have no constant part."""
         D = D * self.output_gain[:, None]
         D[..., -1] += constant * self.output_bias
         return C * self.output_gain[:, None], D

@@ -22,7 +22,7 @@ GONE = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class StateSpace:
-    """x' = A x + B u, y = C x + D u (x' is the derivative or the next state) with derivatives by q parameters.
+    """x' = A x + B u, y = C x + D u (x' the derivative or the next state) with derivatives by q parameters.
 
     Attributes:
         A, B, C, D: (n, n), (n, m), (p, n), (p, m).
@@ -178,7 +178,7 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
 def exponential_with_derivatives(
     generator: FloatArray, directions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return exp(X), (s, s), and its derivatives along each direction, (q, s, s), by exp([[X, E], [0, X]])."""
+    """Return exp(X) (s, s), and its derivatives along each direction (q, s, s), by exp([[X, E], [0, X]])."""
     size = len(generator)
     if not len(directions):
         return expm(generator), directions
@@ -206,7 +206,7 @@ def _as_given(sampled: StateSpace, period_s: float) -> Discrete:
 
 
 def modes(model: StateSpace, period_s: float) -> ComplexArray:
-    """Return the continuous-time poles (n,), 1/s: of a model in discrete time those that sampling maps to its own.
+    """Return continuous-time poles (n,), 1/s: of a discrete-time model those that sampling maps to its own.
 
     A mode that is gone after one sample (a pole at 0) decays as fast as can be written; one at -1 is at half
     the rate.
@@ -218,7 +218,7 @@ def modes(model: StateSpace, period_s: float) -> ComplexArray:
 
 
 def simulate(discrete: Discrete, x0: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Run a sampled model from the physical state x0 (n,) over u (N, m); return states (N, n) and outputs (N, p).
+    """Run a sampled model from physical state x0 (n,) over u (N, m); return states (N, n) and outputs (N, p).
 
     Samples run in blocks from the first one on, each lifted to one product.
     """

@@ -1,4 +1,4 @@
-"""Dry friction as an input of the model: how much of it acted in each sample, from an observer that slides and sticks.
+"""Dry friction as a model input: how much acted in each sample, from an observer that slides and sticks.
 
 The sign of a velocity is not enough. A reversal falls between two samples, and to have the whole friction
 wrong for a part of one sample is far more than a good displacement sensor's noise; and a mass that sticks is
@@ -26,12 +26,12 @@ from agent.numerics.model.statespace import Discrete, Hold, StateSpace, discreti
 from agent.types import FloatArray
 
 SPEED = 50.0
-"""Slowest pole of the observer, 1/s: with 100 the noise of a sensor of 0.1 mm at 1 kHz reverses the velocity."""
+"""Slowest pole of the observer, 1/s: with 100 the noise of a 0.1 mm sensor at 1 kHz reverses the velocity."""
 SLOWEST, FASTEST = 0.02, 0.3
 """Least and most that the slowest pole may forget in one sample, whatever the rate."""
 DEVIATIONS, REST = 3.0, 2.0
-"""A velocity that stays within so many deviations of its noise for REST over SPEED rests, and where friction takes less
-than that in a sample, no share of it can be told: it is 0."""
+"""A velocity that stays within so many deviations of its noise for REST over SPEED rests, and where friction
+takes less than that in a sample, no share of it can be told: it is 0."""
 STILL = 1e-9
 """A velocity below this share of what friction takes away in a sample is none."""
 
@@ -118,7 +118,7 @@ def _noise(Phi: FloatArray, push: FloatArray, W: FloatArray) -> FloatArray:
 
 
 def _drifting(continuous: StateSpace, model: MassSpringDamper) -> StateSpace:
-    """Put a force that stays along each friction element behind the states, where the outputs show them all."""
+    """Put a lasting force along each friction element behind the states, where the outputs show them all."""
     n = continuous.n
     r = len(model.structure.frictions)
     nominal = np.array([element.nominal or 1.0 for element in model.structure.frictions])
@@ -192,7 +192,7 @@ class FrictionInputs:
         return np.hstack([u, found])
 
     def _share(self, j: int, speed: float, free: float, takes: float, least: float) -> tuple[float, float]:
-        """Return the share of friction j over a sample and at its end; none of one that is weaker than the noise."""
+        """Return the share of friction j over a sample and at its end; none of one weaker than the noise."""
         self._calm[j] = self._calm[j] + 1 if abs(speed) < least else 0
         if takes < least and self._calm[j] > self.observer.rest:
             return 0.0, 0.0

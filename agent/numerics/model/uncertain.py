@@ -1,4 +1,4 @@
-"""What is modelled: the parametric state space of a rig with its unknown forces and its uncertain constants."""
+"""What is modelled: the parametric state space of a rig with its unknown forces and uncertain constants."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -91,7 +91,7 @@ class Rig:
 
     @property
     def shifts(self) -> tuple[int, ...]:
-        """Offsets of the further readings that a polynomial hold takes of the driven inputs; none for other holds."""
+        """Offsets of the further readings a polynomial hold takes of driven inputs; none for other holds."""
         return () if self.hold == straight(self.hold) else tuple(o for o in taps(self.hold) if o)
 
     def taps_of(self, number: int) -> IntArray:
@@ -108,7 +108,7 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """The sampled model at a point, x(k+1) = A x + B u + E f, y = C x + D u + F f (shifted state, see `discretise`).
+    """Sampled model at a point, x(k+1) = A x + B u + E f, y = C x + D u + F f (shifted state: `discretise`).
 
     With a polynomial hold u is stacked: the m inputs at sample k, then the driven ones at k + o for each of
     the rig's shifts; the state is then the physical one as to the driven inputs, and shifted as to the others
@@ -144,7 +144,7 @@ class Sampled:
 
 
 def unit_of(rig: Rig, theta: FloatArray) -> FloatArray:
-    """Return what a deviation of 1 means for each parameter at theta (q,): its size, or a tenth of its nominal one."""
+    """Return each parameter's unit of deviation at theta (q,): its size, or a tenth of its nominal one."""
     return np.asarray(np.maximum(np.abs(theta), 0.1 * rig.scale))
 
 

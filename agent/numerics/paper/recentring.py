@@ -73,7 +73,7 @@ def recentring(
 
 
 def independence(model: StateSpace, gain: FloatArray) -> float:
-    """Return the least singular value of the combinations L' [dA_i dB_i], each of length 1; 0 where one is nothing."""
+    """Return the least singular value of combinations L' [dA_i dB_i] of length 1; 0 where one is nothing."""
     whole = np.concatenate([model.dA, model.dB], axis=2)
     combined = np.einsum("dp,qdr->qpr", gain, whole).reshape(model.q, -1)
     lengths = np.linalg.norm(combined, axis=1)

@@ -1,4 +1,4 @@
-"""The estimator of the paper that this product grew from: observer first, then uncertainty matrices by descent.
+"""The estimator of the paper this product grew from: observer first, then uncertainty matrices by descent.
 
 Numbers in brackets are the paper's ("Observer Based Parameter Estimation For Linear Uncertain Discrete-Time
 Systems"). The observer (2) gives states x(k); dA x(k) = b(k) with b(k) = x(k+1) - A0 x(k) - B u(k) is (10),
@@ -73,7 +73,7 @@ class Existence:
 
 @dataclass(frozen=True, slots=True)
 class Stopping:
-    """When descent ends: the step or the cost falls to its tolerance (the paper's rules), or the count is reached."""
+    """When descent ends: step or cost falls to its tolerance (the paper's rules), or the count is reached."""
 
     step: float = 1e-12
     cost: float = 0.0
@@ -121,7 +121,7 @@ class Structured:
 
 
 def observe(model: StateSpace, gain: FloatArray, y: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
-    """Run the observer (2) from x0 (n,) over y (N, p), u (N, m); return its states (N+1, n), the first of them x0."""
+    """Run the observer (2) from x0 (n,) over y (N, p), u (N, m); return its states (N+1, n), the first x0."""
     Phi = model.A - gain @ model.C
     driven = y @ gain.T + u @ (model.B - gain @ model.D).T
     states = np.empty((len(y) + 1, model.n))
@@ -142,7 +142,7 @@ def output_batch(model: StateSpace, x: FloatArray, y: FloatArray, u: FloatArray)
 
 
 def general_solution(batch: Batch, rank: int | None = None) -> GeneralSolution:
-    """Return (13) on a batch with the pseudo-inverse cut to `rank` directions (None: all that are not empty)."""
+    """Return (13) on a batch with the pseudo-inverse cut to `rank` directions (None: all non-empty)."""
     left, values, right = np.linalg.svd(batch.regressors, full_matrices=False)
     full = int(np.sum(values > RANK_TOLERANCE * values[0])) if values[0] > 0 else 0
     kept = full if rank is None else min(rank, full)
@@ -169,7 +169,7 @@ def _unit(matrix: FloatArray) -> FloatArray:
 
 
 def special_case_defect(M: FloatArray, x: FloatArray) -> float:
-    """Return ||M x x+ - M|| / ||M|| for one state x (n,): the answer (14) may be used where (15) makes this zero."""
+    """Return ||M x x+ - M|| / ||M|| for one state x (n,): answer (14) may be used where (15) makes this 0."""
     square, size = float(x @ x), float(np.linalg.norm(M))
     if size == 0.0:
         return 0.0
@@ -222,7 +222,7 @@ def _borwein(dZ: FloatArray, dg: FloatArray) -> float:
 
 
 def read_off(dA: FloatArray, mass: float, period_s: float) -> FloatArray:
-    """Return (dk1, dk2, dB1, dB2) from the first row of (24), for the paper's two masses and its Euler model (23)."""
+    """Return (dk1, dk2, dB1, dB2) from row 1 of (24), for the paper's two masses and its Euler model (23)."""
     row = dA[0] * mass / period_s
     dk2, dB2 = row[3], row[1]
     return np.array([-row[2] - dk2, dk2, -row[0] - dB2, dB2])

@@ -126,7 +126,7 @@ def regression(model: StateSpace, states: FloatArray, u: FloatArray) -> tuple[Ba
 def output_regression(
     model: StateSpace, states: FloatArray, y: FloatArray, u: FloatArray
 ) -> tuple[Batch, FloatArray]:
-    """Return the batch of dC over a window and the derivatives (q, p, r) of its matrix; inputs join where dD is any."""
+    """Return dC's batch over a window and its matrix's derivatives (q, p, r); inputs join where dD is any."""
     left = y - states[:-1] @ model.C.T - u @ model.D.T
     if not model.dD.any():
         return Batch(states[:-1], left), model.dC
@@ -136,7 +136,7 @@ def output_regression(
 def one_pass(
     model: StateSpace, settings: SeedSettings, states: FloatArray, y: FloatArray, u: FloatArray
 ) -> tuple[tuple[Descent, ...], Structured]:
-    """Estimate from the observer's states (W+1, n) over a window and its readings y (W, p) and inputs u (W, m).
+    """Estimate from observer states (W+1, n) over a window and its readings y (W, p) and inputs u (W, m).
 
     Descent over Z gives what acts in the states' equation; descent over W gives what shows in the readings
     alone, the gains of sensors, where there are such.
@@ -154,7 +154,7 @@ def one_pass(
 
 
 def _descended(batch: Batch, derivatives: FloatArray, settings: SeedSettings) -> tuple[Descent, Structured]:
-    """Return where descent on a batch ends, and the parameters (of derivatives (q, d, n)) that are read from it."""
+    """Return where descent on a batch ends, and the parameters (of derivatives (q, d, n)) read from it."""
     descent = descend(batch, general_solution(batch, settings.rank), settings.stopping)
     if not len(derivatives):
         return descent, Structured(np.zeros(0), np.zeros(0), float(batch.targets.size))
@@ -172,7 +172,7 @@ def _merged(moves: BoolArray, found: Structured, shown: Structured) -> Structure
 def fit_passes(
     model: Model, settings: SeedSettings, y: FloatArray, u: FloatArray, x0: FloatArray | None = None
 ) -> SeedFit:
-    """Estimate from the last W samples of y (N, p), u (N, m); the observer starts at x0 (n,), zero where not given.
+    """Estimate from the last W samples of y (N, p), u (N, m); the observer starts at x0 (n,), else at zero.
 
     A pass whose estimate is not finite or has run away ends the passes with NaN.
     """
@@ -227,7 +227,7 @@ def remaining(
 def innovation_step(
     model: StateSpace, settings: SeedSettings, y: FloatArray, u: FloatArray, x0: FloatArray
 ) -> FloatArray:
-    """Return (q,) the change of parameters that best explains the innovations of the last window; NaN without one.
+    """Return (q,) the change of parameters that best explains the last window's innovations; NaN without one.
 
     model: sampled where the passes ended. y (N, p), u (N, m), x0 (n,): the samples that the observer settles
     in, too.
@@ -288,7 +288,7 @@ class SeedWindow:
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
         suspect: BoolArray | None = None,
     ) -> Outcome:  # fmt: skip
-        """Take consecutive samples y (N, p), u (N, m), the first of them number `index`; return the rows they end."""
+        """Take consecutive samples y (N, p), u (N, m), the first number `index`; return the rows they end."""
         self._append(y, with_constant(u, self._sampled.m))
         due = self.settings.plan.rows_between(index, index + len(y))
         rows = Outcome.warming(due, len(self.model.nominal))
@@ -323,7 +323,7 @@ class SeedWindow:
         return self._examined(SeedFit(theta, found.sd, found.dof, made, theta[None]), y, u, x0)
 
     def _examined(self, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray) -> SeedFit:
-        """Add to a fit's sd what its passes have still to go, and say whether that is too much to call it settled."""
+        """Add to a fit's sd what its passes have left, and say if that is too much to call it settled."""
         fit = replace(fit, conditions=self._conditions(fit, y, u, x0))
         if not np.all(np.isfinite(fit.theta)):
             return replace(fit, settled=False)
@@ -334,7 +334,7 @@ class SeedWindow:
     def _conditions(
         self, fit: SeedFit, y: FloatArray, u: FloatArray, x0: FloatArray
     ) -> WindowConditions | None:
-        """Return what the conditions say of the window, by the observer on the nominal model as the paper's is."""
+        """Return what conditions say of the window, by the observer on the nominal model as in the paper."""
         if not fit.descents:
             return None
         window, model = self.settings.plan.window, self._sampled

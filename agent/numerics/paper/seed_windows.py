@@ -1,4 +1,4 @@
-"""The paper's estimator over windows of several lengths: each row from the shortest one that is sure of it."""
+"""The paper's estimator over windows of several lengths: each row from the shortest that is sure of it."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,1 +1,1 @@
-"""What channels deliver, before any model is fitted: lost, impossible, clipped and resting readings; clocks."""
+"""What channels deliver, before a model is fitted: lost, impossible, clipped and resting readings; clocks."""

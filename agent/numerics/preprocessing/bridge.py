@@ -50,7 +50,7 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 
 def _interpolation_errors(signal: FloatArray, missing: BoolArray) -> FloatArray:
-    """Return, for each missing reading of a signal (W,), the rms error of interpolants over such a gap elsewhere."""
+    """Return, for each missing reading of a signal (W,), interpolants' rms error over such gaps elsewhere."""
     known: dict[int, FloatArray] = {}
     errors = []
     for start, stop in runs(missing):
@@ -62,7 +62,7 @@ def _interpolation_errors(signal: FloatArray, missing: BoolArray) -> FloatArray:
 
 
 def _errors_over(signal: FloatArray, missing: BoolArray, length: int) -> FloatArray:
-    """Return the rms error (length,) at each place of a gap of `length` readings, from all complete stretches."""
+    """Return the rms error (length,) by place in a gap of `length` readings, from all complete stretches."""
     span = length + 4
     if len(signal) < 2 * span:
         return np.full(length, max(float(np.std(signal)), 1e-300))
@@ -79,7 +79,7 @@ def _errors_over(signal: FloatArray, missing: BoolArray, length: int) -> FloatAr
 
 
 def lagrange(offsets: IntArray, place: int) -> FloatArray:
-    """Return the weights (k,) of readings at offsets (k,) in the polynomial through them, taken at a place."""
+    """Return weights (k,) of readings at offsets (k,) in the polynomial through them, taken at a place."""
     weights = np.ones(len(offsets))
     for i, own in enumerate(offsets):
         for other in offsets:
@@ -89,7 +89,7 @@ def lagrange(offsets: IntArray, place: int) -> FloatArray:
 
 
 def filled(signal: FloatArray, missing: BoolArray) -> FloatArray:
-    """Return a signal (n,) with each missing reading interpolated through up to two readings on either side of it.
+    """Return a signal (n,) with each missing reading interpolated through up to two readings on either side.
 
     Before the first and after the last reading the nearest one is repeated.
     """

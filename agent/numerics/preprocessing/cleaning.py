@@ -1,4 +1,4 @@
-"""Readings that are missing or cannot be true, told from motion by their neighbours and filled for the estimator.
+"""Missing or impossible readings, told from motion by their neighbours and filled for the estimator.
 
 A spike is an isolated excursion of at most three readings: what comes before and what comes after it fit each
 other and it fits neither. A longer run of large values is a change, a kink or a step is motion. Judged by
@@ -39,11 +39,11 @@ EXCESS_OF_INPUTS = 6.0
 CROWD = 32
 """Samples before a suspect input in which ..."""
 CROWDED = 12
-"""... no more second differences than two spikes leave may be in doubt: where more are, that is how the signal is."""
+"""... no more second differences than two spikes leave may be in doubt: else that is how the signal is."""
 WILD = 1e5
-"""An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever the
-motion says: no sensor resolves that much, and sums of its square would leave no digit for those that come
-after."""
+"""An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever
+the motion says: no sensor resolves that much, and sums of its square would leave no digit for those that
+come after."""
 CONTEXT = 64
 """Samples that are kept as they came, to judge the next ones by."""
 STEPS = 4.0
@@ -105,7 +105,7 @@ class Cleaner:
         self._limits: FloatArray = np.zeros((0, c))  # of the samples in _raw
 
     def take(self, v: FloatArray, *, end: bool = False) -> Clean:
-        """Take further samples v (N, c), NaN where missing; return those that are settled, all of them at the end."""
+        """Take further samples v (N, c), NaN where missing; return those settled, all of them at the end."""
         self._append(v)
         self._decide(end=end)
         return self._release(end=end)
@@ -125,7 +125,7 @@ class Cleaner:
         self._suspect = np.concatenate([self._suspect, nothing])
 
     def _limits_of(self, v: FloatArray) -> FloatArray:
-        """Return the largest second difference (N, c) beyond doubt for new samples, by the blocks before theirs."""
+        """Return the largest second difference (N, c) beyond doubt for new samples, by the blocks before."""
         stream = np.concatenate([self._block, v])
         before = len(stream) - len(v)
         whole = max(0, len(stream) - 2) // BLOCK
@@ -142,7 +142,7 @@ class Cleaner:
         return np.asarray(np.where(usual < 0, np.inf, excess * usual + STEPS * steps)[block])
 
     def _steps(self, stream: FloatArray, whole: int) -> FloatArray:
-        """Return the wire's steps (whole + 1, c) before each block and behind the last: the smallest seen, if unknown.
+        """Return wire steps (whole + 1, c) before each block and behind the last: the least seen, if unknown.
 
         A channel of text has steps that nobody states; where it rests on one, the next is no spike.
         """
@@ -182,7 +182,7 @@ class Cleaner:
                     self._marked[spiked, channel] = self._spike[spiked, channel] = True
 
     def _is_crowded(self, place: int, channel: int) -> bool:
-        """Tell whether so many second differences before a sample are in doubt that the signal itself is like that."""
+        """Tell if so many second differences before a sample are in doubt that the signal is like that."""
         start = max(0, place - CROWD)
         size = np.abs(np.diff(self._raw[start:place, channel], n=2))
         return int(np.count_nonzero(size > self._limits[start + 2 : place, channel])) >= CROWDED
@@ -192,7 +192,7 @@ class Cleaner:
         height = float(np.abs(self._raw[spiked, channel]).max(initial=0.0))
         limit, most = float(self._limits[spiked.start, channel]), float(self._most[channel])
         if not height > WILD * max(limit, most):
-            return False  # whatever came since: the search through it would cost as much as all that came, each time
+            return False  # whatever came since: searching it would cost as much as all that came, each time
         came = np.abs(self._raw[: spiked.start, channel])[~self._marked[: spiked.start, channel]]
         return bool(height > WILD * max(limit, float(came.max(initial=most))))
 
@@ -248,7 +248,7 @@ class Cleaner:
 
 
 def _medians(sizes: FloatArray) -> FloatArray:
-    """Return the median over each block (blocks, BLOCK, c); inf where half of the readings or more are missing."""
+    """Return the median of each block (blocks, BLOCK, c); inf where half the readings or more are missing."""
     middle = np.sort(sizes, axis=1)[:, sizes.shape[1] // 2]  # NaN comes last
     return np.asarray(np.where(np.isnan(middle), np.inf, middle))
 

@@ -14,8 +14,8 @@ import numpy as np
 from agent.types import FloatArray
 
 BINS = 256
-"""Stretches of time of which the most punctual arrival is kept; when there are more, neighbours are joined, and from
-stretches of `LONGEST_S` on the oldest are forgotten: over hours a crystal follows the weather."""
+"""Stretches of time of which the most punctual arrival is kept; when there are more, neighbours are joined,
+and from stretches of `LONGEST_S` on the oldest are forgotten: over hours a crystal follows the weather."""
 BIN_S = 0.25
 LONGEST_S = 4.0
 LEAST_BINS = 8
@@ -26,14 +26,17 @@ CAUTION = 1.6
 
 
 class Line(NamedTuple):
-    """The two clocks: gateway time since the first arrival = offset_s + (1 + slope) · device time since that sample."""
+    """The two clocks of a device and its gateway.
+
+    Gateway time since the first arrival = offset_s + (1 + slope) · device time since that sample.
+    """
 
     offset_s: float
     slope: float
 
 
 class Drift(NamedTuple):
-    """The device's clock gains this many millionths on the gateway's; sd and the 95 % interval in the same."""
+    """The device's clock gains so many millionths on the gateway's; sd and the 95 % interval in the same."""
 
     ppm: float
     sd: float
@@ -64,7 +67,7 @@ class ClockFit:
     _bins: dict[int, tuple[float, float]] = field(default_factory=dict)
 
     def observe(self, index: int, arrival_ns: int) -> None:
-        """Take the number of the newest sample of a block and the monotonic time at which the block arrived."""
+        """Take the number of the newest sample of a block and the monotonic time at which it arrived."""
         if self._origin is None:
             self._origin = (index, arrival_ns)
         device, late = self._place(index, arrival_ns)
@@ -102,7 +105,7 @@ class ClockFit:
         )
 
     def line(self, trusted_s: float = 0.0) -> Line:
-        """Return the two clocks; with arrivals over less than trusted_s the device is taken to keep its rate."""
+        """Return both clocks; with arrivals over less than trusted_s the device is taken to keep its rate."""
         points = np.array(sorted(self._bins.values())).reshape(-1, 2)
         if len(points) < 2 or self.span_s < trusted_s:
             return Line(float(points[:, 1].min(initial=np.inf if len(points) else 0.0)), 0.0)
@@ -128,7 +131,7 @@ class ClockFit:
 
 
 def lower_line(points: FloatArray) -> Line:
-    """Return the line below points (n >= 2, 2), ordered by their first coordinate, that leaves least above it."""
+    """Return the line below points (n >= 2, 2), ordered by first coordinate, that leaves least above it."""
     hull = _lower_hull(points)
     if len(hull) == 1:
         return Line(float(hull[0, 1]), 0.0)

@@ -20,15 +20,15 @@ from agent.types import BoolArray, FloatArray
 PLATEAU = 4
 """Equal readings that may be a clipped peak ..."""
 OVERSHOOT = 16.0
-"""... if the motion before would have gone this many steps (or noise) beyond it: a rounded peak goes about four."""
+"""... if the motion before would have gone so many steps (or noise) further: a rounded peak goes about 4."""
 SURE = 2 * OVERSHOOT
-"""The same where no second such peak is waited for: healthy channels of 16 bits reached 25 in an hour and a half."""
+"""The same where no second such peak is waited for: healthy 16-bit channels reached 25 in 1.5 hours."""
 BRAKED_OVER = 3
 """Samples before the last whole step into a top over which its braking is told."""
 BRAKING = 3.5
-"""Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more. Constant
-braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its steps are
-..."""
+"""Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more.
+Constant braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its
+steps are ..."""
 CREEP = 3.0
 """... those of the wire, of which it then makes no more than so many a sample."""
 ENTRY = PLATEAU + BRAKED_OVER + 1
@@ -38,7 +38,7 @@ REST = 0.5
 
 
 class Top(NamedTuple):
-    """A flat top (side 1) or bottom (side 0): its value, and how far the motion before would have gone beyond it."""
+    """A flat top (side 1) or bottom (side 0): its value, and how far the motion before would have gone."""
 
     side: int
     value: float
@@ -127,7 +127,7 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
 
 
 def unbraked(steps: FloatArray, grain: float) -> float:
-    """Return the speed, a sample, of the last of some steps towards a top where no braking explains it; else 0.0."""
+    """Return the speed, a sample, of the last step towards a top where no braking explains it; else 0.0."""
     last = float(steps[-1])
     lost = (steps[-2::-1] - last) / np.arange(1, len(steps))  # braking may have begun with any of them
     explained = last <= BRAKING * max(float(lost.max()), 0.0) + CREEP * grain

@@ -16,7 +16,7 @@ ON_A_SAMPLE = 1e-6
 
 
 def split(place: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the number of the reading at or before each place, and how far behind it the place lies, 0 .. 1."""
+    """Return the reading's number at or before each place, and how far behind it the place lies, 0 .. 1."""
     whole = np.floor(place + ON_A_SAMPLE)
     part = place - whole
     return whole.astype(np.int64), np.where(part < ON_A_SAMPLE, 0.0, part)

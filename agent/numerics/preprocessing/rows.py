@@ -1,4 +1,4 @@
-"""Reductions over the few channels of each sample: numpy's own, along so short an axis, cost ten times as much."""
+"""Reductions over each sample's few channels: numpy's own, along so short an axis, cost ten times as much."""
 
 import numpy as np
 

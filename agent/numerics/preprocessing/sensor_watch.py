@@ -32,7 +32,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """Facts of N blocks: lowest, highest, noise, step (N, c); equal (N, c) whether PLATEAU readings in a row are.
+    """Facts of N blocks: lowest, highest, noise, step (N, c); equal (N, c) if PLATEAU readings in a row are.
 
     rail (N, c): such a row was entered so fast that it may be the end of a range.
     """
@@ -153,7 +153,7 @@ class SensorWatch:
     def _plateaus(
         self, change: FloatArray, same: BoolArray, blocks: tuple[int, int, int]
     ) -> tuple[BoolArray, FloatArray]:
-        """Return in which blocks (N, c) equal readings follow each other, and how fast such a row was entered.
+        """Return in which blocks (N, c) equal readings follow each other and how fast such a row was entered.
 
         The last step into it is left out: where readings rested, as a force that is held does between two
         steps, they went not at all.
@@ -173,7 +173,7 @@ class SensorWatch:
         return plateau, fastest
 
     def _steps(self, change: FloatArray, same: BoolArray, whole: int) -> FloatArray:
-        """Return the wire's step (N, c) as it is known behind each block: as stated, else the least single change seen.
+        """Return the wire's step (N, c) known after each block: as stated, else the least single change seen.
 
         change, same (c, samples). A change between readings that rest before and behind it is a step; where a
         channel stops or is clipped it has moved all the time before.

@@ -1,4 +1,4 @@
-"""Outputs that stand still while others move: stuck, at a turning point, or too coarse for how little they move.
+"""Outputs that stand still while others move: stuck, at a turning point, or too coarse for so small a motion.
 
 What a channel would have shown is told by the others: how far they went since it stopped, as a share of how
 far they went before, against how many steps of its own it made then. A sine within two of its steps S goes on
@@ -19,7 +19,7 @@ MOVES = 8.0
 SHORTEST = 24
 """Samples that a channel must stand still, while others move, at least."""
 PATIENT, LONGEST = 3, 4
-"""It must stand still so many times longer than it has in health; longer than so many windows is not counted so."""
+"""It must stand still so many times longer than in health; longer than so many windows is not counted so."""
 FADE = 0.995
 """What is left of a channel's usual range after a block in which something moved."""
 ABRUPT = 32.0

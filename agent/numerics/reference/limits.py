@@ -109,7 +109,7 @@ def _mean_of(healthy: Healthy, on_delay_s: float) -> tuple[float, float]:
 
 
 def _upper(healthy: Healthy) -> float:
-    """Return the upper end of the interval of the spread, by chi-squared of its independent hours less one."""
+    """Return the upper end of the spread's interval, by chi-squared of its independent hours less one."""
     dof = max(healthy.n_effective - 1.0, 1.0)
     return healthy.spread_sd * sqrt(dof / float(chdtri(dof, SURE)))
 

@@ -15,7 +15,7 @@ from agent.types import BoolArray, FloatArray, IntArray
 
 DAY_S = 86_400.0
 HUBER = 1.345
-"""Robust deviations beyond which a period's mean weighs less: 95 % efficient on a normal distribution (Huber 1981)."""
+"""Robust deviations beyond which a period's mean weighs less: 95 % efficient on normal data (Huber 1981)."""
 EFFICIENCY = 0.95
 CLIPPED = 3.0
 """Robust deviations at which the mean of a period is cut for the spread: a healthy one seldom goes beyond."""
@@ -56,7 +56,7 @@ def periods(t_s: FloatArray, period_s: float) -> IntArray:
 
 
 def spread(t_s: FloatArray, value: FloatArray, period_s: float) -> Spread:
-    """Return location and spread of rows t_s (n,), value (n,), in order of time, from at least two periods."""
+    """Return location and spread of rows t_s (n,), value (n,), in time order, from at least two periods."""
     number = periods(t_s, period_s)
     first = np.flatnonzero(np.r_[True, np.diff(number) > 0])
     kept, within = _sound(value, first)
@@ -130,7 +130,7 @@ def huber(x: FloatArray) -> float:
 
 
 def _clipped(residual: FloatArray) -> FloatArray:
-    """Return deviations cut at what a healthy one seldom reaches; half of them equal leaves all as they are."""
+    """Return deviations cut at what a healthy one seldom reaches; half equal leaves all as they are."""
     scale = MAD * float(np.median(np.abs(residual)))
     return np.clip(residual, -CLIPPED * scale, CLIPPED * scale) if scale > 0.0 else residual
 
@@ -141,7 +141,7 @@ def _enlarged(variance: float, independent: float) -> float:
 
 
 def correlation_sum(x: FloatArray, number: IntArray) -> float:
-    """Return 1 + 2 sum of the autocorrelations of x (n,), at least 1; number (n,) their places, some of them absent."""
+    """Return 1 + 2 sum of autocorrelations of x (n,), at least 1; number (n,) their places, some absent."""
     length = int(number[-1] - number[0]) + 1
     row = np.zeros(length)
     there = np.zeros(length)
@@ -159,7 +159,7 @@ def correlation_sum(x: FloatArray, number: IntArray) -> float:
 
 
 def _between_days(mean: FloatArray, day: IntArray) -> tuple[float | None, float]:
-    """Return the deviation of daily means, and the variance of a period's mean that it leads to with that in a day."""
+    """Return the deviation of daily means, and the variance of a period's mean from it and that in a day."""
     first = np.flatnonzero(np.r_[True, np.diff(day) > 0])
     days = len(first)
     if days < LEAST_DAYS:

@@ -1,1 +1,1 @@
-"""Streaming bank: what every window says of the parameters, at a cost a sample that does not grow with the window."""
+"""Streaming bank: what every window says of the parameters, at a cost a sample independent of its length."""

@@ -48,7 +48,7 @@ class LostColumnsOfWindow:
 
 
 def columns_of(events: Events, operators: Operators, fulls: int, hop: int) -> LostColumnsOfWindow | None:
-    """Return the columns of the window of so many whole hops before the head of hop `hop`; None where it lost none."""
+    """Return columns of the window of so many whole hops before hop `hop`'s head; None where it lost none."""
     first = hop - fulls
     inside = (events.hop >= first) & (events.lost.sample >= first * operators.plan.hop)
     if not inside.any():
@@ -179,7 +179,7 @@ def _inverse(M: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Scanning:
-    """Windows scanned for a jump: the columns, and for each boundary the right parts and the filters there."""
+    """Windows scanned for a jump: the columns, and for each boundary the right parts and filters there."""
 
     jumps: Jumps
     parts: Sequence[Summary]
@@ -201,7 +201,7 @@ class Solving:
     asked: list[Asked] = field(default_factory=list)
 
     def eliminate(self, events: Events, held_from: int, hop: int) -> None:
-        """Eliminate what the window ending in hop `hop` lost; a window that reaches before `held_from` is left."""
+        """Eliminate what the window ending in hop `hop` lost; one that reaches before `held_from` is left."""
         plan, fulls = self.operators.plan, self.operators.lengths[self.number]
         i = int(np.searchsorted(self.index, hop * plan.hop + plan.head - 1))
         if i == len(self.index) or self.index[i] // plan.hop != hop:

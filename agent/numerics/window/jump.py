@@ -42,7 +42,7 @@ class Jumps:
         return Jumps(self.index[which], self.cross[which], self.own[which], self.samples)
 
     def glr(self, d: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Return 2 log GLR (N, b) against the estimates d (N, c) with their covariance (N, c, c), prior included.
+        """Return 2 log GLR (N, b) against estimates d (N, c) with covariance (N, c, c), prior included.
 
         A constant that is taken as known has rows and columns of zeros in the covariance.
         """
@@ -66,7 +66,7 @@ def boundaries(fulls: int) -> tuple[int, ...]:
 
 
 def scanned_rows(fulls: int) -> int:
-    """Return of how many rows one is scanned, at most a group of hops: they move a window by a fifth at the most.
+    """Return of how many rows one is scanned, at most a group of hops: they move a window by a fifth at most.
 
     Boundaries are a quarter of a window apart, so that wherever it is a jump passes near one of them several
     times. Where each of the whole hops begins with one, two of its places are enough.

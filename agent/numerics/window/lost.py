@@ -81,7 +81,7 @@ class Impulses:
         self.latest = max(0, *offsets)
 
     def events(self, lost: Lost, start: int) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return which readings touch the hop from sample `start` on (k,), e (k, H, p), the state after it (k, a)."""
+        """Return which readings touch the hop from `start` on (k,), e (k, H, p), the state after (k, a)."""
         local = np.zeros((len(lost), self.hop, self.output.shape[2]))
         after = np.zeros((len(lost), self.state.shape[2]))
         touches = np.zeros(len(lost), dtype=bool)
@@ -168,7 +168,7 @@ class LostColumns:
         return hop * H - self._impulses.latest, (hop + 1) * H - self._impulses.earliest
 
     def complete(self, hop: int, lost: Lost, columns: FloatArray | None, moment: FloatArray) -> None:
-        """Take a whole hop: the readings that may touch it, [e ψ] (1+c, H p) over it if there are any, its moment."""
+        """Take a whole hop: the readings that may touch it, [e ψ] (1+c, H p) over it if any, its moment."""
         events, alpha = self._events, self._alpha
         square, step = self._squares[0], self._operators.basis.steps[2]
         if len(alpha):

@@ -65,7 +65,7 @@ class Operators:
     def summarise(
         self, lengths: Sequence[int], v: FloatArray, z: FloatArray, forced: Sequence[FloatArray]
     ) -> tuple[Summary, FloatArray]:
-        """Return the summaries of N stretches v (N, L, p+m) from states z (N, nz), and the states after them."""
+        """Return the summaries of N stretches v (N, L, p+m) from states z (N, nz), and the states after."""
         step = max(1, CHUNK // (ROWS * self.plan.hop)) * ROWS
         count = len(v)
         width = 1 + self.size.c
@@ -101,7 +101,7 @@ class Operators:
         return np.array(squares)
 
     def columns(self, hop_samples: FloatArray, start: FloatArray) -> FloatArray:
-        """Return [e ψ] (1+c, samples p) over a hop or its head, v (samples, p+m), from state `start` (nz,)."""
+        """Return [e ψ] (1+c, samples p) over a hop or its head v (samples, p+m), from state `start` (nz,)."""
         filters = self.filters
         lengths = filters.head if len(hop_samples) == self.plan.head else (*filters.head, *filters.rest)
         v = hop_samples[None]

@@ -1,4 +1,4 @@
-"""What the bank gives: a row each hop, and for each window length the normal equations of the whole windows."""
+"""What the bank gives: a row each hop, and for each window length the normal equations of whole windows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

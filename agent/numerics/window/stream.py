@@ -22,7 +22,7 @@ from agent.types import FloatArray, IntArray
 
 
 class Stream:
-    """Rows of windows over samples that arrive in any portions, the same to the last bit for every portioning.
+    """Rows of windows over samples that arrive in any portions, the same to the last bit for any portioning.
 
     The mean of a free mass runs away from what is measured. It is started anew now and then, at the best
     state of the newest longest window: that window's samples are run again, after which everything is as if
@@ -50,7 +50,7 @@ class Stream:
         self.start_segment(0)
 
     def start_segment(self, index: int, given: int = -1) -> None:
-        """Begin an uninterrupted stretch whose first sample has number `index`; windows do not reach back over it.
+        """Begin an uninterrupted stretch with first sample number `index`; windows do not reach back over it.
 
         Rows up to sample `given` are not given.
         """
@@ -90,7 +90,7 @@ class Stream:
         return joined(pieces, len(self.operators.lengths))
 
     def restart(self, model: StateSpace, push: Push, noise: NoiseModel, at: int) -> None:
-        """Take new operators and run them over the kept samples from number `at` on; rows once given stay given.
+        """Take new operators and run them over kept samples from number `at` on; rows once given stay given.
 
         Raises:
             ValueError: sample `at` is no longer kept.

@@ -23,7 +23,7 @@ def scales(M: FloatArray) -> FloatArray:
 
 
 def inverse(M: FloatArray) -> FloatArray:
-    """Return the inverse of symmetric positive M (..., k, k): a square, so no variance on its diagonal is negative.
+    """Return the inverse of symmetric positive M (..., k, k): a square, so its diagonal is never negative.
 
     Where rounding left M indefinite, eigenvalues below the jitter are raised to it.
     """
@@ -39,7 +39,7 @@ def inverse(M: FloatArray) -> FloatArray:
 
 
 def root(P: FloatArray) -> FloatArray:
-    """Return F (..., k, k) with F Fᵀ = P of symmetric P (..., k, k); eigenvalues that rounding made negative are 0."""
+    """Return F (..., k, k) with F Fᵀ = P of symmetric P (..., k, k); eigenvalues rounded below 0 become 0."""
     d = 1.0 / scales(P)
     scaled = P / (d[..., :, None] * d[..., None, :])
     try:
@@ -51,7 +51,7 @@ def root(P: FloatArray) -> FloatArray:
 
 
 def shown(S: FloatArray, g: FloatArray, whole: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return information S (k, k) and score g (k,) left of whole (k,), directions that are only its rounding at 0."""
+    """Return information S (k, k) and score g (k,) left of whole (k,), directions of mere rounding at 0."""
     d = np.where(whole > 0, 1.0 / np.sqrt(np.where(whole > 0, whole, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(S * np.outer(d, d))
     kept = vectors[:, values > JITTER]
@@ -61,7 +61,7 @@ def shown(S: FloatArray, g: FloatArray, whole: FloatArray) -> tuple[FloatArray, 
 
 
 def refined(M: FloatArray, V: FloatArray, rest: FloatArray) -> FloatArray:
-    """Return M⁻¹ rest for M (k, k), V its `inverse`, rest (k,) or (k, r), with one step of iterative refinement.
+    """Return M⁻¹ rest for M (k, k), V its `inverse`, rest (k,) or (k, r), with one iterative refinement step.
 
     Where directions are nearly alike V is right to few digits (Golub & Van Loan, Matrix Computations, 3.5.3).
     """

@@ -1,4 +1,4 @@
-"""The frequencies of a window: bins kept one by one, and groups of high bins of which residual power is kept."""
+"""A window's frequencies: bins kept one by one, and groups of high bins of which residual power is kept."""
 
 from dataclasses import dataclass
 from functools import cached_property

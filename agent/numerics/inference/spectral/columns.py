@@ -1,4 +1,4 @@
-"""A window as a linear regression: [Γ | τ | lost | Ψ | Ξ | jumps | r] on the kept bins, and the residual above them."""
+"""A window as linear regression: [Γ | τ | lost | Ψ | Ξ | jumps | r] on kept bins, and the residual above."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ class Window:
 
 
 def window_of(y: FloatArray, u: FloatArray, before: FloatArray | None = None) -> Window:
-    """Return a whole window without lost readings; before (m,): the inputs one sample earlier, where known."""
+    """Return a whole window without lost readings; before (m,): inputs one sample earlier, where known."""
     first = u[:1] if before is None else before[None]
     slope = np.diff(u, axis=0, prepend=first)
     return Window(y, u, slope, np.zeros((0, 2), dtype=np.int64), np.zeros(0))
@@ -184,7 +184,7 @@ class Regressor:
     def build(
         self, window: Window, weigh: Weigh, cuts: IntArray, driven: ComplexArray | None = None
     ) -> Regression:
-        """Return the regression; `weigh` gives the Gram of columns under today's noise, for the initial state.
+        """Return the regression; `weigh` gives the columns' Gram under today's noise, for the initial state.
 
         driven (kept, n, p): S⁻¹ of readings to the states that unknown forces drive. The initial state of the
         periodic response is e0; the state that the window began with is e0 and what those forces had driven
@@ -229,7 +229,7 @@ class Regressor:
         return np.asarray((X @ at.C.T + U @ at.D.T) * self.output_gain)
 
     def _best_start(self, weigh: Weigh, gamma: ComplexArray, residual: ComplexArray) -> FloatArray:
-        """The initial state (n,) that explains the residual best (Golub & Pereyra, SIAM J. Num. Anal. 10, 1973)."""
+        """Initial state (n,) best explaining the residual (Golub & Pereyra, SIAM J. Num. Anal. 10, 1973)."""
         response = self.response
         n = response.starts.shape[1]
         G = weigh(np.concatenate([gamma[..., :n], residual[..., None]], axis=2))
@@ -241,7 +241,7 @@ class Regressor:
     def _placed(
         self, x0: FloatArray, u: FloatArray, y_mean: FloatArray, u_mean: FloatArray, edges: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """The initial state with free masses where bin 0 shows them, and sums (len(edges), n) of earlier states."""
+        """The initial state with free masses that bin 0 shows, and sums (len(edges), n) of earlier states."""
         at, W, n = self.response.at, self.response.bins.window, self.response.at.n
         # the state beside its running sum
         A = np.block([[at.A, np.zeros((n, n))], [np.eye(n), np.eye(n)]])
@@ -279,7 +279,7 @@ class Regressor:
         return out
 
     def _impulse(self, row: int, number: int, length: int) -> ComplexArray:
-        """Return the response (kept, p) to 1 more in one reading of a measured input, at every tap that holds it."""
+        """Return the response (kept, p) to 1 more in one reading of a measured input, at all its taps."""
         k = np.arange(self.response.bins.kept)
         out = np.zeros((len(k), len(self.output_gain)), dtype=complex)
         # an input that no channel drives has one tap

@@ -40,7 +40,7 @@ class Cells:
         return S
 
     def cell_levels(self, levels: FloatArray) -> FloatArray:
-        """Return the levels (C, p) of the cells: their own for single bins, 1 for groups (normalised before)."""
+        """Return the cells' levels (C, p): their own for single bins, 1 for groups (normalised before)."""
         out = np.ones((len(self.weight), levels.shape[1]))
         out[: self.kept] = levels[: self.kept]
         return out

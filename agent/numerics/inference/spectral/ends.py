@@ -14,7 +14,7 @@ LEAST_VARIANCE = 1e-300
 
 
 class Ends:
-    """Prior precisions of the columns that stand at `Layout.ends`: free masses', then those of slow forces."""
+    """Prior precisions of the columns at `Layout.ends`: free masses', then those of slow forces."""
 
     def __init__(self, response: Response, sources: tuple[Source, ...]) -> None:
         self.slow = np.array([a for a, source in enumerate(sources) if source.is_slow_force], dtype=np.int64)
@@ -22,7 +22,9 @@ class Ends:
         # (a, f) variance of a free mass's column by intensity²
         forces = response.H.shape[2]
         power = np.array([
-            source.spectrum(at_rest)[0] * np.eye(forces)[source.number] if source.kind == "force" else np.zeros(forces)
+            source.spectrum(at_rest)[0] * np.eye(forces)[source.number]
+            if source.kind == "force"
+            else np.zeros(forces)
             for source in sources
         ]).reshape(len(sources), forces)  # fmt: skip
         self.gain = response.drift_variance(power)

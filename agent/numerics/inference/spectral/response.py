@@ -1,4 +1,4 @@
-"""Transfer functions of the sampled model on the bins of a window, and its free and forced states at the window's ends.
+"""Transfer functions of the sampled model on a window's bins, and its free and forced states at the ends.
 
 A finite window is exactly diagonal in the DFT once its ends are accounted for: with z = e^{iω} on the DFT's
 grid
@@ -38,7 +38,7 @@ FREE_SHARE = 1e-6
 
 
 def end_states(A: FloatArray, w: FloatArray) -> FloatArray:
-    """Return Σ A^(L−1−k) w(k) of stretches w (s, L, n), by halving: x(L) of x(k+1) = A x(k) + w(k) from zero."""
+    """Return Σ A^(L−1−k) w(k) of stretches w (s, L, n), by halving: x(L) of x(k+1) = A x(k) + w(k) from 0."""
     length = w.shape[1]
     size = 1 << max(0, (length - 1).bit_length())
     w = np.concatenate([np.zeros((len(w), size - length, w.shape[2])), w], axis=1)
@@ -98,7 +98,7 @@ class Response:
         self._derivatives = np.ascontiguousarray(stacked.reshape(k * (n + len(at.C)), n + width).T)
 
     def columns(self, x: ComplexArray, u: ComplexArray) -> ComplexArray:
-        """Return d y by each parameter and log mass (kept, p, k), modulo Γ, from DFTs of states and inputs."""
+        """Return dy by each parameter and log mass (kept, p, k), modulo Γ, from DFTs of states and inputs."""
         n = self.at.n
         p = len(self.at.C)
         k = len(self.at.dA)
@@ -117,7 +117,7 @@ class Response:
         return np.asarray(self._closed(found[..., None], self.at.E[:, [number]] * signal[0].real)[..., 0])
 
     def _closed(self, columns: ComplexArray, mean: FloatArray) -> ComplexArray:
-        """Columns (kept, p, k) that bin 0 of what drives the states, mean (n, k), closes where a mass is free."""
+        """Columns (kept, p, k) that bin 0 of the states' drive, mean (n, k), closes where a mass is free."""
         return columns - self.drift @ (self.left @ mean) if self.is_free else columns
 
     def drift_variance(self, power: FloatArray) -> FloatArray:

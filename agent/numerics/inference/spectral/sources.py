@@ -1,4 +1,4 @@
-"""Where noise comes from: unknown forces, fresh and slow, and coloured sensor noise, each of unknown intensity.
+"""Sources of noise: unknown forces, fresh and slow, and coloured sensor noise, each of unknown intensity.
 
     S(z) = diag(σ_c² s_c(z)) + Σ_a v_a² |P_a(z)|² d_a d_a*,     |P|² = (1 − a²) / |1 − a/z|²   (a = 0: white)
 
@@ -43,7 +43,7 @@ class Source:
 
 
 def sources_of(rig: Rig, window: int, outputs: int) -> tuple[Source, ...]:
-    """Return the sources that a window can tell apart: each force white and slow, each sensor in three colours."""
+    """Return the sources a window can tell apart: each force white and slow, each sensor in three colours."""
     if rig.white:
         return ()
     corners = force_corner_hz(rig, window) * np.array(FORCE_CORNERS)
@@ -57,7 +57,7 @@ def sources_of(rig: Rig, window: int, outputs: int) -> tuple[Source, ...]:
 
 
 def force_corner_hz(rig: Rig, window: int) -> float:
-    """Return the corner of slow forces, Hz: half the slowest mode's frequency, or what the window can show."""
+    """Return the corner of slow forces, Hz: half the slowest mode's frequency, or what a window can show."""
     at = sampled(rig, rig.nominal, np.zeros(rig.masses))
     speed = np.abs(np.log(np.linalg.eigvals(at.A).astype(complex))) / (2 * np.pi * rig.period_s)
     moving = speed[speed > 1e-6 / rig.period_s / window]

@@ -1,4 +1,4 @@
-"""State space of a plant whose elements stand in its equations as products of powers, and its exact derivatives.
+"""State space of a plant whose elements stand in its equations as products of powers, with exact derivatives.
 
 E(θ) x' = F(θ) x + G(θ) u and y = H(θ) x + J(θ) u with an invertible E; each entry is a sum of terms c θ_1^a
 θ_2^b ... (an inductance in E, a resistance in F, its inverse where it lies across a voltage). By the product

@@ -1,1 +1,1 @@
-"""What a healthy parameter depends on (temperature, load, speed): lags, the regression, the compensated reference."""
+"""What a healthy parameter depends on (temperature, load, speed): lags, regression, compensated reference."""

@@ -101,7 +101,10 @@ def widened(sd: float, moved_sd: float) -> float:
 
 
 def remark(one: Dependence, now: Lagged) -> str:
-    """Say why a reference is not as well known as learnt; empty where it is. The words stay while the reason does."""
+    """Say why a reference is not as well known as learnt; empty where it is.
+
+    The words stay while the reason does.
+    """
     if now.known < LITTLE:
         return f"{one.name} is missing, or has been for as long as it matters"
     if beyond(one, now) > OUTSIDE * (one.high - one.low):

@@ -24,7 +24,7 @@ PERIOD_S = 60.0
 """What a mean of a covariate is taken over."""
 PERIOD_NS = 60_000_000_000
 CLOSED = 2
-"""A row rests on means that are so many periods older: readings may arrive a period late, and no row differs."""
+"""A row rests on means so many periods older: readings may arrive a period late, and no row differs."""
 RECENT = 2880.0
 """Periods (two days) over which a covariate is averaged to guess it while it is missing."""
 DRIFTS = 10_080.0
@@ -62,7 +62,7 @@ def newest_period(t_ns: IntArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """A covariate over consecutive periods from `first` on: deviations from its centre, guessed where not `covered`."""
+    """A covariate over consecutive periods from `first`: deviations from centre, guessed unless `covered`."""
 
     first: int
     deviation: FloatArray
@@ -78,7 +78,7 @@ class Series:
 
 
 def series(number: IntArray, value: FloatArray, center: float, hold: int) -> Series:
-    """Return the means value (n,) of periods number (n,), in order, on the grid; gaps are held for so many periods."""
+    """Return means value (n,) of periods number (n,), ordered, on the grid; gaps are held so many periods."""
     length = int(number[-1] - number[0]) + 1
     place = number - number[0]
     age = np.arange(length)
@@ -112,7 +112,7 @@ def _filtered(x: FloatArray, kept: float, before: float) -> FloatArray:
 
 
 class Lagged(NamedTuple):
-    """What acts of a covariate: its deviation from the centre, the share of that which is known, how old it is.
+    """What acts of a covariate: its deviation from the centre, the known share of it, how old it is.
 
     inflation: by how much the spread of the covariate understates what a guess of the rest may be off.
     """

@@ -23,7 +23,7 @@ from agent.types import FloatArray, IntArray
 CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
 """Autocorrelations from period to period that are weighed."""
 SHORTEST_S, LENGTHS, PART = 300.0, 17, 8.0
-"""Lags are 5 min times the square root of 2 to the 0 ... 16 (21 h), no longer than an eighth of the stretch."""
+"""Lags are 5 min times the square root of 2 to the 0 ... 16 (21 h), at most an eighth of the stretch."""
 ROUNDS = 2
 """How often each covariate's lag is looked for beside those of the others."""
 FINE = tuple(2.0 ** (k / 12) for k in (-4, -3, -2, -1, 1, 2, 3, 4))
@@ -145,7 +145,7 @@ class _Fit:
         return max(self._one(y, X, way) for way in self._ways)
 
     def inflation(self, y: FloatArray, columns: Sequence[FloatArray]) -> float:
-        """Return by how much the sd of the last column is to grow where the noise is slower than an autoregression.
+        """Return by how much the last column's sd must grow where the noise is slower than an autoregression.
 
         From the autocorrelation of the scores of its coefficient (Newey and West 1987).
         """
@@ -187,14 +187,14 @@ class _Fit:
 
 
 def _way(rho: float, apart: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return by what the value before is taken off, by what the rest is multiplied, and the sum of its logarithms."""
+    """Return by what the value before is taken off and the rest multiplied, and the sum of its logarithms."""
     left = rho**apart if rho else np.zeros(len(apart))
     scale = 1.0 / np.sqrt(1.0 - left**2)
     return left, scale, -float(np.log(scale).sum())
 
 
 def alike(columns: FloatArray) -> tuple[int, int] | None:
-    """Return two of the columns (n, q) that move together so closely that they cannot be told apart; None for none."""
+    """Return two of the columns (n, q) that move too closely together to be told apart; None for none."""
     if columns.shape[1] < 2:
         return None
     together = np.abs(np.corrcoef(columns.T))

@@ -1,4 +1,4 @@
-"""Samples to whitened columns and summaries of hops: filters lifted to cells, balanced coordinates, sliding sums.
+"""Samples to whitened columns and hop summaries: filters lifted to cells, balanced coordinates, sliding sums.
 
 Imported by the rest of `window`; it imports the model alone.
 """

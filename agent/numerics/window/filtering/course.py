@@ -1,4 +1,4 @@
-"""The filters' state on its way from hop to hop, the same to the last bit however many hops are taken at once."""
+"""The filters' state from hop to hop, the same to the last bit however many hops are taken at once."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,10 @@ class Course:
         return cls(z, np.zeros_like(z))
 
     def over(self, powers: FloatArray, forced: FloatArray) -> "tuple[FloatArray, Course]":
-        """Solve z(j+1) = transition z(j) + forced(j) over N hops; return z(0..N-1), (N, nz), and the course after."""
+        """Solve z(j+1) = transition z(j) + forced(j) over N hops.
+
+        Return z(0..N-1), (N, nz), and the course after.
+        """
         total = self.phase + len(forced)
         nz = len(self.start)
         groups = -(-total // GROUP)

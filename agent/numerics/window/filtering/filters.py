@@ -1,4 +1,4 @@
-"""The bank's filters, lifted to cells of samples: a predictor that whitens and a mean that nothing random reaches.
+"""The bank's filters, lifted to sample cells: a predictor that whitens, a mean that nothing random reaches.
 
     e  = W (y − C x̂ − D u),       x̂' = Φ x̂ + (B − K D) u + K y,   Φ = A − K C          predictor, with
     noise states r' = A r + B u                                                                      mean:
@@ -162,14 +162,14 @@ class Filters:
         return states, forced, course
 
     def forced(self, lengths: Sequence[int], v: FloatArray) -> list[FloatArray]:
-        """Return the states (N, nz) that the inputs of each cell of stretches v (N, L, p+m) leave from zero."""
+        """Return the states (N, nz) that inputs of each cell of stretches v (N, L, p+m) leave from zero."""
         starts = np.cumsum([0, *lengths])
         return [self._cells[L].forced(v[:, s : s + L]) for L, s in zip(lengths, starts, strict=False)]
 
     def outputs(
         self, lengths: Sequence[int], v: FloatArray, z: FloatArray, forced: Sequence[FloatArray]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return e, ψ (N, 1+c, samples p) of N stretches v from states z (N, nz), and the states after them."""
+        """Return e, ψ (N, 1+c, samples p) of N stretches v from states z (N, nz), and the states after."""
         p = self.size.p
         out = np.empty((len(v), 1 + self.size.c, v.shape[1] * p))
         start = 0

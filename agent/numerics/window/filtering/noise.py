@@ -20,7 +20,7 @@ from agent.types import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """How a force in each of d directions enters: B (n, d) the shifted state, D (p, d) the outputs, both at once."""
+    """How forces in d directions enter: B (n, d) the shifted state, D (p, d) the outputs, both at once."""
 
     B: FloatArray
     D: FloatArray
@@ -28,7 +28,10 @@ class Push:
 
 @dataclass(frozen=True, slots=True)
 class Coloured:
-    """A first-order Gauss-Markov force or sensor error: stationary `sd`, spectrum sd² (1 − a²)/|1 − a/z|², a = pole."""
+    """A first-order Gauss-Markov force or sensor error of stationary `sd`.
+
+    Its spectrum is sd² (1 − a²)/|1 − a/z|² with a = pole.
+    """
 
     side: Literal["force", "sensor"]
     number: int

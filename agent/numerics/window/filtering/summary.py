@@ -43,8 +43,8 @@ class Summary:
 
 
 Kind = tuple[int, int]
-"""Windows of so many hops, of which each so-manieth is wanted: those that end at hops every-1, 2 every-1, .. counted
-from the first hop. `every` divides GROUP."""
+"""Windows of so many hops, of which each so-manieth is wanted: those that end at hops every-1, 2 every-1, ..
+counted from the first hop. `every` divides GROUP."""
 
 
 class Sliding:
@@ -62,7 +62,7 @@ class Sliding:
         self._long = _Grouped(long, step) if long else None
 
     def append(self, hops: Summary) -> dict[Kind, Summary]:
-        """Take the next hops; return for each kind the windows that end at these hops, those that are whole."""
+        """Take the next hops; return for each kind the whole windows that end at these hops."""
         windows = self._short.append(hops) if self._short else {}
         return windows | (self._long.append(hops) if self._long else {})
 
@@ -155,7 +155,7 @@ class _Grouped:
         return prefixes
 
     def _close(self, arrived: "_Arrived", prefixes: list[Summary]) -> None:
-        """Take the groups that are full now: their suffixes, and the windows of whole groups that end at them."""
+        """Take the groups now full: their suffixes, and the windows of whole groups that end at them."""
         full = arrived.full
         if not full:
             return
@@ -207,7 +207,7 @@ class _Grouped:
 
 @dataclass(frozen=True, slots=True)
 class _Arrived:
-    """Hops laid out by groups: those of the open group before, then the new ones; the last group may not be full."""
+    """Hops laid out by groups: those of the open group before, then new ones; the last may not be full."""
 
     hops: Summary
     before: int

@@ -1,11 +1,12 @@
 """What working with an alarm system is like, by ANSI/ISA-18.2-2016 and IEC 62682, clauses 3.1 and 16.
 
 average       alarms announced a day; about 150 are very likely acceptable for one operator, 300 are the most
-flood         more than 10 alarms in 10 minutes, and on until fewer than 5 come in 10 minutes (also EEMUA
-191); less than 1 % of the time chattering    one alarm announced three times or more within a minute; the aim
-is none stale         a condition that has stood for more than 24 hours; fewer than 5, each known and with a
-plan most frequent the ten alarms that come most often make up less than 1 % to 5 % of all priorities    about
-80 % low, 15 % medium, 5 % high and critical
+flood         more than 10 alarms in 10 minutes, and on until fewer than 5 come in 10 minutes (also
+              EEMUA 191); less than 1 % of the time
+chattering    one alarm announced three times or more within a minute; the aim is none
+stale         a condition that has stood for more than 24 hours; fewer than 5, each known and with a plan
+most frequent the ten alarms that come most often make up less than 1 % to 5 % of all
+priorities    about 80 % low, 15 % medium, 5 % high and critical
 """
 
 from collections import Counter, deque

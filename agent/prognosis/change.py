@@ -1,7 +1,8 @@
 """Whether a parameter changes, apart from the shape of the change: level, slope and curvature of block means.
 
-    y = X β + e,   Cov e = diag(sd²) + s² R(τ) + a² S,   R = exp(−|Δt|/τ), at τ → ∞ a random walk;   S: a
-    yearly season
+    y = X β + e,   Cov e = diag(sd²) + s² R(τ) + a² S,   R = exp(−|Δt|/τ), at τ → ∞ a random walk
+
+where S is a yearly season.
 
 The variances are not known: each (s, τ, a) of a grid is weighed by its restricted likelihood (REML, Patterson
 & Thompson 1971), and every answer is the mixture over the grid. So an interval is wide where a random walk

@@ -1,8 +1,9 @@
 """The family of degradation laws, each made linear: a level u that moves at a steady rate b with noise.
 
     constant     du = b dt + q dW                        u = y
-    rate law     dy = b (y/y0)^m dt (…)                  u(y) = y0 ((y/y0)^(1−m) − 1)/(1 − m)     Box & Cox
-                 1964 where level and limit differ in sign    u(y) = L (1 − exp(−κ (y − y0)/L))/κ
+    rate law     dy = b (y/y0)^m dt (…)                  u(y) = y0 ((y/y0)^(1−m) − 1)/(1 − m)
+                 (Box & Cox 1964)
+                 where level and limit differ in sign    u(y) = L (1 − exp(−κ (y − y0)/L))/κ
     ramp         du = b (1 + r (t − t0)) dt + q dW       u = y
     run-in       a rate that wanders freely until t_in, then the rate law
     onset        nothing until t_on, then the rate law

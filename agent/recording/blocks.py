@@ -5,10 +5,12 @@ A file "NAME-NNNNNNNN.raw" is
     "DELTAKRAW1\n"  magic and version
     u32, JSON       length and header: source, fields, counter_modulus, config_sha256, code_version,
                     byte_order, created_ns, rig
-    blocks          u32 length of what follows, u32 its CRC-32, then i64 arrival_ns (monotonic), i64
-                    wall_offset_ns (wall minus monotonic), u32 epoch, u32 rows, u16 columns, u16 flags (1:
-                    counter, 2: t_ns, 4: wall_offset_ns is known, 8: received_ns), rows x columns float64 row
-                    by row, rows int64 counter, rows int64 t_ns, rows int64 received_ns
+    blocks          u32 length of what follows, u32 its CRC-32, then
+                    i64 arrival_ns (monotonic), i64 wall_offset_ns (wall minus monotonic),
+                    u32 epoch, u32 rows, u16 columns,
+                    u16 flags (1: counter, 2: t_ns, 4: wall_offset_ns is known, 8: received_ns),
+                    rows x columns float64 row by row,
+                    rows int64 counter, rows int64 t_ns, rows int64 received_ns
 
 Everything is little-endian. A file cut short (power, full disk) is read up to its last whole block.
 """

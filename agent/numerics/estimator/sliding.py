@@ -1,9 +1,9 @@
 """The product's estimator: samples in, one row of estimates a hop.
 
-    hop -> row          from the streaming bank, at the operating point window -> learn     noise, constants
-    and the point itself, on disjoint windows, ever more seldom broken row -> solve about the window itself:
-    the parameters changed, or the noise did, or the model does not hold budget              what all of this
-    may cost beside the rows
+    hop -> row          from the streaming bank, at the operating point
+    window -> learn     noise, constants and the point itself, on disjoint windows, ever more seldom
+    broken row -> solve about the window itself: the parameters changed, the noise did, or the model fails
+    budget              what all of this may cost beside the rows
 
 The bank (`agent.numerics.window`) and the learner (`agent.numerics.inference`) are two forms of one
 likelihood.

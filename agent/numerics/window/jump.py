@@ -4,8 +4,9 @@ A jump of δᵢ at b has the column Jᵢ = ψᵢ restarted with tᵢ(b) = 0, zer
 summary is the shorter window that ends at the same row, Jᵢ = ψᵢ + U (D_i (r*(b) − r(b)) − Γ tᵢ(b)) in
 balanced coordinates, so the window's and the right part's summaries give X'J and J'J for X = [e* ψ*], and
 
-    2 log GLR = g_J' H_J⁻¹ g_J,   g_J = J'(e* − ψ* d̂),   H_J = J'J − J'ψ* cov ψ*'J      (Γ projected out
-    everywhere)
+    2 log GLR = g_J' H_J⁻¹ g_J,   g_J = J'(e* − ψ* d̂),   H_J = J'J − J'ψ* cov ψ*'J
+
+with Γ projected out everywhere.
 """
 
 from dataclasses import dataclass

@@ -3,8 +3,8 @@
 With a steady-state predictor z(k0) = ẑ(k0) + ξ + ζ, where ζ ~ N(0, P) makes the innovations exactly white,
 and
 
-    e = Γ ξ + Ψ δ + white,    ξ flat for physical states and lines,    ξ_f ~ N(−ẑ_f(k0), V),   V = prior −
-    P_ff
+    e = Γ ξ + Ψ δ + white,   ξ flat for physical states and lines
+    ξ_f ~ N(−ẑ_f(k0), V),    V = prior − P_ff
 
 for coloured noise states f. This is the likelihood of the readings in the window alone, whatever came before.
 With V = L L' and ξ_f = −ẑ_f + L s, s ~ N(0, I), everything becomes least squares of [e + Γ_f ẑ_f, Ψ − Γ_f

@@ -3,8 +3,11 @@
 A covariate is a series of means of equal periods (`PERIOD_S`), numbered since the epoch; a period without a
 reading is absent. What the machine feels of it is one of
 
-    none          x[p] = c[p] delay         x[p] = c[p - d] first-order   x[p] = a x[p-1] + (1 - a) c[p],  a =
-    exp(-T/tau)   a body that warms through (Franklin, Powell 1998)
+    none          x[p] = c[p]
+    delay         x[p] = c[p - d]
+    first-order   x[p] = a x[p-1] + (1 - a) c[p],  a = exp(-T/tau)
+
+The last is a body that warms through (Franklin, Powell 1998).
 
 c counted from its centre. A gap is filled with the reading before it for `hold` periods; what is longer is
 guessed from the days before, and `known` is the share of the weights that rests on readings: 1 where all are

@@ -1,9 +1,10 @@
 """The bank's filters, lifted to sample cells: a predictor that whitens, a mean that nothing random reaches.
 
-    e  = W (y − C x̂ − D u),       x̂' = Φ x̂ + (B − K D) u + K y,   Φ = A − K C          predictor, with
-    noise states r' = A r + B u                                                                      mean:
-    input and model only ψᵢ = W (C tᵢ + dCᵢ r + dDᵢ u), tᵢ' = Φ tᵢ + (dAᵢ − K dCᵢ) r + (dBᵢ − K dDᵢ) u
-    sensitivities of the mean
+    predictor, with noise states      e  = W (y − C x̂ − D u)
+                                      x̂' = Φ x̂ + (B − K D) u + K y,   Φ = A − K C
+    mean: input and model only        r' = A r + B u
+    sensitivities of the mean         ψᵢ = W (C tᵢ + dCᵢ r + dDᵢ u)
+                                      tᵢ' = Φ tᵢ + (dAᵢ − K dCᵢ) r + (dBᵢ − K dDᵢ) u
 
 W is the inverse root of the innovations' covariance. ψᵢ is the whitening filter applied to the derivative of
 the mean output: no reading enters it, so what no data can separate stays unseparated. A cell of L samples is

@@ -1,1 +1,1 @@
-"""The command line: one file a command group, and what they share. Imported only by `agent.__main__`."""
+"""The command line: `commands` holds signatures, the other rooms what commands print or serve."""

@@ -45,11 +45,16 @@ class CommandGroup(TyperGroup):
             raise RuntimeError(f"a pipe that is not stdout broke: {error}") from error
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the names with one line each."""
-        rows = [(name, command.get_short_help_str(limit=100)) for name, command in self.commands.items()]
-        rows += [(name, _summary(plugin)) for name, plugin in sorted(self._plugins().items())]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        """Write the names with one line each, under the titles of their sections."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            title = getattr(command, "rich_help_panel", None) or "Commands"
+            sections.setdefault(title, []).append((name, command.get_short_help_str(limit=100)))
+        plugins = [(name, _summary(plugin)) for name, plugin in sorted(self._plugins().items())]
+        for title, rows in (*sections.items(), ("Plug-ins", plugins)):
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
     def _plugins(self) -> dict[str, EntryPoint]:
         return {point.name: point for point in entry_points(group=GROUP) if point.name not in self.commands}

@@ -9,7 +9,7 @@ import os
 import sys
 
 from agent.cli import app as cli
-from agent.cli import results as commands_results  # noqa: F401 - imported once for all
+from agent.cli.tables import results as commands_results  # noqa: F401 - imported once for all
 from agent.runtime import service  # noqa: F401 - imported once for all
 from drivers.modbus import driver as modbus  # noqa: F401
 

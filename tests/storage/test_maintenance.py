@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.cli import db as commands_db
+from agent.cli.tables import db as commands_db
 from agent.errors import StoreError, UsageError
 from agent.storage import maintenance
 from agent.storage.database import compaction

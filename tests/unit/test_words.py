@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
-from agent.cli.db import export
+from agent.cli.tables.db import export
 from agent.cli.terminal.output import print_faults, show
 from agent.commissioning.evidence import Evidence
 from agent.commissioning.probe import listen

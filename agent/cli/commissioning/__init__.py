@@ -1,1 +1,1 @@
-"""What the commands of commissioning print."""
+"""What the commands of commissioning print: check, identify, compare, excite, baseline, limits, score."""

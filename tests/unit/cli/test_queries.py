@@ -13,7 +13,7 @@ import pytest
 
 from agent.cli.operator.alarms import ALARM_COLUMNS, alarms
 from agent.cli.prognosis.trend import trend
-from agent.cli.queries import (
+from agent.cli.tables.queries import (
     ESTIMATE_COLUMNS,
     TABLE_ROWS,
     VERDICT_COLUMNS,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.cli.check import print_check
+from agent.cli.commissioning.check import print_check
 from agent.commissioning.check import check
 from sim_bus.rig.rigfile import checked, read_rig
 from sim_bus.rig.scenario import Scenario

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.cli.results import verdict
+from agent.cli.tables.results import verdict
 from agent.cli.terminal.output import print_rows, print_table
 from agent.storage.read import queries
 from agent.text import interval, number, short_time, with_sd

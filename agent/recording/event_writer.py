@@ -231,8 +231,7 @@ class EventWriter:
         log.warning("%s: %s", self._facts.rig, message)
         return HealthEvent(self._facts.rig, "events", wall_ns(), cause, message)
 
-    # --- bounds
-    # ------------------------------------------------------------------------------------------------
+    # --- bounds ---------------------------------------------------------------------------------------------
 
     def _take_stock(self) -> None:
         """See what earlier runs left: half-written files go, cut records say so, lost rows are made anew."""

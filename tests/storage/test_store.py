@@ -328,8 +328,7 @@ def test_seq_never_goes_back_after_everything_was_deleted(path: Path) -> None:
     assert select(path, "SELECT min(seq) FROM hops") == [(before + 1,)]
 
 
-# --- what must be refused
-# ------------------------------------------------------------------------------------------
+# --- what must be refused -----------------------------------------------------------------------------------
 
 
 def test_open_by_a_second_process_names_the_first(path: Path) -> None:
@@ -427,8 +426,7 @@ def test_encode_for_a_run_that_was_not_begun_is_refused(path: Path) -> None:
         store.write(7, [batch(1)])
 
 
-# --- readers
-# ---------------------------------------------------------------------------------------------------------
+# --- readers ------------------------------------------------------------------------------------------------
 
 
 def test_read_while_an_agent_writes_sees_what_was_committed(path: Path) -> None:

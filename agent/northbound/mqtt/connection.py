@@ -169,8 +169,7 @@ class Connection:
         said = f" ({self._said})" if self._said else ""
         return PeerError("certificate" if "CERTIFICATE" in self._said.upper() else "lost", f"{words}{said}")
 
-    # --- called in the library's thread
-    # ------------------------------------------------------------------------
+    # --- called in the library's thread ---------------------------------------------------------------------
 
     def _connected(
         self,

@@ -86,8 +86,7 @@ class PostgresPeer:
             with suppress(psycopg.Error):
                 connection.close()
 
-    # --- statements
-    # --------------------------------------------------------------------------------------------
+    # --- statements -----------------------------------------------------------------------------------------
 
     def _table(self, topic: str) -> sql.Identifier:
         schema, _, prefix = self._consumer.prefix.rpartition(".")
@@ -135,8 +134,7 @@ class PostgresPeer:
             )
             raise PeerError("refused", f"{other}; name another prefix, or empty the table of that rig")
 
-    # --- failures
-    # ----------------------------------------------------------------------------------------------
+    # --- failures -------------------------------------------------------------------------------------------
 
     @contextmanager
     def _bounded(self) -> Iterator[psycopg.Connection[Any]]:

@@ -126,8 +126,7 @@ class Link:
         with suppress(OSError), socket.socket(fileno=os.dup(self._connection.fileno())) as peer:
             peer.shutdown(socket.SHUT_RDWR)
 
-    # --- the sending thread
-    # ------------------------------------------------------------------------------------
+    # --- the sending thread ---------------------------------------------------------------------------------
 
     def _send_all(self) -> None:
         while (make := self._next()) is not None:
@@ -149,8 +148,7 @@ class Link:
             self._sending = True
             return self._waiting.popleft()
 
-    # --- the receiving thread
-    # ----------------------------------------------------------------------------------
+    # --- the receiving thread -------------------------------------------------------------------------------
 
     def _receive_all(self) -> None:
         try:

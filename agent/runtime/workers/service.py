@@ -82,8 +82,7 @@ class SpreadService(Service):
     def _own(self, configs: Sequence[RigConfig], number: int) -> list[RigConfig]:
         return [config for config in configs if self._places[config.rig.name] == number]
 
-    # --- beginning and ending
-    # ----------------------------------------------------------------------------------
+    # --- beginning and ending -------------------------------------------------------------------------------
 
     def _begin(self, number: int, configs: Sequence[RigConfig]) -> "Future[Any]":
         """Start the process of a worker, which makes its rigs and waits."""
@@ -131,8 +130,7 @@ class SpreadService(Service):
             worker.kill("it did not end in time")
         super()._finish()
 
-    # --- what is said to workers
-    # -------------------------------------------------------------------------------
+    # --- what is said to workers ----------------------------------------------------------------------------
 
     def _commanded(self, step: AlarmTransition) -> None:
         number = self._places.get(step.rig)
@@ -146,8 +144,7 @@ class SpreadService(Service):
                     self._databases.baselines[rig] = known
                     self._workers[self._places[rig]].tell(BASELINES, (path, {rig: known}))
 
-    # --- watching workers
-    # --------------------------------------------------------------------------------------
+    # --- watching workers -----------------------------------------------------------------------------------
 
     def process(self, ended: Callable[[], bool] = lambda: False) -> None:
         """Look after the workers, once."""
@@ -199,8 +196,7 @@ class SpreadService(Service):
         else:
             worker.kill(f"its rigs cannot be made ({made.exception()})")
 
-    # --- reloading
-    # ---------------------------------------------------------------------------------------------
+    # --- reloading ------------------------------------------------------------------------------------------
 
     def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
         before = dict(self.rig_set.configs)

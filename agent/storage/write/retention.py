@@ -140,8 +140,7 @@ class TierKeeper:
         self._purge_hourly()
         self._purge_size()
 
-    # --- aggregating
-    # -------------------------------------------------------------------------------------------
+    # --- aggregating ----------------------------------------------------------------------------------------
 
     def _progress(self, run_id: int, *, growing: bool = False) -> _Progress:
         minute, hour = (self._newest(run_id, span) for span in (MINUTE, HOUR))
@@ -194,8 +193,7 @@ class TierKeeper:
         found = self._store.connection.execute(query, (run_id, source, first)).fetchone()
         return end if found is None else min(end, (found[0] // (span * SECOND)) * span * SECOND)
 
-    # --- purging
-    # -----------------------------------------------------------------------------------------------
+    # --- purging --------------------------------------------------------------------------------------------
 
     def _purge_hourly(self) -> None:
         """Purge by age once an hour of the rows' time; checking every run each second would cost too much."""

@@ -121,8 +121,7 @@ class StoreWriter:
         """From the newest sample of each commit to the disk, by rig."""
         self._admit(runs)
 
-    # --- the pipeline's side
-    # -----------------------------------------------------------------------------------
+    # --- the pipeline's side --------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Open the store and begin the runs; StoreError if it can never work, else failures are retried."""
@@ -253,8 +252,7 @@ class StoreWriter:
     def _place(self) -> str:
         return "the store" if self._store is None else str(self._store.path)
 
-    # --- the thread's side
-    # -------------------------------------------------------------------------------------
+    # --- the thread's side ----------------------------------------------------------------------------------
 
     def _work(self) -> None:
         try:

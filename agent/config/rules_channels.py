@@ -9,7 +9,7 @@ from agent.config.linear import LinearModel
 from agent.config.reading.domain_units import QUANTITIES
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
-from agent.config.reading.parse import Entry, Faults, read_table, readable
+from agent.config.reading.parse import Entry, Faults, read_table, readable, unique
 from agent.config.reading.units import conversion, examples, wrong_kind
 from agent.config.tables import Channel, MechanicsModel
 
@@ -48,18 +48,10 @@ def _check_linear(entry: Entry[Channel], faults: Faults) -> None:
 
 
 def _check_names(channels: list[Entry[Channel]], faults: Faults) -> None:
-    owner: dict[str, str] = {}
+    unique(channels, faults)
     for path, channel in channels:
-        if channel.name in owner:
-            faults.add(
-                f"{path}.name",
-                f"{shown(channel.name)} is the name of {owner[channel.name]}",
-                "names must differ",
-            )
-        elif channel.name in RESERVED:
+        if channel.name in RESERVED:
             faults.add(f"{path}.name", f"{shown(channel.name)} is reserved", RESERVED[channel.name])
-        elif readable(channel.name):
-            owner[channel.name] = path
 
 
 def _check_unit(entry: Entry[Channel], faults: Faults) -> None:
@@ -152,13 +144,8 @@ def split_channels(raw: object, faults: Faults) -> tuple[list[tuple[str, Any]], 
 
 def check_covariates(draft: Draft) -> None:
     """Note the faults of covariates and of [baseline]."""
-    owner = {entry.table.name: entry.path for entry in draft.channels if readable(entry.table.name)}
+    unique(draft.covariates, draft.faults, draft.channels)
     for path, one in draft.covariates:
-        if one.name in owner:
-            what = f"{shown(one.name)} is the name of {owner[one.name]}"
-            draft.faults.add(join(path, "name"), what, "names must differ")
-        elif readable(one.name):
-            owner[one.name] = path
         if one.scale == 0:
             draft.faults.add(join(path, "scale"), "must not be 0", "it would make every reading the same")
         if readable(one.range) and one.range is not None and not one.range[0] < one.range[1]:

@@ -11,7 +11,7 @@ from agent.config.draft import Draft
 from agent.config.north.tables import North
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing
-from agent.config.reading.parse import readable
+from agent.config.reading.parse import readable, unique
 from agent.config.reading.secrets import is_vague
 from agent.errors import Fault
 
@@ -44,16 +44,11 @@ _PREFIX: Final = {
 
 def check_north(draft: Draft) -> None:
     """Note the faults of consumers."""
-    taken: dict[str, str] = {}
+    unique(draft.north, draft.faults)
     for path, consumer in draft.north:
-        if not readable(consumer.name, consumer.kind):
-            continue
-        if consumer.name in taken:
-            what = f"{shown(consumer.name)} is the name of {taken[consumer.name]}"
-            draft.faults.add(join(path, "name"), what, "names must differ")
-        taken.setdefault(consumer.name, path)
-        draft.faults.found += _faults(path, consumer)
-        draft.faults.found += _unknown_parameters(path, consumer, draft)
+        if readable(consumer.name, consumer.kind):
+            draft.faults.found += _faults(path, consumer)
+            draft.faults.found += _unknown_parameters(path, consumer, draft)
 
 
 def _faults(path: str, consumer: North) -> Iterator[Fault]:

@@ -9,7 +9,7 @@ from agent.config.draft import Draft
 from agent.config.plugins import driver_class
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import faults_of, join, listing
-from agent.config.reading.parse import Entry, Faults, read_list, readable
+from agent.config.reading.parse import Entry, Faults, read_list, readable, unique
 from agent.config.reading.secrets import is_vague
 from agent.config.tables import Notify, Source
 from agent.errors import ConfigError, Fault
@@ -135,15 +135,10 @@ def _free_name(driver: str | None, taken: list[str]) -> str:
 
 def check_notify(draft: Draft) -> None:
     """Note the faults of targets."""
-    taken: dict[str, str] = {}
+    unique(draft.notify, draft.faults)
     for path, target in draft.notify:
-        if not readable(target.name, target.kind):
-            continue
-        if target.name in taken:
-            what = f"{shown(target.name)} is the name of {taken[target.name]}"
-            draft.faults.add(join(path, "name"), what, "names must differ")
-        taken.setdefault(target.name, path)
-        draft.faults.found += _target_faults(path, target)
+        if readable(target.name, target.kind):
+            draft.faults.found += _target_faults(path, target)
 
 
 def _target_faults(path: str, target: Notify) -> Iterator[Fault]:

@@ -40,9 +40,11 @@ class Titled(Protocol):
         ...
 
 
-def unique(entries: Iterable[tuple[str, Titled]], faults: Faults) -> None:
-    """Note each name that an earlier table has already."""
-    owner: dict[str, str] = {}
+def unique(
+    entries: Iterable[tuple[str, Titled]], faults: Faults, others: Iterable[tuple[str, Titled]] = ()
+) -> None:
+    """Note each name that an earlier table, or one of the others, has already."""
+    owner = {table.name: path for path, table in others if readable(table.name)}
     for path, table in entries:
         if table.name in owner:
             faults.add(

@@ -215,26 +215,17 @@ def health(db: Path | str, rig: str | None = None) -> Rows:
 
 def events(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_events, oldest first."""
-    with reading(db) as connection:
-        _chosen_rigs(connection, rig)
-        condition, values = _where(rig=rig)
-        return _rows(connection, "v_events", f"{condition} ORDER BY id", values)
+    return _of_rig(db, rig, "v_events", "id")
 
 
 def verdicts(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_verdicts, oldest first."""
-    with reading(db) as connection:
-        _chosen_rigs(connection, rig)
-        condition, values = _where(rig=rig)
-        return _rows(connection, "v_verdicts", f"{condition} ORDER BY t_ns, run_id", values)
+    return _of_rig(db, rig, "v_verdicts", "t_ns, run_id")
 
 
 def conditions(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_conditions, oldest first."""
-    with reading(db) as connection:
-        _chosen_rigs(connection, rig)
-        condition, values = _where(rig=rig)
-        return _rows(connection, "v_conditions", f"{condition} ORDER BY id", values)
+    return _of_rig(db, rig, "v_conditions", "id")
 
 
 def forecasts(
@@ -251,18 +242,20 @@ def forecasts(
 
 def event_records(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_event_records, oldest first."""
-    with reading(db) as connection:
-        _chosen_rigs(connection, rig)
-        condition, values = _where(rig=rig)
-        return _rows(connection, "v_event_records", f"{condition} ORDER BY id", values)
+    return _of_rig(db, rig, "v_event_records", "id")
 
 
 def runs(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_runs, oldest first."""
+    return _of_rig(db, rig, "v_runs", "run_id")
+
+
+def _of_rig(db: Path | str, rig: str | None, view: str, order: str) -> Rows:
+    """Return all rows of a view, or those of a rig."""
     with reading(db) as connection:
         _chosen_rigs(connection, rig)
         condition, values = _where(rig=rig)
-        return _rows(connection, "v_runs", f"{condition} ORDER BY run_id", values)
+        return _rows(connection, view, f"{condition} ORDER BY {order}", values)
 
 
 def rigs(db: Path | str) -> list[str]:

@@ -1,5 +1,6 @@
 """The equations of a plant as they are assembled: states, elements, what drives it and what can be read."""
 
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal, NamedTuple
@@ -165,9 +166,9 @@ class Domain(Table):
     kind: str
     sd_percent: dict[str, NotNegative] = Field(default_factory=dict)
 
+    @abstractmethod
     def plant(self, quantities: frozenset[str]) -> Plant:
         """Return the plant; quantities: those that channels have, for states that only these can tell."""
-        raise NotImplementedError
 
     def facts(self) -> Iterator[Fact]:
         """Yield what is wrong between values."""

@@ -256,8 +256,10 @@ def poles_of(config: RigConfig) -> ComplexArray:
     """Return the poles at nominal (n,), rad/s."""
     model = rig_model(config).model
     at = model.continuous(model.nominal)
-    poles = np.linalg.eigvals(at.A).astype(complex)
-    return np.log(np.where(poles == 0, LEAST, poles)) * config.rig.sample_rate_hz if at.is_sampled else poles
+    poles = np.asarray(np.linalg.eigvals(at.A), dtype=np.complex128)
+    if at.is_sampled:
+        poles = np.log(np.where(poles == 0, LEAST, poles)) * config.rig.sample_rate_hz
+    return np.asarray(poles, dtype=np.complex128)
 
 
 def swing_length(config: RigConfig) -> int:

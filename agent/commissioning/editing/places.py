@@ -67,9 +67,8 @@ def _slopes(parameter: LinearParameter) -> Iterator[tuple[tuple[str, int, int], 
 def numbers_in(text: str, place: Place, model: Mapping[str, Any]) -> Iterator[tuple[int, int]]:
     """Yield where in a text the number of a place may stand, from and to; model: as the file has it."""
     if place[0] in MATRICES:
-        key, row = str(place[0]), int(place[1])
-        before = sum(len(cells) for cells in model[key][:row]) + int(place[2])
-        for head in re.finditer(rf"(?m)^[ \t]*{key}[ \t]*=", text):
+        before = sum(len(cells) for cells in model[place[0]][: int(place[1])]) + int(place[2])
+        for head in re.finditer(rf"(?m)^[ \t]*{place[0]}[ \t]*=", text):
             yield from islice(_numbers(text, head.end()), before, before + 1)
         return
     for found in re.finditer(rf"(?<![\w.-]){re.escape(str(place[-1]))}[ \t]*=[ \t]*({NUMBER})", text):

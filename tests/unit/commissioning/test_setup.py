@@ -208,7 +208,7 @@ def test_init_asks_for_elements_of_a_kind(tmp_path: Path) -> None:
     config = load(tmp_path / "oven.toml")
     assert (config.model.kind, [c.name for c in config.channel]) == (
         "thermal",
-        ["p", "temperature_room", "t"],
+        ["p", "temperature_room", "core"],
     )
 
 

@@ -1,6 +1,7 @@
 """A rig's model as places on a line: what the page needs to draw its elements and what lies between them."""
 
 from collections.abc import Iterable, Iterator
+from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from agent.config.domains.plant import GROUND, Domain, Link
@@ -38,16 +39,18 @@ def drawing(config: "RigConfig") -> dict[str, Any]:
     """Return {"kind", "masses": [{name, value, place}], "elements": [{name, kind, from, to, row}]}.
 
     Masses or nodes stand on a line in the order of how far they are from the ground, what keeps energy and
-    states in their own; elements between the same two places have rows of their own.
+    states in their own; elements that pass the same gap between places have rows of their own.
     """
     graph = _graph(config)
     pairs = [] if graph.is_chain else [element.between for element in graph.elements]
     places = _places(list(graph.boxes), pairs)
-    rows: dict[tuple[int, int], int] = {}
+    taken: set[tuple[int, int]] = set()
     drawn = []
     for name, kind, between in graph.elements[:MOST]:
         first, last = sorted(places[end] for end in between)
-        row = rows[first, last] = rows.get((first, last), -1) + 1
+        gaps = range(first, max(last, first + 1))
+        row = next(row for row in count() if not any((gap, row) in taken for gap in gaps))
+        taken |= {(gap, row) for gap in gaps}
         drawn.append({"name": name, "kind": kind, "from": first, "to": last, "row": row})
     masses = [{"name": name, "value": value, "place": places[name]} for name, value in graph.boxes.items()]
     return {"kind": config.model.kind, "masses": masses, "elements": drawn}

@@ -15,7 +15,8 @@ export function drawing(model, states) {
   const shapes = model.elements.map((e) => element(e, state(e.name)));
   const boxes = model.masses.map((m) => mass(m, rows, state(m.name)));
   const picture = draw("svg", { viewBox: `0 0 ${last * STEP + 60} ${height}`, role: "img", "aria-label": `Model of the rig: ${said}` });
-  picture.append(draw("path", { class: "shape", d: `M14 ${TOP - 8}V${TOP + rows * ROW}` }), ...shapes, ...boxes);
+  const wall = draw("path", { class: "shape", d: `M14 ${TOP - 8}V${TOP + rows * ROW}` });
+  picture.append(...(model.elements.some((e) => e.from === 0) ? [wall] : []), ...shapes, ...boxes);
   return picture;
 }
 
@@ -29,9 +30,9 @@ function mass({ name, place }, rows, state) {
 }
 
 function element({ name, kind, from, to, row }, state) {
-  const x = right(from), end = left(to), y = TOP + 8 + row * ROW + (to - from > 1 ? ROW / 2 : 0);
+  const x = right(from), end = left(from + 1), y = TOP + 8 + row * ROW;
   const middle = (x + end) / 2;
-  const d = (SHAPES[kind] ?? block)(x, end, y);
+  const d = `${(SHAPES[kind] ?? block)(x, end, y)}M${end} ${y}H${Math.max(end, left(to))}`;
   return draw("g", {}, draw("path", { class: `shape ${state}`, d }), draw("text", { x: middle, y: y + 20 }, name));
 }
 

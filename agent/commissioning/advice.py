@@ -104,7 +104,8 @@ def _predicted(
 def _remedy(config: RigConfig, factor: float, window_s: float) -> str:
     """A window tells at least by the square root of its length; a force in proportion."""
     longer = f"a window of {window_s * factor**2:.2g} s"
-    force = f"{factor:.2g} times the force" if config.inputs else f"{factor:.2g} times the motion"
+    drives = "force" if any(channel.quantity == "force" for channel in config.inputs) else "input"
+    force = f"{factor:.2g} times the {drives if config.inputs else 'motion'}"
     return f"{longer}, {force}, or less noise would do; until then rows say unexcited"
 
 

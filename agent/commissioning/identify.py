@@ -1,7 +1,8 @@
 """`deltak identify`: elements of the configured graph from recordings; no nominal is needed, none is trusted.
 
 recordings -> weak form (a start from nothing) -> all windows joined by the estimator's likelihood -> free run
--> values or a refusal. Equations and limits are in docs/identify.md.
+-> values or a refusal. A linear model or a template begins at its nominals, by ever longer windows.
+Equations and limits are in docs/identify.md.
 """
 
 import time
@@ -14,16 +15,16 @@ from typing import Any
 import numpy as np
 
 from agent.blocks.friction import mechanics_of
-from agent.blocks.rig_model import RigModel, rig_model
+from agent.blocks.rig_model import SENSOR_KINDS, RigModel, rig_model
 from agent.blocks.statistical_rig import estimator_settings, statistical_rig
 from agent.commissioning.channel_checks import plain_findings
 from agent.commissioning.explained import Explained, explained, windows_of
-from agent.commissioning.nominals import KEYS, with_nominals, write_nominals
+from agent.commissioning.nominals import with_nominals, write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import Material
 from agent.config import MechanicsModel, RigConfig, load
-from agent.errors import ConfigError, Fault, ModelError, RecordingError, UsageError
+from agent.errors import Fault, ModelError, RecordingError, UsageError
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.identification.pooled import Pooled, pooled
 from agent.numerics.identification.start import hidden, start, still
@@ -35,11 +36,14 @@ from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.uncertain import Constant
 from agent.runtime.assembly.model_check import model_faults
 from agent.text import percent
-from agent.types import FloatArray
+from agent.types import ComplexArray, FloatArray
 
 PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
 """Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
 SHORTEST = 128
+NEARED, LONGER = 2, 6
+"""Periods of the fastest swinging mode in the first windows by which nominals of linear models come near, and
+how many times longer the next ones are."""
 UNEXPLAINED = 0.02
 """Share of a motion, its sensor's noise taken off, beyond which the graph is not the machine's."""
 PULLED = 5.0
@@ -52,6 +56,10 @@ LEAST = 1e-4
 """Of the largest of its kind: what a start is where noise made it negative."""
 T975 = 1.96
 LOOK_FOR = "look for an element, a force or a mass that the graph lacks, or for a channel that is wrong"
+LOOK_AGAIN = (
+    "begin at nominals nearer to the machine's, or look for a state, an input or an offset "
+    "that the model lacks, or for a channel that is wrong"
+)
 
 
 @dataclass(frozen=True)
@@ -88,16 +96,15 @@ def identify(
         said("")
     document = document_of(rig, found) | {"span_s": span_s, "seconds": time.monotonic() - began}
     if write and document["ok"]:
-        values = {change["parameter"]: change["to"] for change in document["changes"]}
-        write_nominals(config, values)
+        write_nominals(rig, {change["parameter"]: change["to"] for change in document["changes"]})
         document["written"] = str(config)
     return document, found.seen
 
 
 def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tuple[Found, float]:
     if not isinstance(rig.model, MechanicsModel):
-        advice = "give its parameters' nominals; identify knows masses, springs, dampers and dry friction"
-        raise ConfigError.at("model.kind", f'"{rig.model.kind}" has no graph to identify', advice)
+        records = read_records(rig, recordings, progress)
+        return joined(neared(rig, records, progress), records, progress), _span_s(records)
     blank = with_blanks(rig)
     require_motion_sensors(blank)
     records = read_records(blank, recordings, progress)
@@ -109,7 +116,28 @@ def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tup
         begun = started(begun, records)
     if faults := model_faults(begun, rig_model(begun)):
         raise ModelError(faults)
-    return joined(begun, records, progress), sum(record.facts["span_s"] for record in records)
+    return joined(begun, records, progress), _span_s(records)
+
+
+def _span_s(records: Sequence[Recorded]) -> float:
+    return float(sum(record.facts["span_s"] for record in records))
+
+
+def neared(rig: RigConfig, records: Sequence[Recorded], progress: Progress) -> RigConfig:
+    """Return a linear model or template with nominals from ever longer windows, begun at its own.
+
+    Over two periods a motion is nearly that of the nominals, however far off their frequencies are.
+    """
+    if faults := model_faults(rig, rig_model(rig)):
+        raise ModelError(faults)
+    last = window_length(rig, records)
+    window = swing_length(rig)
+    while window < last:
+        said, used, _ = pool(rig, records, window, progress)
+        names = [parameter.name for parameter in rig_model(used).parameters]
+        rig = with_nominals(rig, dict(zip(names, said.theta.tolist(), strict=True)))
+        window *= LONGER
+    return rig
 
 
 def with_blanks(rig: RigConfig) -> RigConfig:
@@ -177,8 +205,12 @@ def pieces_of(records: Sequence[Recorded]) -> list[tuple[FloatArray, FloatArray]
     """Return outputs and inputs of what has no gap. Raises RecordingError where all is too short."""
     pieces = [(r.y[a:b], r.u[a:b]) for r in records for a, b in r.pieces if b - a >= SHORTEST]
     if not pieces:
-        raise RecordingError.at("", f"no {SHORTEST} samples without a gap", "give a longer recording")
+        raise _too_short()
     return pieces
+
+
+def _too_short() -> RecordingError:
+    return RecordingError.at("", f"no {SHORTEST} samples without a gap", "give a longer recording")
 
 
 def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
@@ -220,16 +252,36 @@ def _positive(config: RigConfig, values: Mapping[str, float]) -> dict[str, float
     return {name: max(value, LEAST * largest[kinds[name]]) for name, value in values.items()}
 
 
+def poles_of(config: RigConfig) -> ComplexArray:
+    """Return the poles at nominal (n,), rad/s."""
+    model = rig_model(config).model
+    at = model.continuous(model.nominal)
+    poles = np.asarray(np.linalg.eigvals(at.A), dtype=np.complex128)
+    if at.is_sampled:
+        poles = np.log(np.where(poles == 0, LEAST, poles)) * config.rig.sample_rate_hz
+    return np.asarray(poles, dtype=np.complex128)
+
+
+def swing_length(config: RigConfig) -> int:
+    """Return the length of a linear model's first windows, samples: periods of its fastest swinging mode."""
+    poles = poles_of(config)
+    rate = config.rig.sample_rate_hz
+    swings = np.abs(poles[(np.abs(poles.imag) > np.abs(poles.real)) & (np.abs(poles) < pi * rate / 2)])
+    period_s = 2 * pi / swings.max() if len(swings) else slowest_period_s(config)
+    return int(np.clip(NEARED * period_s * rate, SHORTEST, LONGEST))
+
+
 def slowest_period_s(config: RigConfig) -> float:
     """Return the period of the slowest mode at nominal, s."""
-    model = rig_model(config).model
-    speeds = np.abs(np.linalg.eigvals(model.continuous(model.nominal).A))
+    speeds = np.abs(poles_of(config))
     return float(2 * pi / np.min(speeds[speeds > 1e-6 * speeds.max()], initial=speeds.max()))
 
 
 def window_length(config: RigConfig, records: Sequence[Recorded]) -> int:
     """Return the length of the windows that are joined, samples: some periods of the slowest mode."""
     lengths = [b - a for record in records for a, b in record.pieces]
+    if max(lengths, default=0) < SHORTEST:
+        raise _too_short()
     wanted = max(
         PERIODS * slowest_period_s(config) * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST
     )
@@ -290,13 +342,9 @@ def windowed(
 
 def _weighed(config: RigConfig, said: Pooled, constants: Sequence[Constant]) -> RigConfig:
     """Return the configuration with masses as the data have them: the values were found with these."""
-    masses = (
-        {mass.name: mass.value for mass in config.model.mass}
-        if isinstance(config.model, MechanicsModel)
-        else {}
-    )
     pairs = [(c.name, eta) for c, eta in zip(constants, said.eta.tolist(), strict=True) if c.kind == "mass"]
-    return with_nominals(config, {name: float(masses[name] * np.exp(eta)) for name, eta in pairs})
+    known = config.parameters
+    return with_nominals(config, {name: float(known[name].nominal * np.exp(eta)) for name, eta in pairs})
 
 
 def document_of(rig: RigConfig, found: Found) -> dict[str, Any]:
@@ -315,22 +363,20 @@ def document_of(rig: RigConfig, found: Found) -> dict[str, Any]:
 
 
 def _refusals(rig: RigConfig, found: Found) -> list[Fault]:
-    """Return why the graph is not the machine's; empty where it is."""
+    """Return why the model is not the machine's; empty where it is."""
+    is_graph = isinstance(rig.model, MechanicsModel)
+    what, advice = ("the graph", LOOK_FOR) if is_graph else ("the model", LOOK_AGAIN)
     worst = [
-        Fault(
-            "model",
-            f"the graph leaves {percent(share)} of the motion of {channel.name} unexplained",
-            LOOK_FOR,
-        )
+        Fault("model", f"{what} leaves {percent(share)} of the motion of {channel.name} unexplained", advice)
         for channel, share in zip(rig.outputs, found.seen.beyond.tolist(), strict=True)
         if not share <= UNEXPLAINED
     ]
     if worst:
         return worst
     if pulled := _pulled(found):
-        return [Fault("model", f"the graph fits only with {pulled} than configured", LOOK_FOR)]
+        return [Fault("model", f"{what} fits only with {pulled} than configured", advice)]
     if not found.pooled.converged:
-        return [Fault("model", "the windows of the recordings agree on no values", LOOK_FOR)]
+        return [Fault("model", "the windows of the recordings agree on no values", advice)]
     return []
 
 
@@ -375,12 +421,13 @@ def _why(found: Found, i: int) -> str | None:
 
 
 def _changes(rig: RigConfig, rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return what --write puts into the file: values of elements and masses that are known."""
+    """Return what --write puts into the file: values of elements, masses and entries that are known."""
     known = rig.parameters
     changes = []
     for name, row in rows.items():
-        before = known[name].nominal
-        if known[name].kind in KEYS and row["identifiable"]:
+        before, kind = known[name].nominal, known[name].kind
+        if kind not in SENSOR_KINDS and row["identifiable"]:
             old = None if np.isnan(before) else before
-            changes.append({"parameter": name, "from": old, "to": float(f"{max(row['value'], 0.0):.6g}")})
+            new = f"{row['value']:.10g}" if kind == "linear" else f"{max(row['value'], 0.0):.6g}"
+            changes.append({"parameter": name, "from": old, "to": float(new)})
     return changes

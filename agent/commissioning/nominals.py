@@ -5,36 +5,65 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from agent.commissioning.editing.places import ELEMENTS, Place, moved, numbers_in, put
 from agent.commissioning.editing.toml_text import NUMBER, reads_as, replace_file, shown, table_around
 from agent.config import MechanicsModel, RigConfig
 from agent.config.reading.toml_file import parse_toml, read_bytes
 from agent.errors import UsageError
 
-KEYS = {"mass": "value", "spring": "nominal", "damper": "nominal", "friction": "nominal"}
-
 
 def with_nominals(config: RigConfig, values: Mapping[str, float]) -> RigConfig:
-    """Return a configuration whose elements and masses have these values; names of others are passed over."""
-    model = config.model
-    if not isinstance(model, MechanicsModel):
-        raise TypeError("not a mass-spring-damper model")
-    tables = {
-        kind: tuple(
-            row.model_copy(update={key: values[row.name]}) if row.name in values else row
-            for row in getattr(model, kind)
-        )
-        for kind, key in KEYS.items()
-    }
-    return config.model_copy(update={"model": model.model_copy(update=tables)})
+    """Return a configuration whose parameters and masses have these values; others' names are passed over."""
+    model: Any = config.model
+    for place, value in moved(model, values).items():
+        model = put(model, place, value)
+    return config.model_copy(update={"model": model})
 
 
-def write_nominals(file: Path, values: Mapping[str, float]) -> None:
-    """Write the values of elements and masses into a file; comments and all else stay as they are.
+def write_nominals(config: RigConfig, values: Mapping[str, float]) -> None:
+    """Write the values of parameters and masses into a rig's file; comments and all else stay as they are.
 
     Raises UsageError where the file cannot be written, or its text is not one in which the values can be
     placed.
     """
-    replace_file(file, edited(read_bytes(file).decode("utf-8"), values, file))
+    text = read_bytes(config.file).decode("utf-8")
+    if isinstance(config.model, MechanicsModel):
+        replace_file(config.file, edited(text, values, config.file))
+    else:
+        replace_file(config.file, renumbered(text, moved(config.model, values), config.file))
+
+
+def renumbered(text: str, numbers: Mapping[Place, float], file: Path) -> str:
+    """Return a configuration's text with other numbers at places under its [model]. Raises UsageError."""
+    for place, value in numbers.items():
+        raw = parse_toml(text.encode("utf-8"), file)
+        try:
+            spans = list(numbers_in(text, place, raw["model"]))
+            _set(raw["model"], place, value)
+        except (KeyError, IndexError, TypeError) as error:
+            raise _no_place(_named(place), value, file) from error
+        tried = (text[:start] + repr(value) + text[end:] for start, end in spans)
+        found = next((new for new in tried if reads_as(new, raw, file)), None)
+        if found is None:
+            raise _no_place(_named(place), value, file)
+        text = found
+    return text
+
+
+def _set(table: Any, place: Place, value: float) -> None:
+    for key in place[:-1]:
+        table = table[key]
+    _ = table[place[-1]]  # a number that is there already
+    table[place[-1]] = value
+
+
+def _named(place: Place) -> str:
+    return "model." + str(place[0]) + "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place[1:])
+
+
+def _no_place(what: str, value: float, file: Path) -> UsageError:
+    words = f'no place for the value of "{what}" is found in {file}'
+    return UsageError.at("--write", words, f"nothing was changed; enter {value:.6g} there yourself")
 
 
 def edited(text: str, values: Mapping[str, float], file: Path) -> str:
@@ -43,14 +72,13 @@ def edited(text: str, values: Mapping[str, float], file: Path) -> str:
         wanted = _wanted(parse_toml(text.encode("utf-8"), file), name, value)
         found = next((new for new in _candidates(text, name, value) if reads_as(new, wanted, file)), None)
         if found is None:
-            what = f'no place for the value of "{name}" is found in {file}'
-            raise UsageError.at("--write", what, f"nothing was changed; enter {value:.6g} there yourself")
+            raise _no_place(name, value, file)
         text = found
     return text
 
 
 def _wanted(raw: dict[str, Any], name: str, value: float) -> dict[str, Any]:
-    for kind, key in KEYS.items():
+    for kind, key in ELEMENTS.items():
         for row in raw["model"].get(kind, []):
             if row["name"] == name:
                 row[key] = float(f"{value:.6g}")

@@ -65,15 +65,13 @@ class Linear(_Part):
 
 
 @dataclass(frozen=True)
-class LinearSystem:
-    """A linear rig between its channels.
+class Between:
+    """A rig between its channels.
 
     Attributes:
-        table: the matrices.
         inputs, outputs: names of the channels.
     """
 
-    table: Linear
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
@@ -86,6 +84,13 @@ class LinearSystem:
     def massless(self) -> frozenset[str]:
         """Nodes without inertia: there are no nodes."""
         return frozenset()
+
+
+@dataclass(frozen=True)
+class LinearSystem(Between):
+    """A linear rig; table: its matrices."""
+
+    table: Linear
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
@@ -141,7 +146,7 @@ class LinearSystem:
 class LinearMotion:
     """x' = F x + G u with what its outputs read, for one set of parameters."""
 
-    system: LinearSystem
+    system: Between
     F: FloatArray
     G: FloatArray
     C: FloatArray

@@ -188,10 +188,9 @@ class RigFile(_Part):
         count = sum(channel.is_input for channel in ordered)
         names = tuple(channel.name for channel in ordered)
         if isinstance(self.model, Linear):
-            return LinearSystem(self.model, names[:count], names[count:])
-        return DomainSystem(
-            self.model, names[:count], names[count:], tuple((c.quantity, c.at) for c in ordered)
-        )
+            return LinearSystem(names[:count], names[count:], self.model)
+        places = tuple((c.quantity, c.at) for c in ordered)
+        return DomainSystem(names[:count], names[count:], self.model, places)
 
     @property
     def nominal(self) -> dict[str, float]:

@@ -20,6 +20,9 @@ def random_force(rms: float, at: str | None = None) -> dict[str, Any]:
 
 PLAYED: dict[str, tuple[list[dict[str, Any]], dict[str, float], dict[str, float], float]] = {
     "dc_drive": ([random_force(5.0)], {"speed": 0.05}, {"R": 15.0, "K": -8.0, "b": 40.0}, 1.1),
+    "loudspeaker": (
+        [random_force(4.0)], {"displacement": 1e-6}, {"R": 20.0, "K": -8.0, "b": 40.0, "k": -15.0}, 1.1,
+    ),
     "rlc_filter": (
         [random_force(10.0)], {"current": 2e-4, "voltage": 1e-3},
         {"R1": 30.0, "C1": -15.0, "R2": 10.0, "C2": -12.0, "load": 5.0}, 0.6,

@@ -29,7 +29,7 @@ def identify(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Find springs and dampers of a graph from recordings; no nominal is needed, none is trusted."""
+    """Find springs and dampers from recordings, no nominal needed; of linear models from their nominals."""
     from agent.cli.commissioning import identify as commands_identify
     from agent.commissioning import identify as body
 

@@ -90,6 +90,15 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
             metavar="[NAME=]QUANTITY@MASS[:UNIT[:FIELD]]", help="A signal, e.g. x1=displacement@m1:mm."
         ),
     ] = None,
+    kind: Annotated[
+        str | None, typer.Option(metavar="KIND", help="Another model: dc-motor, thermal, linear ...")
+    ] = None,
+    element: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE|KEY:NAME=[A,B:]VALUE", help="Of --kind, e.g. R=4.8, tank:T1=0.05; or TOML."
+        ),
+    ] = None,
     counter: Annotated[
         str | None, typer.Option(metavar="FIELD", help="The field that counts the samples.")
     ] = None,
@@ -140,7 +149,10 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
         "ring": ring,
     }  # fmt: skip
     elements = {"spring": spring, "damper": damper, "friction": friction}
-    stated = plan.stated(bus and bus.value, name, rate, (mass or [], channel or []), elements, counter, keys)
+    model = (kind, element or [])
+    stated = plan.stated(
+        bus and bus.value, name, rate, (mass or [], channel or []), elements, counter, keys, model
+    )
     document = body.init(file, stated, commands_init.asking())
     answer(document, commands_init.print_written, as_json=json)
 

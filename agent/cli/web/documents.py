@@ -251,7 +251,9 @@ DOCUMENTS: Final[Mapping[str, Document]] = {
         "Whether a parameter changes, and when it reaches a limit.", (*_PARAMETER, "limit"), _trend
     ),
     "points": Document(_POINTS_OF, (*_PARAMETER, "points"), _points),
-    "model": Document("Masses, springs and dampers of a rig, to be drawn.", _RIG, _model),
+    "model": Document(
+        "Masses, springs and dampers of a rig, or the elements of another domain, to be drawn.", _RIG, _model
+    ),
 }
 
 

@@ -1,32 +1,140 @@
-"""The graph of a rig as places on a line: what the page needs to draw masses, springs and dampers."""
+"""A rig's model as places on a line: what the page needs to draw its elements and what lies between them."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator
+from itertools import count
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from agent.config.domains.plant import GROUND, Domain, Link
 
 if TYPE_CHECKING:
-    from agent.config.tables import RigConfig
+    from agent.config.domains.plant import Plant, Term
+    from agent.config.linear import LinearModel, LinearParameter
+    from agent.config.tables import MechanicsModel, RigConfig
 
+MOST = 24
+"""Elements that can be drawn: more would be a tangle, of which only the boxes are drawn."""
 _KINDS = ("spring", "damper", "friction")
+
+
+class _Between(NamedTuple):
+    """An element between two places; kind "wire" has no name."""
+
+    name: str
+    kind: str
+    between: tuple[str, str]
+
+
+class _Graph(NamedTuple):
+    """What is drawn as a box, with its value, and what lies between boxes or a box and the ground.
+
+    is_chain: boxes stand in their own order, not in that of how far they are from the ground.
+    """
+
+    boxes: dict[str, float]
+    elements: list[_Between]
+    is_chain: bool = False
 
 
 def drawing(config: "RigConfig") -> dict[str, Any]:
     """Return {"kind", "masses": [{name, value, place}], "elements": [{name, kind, from, to, row}]}.
 
-    Masses stand on a line in the order of how far they are from the ground; elements between the same two
-    places have rows of their own. A model that is no graph has neither.
+    Masses or nodes stand on a line in the order of how far they are from the ground, what keeps energy and
+    states in their own; elements that pass the same gap between places have rows of their own.
     """
-    model = config.model
-    if model.kind != "mass-spring-damper":
-        return {"kind": model.kind, "masses": [], "elements": []}
-    elements = [(kind, element) for kind in _KINDS for element in getattr(model, kind)]
-    places = _places([mass.name for mass in model.mass], [element.between for _, element in elements])
-    rows: dict[tuple[int, int], int] = {}
+    graph = _graph(config)
+    pairs = [] if graph.is_chain else [element.between for element in graph.elements]
+    places = _places(list(graph.boxes), pairs)
+    taken: set[tuple[int, int]] = set()
     drawn = []
-    for kind, element in elements:
-        first, last = sorted(places[name] for name in element.between)
-        row = rows[first, last] = rows.get((first, last), -1) + 1
-        drawn.append({"name": element.name, "kind": kind, "from": first, "to": last, "row": row})
-    masses = [{"name": mass.name, "value": mass.value, "place": places[mass.name]} for mass in model.mass]
-    return {"kind": model.kind, "masses": masses, "elements": drawn}
+    for name, kind, between in graph.elements[:MOST]:
+        first, last = sorted(places[end] for end in between)
+        gaps = range(first, max(last, first + 1))
+        row = next(row for row in count() if not any((gap, row) in taken for gap in gaps))
+        taken |= {(gap, row) for gap in gaps}
+        drawn.append({"name": name, "kind": kind, "from": first, "to": last, "row": row})
+    masses = [{"name": name, "value": value, "place": places[name]} for name, value in graph.boxes.items()]
+    return {"kind": config.model.kind, "masses": masses, "elements": drawn}
+
+
+def _graph(config: "RigConfig") -> _Graph:
+    model = config.model
+    if isinstance(model, Domain):
+        return _of_template(model)
+    return _of_masses(model) if model.kind == "mass-spring-damper" else _of_matrices(model, config)
+
+
+def _of_masses(model: "MechanicsModel") -> _Graph:
+    elements = [_Between(e.name, kind, e.between) for kind in _KINDS for e in getattr(model, kind)]
+    return _Graph({mass.name: mass.value for mass in model.mass}, elements)
+
+
+def _of_template(model: Domain) -> _Graph:
+    """Draw nodes and the rows between them; without such rows what keeps energy, exchanges or loses it."""
+    plant = model.plant(frozenset())
+    known = {part.name: part.nominal for part in plant.parts}
+    links = [(key, row) for key, rows in model if isinstance(rows, tuple) for row in rows if _is_link(row)]
+    if not links:
+        stored = dict(_stored(plant))
+        return _Graph(
+            {name: known[name] for name in stored.values()}, list(_exchanged(plant, stored)), is_chain=True
+        )
+    elements = [_Between(row.name, key, row.between) for key, row in links]
+    ends = dict.fromkeys(end for element in elements for end in element.between if end != GROUND)
+    return _Graph({end: known.get(end, 0.0) for end in ends}, elements)
+
+
+def _is_link(row: object) -> bool:
+    return isinstance(row, Link)
+
+
+def _stored(plant: "Plant") -> Iterator[tuple[int, str]]:
+    """Yield the states that keep energy, each with the element that it is kept in."""
+    for term in plant.moving:
+        if term.matrix == "E" and term.row == term.column and term.powers:
+            yield term.row, term.powers[0][0]
+
+
+def _exchanged(plant: "Plant", stored: dict[int, str]) -> Iterator[_Between]:
+    """Yield each element once, between the stores that it acts on, else to the ground; then bare joints."""
+    boxes = set(stored.values())
+    for part in plant.parts:
+        if part.name not in boxes:
+            terms = [term for term in plant.moving if any(name == part.name for name, _ in term.powers)]
+            yield _Between(part.name, "element", _ends(terms, stored))
+    joints = [term for term in plant.moving if term.matrix == "F" and not term.powers]
+    pairs = dict.fromkeys(
+        tuple(sorted((t.row, t.column))) for t in joints if {t.row, t.column} <= set(stored)
+    )
+    yield from (_Between("", "wire", (stored[a], stored[b])) for a, b in pairs)
+
+
+def _ends(terms: "Iterable[Term]", stored: dict[int, str]) -> tuple[str, str]:
+    touched = [stored[state] for t in terms for state in (t.row, t.column) if state in stored]
+    return _pair(touched)
+
+
+def _pair(touched: Iterable[str]) -> tuple[str, str]:
+    """Return the first two places that are touched; with one the ground, with none only that."""
+    first, last, *_ = [*dict.fromkeys(touched), GROUND, GROUND]
+    return first, last
+
+
+def _of_matrices(model: "LinearModel", config: "RigConfig") -> _Graph:
+    """Draw the states, and between them the parameters by what they change."""
+    names = [f"x{name[6:]}" if name.startswith("state ") else name for name in model.state_names]
+    wanted = set(config.estimator.estimate)
+    chosen = [parameter for parameter in model.parameters if parameter.name in wanted]
+    elements = [_Between(p.name, "element", _pair(_touched(p, names))) for p in chosen]
+    return _Graph(dict.fromkeys(names, 0.0), elements, is_chain=True)
+
+
+def _touched(parameter: "LinearParameter", names: list[str]) -> Iterator[str]:
+    """Yield the states in whose rows of A and B, or columns of A and C, a parameter stands."""
+    for matrix, rows in parameter.derivatives.items():
+        for i, row in enumerate(rows):
+            for j, slope in enumerate(row):
+                if slope != 0:
+                    yield from [names[i]] * (matrix in "AB") + [names[j]] * (matrix in "AC")
 
 
 def _places(masses: list[str], pairs: list[tuple[str, str]]) -> dict[str, int]:

@@ -65,18 +65,18 @@ def choose(
     document["toml"] = _toml(answer.found.config) if document["graph_changed"] else []
     spans = sum(record.facts["span_s"] for record in search.records)
     if write and document["ok"]:
-        _write(config, document)
+        _write(rig, document)
     return document | {"span_s": spans, "seconds": time.monotonic() - began}, answer.found.seen
 
 
-def _write(config: Path, document: dict[str, Any]) -> None:
+def _write(rig: RigConfig, document: dict[str, Any]) -> None:
     """Write values into a file that has the graph chosen; elements are not put into it. Raises UsageError."""
     if document["graph_changed"]:
         lines = " ".join(line.strip() for line in document["toml"])
         advice = f"put these under [model] in place of what it has, then identify it with --write: {lines}"
         raise UsageError.at("--write", "the graph chosen is not the file's; nothing was written", advice)
-    write_nominals(config, {change["parameter"]: change["to"] for change in document["changes"]})
-    document["written"] = str(config)
+    write_nominals(rig, {change["parameter"]: change["to"] for change in document["changes"]})
+    document["written"] = str(rig.file)
 
 
 @dataclass
@@ -102,7 +102,8 @@ class _Search:
     @classmethod
     def of(cls, rig: RigConfig, recordings: Material, progress: Progress) -> "_Search":
         if not isinstance(rig.model, MechanicsModel):
-            raise UsageError.at("--graph", '"linear" has no graph', "leave --graph out")
+            what = f'"{rig.model.kind}" has no graph to choose'
+            raise UsageError.at("--graph", what, "leave --graph out: its elements are identified as they are")
         blank = whole.with_blanks(rig)
         whole.require_motion_sensors(blank)
         records = whole.read_records(blank, recordings, progress)

@@ -19,6 +19,7 @@ from agent.commissioning.setup.plan import (
     number_of,
 )
 from agent.commissioning.setup.signals import dbc_signals, placed
+from agent.commissioning.setup.template import keys_of_kind, model_of
 from agent.commissioning.setup.text import text_of
 from agent.config.load import parse
 from agent.errors import ConfigError, Fault, UsageError
@@ -69,7 +70,8 @@ def init(file: Path, plan: Plan, ask: Ask | None) -> dict[str, Any]:
     text = text_of(plan)
     _checked(text, file)
     _write(file, text)
-    unknown = [link.name for kind in ELEMENTS for link in plan.links(kind) if link.nominal is None]
+    links = [] if plan.kind else [link for kind in ELEMENTS for link in plan.links(kind)]
+    unknown = [link.name for link in links if link.nominal is None]
     return {
         "file": str(file), "rig": plan.name, "bus": plan.bus, "channels": [c.name for c in plan.channels],
         "to_identify": unknown,
@@ -118,6 +120,19 @@ def _ask_all(plan: Plan, ask: Ask) -> None:
     plan.name = ask("name of the rig", plan.name or "rig")
     if plan.rate_hz is None:
         plan.rate_hz = number_of(ask("samples a second", "1000"), "samples a second")
+    if plan.kind is None:
+        _ask_graph(plan, ask)
+    elif not plan.model:
+        answers = iter(
+            lambda: ask(f"element of {plan.kind}: {keys_of_kind(str(plan.kind))}; empty ends", ""), ""
+        )
+        plan.model = model_of(plan.kind, list(answers))
+    if not plan.channels:
+        plan.channels = _channels(ask, plan.kind)
+    _ask_keys(plan, ask)
+
+
+def _ask_graph(plan: Plan, ask: Ask) -> None:
     if not plan.masses:
         plan.masses = _masses(ask("masses in kg, such as m1=5, m2=3", ""))
     for kind in ("spring", "damper"):
@@ -126,17 +141,16 @@ def _ask_all(plan: Plan, ask: Ask) -> None:
                 f"{kind}s, such as a=ground,m1 b=m1,m2; empty for a chain from ground, none for none", ""
             )
             plan.elements[kind] = links_of(answer.split(), kind)
-    if not plan.channels:
-        plan.channels = _channels(ask)
-    _ask_keys(plan, ask)
 
 
-def _channels(ask: Ask) -> list[Signal]:
+def _channels(ask: Ask, kind: str | None) -> list[Signal]:
     """Ask for channels until an answer is empty."""
     found = []
-    question = "channel [NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as x1=displacement@m1:mm; empty ends"
-    while answer := ask(question, ""):
-        found.append(channel_of(answer))
+    shape = "[NAME=]QUANTITY@MASS[:UNIT[:FIELD]], such as x1=displacement@m1:mm"
+    if kind is not None:
+        shape = "[NAME=]QUANTITY[@PLACE][:UNIT[:FIELD]], such as u=voltage:V"
+    while answer := ask(f"channel {shape}; empty ends", ""):
+        found.append(channel_of(answer, kind))
     return found
 
 

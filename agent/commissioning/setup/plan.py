@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
+from agent.commissioning.setup.template import keys_of_kind, kind_of, missing_of, model_of, signal_of
 from agent.config.tables import GROUND
 from agent.errors import Fault, UsageError
 
@@ -45,6 +46,7 @@ class Plan:
     """A configuration to be written.
 
     Attributes:
+        kind: of a template or "linear"; None for masses, springs and dampers;  model: its own keys.
         masses: values in kg by name.
         elements: by kind; a kind that nobody spoke of becomes a chain.
         keys: the driver's own keys, as flags give them; None where a flag was not given.
@@ -53,6 +55,8 @@ class Plan:
     name: str | None = None
     bus: str | None = None
     rate_hz: float | None = None
+    kind: str | None = None
+    model: dict[str, Any] = field(default_factory=dict)
     masses: dict[str, float] = field(default_factory=dict)
     elements: dict[str, list[Link] | None] = field(default_factory=dict)
     channels: list[Signal] = field(default_factory=list)
@@ -72,17 +76,21 @@ class Plan:
         found = []
         if self.rate_hz is None:
             found.append(Fault("--rate", "is missing", "samples a second, such as --rate 1000"))
+        if self.kind is not None:
+            found += missing_of(self.kind, self.model, self.channels)
+        else:
+            found += self._missing_of_graph()
+        return found + [Fault(flag, "is missing", advice) for flag, advice in self._missing_keys()]
+
+    def _missing_of_graph(self) -> Iterator[Fault]:
         if not self.masses:
-            found.append(
-                Fault("--mass", "is missing", "one for each mass in kg, such as --mass m1=5 --mass m2=3")
-            )
+            yield Fault("--mass", "is missing", "one for each mass in kg, such as --mass m1=5 --mass m2=3")
         if not any(channel.quantity != "force" for channel in self.channels):
             advice = (
                 "one for each signal: [NAME=]QUANTITY@MASS[:UNIT[:FIELD]], "
                 "such as --channel x1=displacement@m1:mm"
             )
-            found.append(Fault("--channel", "nothing that is measured of the motion is named", advice))
-        return found + [Fault(flag, "is missing", advice) for flag, advice in self._missing_keys()]
+            yield Fault("--channel", "nothing that is measured of the motion is named", advice)
 
     def _missing_keys(self) -> Iterator[tuple[str, str]]:
         has = {key for key, value in self.keys.items() if value}
@@ -119,20 +127,30 @@ class Plan:
 def stated(
     bus: str | None, name: str | None, rate_hz: float | None, listed: tuple[Sequence[str], Sequence[str]],
     elements: Mapping[str, Sequence[str] | None], counter: str | None, keys: Mapping[str, Any],
+    template: tuple[str | None, Sequence[str]] = (None, ()),
 ) -> Plan:  # fmt: skip
-    """Return what flags state; listed: the texts of masses and of channels. Raises UsageError."""
+    """Return what flags state; listed: texts of masses and of channels; template: a kind and its elements.
+
+    Raises UsageError.
+    """
     links = {kind: links_of(texts or [], f"--{kind}") for kind, texts in elements.items()}
     masses, channels = listed
+    kind = kind_of(template[0])
+    _of_one_kind(kind, [*(f"--{key}" for key, found in links.items() if found), *(["--mass"] * bool(masses))])
+    if template[1] and kind is None:
+        advice = "give --kind too, such as --kind dc-motor; graphs have --mass, --spring and --damper"
+        raise UsageError.at("--element", "goes with the kind of a model", advice)
     return Plan(
-        name,
-        bus,
-        rate_hz,
-        dict(map(mass_of, masses)),
-        links,
-        list(map(channel_of, channels)),
-        counter,
-        dict(keys),
-    )
+        name, bus, rate_hz, kind, model_of(kind or "", template[1]), dict(map(mass_of, masses)), links,
+        [channel_of(text, kind) for text in channels], counter, dict(keys),
+    )  # fmt: skip
+
+
+def _of_one_kind(kind: str | None, graph: Sequence[str]) -> None:
+    """Refuse elements of a graph beside a template."""
+    if kind is not None and graph:
+        what = f"does not go with --kind {kind}, which has no such elements"
+        raise UsageError.at(graph[0], what, f"write them as --element; keys are {keys_of_kind(kind)}")
 
 
 def mass_of(text: str) -> tuple[str, float]:
@@ -159,8 +177,10 @@ def links_of(texts: Sequence[str], flag: str) -> list[Link] | None:
     return [] if list(texts) == [NONE] else [link_of(text, flag) for text in texts]
 
 
-def channel_of(text: str) -> Signal:
-    """Read [NAME=]QUANTITY@MASS[:UNIT[:FIELD]]."""
+def channel_of(text: str, kind: str | None = None) -> Signal:
+    """Read [NAME=]QUANTITY@MASS[:UNIT[:FIELD]]; of a kind that is no graph @PLACE may be left out."""
+    if kind is not None:
+        return Signal(*signal_of(text))
     match = _CHANNEL.fullmatch(text.strip())
     if match is None:
         raise _no_channel(text)

@@ -5,7 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from agent.commissioning.setup.plan import ELEMENTS, Link, Plan, Signal, fields_of, number_of, place_of
+from agent.commissioning.setup.template import watched
 
+SLOW_HZ, HOP = 40.0, 5.0
+"""Below this rate a row comes every so many samples; above it the default, 0.05 s, is two or more."""
 _CLOCKS = {
     "counter": "the device numbers its samples; a missing number is a gap",
     "device": "samples carry time stamps of the kernel, of the device or of the recording",
@@ -19,7 +22,7 @@ def text_of(plan: Plan) -> str:
         _head(plan),
         _rig(plan),
         _model(plan),
-        _channels(plan.channels),
+        _channels(plan.channels, known=plan.kind in (None, "linear")),
         _rest(plan),
         _source(plan),
         _store(plan),
@@ -43,7 +46,8 @@ def _head(plan: Plan) -> Iterator[str]:
     yield "# What follows, in this order:"
     if plan.bus:
         yield "#     deltak listen FILE                  shows what comes over the bus and what it decodes to"
-    yield "#     deltak identify FILE RECORDING --write     finds every nominal that is missing below"
+    found = "better nominals than those below" if plan.kind else "every nominal that is missing below"
+    yield f"#     deltak identify FILE RECORDING --write     finds {found}"
     yield "#     deltak run FILE                     watches the machine"
 
 
@@ -63,6 +67,9 @@ def clock_of(plan: Plan) -> str:
 
 
 def _model(plan: Plan) -> Iterator[str]:
+    if plan.kind is not None:
+        yield from _template(plan.kind, plan.model)
+        return
     yield from ("", "[model]", 'kind = "mass-spring-damper"')
     yield "# masses in kg; sd_percent is how well each is known (2 % where nothing is said)"
     yield from _rows("mass", [{"name": name, "value": value} for name, value in plan.masses.items()])
@@ -72,12 +79,22 @@ def _model(plan: Plan) -> Iterator[str]:
         yield from _rows(kind, [_link(link) for link in plan.links(kind)])
 
 
+def _template(kind: str, model: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a template's own keys, in SI units; docs/configuration.md says which."""
+    yield from ("", "[model]", f"kind = {value_of(kind)}".ljust(34) + " # its elements in SI units")
+    for key, value in model.items():
+        if isinstance(value, list):
+            yield from _rows(key, value)
+        else:
+            yield f"{key} = {value_of(value)}"
+
+
 def _link(link: Link) -> dict[str, Any]:
     known = {} if link.nominal is None else {"nominal": link.nominal}
     return {"name": link.name, "between": list(link.between)} | known
 
 
-def _rows(key: str, tables: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def _rows(key: str, tables: Sequence[Any]) -> Iterator[str]:
     if not tables:
         return
     yield f"{key} = ["
@@ -85,13 +102,16 @@ def _rows(key: str, tables: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     yield "]"
 
 
-def _channels(channels: Sequence[Signal]) -> Iterator[str]:
+def _channels(channels: Sequence[Signal], *, known: bool) -> Iterator[str]:
+    """Yield channels; known: what drives the model shows in the quantity."""
     for channel in channels:
-        words = "drives the model: an input" if channel.quantity == "force" else "what is measured: an output"
-        yield from ("", "[[channel]]".ljust(34) + f" # {words}")
+        drives = channel.quantity in ("force", "input")
+        words = "drives the model: an input" if drives else "what is measured: an output"
+        yield from ("", "[[channel]]".ljust(34) + f" # {words}" if known else "[[channel]]")
         yield f"name = {value_of(channel.name)}"
         yield f"quantity = {value_of(channel.quantity)}"
-        yield f"at = {value_of(channel.at)}"
+        if channel.at:
+            yield f"at = {value_of(channel.at)}"
         yield (
             f"unit = {value_of(channel.unit)}".ljust(34) + " # after scale and offset, where these are given"
         )
@@ -100,13 +120,15 @@ def _channels(channels: Sequence[Signal]) -> Iterator[str]:
 def _rest(plan: Plan) -> Iterator[str]:
     yield from ("", "[estimator]")
     yield 'window_s = "auto"'.ljust(34) + " # each estimate rests on so much; a number of seconds fixes it"
+    if plan.rate_hz is not None and plan.rate_hz < SLOW_HZ:
+        yield f"hop_s = {value_of(HOP / plan.rate_hz)}".ljust(34) + " # a row of estimates so often"
     yield "# An alarm where a parameter leaves its healthy value by more than a limit:"
     if any(link.nominal is None for link in plan.links("friction")):
         names = [link.name for kind in ELEMENTS for link in plan.links(kind)]
         yield f"estimate = {value_of(names)}"
-    first = next((link for kind in ELEMENTS for link in plan.links(kind)), None)
+    first = next((link.name for kind in ELEMENTS for link in plan.links(kind)), "k1")
     yield "# [[alarm]]"
-    yield f"# parameter = {value_of(first.name if first else 'k1')}"
+    yield f"# parameter = {value_of(watched(plan.kind, plan.model) if plan.kind else first)}"
     yield "# limit_percent = 20.0"
 
 

@@ -37,6 +37,10 @@ class RlcLadder(Domain):
             if stage.R == 0 and stage.L is None:
                 yield Fact(f"stage[{i}].R", "must be greater than 0 where there is no L", "give R or L")
 
+    def place_of(self, name: str) -> tuple[str | int, ...]:
+        """Return where an element's value stands."""
+        return super().place_of(name) if name == "load" else ("stage", int(name[1:]) - 1, name[0])
+
     def plant(self, quantities: frozenset[str]) -> Plant:
         """Return the ladder from its source on."""
         plant = Plant()

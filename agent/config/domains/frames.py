@@ -5,8 +5,8 @@ Matrix Structural Analysis, 1968, chapters 5 and 11); that no beam changes its l
 than nodes have.
 """
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 from pydantic import Field
 
@@ -32,6 +32,8 @@ class Node(Table):
 
 class Beam(Link):
     """A beam: EI in N m2, and its mass a metre, kg/m, called <name>.mass."""
+
+    KEYS: ClassVar[Mapping[str, str]] = {"": "nominal", ".mass": "mass_per_m"}
 
     nominal: Positive
     mass_per_m: Positive
@@ -66,6 +68,10 @@ class Frame(Domain):
             yield Fact("beam", "one has no length: its nodes are at the same place", "move one of them")
         elif not self.beam or not self._motions().shape[1]:
             yield Fact("beam", "nothing can move", "add a beam, or leave a node free")
+
+    def place_of(self, name: str) -> tuple[str | int, ...]:
+        """Return where an element's value stands."""
+        return ("damping_s",) if name == "tau" else super().place_of(name)
 
     def _motions(self) -> "FloatArray":
         """Return (3 nodes, f) how every node moves with each of f motions that no support or beam forbids."""

@@ -1,7 +1,7 @@
 """Hydraulic: tanks and vessels joined by restrictions and lines; an imposed pressure is a boundary."""
 
-from collections.abc import Iterator
-from typing import Annotated, Final, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field
 
@@ -19,6 +19,8 @@ class Restriction(Link):
 
 class Line(Link):
     """A pipe that is long: its inertance, kg/m4, with a resistance of its own, Pa s/m3, called <name>.R."""
+
+    KEYS: ClassVar[Mapping[str, str]] = {"": "nominal", ".R": "resistance"}
 
     nominal: Positive
     resistance: NotNegative = 0.0

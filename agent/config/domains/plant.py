@@ -1,8 +1,9 @@
 """The equations of a plant as they are assembled: states, elements, what drives it and what can be read."""
 
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -141,17 +142,26 @@ class Plant:
         return tuple(number for number, state in enumerate(self.states) if state.push)
 
 
-class Store(Table):
-    """An element that keeps energy, and the node that it is."""
+class Row(Table):
+    """A row that is an element, or several.
+
+    KEYS: the key of the value that is called like the row with so much behind its name.
+    """
+
+    KEYS: ClassVar[Mapping[str, str]] = {"": "nominal"}
 
     name: Name
+
+
+class Store(Row):
+    """An element that keeps energy, and the node that it is."""
+
     nominal: Positive
 
 
-class Link(Table):
+class Link(Row):
     """An element between two nodes."""
 
-    name: Name
     between: Annotated[tuple[Name, Name], Field(strict=False)]
     nominal: NotNegative
 
@@ -165,18 +175,30 @@ class Domain(Table):
     kind: str
     sd_percent: dict[str, NotNegative] = Field(default_factory=dict)
 
+    @abstractmethod
     def plant(self, quantities: frozenset[str]) -> Plant:
         """Return the plant; quantities: those that channels have, for states that only these can tell."""
-        raise NotImplementedError
 
     def facts(self) -> Iterator[Fact]:
         """Yield what is wrong between values."""
         yield from ()
 
+    def place_of(self, name: str) -> tuple[str | int, ...]:
+        """Return where an element's value stands: its key, or the table's with the row's number and key."""
+        for key, rows in self:
+            for number, row in enumerate(rows if isinstance(rows, tuple) else ()):
+                if isinstance(row, Row) and (own := _key_of(row, name)):
+                    return key, number, own
+        return (name,)
+
     @property
     def parts(self) -> list[Part]:
         """The elements."""
         return self.plant(frozenset()).parts
+
+
+def _key_of(row: Row, name: str) -> str | None:
+    return row.KEYS.get(name.removeprefix(row.name)) if name.startswith(row.name) else None
 
 
 def twice(rows: Mapping[str, Iterable[Any]]) -> Iterator[Fact]:

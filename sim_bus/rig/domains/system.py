@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from sim_bus.arrays import FloatArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.domains import networks, swinging
 from sim_bus.rig.domains.built import Built, Place, Raw, Values
+from sim_bus.rig.linear import Between, LinearMotion
 
 
 class _Kind(NamedTuple):
@@ -71,29 +71,16 @@ class DomainTable(BaseModel):
 
 
 @dataclass(frozen=True)
-class DomainSystem:
-    """A template's rig between its channels.
+class DomainSystem(Between):
+    """A template's rig.
 
     Attributes:
         table: the template.
-        inputs, outputs: names of the channels.
-        places: where each of them is, inputs first.
+        places: where each channel is, inputs first.
     """
 
     table: DomainTable
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
     places: tuple[Place, ...]
-
-    @property
-    def nodes(self) -> tuple[str, ...]:
-        """Where a force of a scenario may act: the inputs."""
-        return self.inputs
-
-    @property
-    def massless(self) -> frozenset[str]:
-        """Nodes without inertia: there are no nodes."""
-        return frozenset()
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
@@ -105,33 +92,10 @@ class DomainSystem:
         """Every element by name: any of them may change."""
         return self.table.nominal
 
-    def equations(self, values: Values) -> "DomainMotion":
+    def equations(self, values: Values) -> LinearMotion:
         """Return the motion for one set of elements."""
         built = self.table.built(values)
         n, m, p = len(built.F), len(self.inputs), len(self.outputs)
         G = np.array([built.drives[place] for place in self.places[:m]]).T.reshape(n, m)  # noqa: N806 - a letter
         C = np.array([built.reads[place] for place in self.places[m:]]).reshape(p, n)  # noqa: N806 - a letter
-        return DomainMotion(self, built.F, G, C)
-
-
-@dataclass(frozen=True)
-class DomainMotion:
-    """x' = F x + G u with what its outputs read, for one set of elements."""
-
-    system: DomainSystem
-    F: FloatArray
-    G: FloatArray
-    C: FloatArray
-
-    @property
-    def is_sampled(self) -> bool:
-        """Whether F x + G u is the next state: never."""
-        return False
-
-    def node(self, name: str) -> int:
-        """Return an input's number."""
-        return self.system.inputs.index(name)
-
-    def output(self, _quantity: str, name: str) -> tuple[FloatArray, FloatArray]:
-        """Return the rows (h, j) with reading = h x + j u of an output channel."""
-        return self.C[self.system.outputs.index(name)], np.zeros(len(self.system.inputs))
+        return LinearMotion(self, built.F, G, C, np.zeros((p, m)))

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from agent.blocks.rig_model import rig_model
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
 from agent.commissioning.setup.init import init
 from agent.commissioning.setup.plan import Plan, channel_of
 from agent.config import load
+from agent.runtime.assembly.model_check import model_faults
 from tests.peers import ROOT
 
 FILES = {file.name for file in (ROOT / "deploy/examples").iterdir() if file.suffix in (".toml", ".dbc")}
@@ -132,6 +134,82 @@ def test_init_says_what_is_missing_or_wrong_and_writes_nothing(
     assert code == 2
     assert [text for text in words if text not in err] == []
     assert not list(tmp_path.iterdir())
+
+
+COIL = [
+    "--rate", "2000", "--kind", "voice-coil", "--element", "R=4", "--element", "L=4e-3", "--element", "K=5",
+    "--element", "m=0.02", "--element", "b=1.5", "--element", "k=400",
+    "--channel", "u=voltage", "--channel", "x=displacement:um",
+]  # fmt: skip
+TEMPLATES: dict[str, tuple[list[str], list[str]]] = {
+    "coil": (COIL, ["R", "K", "b", "k"]),
+    "tanks": (
+        ["--rate", "1", "--kind", "hydraulic", "--element", "tank:T1=0.05", "--element", "vessel:V=1e-6",
+         "--element", "restriction:c=T1,ground:5e6",
+         "--element", 'line={ name = "p", between = ["V", "T1"], nominal = 1e6, resistance = 2e6 }',
+         "--channel", "flow@V:l/s", "--channel", "h=level@T1"],
+        ["c", "p.R"],
+    ),
+    "ladder": (
+        ["--rate", "1e4", "--kind", "rlc-ladder", "--element", "stage={ R = 5.0, L = 1e-2, C = 1e-4 }",
+         "--element", "load=60.0", "--channel", "u=voltage@source", "--channel", "v=voltage@C1"],
+        ["R1", "C1", "load"],
+    ),
+    "linear": (
+        ["--rate", "100", "--kind", "linear", "--element", "A=[[0.9, 0.1], [-0.1, 0.9]]",
+         "--element", 'time="discrete"', "--element", "rate_hz=100", "--element", "B=[[0.0], [0.1]]",
+         "--element", "C=[[1.0, 0.0]]", "--element", 'uncertain=["A[1,0]"]',
+         "--channel", "u=input:V", "--channel", "y=output:m"],
+        ["A[1,0]"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_init_of_another_domain_writes_what_check_accepts(name: str, tmp_path: Path, capsys: Capture) -> None:
+    flags, names = TEMPLATES[name]
+    file = str(tmp_path / "plant.toml")
+    code, out, err = run(capsys, "init", file, *flags)
+    assert code == 0, err
+    assert "nobody stated" not in out
+    config = load(file)
+    assert list(config.estimator.estimate) == names
+    assert not list(model_faults(config, rig_model(config)))
+    text = Path(file).read_text(encoding="utf-8")
+    assert f'# parameter = "{names[0]}"' in text
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--kind", "motor"], ['--kind: "motor" is none; choose one of rlc-ladder, dc-motor']),
+        (["--kind", "dc-motor", "--rate", "9"], ["--element: is missing", "keys are R, L, K", "--channel"]),
+        (["--kind", "dc-motor", "--mass", "m1=5"], ["--mass: does not go with --kind dc-motor"]),
+        (["--element", "R=5"], ["--element: goes with the kind of a model; give --kind too"]),
+        ([*COIL, "--element", "tank:T1"], ['--element: "tank:T1" is none']),
+        ([*COIL[:-2], "--channel", "x=level"], ['"level" is nowhere in this model', "was not written"]),
+        ([*COIL[:4], *COIL[6:]], ["model.R: is missing", "was not written"]),
+    ],
+)
+def test_init_says_what_is_wrong_of_another_domain(
+    flags: list[str], words: list[str], tmp_path: Path, capsys: Capture
+) -> None:
+    code, _, err = run(capsys, "init", str(tmp_path / "plant.toml"), *flags)
+    assert code == 2
+    assert [text for text in words if text not in err] == []
+    assert not list(tmp_path.iterdir())
+
+
+def test_init_asks_for_elements_of_a_kind(tmp_path: Path) -> None:
+    answers = iter(["none", "", "100", "capacity:core=500", "conductance:G=room,core:2", 'boundary=["room"]',
+                    "", "p=power@core:W", "temperature@room", "core=temperature@core", ""])  # fmt: skip
+    plan = Plan(kind="thermal")
+    init(tmp_path / "oven.toml", plan, lambda _, default: next(answers) or default)
+    config = load(tmp_path / "oven.toml")
+    assert (config.model.kind, [c.name for c in config.channel]) == (
+        "thermal",
+        ["p", "temperature_room", "core"],
+    )
 
 
 def test_init_asks_for_what_flags_leave_open(tmp_path: Path) -> None:

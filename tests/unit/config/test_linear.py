@@ -10,6 +10,8 @@ import pytest
 from scipy.io import savemat
 from scipy.signal import StateSpace, TransferFunction
 
+from agent.cli.app import app
+from agent.cli.terminal.errors import guarded
 from agent.config import LinearModel, RigConfig, load
 from agent.config.plants import linear_table
 from agent.errors import ConfigError, Fault, UsageError
@@ -142,6 +144,37 @@ def test_linear_model_with_one_change_names_path_and_rule(
     assert [fault.path for fault in found] == [path]
     assert words in f"{found[0].message}; {found[0].advice}"
     assert found[0].advice
+
+
+REFUSED = {
+    "shape": ("B = [[0.0], [0.1]]", "B = [[0.0, 0.1]]", "model.B: has 1 rows of 2 columns; "),
+    "rows of different length": ("[-0.1, 0.9]]", "[-0.1]]", "model.A: "),
+    "not a number": ("D = [[0.0]]", "D = [[nan]]", "model.D[0][0]: must be a finite number"),
+    "infinite": ("C = [[1.0, 0.0]]", "C = [[1.0, inf]]", "model.C[0][1]: must be a finite number"),
+    "nowhere": ("uncertain", ROW % ("R", "dA = [[0.0, 0.0], [0.0, 0.0]]"),
+                "model.parameter[0]: appears nowhere in dA, dB, dC or dD: it changes nothing; give"),
+    "rate": ("rate_hz = 100.0", "rate_hz = 50.0", "model.rate_hz: 50 Hz is not the rate of the rig, 100 Hz"),
+    "poles": ("[[0.9, 0.1]", "[[1.3, 0.1]", "model.A: "),
+    "poles of files": ("A = [[0.9, 0.1], [-0.1, 0.9]]", 'A = { file = "grows.csv" }', "model.A"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+@pytest.mark.parametrize("command", ["check", "run", "replay", "identify"])
+def test_bad_matrices_end_any_command_with_path_advice_and_code_2(
+    case: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, after, words = REFUSED[case]
+    np.savetxt(tmp_path / "grows.csv", [[1.2, 0.0], [0.0, 0.9]], delimiter=",")
+    file = tmp_path / "rig.toml"
+    assert before in MODEL
+    file.write_text(RIG + MODEL.replace(before, after, 1) + CHANNELS)
+    more = ["none.csv"] if command in {"replay", "identify"} else []
+    assert guarded(app, [command, str(file), *more]) == 2
+    out, err = capsys.readouterr()
+    assert words in err
+    assert "; " in err
+    assert "Traceback" not in out + err
 
 
 def test_hold_of_a_model_in_discrete_time_is_its_own(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-// The model as masses, springs and dampers, coloured by the state of their parameters.
+// The model as masses, springs and dampers, or boxes and blocks of another domain, coloured by their states.
 import { draw, stateOf } from "./dom.js";
 
 const STEP = 110, ROW = 34, WIDE = 46, TOP = 20;
@@ -9,12 +9,14 @@ export function drawing(model, states) {
   const rows = Math.max(2, ...model.elements.map((e) => e.row + 1));
   const height = TOP + rows * ROW + 24;
   const last = Math.max(0, ...model.masses.map((m) => m.place));
-  const state = (name) => (states[name] ? stateOf(states[name]) : "");
+  const ofOne = (name) => Object.keys(states).filter((key) => key === name || key.startsWith(`${name}.`)).map((key) => stateOf(states[key]));
+  const state = (name) => ["bad", "doubt", "good"].find((look) => name && ofOne(name).includes(look)) ?? "";
   const said = Object.keys(states).map((name) => `${name} ${WORDS[state(name)]}`).join(", ");
   const shapes = model.elements.map((e) => element(e, state(e.name)));
   const boxes = model.masses.map((m) => mass(m, rows, state(m.name)));
   const picture = draw("svg", { viewBox: `0 0 ${last * STEP + 60} ${height}`, role: "img", "aria-label": `Model of the rig: ${said}` });
-  picture.append(draw("path", { class: "shape", d: `M14 ${TOP - 8}V${TOP + rows * ROW}` }), ...shapes, ...boxes);
+  const wall = draw("path", { class: "shape", d: `M14 ${TOP - 8}V${TOP + rows * ROW}` });
+  picture.append(...(model.elements.some((e) => e.from === 0) ? [wall] : []), ...shapes, ...boxes);
   return picture;
 }
 
@@ -28,10 +30,17 @@ function mass({ name, place }, rows, state) {
 }
 
 function element({ name, kind, from, to, row }, state) {
-  const x = right(from), end = left(to), y = TOP + 8 + row * ROW + (to - from > 1 ? ROW / 2 : 0);
+  const x = right(from), end = left(from + 1), y = TOP + 8 + row * ROW;
   const middle = (x + end) / 2;
-  const d = kind === "spring" ? spring(x, end, y) : kind === "damper" ? damper(x, end, y) : friction(x, end, y);
+  const d = `${(SHAPES[kind] ?? block)(x, end, y)}M${end} ${y}H${Math.max(end, left(to))}`;
   return draw("g", {}, draw("path", { class: `shape ${state}`, d }), draw("text", { x: middle, y: y + 20 }, name));
+}
+
+const SHAPES = { spring, damper, friction, wire: (x, end, y) => `M${x} ${y}H${end}` };
+
+function block(x, end, y) {
+  const m = (x + end) / 2;
+  return `M${x} ${y}H${m - 14}M${m - 14} ${y - 6}H${m + 14}V${y + 6}H${m - 14}ZM${m + 14} ${y}H${end}`;
 }
 
 function spring(x, end, y) {

@@ -37,6 +37,12 @@ def test_position_fills_gaps_from_the_oldest_while_live_goes_on() -> None:
     assert position.left_behind(300) == position
 
 
+def test_position_lags_by_what_lies_in_its_gaps_and_after_its_newest() -> None:
+    assert Position((0,)).lag(0) == 0
+    assert Position((100, 200, 220, 300, 310)).lag(315) == 100 + 80 + 5
+    assert Position((100,)).lag(90) == 0  # a database that was begun anew
+
+
 def test_position_left_behind_again_before_any_live_row_makes_the_gap_longer() -> None:
     assert Position((100,)).left_behind(200).left_behind(300) == Position((100, 300, 300))
 

@@ -15,7 +15,7 @@ from agent.errors import AgentError
 from agent.northbound.forwarder import Forwarder
 from agent.northbound.interface.peer import Place
 from agent.northbound.kinds import make_peer
-from agent.storage.read.forward import heads
+from agent.storage.read.forward import all_reached
 from agent.storage.write.consumers.cursors import forget_others
 from agent.storage.write.writer import StoreWriter
 from agent.types import HealthEvent
@@ -47,7 +47,7 @@ class Forwarding:
     def documents(self) -> list[dict[str, Any]]:
         """Return what `deltak status` shows of each; from any thread."""
         forwarders = self.forwarders
-        known = {path: _heads(path) for path in {forwarder.db for forwarder in forwarders}}
+        known = {path: _reached(path) for path in {forwarder.db for forwarder in forwarders}}
         return [forwarder.document(known[forwarder.db]) for forwarder in forwarders]
 
     def exchange(
@@ -94,10 +94,10 @@ class Forwarding:
             forwarder.stop()
 
 
-def _heads(path: Path) -> dict[str, int] | None:
+def _reached(path: Path) -> dict[str, int] | None:
     """Return how far a database's topics are; None while that cannot be read."""
     try:
-        return heads(path)
+        return all_reached(path)
     except (AgentError, OSError):
         return None
 

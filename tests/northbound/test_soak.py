@@ -97,6 +97,7 @@ def test_after_thirteen_hours_without_a_broker_what_is_new_comes_within_two_seco
                 time.sleep(0.5)
             seconds = time.monotonic() - began
         wait_until(lambda: len(seen.messages) >= 4 * (hops + len(late)), "all to arrive", 60)
+    figure(f"late: {sorted(late)[-12:]} of {len(late)}")
     assert max(late) < 2.0
     figure(f"northbound: {4 * hops} rows of 13 h sent in {seconds:.0f} s beside new ones, which took at most "
                          f"{max(late):.2f} s")  # fmt: skip

@@ -103,7 +103,7 @@ class Feed:
         return self._reader
 
 
-def heads(path: Path) -> dict[str, int]:
+def all_reached(path: Path) -> dict[str, int]:
     """Return the cursor by topic of whoever has all of a database; from any thread. Raises StoreError."""
     with closing(Feed(path)) as feed:
         return {topic: feed.head(topic) for topic in _TABLES}

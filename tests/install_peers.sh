@@ -3,7 +3,7 @@
 # Where it cannot, the tests that need them say so in the run's last lines. Arguments: further packages.
 set -eu
 
-wanted="can-utils user-mode-linux kmod iproute2 mbpoll socat strace systemd libmodbus-dev gcc libc6-dev chromium chromium-driver mosquitto $*"
+wanted="can-utils user-mode-linux kmod iproute2 mbpoll socat strace systemd libmodbus-dev gcc libc6-dev chromium chromium-driver mosquitto prometheus $*"
 
 if ! command -v apt-get >/dev/null || [ "$(id -u)" -ne 0 ]; then
     echo "install_peers: not root on Debian; nothing installed" >&2

@@ -9,9 +9,10 @@ import logging
 import random
 import sqlite3
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 from agent.clock import monotonic_ns, wall_ns
@@ -19,7 +20,7 @@ from agent.config.north.tables import North
 from agent.errors import AgentError
 from agent.northbound.interface.peer import Batch, MakePeer, Peer, PeerError, Place
 from agent.northbound.position import Position
-from agent.storage.read.forward import Feed
+from agent.storage.read.forward import Feed, lag
 from agent.storage.write.consumers.cursors import Edges, begin, edges_of, keep
 from agent.storage.write.jobs import Job
 from agent.storage.write.store import Store
@@ -99,6 +100,8 @@ class Forwarder:
         """Grows with every round of the thread, and while it waits for its peer."""
         self.sent = 0
         """Rows that were acknowledged since the start."""
+        self.retries = 0
+        """Attempts that failed since the start."""
 
     def start(self, after: "Forwarder | None" = None) -> None:
         """Begin, when another that does the same has ended."""
@@ -127,15 +130,25 @@ class Forwarder:
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
 
-    def document(self) -> dict[str, Any]:
-        """Return the consumer as `deltak status` shows it."""
+    @property
+    def db(self) -> Path:
+        """The database whose rows it brings."""
+        return self._place.db
+
+    def document(self, heads: Mapping[str, int] | None = None) -> dict[str, Any]:
+        """Return the consumer as `deltak status` shows it.
+
+        heads: how far its database's topics are, if that is known.
+        """
         positions = dict(self._positions or {})
         return {
             "name": self.consumer.name, "kind": self.consumer.kind, "db": str(self._place.db),
             "state": "failing" if self._failures else "ok" if self._peer is not None else "connecting",
-            "error": self._error, "sent": self.sent,
+            "error": self._error, "sent": self.sent, "retries": self.retries,
             "backfill": {topic: position.gap is not None for topic, position in positions.items()},
             "acknowledged": {topic: position.edges[0] for topic, position in positions.items()},
+            "lag": {topic: lag(topic, position.lag(heads[topic]))
+                    for topic, position in positions.items() if heads is not None},
         }  # fmt: skip
 
     def _work(self) -> None:
@@ -333,6 +346,7 @@ class Forwarder:
         """Leave the peer and say so once; return for how long to wait."""
         self._leave()
         self._failures += 1
+        self.retries += 1
         self._error = f"{error.cause}: {error}"
         if self._failures == 1:
             self._failed_ns = monotonic_ns()

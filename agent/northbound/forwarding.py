@@ -15,6 +15,7 @@ from agent.errors import AgentError
 from agent.northbound.forwarder import Forwarder
 from agent.northbound.interface.peer import Place
 from agent.northbound.kinds import make_peer
+from agent.storage.read.forward import all_reached
 from agent.storage.write.consumers.cursors import forget_others
 from agent.storage.write.writer import StoreWriter
 from agent.types import HealthEvent
@@ -45,7 +46,9 @@ class Forwarding:
 
     def documents(self) -> list[dict[str, Any]]:
         """Return what `deltak status` shows of each; from any thread."""
-        return [forwarder.document() for forwarder in self.forwarders]
+        forwarders = self.forwarders
+        known = {path: _reached(path) for path in {forwarder.db for forwarder in forwarders}}
+        return [forwarder.document(known[forwarder.db]) for forwarder in forwarders]
 
     def exchange(
         self, placed: Mapping[Path, Sequence[RigConfig]], writers: Mapping[Path, StoreWriter]
@@ -89,6 +92,14 @@ class Forwarding:
         """Begin no attempt any more; none under way is waited for."""
         for forwarder in self.forwarders:
             forwarder.stop()
+
+
+def _reached(path: Path) -> dict[str, int] | None:
+    """Return how far a database's topics are; None while that cannot be read."""
+    try:
+        return all_reached(path)
+    except (AgentError, OSError):
+        return None
 
 
 def _wanted(placed: Mapping[Path, Sequence[RigConfig]]) -> dict[_Key, _Wanted]:

@@ -24,6 +24,11 @@ class Position(NamedTuple):
         """Return the oldest stretch that is lacking: after which number, and up to which; None for none."""
         return (self.edges[0], self.edges[1]) if len(self.edges) > 1 else None
 
+    def lag(self, head: int) -> int:
+        """Return how many numbers up to `head` were not acknowledged."""
+        gaps = zip(self.edges[:-1:2], self.edges[1::2], strict=True)
+        return sum(until - after for after, until in gaps) + max(0, head - self.live)
+
     def left_behind(self, head: int) -> Self:
         """Return the position that goes on live after `head`; what is lacking up to there becomes a gap."""
         if head <= self.live:

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from drivers import clock
 from drivers.can.bus import netlink as can_link
@@ -33,7 +34,9 @@ _HERE = frozenset({"socketcan", "slcan"})
 
 
 class CanSettings(BusKeys, FrameKeys):
-    """Keys of a CAN source: the bus, the DBC file that describes it, and how samples lie in its frames."""
+    """Keys of a CAN source: the bus, how often it is read, its DBC file, how samples lie in its frames."""
+
+    period_s: float | None = Field(default=None, gt=0, le=CanBus.gather_s)
 
 
 class DbcDriver(CanCapture):
@@ -138,8 +141,12 @@ class CanDriver(DbcDriver):
         deadline = clock.monotonic() + timeout_s
         clock.sleep(max(0.0, min(self._due, deadline) - clock.monotonic()))
         frames = self._bus.frames(deadline)
-        self._due = clock.monotonic() + self._bus.gather_s if 0 < len(frames) < _FEW else 0.0
+        self._due = clock.monotonic() + self._period_s(self._bus) if 0 < len(frames) < _FEW else 0.0
         return self.decoded(frames)
+
+    def _period_s(self, bus: CanBus) -> float:
+        asked: float | None = self.request.settings.period_s
+        return bus.gather_s if asked is None else min(asked, bus.gather_s)
 
     def close(self) -> None:
         if self._bus is not None:

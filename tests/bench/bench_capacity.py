@@ -151,10 +151,10 @@ def _measured_stages() -> Counter[str]:
     spent: Counter[str] = Counter()
 
     def noted(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-        def step(*args: Any) -> Any:
+        def step(*args: Any, **named: Any) -> Any:
             begun = time.thread_time()
             try:
-                return method(*args)
+                return method(*args, **named)
             finally:
                 spent[name] += time.thread_time() - begun
 

@@ -40,9 +40,9 @@ DAY_S: Final = 86_400.0
 SETTINGS: Final[dict[str, dict[str, str]]] = {
     "default": {},
     "thrifty": {"commit_s": "5.0", "round_s": "0.25", "period_s": "0.25"},
-    "prompt": {"commit_s": "0.02", "round_s": "0.01", "period_s": "0.02"},
+    "prompt": {"commit_s": "0.02", "round_s": "0.01", "period_s": "0.01"},
 }
-"""Keys of [store], [agent] and of a Modbus source, by the name of the setting."""
+"""Keys of [store], [agent] and of the source, by the name of the setting; only a ring waits for long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ def written(bus: str, setting: str, folder: Path) -> Path:
     if keys:
         text = text.replace("[store]\n", f"[store]\ncommit_s = {keys['commit_s']}\n")
         text += f"\n[agent]\nround_s = {keys['round_s']}\n"
-        if bus == "modbus":
-            text = text.replace('mode = "ring"\n', f'mode = "ring"\nperiod_s = {keys["period_s"]}\n')
+        if bus == "modbus" or setting == "prompt":
+            text = text.replace("[[source]]\n", f"[[source]]\nperiod_s = {keys['period_s']}\n")
     path.write_text(text, encoding="utf-8")
     return path
 

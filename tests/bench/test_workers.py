@@ -17,10 +17,18 @@ def test_two_cores_carry_more_rigs_over_workers_than_one_process_can() -> None:
 
 
 @pytest.mark.bench
-@pytest.mark.parametrize(("bus", "alarms_s"), [("modbus", 0.05), ("can", 0.1), ("serial", 0.1)])
-def test_prompt_settings_store_rows_within_100_ms_and_alarms_sooner(bus: str, alarms_s: float) -> None:
+@pytest.mark.parametrize("bus", ["modbus", "can", "serial"])
+def test_prompt_settings_store_rows_within_100_ms_and_alarms_within_50(bus: str) -> None:
     rows, alarms = (bench_latency.measure(bus, "prompt", what) for what in ("rows", "alarms"))
     print(f"\n{bench_latency.reported(bus, 'prompt', 'rows', rows)}")
     print(bench_latency.reported(bus, "prompt", "alarms", alarms))
     assert rows.p99 <= 0.1
-    assert alarms.p99 <= alarms_s
+    assert alarms.p99 <= 0.05
+
+
+@pytest.mark.bench
+@pytest.mark.parametrize("bus", ["modbus", "can", "serial"])
+def test_rig_of_1_khz_takes_6_percent_of_a_core_at_the_default_settings(bus: str) -> None:
+    found = bench_latency.measure(bus, "default", "rows")
+    print(f"\n{bench_latency.reported(bus, 'default', 'rows', found)}")
+    assert found.cpu <= 0.06

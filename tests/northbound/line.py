@@ -8,12 +8,15 @@ import signal
 import socket
 import subprocess
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from agent.northbound.forwarder import Forwarder
+from agent.storage.write.writer import StoreWriter
 from tests.peers import program
+from tests.scenario.live import wait_until
+from tests.storage.rows import batch
 
 
 def free_port() -> int:
@@ -22,15 +25,23 @@ def free_port() -> int:
 
 
 class Line:
-    """Carries bytes between whoever connects to `port` and a server; `cut` ends what is connected."""
+    """Carries bytes between whoever connects to `port` and a server; `cut` ends what is connected.
+
+    Attributes:
+        budget: bytes that the server still gets before the line breaks; None for all.
+        freezes: whether it then carries nothing any more, instead of being cut.
+    """
 
     def __init__(self, to: int) -> None:
         self._to = to
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._server.getsockname()[1]
-        self.frozen = False
+        self.budget: int | None = None
+        self.freezes = False
         self.down = False
         self.cuts = 0
+        self._flows = threading.Event()
+        self._flows.set()
         self._pairs: list[tuple[socket.socket, socket.socket]] = []
         self._over = False
         self._thread = threading.Thread(target=self._accept, daemon=True)
@@ -56,20 +67,40 @@ class Line:
         other = {near: far, far: near}
         try:
             while True:
-                ready, _, _ = select.select([near, far], [], [], 0.05)
-                if self.frozen:
-                    time.sleep(0.02)
-                    continue
+                ready, _, _ = select.select([near, far], [], [])
+                self._flows.wait()
                 for one in ready:
                     data = one.recv(65536)
                     if not data:
                         return
-                    other[one].sendall(data)
+                    other[one].sendall(data if one is far else self._paid(data))
         except (OSError, ValueError):
             pass
         finally:
             near.close()
             far.close()
+
+    def _paid(self, data: bytes) -> bytes:
+        """Return what of some bytes the budget is enough for; break where it is not."""
+        if self.budget is None or len(data) < self.budget:
+            self.budget = None if self.budget is None else self.budget - len(data)
+            return data
+        data, self.budget = data[: self.budget], None
+        if self.freezes:
+            self._flows.clear()
+        else:
+            self.cut()
+        return data
+
+    def freeze(self) -> None:
+        """Carry nothing until it is mended."""
+        self._flows.clear()
+
+    def mend(self) -> None:
+        """Carry what comes, on connections that are made from now on."""
+        if not self._flows.is_set():
+            self.cut()
+        self._flows.set()
 
     def cut(self) -> None:
         self.cuts += 1
@@ -82,9 +113,22 @@ class Line:
     def close(self) -> None:
         self._over = True
         self.cut()
+        self._flows.set()
         with contextlib.suppress(OSError):
             self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
+
+
+def disturb(line: Line, writer: StoreWriter, forwarder: Forwarder, rows: int, breaks: int) -> None:
+    """Store instants while the line breaks amid what it carries: cut, and each third time frozen."""
+    share = rows // breaks
+    for number in range(breaks):
+        before = forwarder.retries
+        line.freezes, line.budget = number % 3 == 2, 1500 * (number + 1)
+        writer.publish([batch(share, first=share * number)])
+        wait_until(lambda n=before: forwarder.retries > n, f"break {number} to be noticed", 20)
+        line.mend()
+    writer.flush()
 
 
 @contextmanager
@@ -145,14 +189,15 @@ def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
 
 
 def wait_for_port(port: int, limit_s: float = 20) -> None:
-    deadline = time.monotonic() + limit_s
-    while True:
-        try:
-            with socket.create_connection(("127.0.0.1", port), 1):
-                return
-        except OSError:
-            assert time.monotonic() < deadline, f"nobody listens on port {port}"
-            time.sleep(0.02)
+    wait_until(lambda: _listens(port), f"somebody to listen on port {port}", limit_s)
+
+
+def _listens(port: int) -> bool:
+    try:
+        with socket.create_connection(("127.0.0.1", port), 1):
+            return True
+    except OSError:
+        return False
 
 
 _CA = """[ca]

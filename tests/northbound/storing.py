@@ -3,11 +3,14 @@
 import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
+from agent.northbound.forwarder import Forwarder
 from tests.northbound.supply import numbers, supplied
+from tests.scenario.live import wait_until
 from tests.storage.rows import START, batch, select
 
 AT_ONCE = 20
@@ -27,11 +30,15 @@ def main(path: Path, given: dict[str, int]) -> None:
         first = 0 if stored[1] is None else (stored[1] - START) // 50_000_000 + 1
         for number in range(first, total, AT_ONCE):
             writer.publish([batch(min(AT_ONCE, total - number), first=number)])
-            time.sleep(given["pause_ms"] / 1000)
+            time.sleep(given["pause_ms"] / 1000)  # the pace at which rows come
         writer.flush()
         head = numbers(path)[-1]
-        while any(one.document()["acknowledged"].get("estimates", 0) < head for one in forwarders):
-            time.sleep(0.1)
+        reached = [partial(_has, one, head) for one in forwarders]
+        wait_until(lambda: all(has() for has in reached), "every row to arrive", 300)
+
+
+def _has(forwarder: Forwarder, head: int) -> bool:
+    return bool(forwarder.document()["acknowledged"].get("estimates", 0) >= head)
 
 
 if __name__ == "__main__":

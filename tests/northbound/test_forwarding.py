@@ -70,6 +70,7 @@ def test_consumers_follow_the_configurations(memory: Path, monkeypatch: pytest.M
         gone = "SELECT count(*) FROM consumers WHERE name = 'one'"
         wait_until(lambda: select(path, gone) == [(0,)], "the cursors to be dropped", 10)
         writer.flush()
+        wait_until(lambda: forwarding.documents()[0]["lag"]["estimates"] == 0, "all to arrive", 10)
         assert [one["name"] for one in forwarding.documents()] == ["two"]
         forwarding.stop()
         for one in [*first.values(), *second.values()]:
@@ -92,6 +93,10 @@ def test_consumer_of_rigs_that_share_a_file_is_one_and_its_events_are_of_each(me
     wait_until(lambda: len(events(path)) == 2, "an event of each", 10)
     assert forwarding.documents()[0]["state"] == "failing"
     assert "refused" in forwarding.documents()[0]["error"]
+    writer.publish([batch(10)])
+    writer.flush()
+    wait_until(lambda: forwarding.documents()[0]["retries"] >= 2, "another attempt", 10)
+    assert forwarding.documents()[0]["lag"] == {"estimates": 10}
     forwarding.stop()
     one.join(5)
     writer.stop()

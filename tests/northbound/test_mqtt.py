@@ -3,7 +3,6 @@
 import json
 import logging
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
 from agent.storage.read import queries
-from tests.northbound.line import certificates, line_to, mosquitto
+from tests.northbound.line import certificates, disturb, line_to, mosquitto
 from tests.northbound.supply import events, numbers, supplied
 from tests.scenario.live import wait_until
 from tests.storage.conftest import memory
@@ -118,38 +117,14 @@ def check_arrival(path: Path, seen: Subscriber) -> int:
     return len(seen.rows()) - len(expected)
 
 
-def disturb(path: Path, folder: Path, rows: int, cuts: int, every_s: float) -> tuple[int, int]:
-    """Store instants while the line to a broker is cut and frozen; return cuts and rows that came twice."""
-    over = threading.Event()
-    with mosquitto(folder) as port, line_to(port) as line, subscriber(port) as seen:
-        consumer = plant(line.port, topics=("estimates",), batch=50, timeout_s=0.3)
-
-        def disturber() -> None:
-            for number in range(cuts):
-                if over.wait(every_s):
-                    return
-                line.frozen = number % 3 == 2
-                if line.frozen:
-                    time.sleep(0.4)
-                line.cut()
-                line.frozen = False
-
-        with supplied(path, [consumer], late_s=0.2) as (writer, _):
-            thread = threading.Thread(target=disturber)
-            thread.start()
-            for i in range(rows // 20):
-                writer.publish([batch(20, first=20 * i)])
-                time.sleep(cuts * every_s / (rows / 20))
-            thread.join()
-            over.set()
-            writer.flush()
-            doubled = check_arrival(path, seen)
-        return line.cuts, doubled
-
-
 def test_line_cut_and_frozen_loses_no_row_and_keeps_the_order(memory: Path) -> None:
-    disturb(memory / "rig.db", memory, 300, 4, 0.1)
-    causes = [cause for cause, _ in events(memory / "rig.db")]
+    path = memory / "rig.db"
+    with mosquitto(memory) as port, line_to(port) as line, subscriber(port) as seen:
+        consumer = plant(line.port, topics=("estimates",), batch=50, timeout_s=0.3)
+        with supplied(path, [consumer], late_s=0.2) as (writer, forwarders):
+            disturb(line, writer, forwarders[0], 300, 5)
+            check_arrival(path, seen)
+    causes = [cause for cause, _ in events(path)]
     assert causes == (["consumer failed", "consumer recovered"] * len(causes))[: len(causes)]
     assert causes
 

@@ -1,7 +1,5 @@
 """PostgreSQL: what arrived equals v_estimates, each row once, whatever is cut, and nobody hears a secret."""
 
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,7 @@ import pytest
 from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
 from agent.storage.read import queries
-from tests.northbound.line import Line, line_to, postgres
+from tests.northbound.line import disturb, line_to, postgres
 from tests.northbound.supply import events, numbers, supplied
 from tests.northbound.test_mqtt import said_of
 from tests.scenario.live import wait_until
@@ -64,30 +62,6 @@ def test_rows_of_every_topic_arrive_with_their_columns(memory: Path, server: int
     ]
 
 
-def disturb(path: Path, line: Line, consumer: North, rows: int, cuts: int, every_s: float) -> None:
-    """Store instants while the line to the server is cut and frozen."""
-    with supplied(path, [consumer], late_s=0.2) as (writer, _):
-        thread = threading.Thread(target=_cutter, args=(line, cuts, every_s))
-        thread.start()
-        for i in range(rows // 20):
-            writer.publish([batch(20, first=20 * i)])
-            time.sleep(cuts * every_s / (rows / 20))
-        thread.join()
-        writer.flush()
-        head = numbers(path)[-1]
-        wait_until(lambda: _has_all(path, head), "every row", 60)
-
-
-def _cutter(line: Line, cuts: int, every_s: float) -> None:
-    for number in range(cuts):
-        time.sleep(every_s)
-        line.frozen = number % 3 == 2
-        if line.frozen:
-            time.sleep(0.5)
-        line.cut()
-        line.frozen = False
-
-
 def _has_all(path: Path, head: int) -> bool:
     from tests.storage.rows import select
 
@@ -101,7 +75,9 @@ def test_line_cut_and_frozen_leaves_each_row_there_once(memory: Path, server: in
     path = memory / "rig.db"
     with line_to(server) as line:
         consumer = plant(line.port, "cut", memory, topics=("estimates",), batch=50, timeout_s=0.4)
-        disturb(path, line, consumer, 400, 5, 0.1)
+        with supplied(path, [consumer], late_s=0.2) as (writer, forwarders):
+            disturb(line, writer, forwarders[0], 400, 5)
+            wait_until(lambda: _has_all(path, numbers(path)[-1]), "every row", 60)
     assert [seq for (seq,) in asked(server, "SELECT seq FROM cut_estimates ORDER BY seq")] == numbers(path)
     causes = [cause for cause, _ in events(path)]
     assert causes == (["consumer failed", "consumer recovered"] * len(causes))[: len(causes)]

@@ -46,10 +46,12 @@ def test_hundred_cuts_and_twenty_kills_in_hundred_thousand_rows_lose_and_double_
                     time.sleep(rng.uniform(0.2, 0.8))
                     if cuts < 100:
                         line = rng.choice((one, two))
-                        line.frozen = rng.random() < 0.2
-                        time.sleep(1.2 if line.frozen else 0.0)
-                        line.cut()
-                        line.frozen = False
+                        if rng.random() < 0.2:
+                            line.freeze()
+                            time.sleep(1.2)  # longer than a consumer's timeout_s
+                            line.mend()
+                        else:
+                            line.cut()
                         cuts += 1
                 if agent.poll() is None:
                     agent.kill()

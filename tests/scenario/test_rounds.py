@@ -114,6 +114,18 @@ def test_line_that_flows_is_read_seldom_and_whole(bus: str, most_a_second: int, 
     assert not driver.counts.rejected
 
 
+@pytest.mark.parametrize("bus", ["modbus", "can", "serial"])
+def test_line_that_flows_is_read_as_often_as_its_period_says(bus: str, tmp_path: Path) -> None:
+    path = example(bus, tmp_path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(f'driver = "{bus}"', f'driver = "{bus}"\nperiod_s = 0.01'), encoding="utf-8")
+    driver, blocks = read_in_played_time(load(path), PlayedBench(path, load_scenario("default", {})))
+    sizes = np.array([len(block) for block in blocks[5:]])
+    assert np.median(sizes) <= 12
+    assert sizes.max() <= 25
+    assert not driver.counts.rejected
+
+
 @pytest.mark.parametrize("slots", [16, 64, 150])
 def test_ring_that_is_full_before_the_period_is_over_is_read_in_time(slots: int, tmp_path: Path) -> None:
     path = example("modbus", tmp_path)

@@ -60,7 +60,7 @@ def lay() -> None:
     (HOME / "bin" / "deltak").unlink()
     (HOME / "bin").rmdir()
     (HOME / "bin").symlink_to("current/bin")
-    environment = next(line for line in inside.DROP_IN.splitlines() if line.startswith("Environment="))
+    environment = next(line for line in inside.PYTHON.splitlines() if line.startswith("Environment="))
     text = (inside.ROOT / "deploy/systemd/deltak-upgrade@.service").read_text()
     Path("/etc/systemd/system/deltak-upgrade@.service").write_text(text)
     drop_in = Path("/etc/systemd/system/deltak-upgrade@.service.d/test.conf")

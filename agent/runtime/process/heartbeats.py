@@ -41,18 +41,26 @@ class Beat:
 class Heartbeats:
     """The threads of an agent, looked at once a period.
 
-    Silence is the sum of the periods in which a thread made no progress, each counted as two periods at most:
-    where the machine leaves the whole agent without processor time, whoever looks is late too, and no thread
-    is at fault.
+    Silence is the sum of the periods in which a thread made no progress, without the time in which the
+    machine left the agent no processor, and each counted as two periods at most: where the whole agent goes
+    hungry, whoever looks is late too, and no thread is at fault.
 
     Args:
         threads: the threads that there are now.
         interval_s: the watchdog's interval, by which patience is measured.
         period_s: how often `look` is called.
+        waited_s: returns how long since it was called last the agent could have run and was not let.
     """
 
-    def __init__(self, threads: Callable[[], Iterable[Thread]], interval_s: float, period_s: float) -> None:
+    def __init__(
+        self,
+        threads: Callable[[], Iterable[Thread]],
+        interval_s: float,
+        period_s: float,
+        waited_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
         self._threads, self._interval_s, self._period_s = threads, interval_s, period_s
+        self._waited_s = waited_s
         self._looked_ns: int | None = None
         self.beats: dict[str, Beat] = {}
 
@@ -60,7 +68,7 @@ class Heartbeats:
         """Note every thread's progress at a monotonic instant; return the names of those that stall."""
         passed_s = 0.0 if self._looked_ns is None else (now_ns - self._looked_ns) / 1e9
         self._looked_ns = now_ns
-        counted_s = min(passed_s, 2 * self._period_s)
+        counted_s = min(max(0.0, passed_s - self._waited_s()), 2 * self._period_s)
         self.beats = {thread.name: self._beat(thread, now_ns, counted_s) for thread in self._threads()}
         return [name for name, beat in self.beats.items() if beat.stalled]
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from agent.clock import monotonic_ns
 from agent.runtime.process.heartbeats import Heartbeats, Thread
+from agent.runtime.process.processor import ProcessorWait
 from agent.runtime.process.service_manager import ServiceManager
 
 LOOKS_AN_INTERVAL = 4
@@ -36,7 +37,7 @@ class Watch:
         self.manager = manager
         interval_s = manager.watchdog_s or silence_s
         self._period_s = min(look_s, interval_s / LOOKS_AN_INTERVAL)
-        self.heartbeats = Heartbeats(threads, interval_s, self._period_s)
+        self.heartbeats = Heartbeats(threads, interval_s, self._period_s, ProcessorWait().since_last_s)
         self._status = status
         self._stalled: list[str] = []
         self._stop = threading.Event()

@@ -60,6 +60,25 @@ FIGURES: Mapping[str, Figure] = {
     "deltak_store_rows_dropped_total": Figure(
         CounterMetricFamily, "Rows that could not be stored.", ("db", "reason")
     ),
+    "deltak_consumer_state": Figure(
+        GaugeMetricFamily, "1 for the state of a consumer beyond the gateway.", ("db", "consumer", "state")
+    ),
+    "deltak_consumer_retries_total": Figure(
+        CounterMetricFamily, "Attempts to supply it that failed.", ("db", "consumer")
+    ),
+    "deltak_consumer_rows_sent_total": Figure(
+        CounterMetricFamily, "Rows that it acknowledged, those sent again too.", ("db", "consumer")
+    ),
+    "deltak_consumer_acknowledged_seq": Figure(
+        GaugeMetricFamily, "Number up to which it has every row.", ("db", "consumer", "topic")
+    ),
+    "deltak_consumer_lag_rows": Figure(
+        GaugeMetricFamily, "Stored rows that it lacks; of estimates, instants.", ("db", "consumer", "topic")
+    ),
+    "deltak_consumer_backfill": Figure(
+        GaugeMetricFamily, "1 while it lacks rows that are older than some it has.",
+        ("db", "consumer", "topic"),
+    ),
     "deltak_worker_up": Figure(GaugeMetricFamily, "1 while a worker process runs.", ("worker",)),
     "deltak_worker_restarts_total": Figure(
         CounterMetricFamily, "How often a worker process had to be started anew.", ("worker",)
@@ -75,6 +94,13 @@ FIGURES: Mapping[str, Figure] = {
     ),
 }  # fmt: skip
 _STATES = tuple(status.name.lower() for status in Status)
+_CONSUMER_STATES = ("ok", "connecting", "failing")
+_BY_TOPIC = {
+    "acknowledged": "deltak_consumer_acknowledged_seq",
+    "lag": "deltak_consumer_lag_rows",
+    "backfill": "deltak_consumer_backfill",
+}
+"""Metrics of a consumer by topic, by their keys in the status document."""
 _ALARM_STATES = ("UNACK", "ACKED", "SHLVD", "DSUPR", "OOSRV")
 
 
@@ -105,6 +131,8 @@ class _Families:
             self._rig(rig)
         for store in document["stores"]:
             self._store(store)
+        for consumer in document["north"]:
+            self._consumer(consumer)
         for worker in document["workers"]:
             self._add("deltak_worker_up", worker["alive"], worker["worker"])
             self._add("deltak_worker_restarts_total", worker["restarts"], worker["worker"])
@@ -156,3 +184,13 @@ class _Families:
             self._add("deltak_store_rows_dropped_total", count, db, reason)
         for rig, found in store["latency"].items():
             self._made["deltak_row_latency_seconds"].add_metric([rig], found["bins"], found["sum_s"])
+
+    def _consumer(self, consumer: Document) -> None:
+        own = (consumer["db"], consumer["name"])
+        for state in _CONSUMER_STATES:
+            self._add("deltak_consumer_state", consumer["state"] == state, *own, state)
+        self._add("deltak_consumer_retries_total", consumer["retries"], *own)
+        self._add("deltak_consumer_rows_sent_total", consumer["sent"], *own)
+        for key, name in _BY_TOPIC.items():
+            for topic, value in consumer[key].items():
+                self._add(name, value, *own, topic)

@@ -8,6 +8,7 @@ the cursor all the same.
 
 import sqlite3
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -100,6 +101,17 @@ class Feed:
         self._file = file
         self._batches += 1
         return self._reader
+
+
+def all_reached(path: Path) -> dict[str, int]:
+    """Return the cursor by topic of whoever has all of a database; from any thread. Raises StoreError."""
+    with closing(Feed(path)) as feed:
+        return {topic: feed.head(topic) for topic in _TABLES}
+
+
+def lag(topic: str, numbers: int) -> int:
+    """Return how many rows so many numbers of a topic are; of estimates, instants."""
+    return numbers >> COLUMN_BITS if topic == "estimates" else numbers
 
 
 def _head(reader: Reader, topic: str) -> int:

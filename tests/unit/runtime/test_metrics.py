@@ -35,6 +35,11 @@ STATUS: dict[str, Any] = {
         "written": 55,
         "dropped": {"disk full": 1}, "latency": {"press": {"bins": [("0.5", 3), ("+Inf", 4)], "sum_s": 2.5}},
     }],
+    "north": [{
+        "name": "plant", "kind": "mqtt", "db": "/x.db", "state": "failing", "error": "lost", "sent": 70,
+        "retries": 4, "backfill": {"estimates": True}, "acknowledged": {"estimates": 1027, "alarms": 2},
+        "lag": {"estimates": 5, "alarms": 0},
+    }],
     "workers": [{"worker": 2, "alive": True, "restarts": 3}],
     "threads": [{"thread": "processing", "silent_s": 0.5, "stalled": True, "progress": 9}],
 }  # fmt: skip
@@ -68,6 +73,13 @@ EXPECTED = {
     ("deltak_store_bytes", "/x.db", "log"): 10,
     ("deltak_thread_stalled", "processing"): 1,
     ("deltak_clock_steps_total", "press"): 1,
+    ("deltak_consumer_state", "/x.db", "plant", "failing"): 1,
+    ("deltak_consumer_state", "/x.db", "plant", "ok"): 0,
+    ("deltak_consumer_retries_total", "/x.db", "plant"): 4,
+    ("deltak_consumer_rows_sent_total", "/x.db", "plant"): 70,
+    ("deltak_consumer_acknowledged_seq", "/x.db", "plant", "estimates"): 1027,
+    ("deltak_consumer_lag_rows", "/x.db", "plant", "estimates"): 5,
+    ("deltak_consumer_backfill", "/x.db", "plant", "estimates"): 1,
 }
 
 

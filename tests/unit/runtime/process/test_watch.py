@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from agent.runtime.process.heartbeats import Heartbeats, Thread
+from agent.runtime.process.processor import ProcessorWait
 from agent.runtime.process.service_manager import ServiceManager
 from agent.runtime.process.watch import Watch
 
@@ -92,6 +93,28 @@ def test_agent_without_processor_time_is_not_taken_for_a_hung_one() -> None:
     assert heartbeats.look(600 * S) == []
     assert heartbeats.beats["write"].silent_s == 2.0
     assert heartbeats.beats["write"].last_ns == 0
+
+
+def test_thread_of_an_agent_that_waits_for_the_processor_is_silent_only_while_it_may_run() -> None:
+    heartbeats = Heartbeats(lambda: [Thread("processing", 7)], 6.0, 1.0, lambda: 0.95)
+    assert [heartbeats.look(second * S) for second in range(120)] == [[]] * 120
+    assert heartbeats.beats["processing"].silent_s == pytest.approx(119 * 0.05)
+
+
+def test_wait_for_the_processor_is_that_of_the_thread_that_waited_longest(tmp_path: Path) -> None:
+    def write(**waited_ns: int) -> None:
+        for task, wait in waited_ns.items():
+            (tmp_path / task).mkdir(exist_ok=True)
+            (tmp_path / task / "schedstat").write_text(f"70 {wait} 3\n")
+
+    write(a=1_000_000_000, b=5)
+    (tmp_path / "gone").mkdir()
+    waits = ProcessorWait(tmp_path)
+    write(a=1_200_000_000, b=900_000_005, c=7_000_000_000)  # the last has begun meanwhile
+    assert waits.since_last_s() == pytest.approx(0.9)
+    assert waits.since_last_s() == 0.0
+    assert ProcessorWait(tmp_path / "nowhere").since_last_s() == 0.0
+    assert ProcessorWait().since_last_s() >= 0.0
 
 
 def test_thread_that_ended_or_is_occupied_does_not_stop_the_feeding() -> None:

@@ -14,10 +14,11 @@ from agent.prognosis.change import FEWEST, change
 from agent.prognosis.family import MEMBERS, Scale, scale_of, way_left
 from agent.prognosis.history import History, blocks, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
-from agent.prognosis.passage import FARTHEST, first_passages
+from agent.prognosis.passage import FARTHEST, first_passages, newest_levels
 from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior
 from agent.prognosis.prior import Prior, Student
 from agent.prognosis.steps import find_steps, without
+from agent.prognosis.traces import Alike, alike
 from agent.types import FloatArray
 
 SPANS = 3.0
@@ -25,6 +26,8 @@ SPANS = 3.0
 RATIO = 4.0
 """And P90 : P10, so that what is near is not called unknown."""
 SEED = 15
+COURSES = "like machines"
+"""Member of the family that is no law: what like machines did from the level reached."""
 
 Status = Literal["ok", "no trend", "too short", "beyond", "crossed"]
 
@@ -78,14 +81,30 @@ def forecast(
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
     found = posterior(readings, scale, prior, rng, effort)
-    passages = np.sort(first_passages(found, scale, newest, prior.later, rng, effort)) * thin.span
+    passages = first_passages(found, scale, newest, prior.later, rng, effort) * thin.span
     family = _weights(found)
+    if like is not None and scale.relative:
+        now = newest_levels(found, scale, newest, len(passages), rng)
+        kind = alike(like.traces, scale.limit, thin.t, readings.smooth, now, rng)
+        passages, family = _among(passages, family, kind, rng)
+    passages = np.sort(passages)
     if passages[len(passages) // 2] == 0.0:
         return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
     passages = np.maximum(
         passages - float(history.t[-1] - thin.t[-1]), 0.0
     )  # a mean is older than its newest row
     return _stated(passages, horizon, history.span, family, lambda: _steady(history))
+
+
+def _among(
+    passages: FloatArray, family: dict[str, float], kind: Alike | None, rng: np.random.Generator
+) -> tuple[FloatArray, dict[str, float]]:
+    """Return draws and weights of which as large a share as is probable is that of like machines."""
+    if kind is None:
+        return passages, family
+    theirs = rng.uniform(size=len(passages)) < kind.share
+    weights = {name: weight * (1.0 - kind.share) for name, weight in family.items()}
+    return np.where(theirs, kind.remains, passages), weights | {COURSES: kind.share}
 
 
 def _steady(history: History) -> bool:

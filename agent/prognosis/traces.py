@@ -120,7 +120,7 @@ class _Times:
 
 
 def _regressed(x: FloatArray, y: FloatArray, at: float, rng: np.random.Generator) -> FloatArray:
-    """Return a draw of y at x = `at` for each row of x, y (N, n): n machines, as a draw of the level has them."""
+    """Return a draw of y at x = `at` for each row of x, y (N, n): n machines for each draw of the level."""
     n = x.shape[1]
     middle, mean = x.mean(axis=1), y.mean(axis=1)
     u, v = x - middle[:, None], y - mean[:, None]
@@ -139,7 +139,7 @@ def _regressed(x: FloatArray, y: FloatArray, at: float, rng: np.random.Generator
 
 
 def _spreads(rest: FloatArray, n: int) -> FloatArray:
-    """Return how probable each of SPREADS is (N, s); rest (N,): sum of n machines' squares about their mean."""
+    """Return how probable each of SPREADS is (N, s); rest (N,): n machines' squares about their mean."""
     beforehand = -0.5 * (np.log(SPREADS / USUAL) / UNSURE) ** 2
     found = beforehand - (n - 1) * np.log(SPREADS) - 0.5 * np.divide.outer(rest, SPREADS**2)
     weight = np.exp(found - found.max(axis=1, keepdims=True))

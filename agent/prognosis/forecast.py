@@ -25,6 +25,10 @@ SPANS = 3.0
 """P90 − P10 in spans of the history from which on a history is too short to say."""
 RATIO = 4.0
 """And P90 : P10, so that what is near is not called unknown."""
+NEWEST = 3
+"""Newest means that say that a limit is crossed before any law is sought."""
+SURE = 2.0
+"""Standard deviations of these by which they must lie beyond it; else the laws say how probable that is."""
 SEED = 15
 COURSES = "like machines"
 """Member of the family that is no law: what like machines did from the level reached."""
@@ -113,11 +117,11 @@ def _steady(history: History) -> bool:
 
 
 def _past_limit(readings: Readings, scale: Scale) -> bool:
-    """Tell whether the newest means lie on the limit's other side."""
-    newest = float(np.mean(readings.smooth[-3:]))
-    return (scale.limit - newest) * scale.limit <= 0.0 and (
-        scale.limit - float(readings.z[-1])
-    ) * scale.limit <= 0.0
+    """Tell whether the newest means lie on the limit's other side, by more than they may be off."""
+    newest = float(np.mean(readings.smooth[-NEWEST:]))
+    off = SURE * float(np.linalg.norm(readings.sd[-NEWEST:])) / NEWEST
+    beyond = -np.sign(scale.limit) * (scale.limit - np.array([newest - off, newest + off, readings.z[-1]]))
+    return bool((beyond >= 0.0).all())
 
 
 def _weights(found: list[Particles]) -> dict[str, float]:

@@ -39,7 +39,7 @@ class Effort:
 
 FULL = Effort(160, 800, 6, 4000, 120)
 BRIEF = Effort(24, 320, 3, 600, 60)
-"""For tables of many parts, a fifth of the cost: fewer means rather than fewer particles, which lose the law."""
+"""For tables of many parts, a fifth of the cost: few means rather than few particles, which lose the law."""
 
 
 @dataclass(frozen=True, slots=True)

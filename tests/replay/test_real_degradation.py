@@ -114,9 +114,8 @@ def scored(
                 made = forecast(seen, limits[i], like=prior, effort=effort)
                 found[share].take(made, seen, lives[i], limits[i], lives[rest])
     for share, score in found.items():
-        figure(
-            f"{name}{', like machines' if like else ''}{', brief' if effort is BRIEF else ''}, {100 * share:.0f} % of life: {score.words()}"
-        )
+        how = f"{', like machines' if like else ''}{', brief' if effort is BRIEF else ''}"
+        figure(f"{name}{how}, {100 * share:.0f} % of life: {score.words()}")
     return found
 
 
